@@ -1,0 +1,1 @@
+"""The shipped plugins, installed as ``spiral_plugins``."""

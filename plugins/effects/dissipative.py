@@ -1,0 +1,103 @@
+"""Dampers and friction: forces that depend on velocity."""
+
+from __future__ import annotations
+
+from spiral.effect import ForceEffect
+from spiral.math import length, tanh
+from spiral.parameter import Parameter
+
+
+class LinearDamping(ForceEffect):
+    """Viscous damper: F_i = -c_i v_i."""
+
+    parameters = (Parameter("damping", "force/velocity", per_axis=True),)
+
+    def force(self, at, u, p):
+        """-c_i v_i per axis."""
+        return [-c * v for c, v in zip(p.damping, at.velocity, strict=True)]
+
+
+class QuadraticDamping(ForceEffect):
+    """Drag of a turbulent flow: F = -c |v| v."""
+
+    parameters = (Parameter("damping", "force/velocity^2"),)
+
+    def force(self, at, u, p):
+        """-c |v| v."""
+        speed = length(at.velocity)
+        return [-p.damping * speed * v for v in at.velocity]
+
+
+class AmplitudeDamping(ForceEffect):
+    """Damping that grows with amplitude: F = -c |q|^2 v."""
+
+    parameters = (Parameter("damping", "force/velocity/position^2"),)
+
+    def force(self, at, u, p):
+        """-c |q|^2 v."""
+        r2 = sum(q * q for q in at.position)
+        return [-p.damping * r2 * v for v in at.velocity]
+
+
+class CoulombFriction(ForceEffect):
+    """Dry friction, constant in size and against the motion: F_i = -F_c,i tanh(v_i / w)."""
+
+    parameters = (
+        Parameter("level", "force", lower=0.0, per_axis=True),
+        Parameter("width", "velocity", lower=0.0, role="shape", grid=(0.003, 0.02, 0.1)),
+    )
+
+    def force(self, at, u, p):
+        """-F_i tanh(v_i / w) per axis."""
+        return [-level * tanh(v / p.width) for level, v in zip(p.level, at.velocity, strict=True)]
+
+
+class CrossDamping(ForceEffect):
+    """Symmetric coupling of the axes by dampers: F = -c (y', x')."""
+
+    axes = 2
+    parameters = (Parameter("damping", "force/velocity"),)
+
+    def force(self, at, u, p):
+        """-c (y', x')."""
+        vx, vy = at.velocity
+        return [-p.damping * vy, -p.damping * vx]
+
+
+class AntisymmetricDamping(ForceEffect):
+    """Coupling like a gyroscope of constant speed: F = -c (y', -x')."""
+
+    axes = 2
+    parameters = (Parameter("damping", "force/velocity"),)
+
+    def force(self, at, u, p):
+        """-c (y', -x')."""
+        vx, vy = at.velocity
+        return [-p.damping * vy, p.damping * vx]
+
+
+class Gyroscopic(ForceEffect):
+    """Gyroscopic coupling of a turning disk, transmitted by the tilt: F = -g W (y', -x')."""
+
+    axes = 2
+    inputs = ("speed",)
+    parameters = (Parameter("coefficient", "force/velocity*s"),)
+
+    def force(self, at, u, p):
+        """-g W (y', -x')."""
+        vx, vy = at.velocity
+        return [-p.coefficient * u.speed * vy, p.coefficient * u.speed * vx]
+
+
+class InternalDamping(ForceEffect):
+    """Damping in the rotating parts (fits, couplings): F = -c (x' + W y, y' - W x)."""
+
+    axes = 2
+    inputs = ("speed",)
+    parameters = (Parameter("damping", "force/velocity", lower=0.0),)
+
+    def force(self, at, u, p):
+        """-c (x' + W y, y' - W x)."""
+        x, y = at.position
+        vx, vy = at.velocity
+        return [-p.damping * (vx + u.speed * y), -p.damping * (vy - u.speed * x)]

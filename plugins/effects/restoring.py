@@ -1,0 +1,125 @@
+"""Springs: forces that depend on position."""
+
+from __future__ import annotations
+
+from spiral.effect import ForceEffect
+from spiral.math import length, maximum, sin
+from spiral.parameter import Parameter
+
+
+class LinearStiffness(ForceEffect):
+    """Linear spring: F_i = -k_i q_i."""
+
+    parameters = (Parameter("stiffness", "force/position", per_axis=True),)
+
+    def force(self, at, u, p):
+        """-k_i q_i per axis."""
+        return [-k * q for k, q in zip(p.stiffness, at.position, strict=True)]
+
+
+class QuadraticStiffness(ForceEffect):
+    """Stiffness that differs between pull and push: F_i = -k_i q_i^2."""
+
+    parameters = (Parameter("stiffness", "force/position^2", per_axis=True),)
+
+    def force(self, at, u, p):
+        """-k_i q_i^2 per axis."""
+        return [-k * q * q for k, q in zip(p.stiffness, at.position, strict=True)]
+
+
+class CubicStiffness(ForceEffect):
+    """Stiffness that grows with amplitude: F = -k |q|^2 q (isotropic Duffing spring)."""
+
+    parameters = (Parameter("stiffness", "force/position^3"),)
+
+    def force(self, at, u, p):
+        """-k |q|^2 q."""
+        r2 = sum(q * q for q in at.position)
+        return [-p.stiffness * r2 * q for q in at.position]
+
+
+class Clearance(ForceEffect):
+    """A second spring that engages after a gap: F_i = -k max(|q_i| - g, 0) sign q_i."""
+
+    parameters = (
+        Parameter("stiffness", "force/position", lower=0.0),
+        Parameter("gap", "position", lower=0.0, role="shape", grid=(0.2, 0.4, 0.6, 0.8)),
+    )
+
+    def force(self, at, u, p):
+        """-k (|q_i| - g)_+ sign q_i per axis."""
+        above = [maximum(q - p.gap, 0 * q) for q in at.position]
+        below = [maximum(-q - p.gap, 0 * q) for q in at.position]
+        return [-p.stiffness * (a - b) for a, b in zip(above, below, strict=True)]
+
+
+class ConstantLoad(ForceEffect):
+    """Constant force (weight, misaligned support): F_i constant."""
+
+    parameters = (Parameter("force", "force", per_axis=True),)
+
+    def force(self, at, u, p):
+        """F_i per axis."""
+        return list(p.force)
+
+
+class GravityTorque(ForceEffect):
+    """Weight of a pendulum: torque = -g sin q."""
+
+    axes = 1
+    parameters = (Parameter("torque", "force"),)
+
+    def force(self, at, u, p):
+        """-g sin q."""
+        return [-p.torque * sin(at.position[0])]
+
+
+class CrossStiffness(ForceEffect):
+    """Symmetric coupling of the axes by springs: F = -k (y, x). Direct (turned principal axes) or mediated by a hidden tilt: not separable from the displacements alone."""
+
+    axes = 2
+    parameters = (Parameter("stiffness", "force/position"),)
+
+    def force(self, at, u, p):
+        """-k (y, x)."""
+        x, y = at.position
+        return [-p.stiffness * y, -p.stiffness * x]
+
+
+class CrossCoupledStiffness(ForceEffect):
+    """Circulatory coupling (seals, fluid film), which drives whirl: F = -k (y, -x)."""
+
+    axes = 2
+    parameters = (Parameter("stiffness", "force/position"),)
+
+    def force(self, at, u, p):
+        """-k (y, -x)."""
+        x, y = at.position
+        return [-p.stiffness * y, p.stiffness * x]
+
+
+class SpeedStiffness(ForceEffect):
+    """Stiffness that grows with the square of speed: F = -k W^2 q."""
+
+    inputs = ("speed",)
+    parameters = (Parameter("coefficient", "force/position*s^2"),)
+
+    def force(self, at, u, p):
+        """-k W^2 q."""
+        return [-p.coefficient * u.speed * u.speed * q for q in at.position]
+
+
+class Rub(ForceEffect):
+    """Contact with a round stator after a gap: F = -k max(|q| - g, 0) q / |q|."""
+
+    axes = 2
+    parameters = (
+        Parameter("stiffness", "force/position", lower=0.0),
+        Parameter("gap", "position", lower=0.0, role="shape", grid=(0.2, 0.4, 0.6, 0.8)),
+    )
+
+    def force(self, at, u, p):
+        """-k (|q| - g)_+ q / |q|."""
+        radius = length(at.position)
+        depth = maximum(radius - p.gap, 0 * p.gap)
+        return [-p.stiffness * depth * q / radius for q in at.position]

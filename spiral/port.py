@@ -1,0 +1,44 @@
+"""Ports: places where effects act."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Port:
+    """A place on the machine, given by its coordinates as functions of the state.
+
+    ``coordinates(q, p)`` returns one expression per axis. Velocities and generalised forces
+    follow by virtual work: v = J q', Q = J^T F with J = d(coordinates)/dq. An effect is written
+    once and serves one axis or two, a disk or a bearing.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    coordinates: Callable[[SimpleNamespace, SimpleNamespace], list[Any]]
+    position_unit: str
+    force_unit: str
+
+    def unit(self, relative: str) -> str:
+        """A unit relative to the port in absolute words: ``force/position`` -> ``(N)/(m)``."""
+        import re
+
+        words = {
+            "force": f"({self.force_unit})",
+            "position": f"({self.position_unit})",
+            "velocity": f"({self.position_unit}/s)",
+        }
+        return re.sub(r"\b(force|position|velocity)\b", lambda m: words[m[0]], relative)
+
+
+@dataclass(frozen=True)
+class At:
+    """What an effect sees at its port: position and velocity per axis, and its own states."""
+
+    position: tuple[Any, ...]
+    velocity: tuple[Any, ...]
+    own: SimpleNamespace

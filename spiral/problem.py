@@ -1,0 +1,55 @@
+"""What a step is asked: a model, records to fit, records to judge by, candidates, settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from spiral.effect import Effect
+from spiral.model import Model
+from spiral.record import Record
+
+Progress = Callable[[str], None]
+"""Told in words what is being done; the command line draws it."""
+
+
+def silent(message: str) -> None:
+    """A progress that says nothing."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Levels and sizes of the statistics; plain numbers with the field's usual values.
+
+    Parameters
+    ----------
+    level : family-wise error of a whole study, spent over its rounds.
+    smallest : smallest change of the predicted response that counts, in noise standard deviations.
+    max_rounds : rounds after which the loop stops.
+    alias_level : significance at which two candidates' prediction errors are told apart.
+    whiteness_level : significance at which residuals are called coloured.
+    lags : lags of the Ljung-Box statistic.
+    """
+
+    level: float = 0.01
+    smallest: float = 0.1
+    max_rounds: int = 8
+    alias_level: float = 0.01
+    whiteness_level: float = 0.001
+    lags: int = 40
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One study's question.
+
+    ``records`` are fitted; ``test`` is seen neither by fit nor by selection, its first ``settle``
+    seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
+    """
+
+    model: Model
+    records: tuple[Record, ...]
+    test: tuple[Record, ...]
+    settle: float | None = None
+    candidates: tuple[Effect, ...] = ()
+    settings: Settings = field(default_factory=Settings)

@@ -1,0 +1,216 @@
+"""Results of the steps: each carries its own outcome as a value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from spiral.model import Estimate, Model
+
+Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unknown_structure"]
+Stopped = Literal["whiteness", "no_candidate", "not_identifiable", "diverged", "max_rounds"]
+
+
+@dataclass(frozen=True)
+class ChannelError:
+    """Free-run error of one channel: rmse in its unit, and over the channel's standard deviation."""
+
+    rmse: float
+    relative: float
+
+    def as_dict(self) -> dict[str, float]:
+        """As the JSON contract writes it."""
+        return {"rmse": self.rmse, "relative": self.relative}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A fitted model against measurements it was fitted on and against those it was not.
+
+    ``fit_error`` and ``test_error`` are relative free-run errors, mean over channels;
+    ``chi2_per_dof`` and ``whiteness_p`` are of the fitted records at window length ``horizon``;
+    ``noise_floor`` is the test error that a perfect model would have.
+    """
+
+    model: Model
+    fit_error: float
+    test_error: float
+    channels: Mapping[str, ChannelError]
+    noise_floor: float
+    chi2_per_dof: float
+    whiteness_p: float
+    whiteness_effect: float
+    horizon: int
+    converged: bool
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        return {
+            "fit_error": self.fit_error,
+            "test_error": self.test_error,
+            "noise_floor": self.noise_floor,
+            "channels": {k: v.as_dict() for k, v in self.channels.items()},
+            "chi2_per_dof": self.chi2_per_dof,
+            "whiteness_p": self.whiteness_p,
+            "whiteness_effect": self.whiteness_effect,
+            "horizon": self.horizon,
+            "converged": self.converged,
+            "model": estimates_dict(self.model),
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """One candidate with its evidence."""
+
+    effect: str
+    meaning: str
+    aliases: tuple[str, ...]
+    p_value: float
+    statistic: float
+    wald_p_value: float
+    explains: float
+    hint: tuple[str, ...] = ()
+    test_error_before: float | None = None
+    test_error_after: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        return {
+            "effect": self.effect,
+            "aliases": list(self.aliases),
+            "p_value": self.p_value,
+            "statistic": self.statistic,
+            "wald_p_value": self.wald_p_value,
+            "explains": self.explains,
+            "test_error_before": self.test_error_before,
+            "test_error_after": self.test_error_after,
+            "meaning": self.meaning,
+        }
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where a model fails: ranges that hold most of the residual, and one sentence."""
+
+    channel: str | None = None
+    sentence: str = ""
+    time_s: tuple[float, float] | None = None
+    frequency_hz: tuple[float, float] | None = None
+    speed_rad_s: tuple[float, float] | None = None
+    order: tuple[float, float] | None = None
+    amplitude: tuple[float, float] | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        ranges = ("time_s", "frequency_hz", "speed_rad_s", "order", "amplitude")
+        found = {r: list(v) if (v := getattr(self, r)) else None for r in ranges}
+        return {**found, "channel": self.channel, "sentence": self.sentence}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing, where it shows, and what to do."""
+
+    verdict: Verdict
+    comparison: Comparison
+    suggestions: tuple[Suggestion, ...]
+    where: Where
+    advice: str
+    horizon: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        return {
+            "verdict": self.verdict,
+            "suggestions": [s.as_dict() for s in self.suggestions],
+            "where": self.where.as_dict(),
+            "advice": self.advice,
+            "horizon": self.horizon,
+            "comparison": self.comparison.as_dict(),
+        }
+
+
+@dataclass(frozen=True)
+class Round:
+    """One turn of the loop. Round 0 is the seed; ``rejected`` says what the gates refused and why."""
+
+    number: int
+    admitted: tuple[str, ...]
+    aliases: Mapping[str, tuple[str, ...]]
+    rejected: Mapping[str, str]
+    suggestions: tuple[Suggestion, ...]
+    comparison: Comparison
+    seconds: float
+    second_order: bool = False
+    meaning: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        c = self.comparison
+        return {
+            "round": self.number,
+            "admitted": list(self.admitted),
+            "aliases": {k: list(v) for k, v in self.aliases.items()},
+            "rejected": dict(self.rejected),
+            "fit_error": c.fit_error,
+            "test_error": c.test_error,
+            "chi2_per_dof": c.chi2_per_dof,
+            "horizon": c.horizon,
+            "whiteness_p": c.whiteness_p,
+            "whiteness_effect": c.whiteness_effect,
+            "seconds": self.seconds,
+            "second_order": self.second_order,
+            "meaning": self.meaning,
+            "suggestions": [s.as_dict() for s in self.suggestions],
+        }
+
+
+@dataclass(frozen=True)
+class Run:
+    """The frozen history of a study: tried, admitted, rejected, on which evidence."""
+
+    verdict: Verdict
+    stopped: Stopped
+    rounds: tuple[Round, ...]
+    model: Model
+    advice: str
+    alias_groups: tuple[tuple[str, ...], ...] = ()
+    run_id: str = ""
+    context: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def final(self) -> Comparison:
+        """The comparison of the last round."""
+        return self.rounds[-1].comparison
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        return {
+            "verdict": self.verdict,
+            "stopped": self.stopped,
+            "rounds": [r.as_dict() for r in self.rounds],
+            "model": estimates_dict(self.model),
+            "test": {k: v.as_dict() for k, v in self.final.channels.items()} if self.rounds else {},
+            "noise_floor": self.final.noise_floor if self.rounds else None,
+            "advice": self.advice,
+            "alias_groups": [list(g) for g in self.alias_groups],
+            "run_id": self.run_id,
+            "context": dict(self.context),
+        }
+
+
+def estimates_dict(model: Model) -> dict[str, Any]:
+    """``{"effects": {effect: {parameter: estimate}}, "system": {parameter: estimate}}``."""
+
+    def rows(table: dict[str, Estimate]) -> dict[str, Any]:
+        return {name: estimate.as_dict() for name, estimate in table.items()}
+
+    table = model.estimates()
+    return {
+        "effects": {owner: rows(t) for owner, t in table.items() if owner != "system"},
+        "system": rows(table.get("system", {})),
+    }

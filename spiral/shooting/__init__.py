@@ -1,0 +1,1 @@
+"""The shooting engine: windows, sensitivities, fit and score."""

@@ -1,0 +1,137 @@
+"""Damped Gauss-Newton over windows, the initial states eliminated at every step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spiral.record import Array
+from spiral.shooting.sensitivities import Reduction, cost_of, reduce
+from spiral.shooting.study import Columns, Layouts, Point, Study
+
+_ITERATIONS = 30
+_ENOUGH = 0.02  # predicted fall of the sum of squares (in sigma^2) that is not worth a step
+_RELATIVE = 1e-7  # the same as a share of the sum of squares
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Result of one fit: where it ended and whether it converged; failing is a value."""
+
+    point: Point
+    cost: float
+    samples: int
+    nuisances: int
+    converged: bool
+    iterations: int
+    reduction: Reduction | None
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """Sum of squares in sigma^2 over degrees of freedom."""
+        free = self.nuisances + (0 if self.reduction is None else len(self.reduction.triangle) - 1)
+        return self.cost / max(self.samples - free, 1)
+
+
+def fit(
+    study: Study,
+    layouts: Layouts,
+    point: Point,
+    columns: Columns,
+    bounds: tuple[Array, Array],
+    iterations: int = _ITERATIONS,
+) -> Fitted:
+    """Minimise the weighted squared prediction error over columns and window starts.
+
+    Each step solves min |R d - z|^2 + damping |S d|^2 with R the reduced triangle and S its column
+    norms (Levenberg-Marquardt, scaled), then moves every window's start by its own linear map.
+    """
+    damping = 1e-6
+    reduction = reduce(study, layouts, point, columns)
+    if not reduction.finite:
+        return Fitted(point, np.inf, reduction.samples, reduction.nuisances, False, 0, None)
+    cost = reduction.cost
+    for iteration in range(1, iterations + 1):
+        moved = False
+        for _ in range(8):
+            step, promised = _step(reduction, columns, point, bounds, damping)
+            trial = _move(point, columns, reduction, step)
+            reached = cost_of(study, layouts, trial)
+            if reached <= cost:
+                moved = True
+                break
+            if promised < max(_ENOUGH, _RELATIVE * cost):
+                break
+            damping = max(damping * 10.0, 1e-4)
+        if not moved:
+            small = promised < max(_ENOUGH, 10 * _RELATIVE * cost)
+            return _result(point, cost, reduction, small, iteration)
+        fall = cost - reached
+        point, cost = trial, reached
+        damping = max(damping / 10.0, 1e-12)
+        reduction = reduce(study, layouts, point, columns)
+        if fall < max(_ENOUGH, _RELATIVE * cost):
+            return _result(point, cost, reduction, True, iteration)
+    return _result(point, cost, reduction, False, iterations)
+
+
+def _result(
+    point: Point, cost: float, reduction: Reduction, converged: bool, iterations: int
+) -> Fitted:
+    return Fitted(
+        point, cost, reduction.samples, reduction.nuisances, converged, iterations, reduction
+    )
+
+
+def _step(
+    reduction: Reduction,
+    columns: Columns,
+    point: Point,
+    bounds: tuple[Array, Array],
+    damping: float,
+) -> tuple[Array, float]:
+    """The damped step, kept inside the bounds, and the fall of the cost that it promises."""
+    free = reduction.cost - float(reduction.triangle[-1, -1] ** 2)
+    count = columns.count
+    if count == 0:
+        return np.zeros(0), free
+    triangle, target = reduction.triangle[:-1, :-1], reduction.triangle[:-1, -1]
+    scale = np.linalg.norm(triangle, axis=0)
+    scale[scale == 0] = 1.0
+    matrix = np.concatenate([triangle / scale, np.sqrt(damping) * np.eye(count)])
+    now = columns.current(point.values)
+    held = np.zeros(count, dtype=bool)
+    step = np.zeros(count)
+    for _ in range(count + 1):
+        rest = np.concatenate([target - triangle[:, held] @ step[held], np.zeros(count)])
+        moving = ~held
+        solution, *_ = np.linalg.lstsq(matrix[:, moving], rest, rcond=1e-12)
+        step[moving] = solution / scale[moving]
+        low, high = now + step < bounds[0], now + step > bounds[1]
+        outside = (low | high) & moving
+        if not outside.any():
+            break
+        step = np.where(low & moving, bounds[0] - now, step)
+        step = np.where(high & moving, bounds[1] - now, step)
+        held |= outside
+    return step, free
+
+
+def _move(point: Point, columns: Columns, reduction: Reduction, step: Array) -> Point:
+    starts = tuple(
+        x + e[:, :, -1] - e[:, :, :-1] @ step
+        for x, e in zip(point.starts, reduction.elimination, strict=True)
+    )
+    return Point(columns.moved(point.values, step), starts)
+
+
+def covariance(fitted: Fitted) -> Array:
+    """Covariance of the columns, sigma as declared: (R^T R)^-1, pseudo-inverse where deficient."""
+    if fitted.reduction is None:
+        return np.zeros((0, 0))
+    triangle = fitted.reduction.triangle[:-1, :-1]
+    scale = np.linalg.norm(triangle, axis=0)
+    scale[scale == 0] = 1.0
+    inverse = np.linalg.pinv(triangle / scale, rcond=1e-12)
+    return (inverse @ inverse.T) / np.outer(scale, scale)

@@ -1,0 +1,221 @@
+"""The generic integrator: states and sensitivities by classical Runge-Kutta, compiled once.
+
+    x' = f(x, u, p)         S' = f_x S + [0 | f_p]         S = d x / d(x0, p)
+
+One compiled function serves every model: the model's own functions are passed as first-class
+functions. It advances a batch of windows, so that long windows can be taken in pieces.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+from numba import types
+
+MODEL_FUNCTION = types.FunctionType(
+    types.void(
+        types.float64[::1],
+        types.float64[::1],
+        types.float64[::1],
+        types.float64[::1],
+        types.float64[:, ::1],
+        types.float64[:, ::1],
+    )
+)
+_F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+_I1 = types.int64[::1]
+
+
+@nb.njit(
+    types.void(_F2, _F2, _I1, _F2, _F2),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+    fastmath={"contract", "reassoc"},
+)
+def _slope(a: np.ndarray, b: np.ndarray, columns: np.ndarray, s: np.ndarray, out: np.ndarray) -> None:
+    """out = A S + [0 | B[:, columns]]; structural zeros of A are skipped."""
+    n, width = s.shape
+    for i in range(n):
+        for c in range(n):
+            out[i, c] = 0.0
+        for c in range(n, width):
+            out[i, c] = b[i, columns[c - n]]
+        for k in range(n):
+            value = a[i, k]
+            if value != 0.0:
+                for c in range(width):
+                    out[i, c] += value * s[k, c]
+
+
+@nb.njit(
+    types.boolean(
+        MODEL_FUNCTION, MODEL_FUNCTION, _F2, _F3, _I1, types.int64, _F1, _I1,
+        _F2, types.int64, types.float64, _F2, _F2, _F3,
+    ),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+    fastmath={"contract"},
+)
+def advance(
+    rate, output, x, s, starts, length, p, columns, inputs, substeps, dt, y, weight, rows
+):
+    """Advance a batch of windows by ``length`` samples and write their weighted rows.
+
+    Parameters
+    ----------
+    rate, output : model functions (see ``spiral.compile``).
+    x : (windows, n) states at the windows' starts; on return at start + length.
+    s : (windows, n, n + columns) sensitivities, carried like ``x``; a last axis of 0 switches
+        sensitivities off (only residuals are written).
+    starts : (windows,) first sample of each.
+    length : samples to write.
+    p : (parameters,) values; columns : indices of those differentiated.
+    inputs : ((samples - 1) * 2 * substeps + 1, inputs) on the half-step grid.
+    substeps : Runge-Kutta steps per sample; dt : sample interval in s.
+    y : (samples, channels) measurements; weight : (samples, channels), 1/sigma or 0.
+    rows : (windows, length * channels, width + 1) out: weight * [d y / d(x0, p) | y - h].
+
+    Returns
+    -------
+    False where a state became infinite or not a number.
+    """
+    windows, n = x.shape
+    width = s.shape[2]
+    channels = y.shape[1]
+    count = columns.shape[0]
+    last = (inputs.shape[0] - 1) // (2 * substeps)
+    step = dt / substeps
+    f = np.empty(n)
+    a = np.zeros((n, n))
+    b = np.zeros((n, p.shape[0]))
+    h = np.empty(channels)
+    cx = np.zeros((channels, n))
+    cp = np.zeros((channels, p.shape[0]))
+    xs = np.empty(n)
+    total = np.empty(n)
+    ss = np.empty((n, width))
+    slope = np.empty((n, width))
+    stotal = np.empty((n, width))
+    for w in range(windows):
+        xw = x[w]
+        sw = s[w]
+        for k in range(length):
+            sample = starts[w] + k
+            output(xw, inputs[sample * 2 * substeps], p, h, cx, cp)
+            for j in range(channels):
+                scale = weight[sample, j]
+                row = rows[w, k * channels + j]
+                if scale == 0.0:
+                    for c in range(width + 1):
+                        row[c] = 0.0
+                    continue
+                row[width] = scale * (y[sample, j] - h[j])
+                if width == 0:
+                    continue
+                for c in range(n):
+                    row[c] = 0.0
+                for c in range(count):
+                    row[n + c] = scale * cp[j, columns[c]]
+                for i in range(n):
+                    value = scale * cx[j, i]
+                    if value != 0.0:
+                        for c in range(width):
+                            row[c] += value * sw[i, c]
+            if sample == last:
+                continue
+            for sub in range(substeps):
+                at = (sample * substeps + sub) * 2
+                for stage in range(4):
+                    if stage == 0:
+                        offset, point, gain = 0, 0.0, 1.0
+                    elif stage == 1:
+                        offset, point, gain = 1, 0.5, 2.0
+                    elif stage == 2:
+                        offset, point, gain = 1, 0.5, 2.0
+                    else:
+                        offset, point, gain = 2, 1.0, 1.0
+                    if stage == 0:
+                        rate(xw, inputs[at], p, f, a, b)
+                        if width > 0:
+                            _slope(a, b, columns, sw, slope)
+                    else:
+                        for i in range(n):
+                            xs[i] = xw[i] + point * step * f[i]
+                        rate(xs, inputs[at + offset], p, f, a, b)
+                        if width > 0:
+                            for i in range(n):
+                                for c in range(width):
+                                    ss[i, c] = sw[i, c] + point * step * slope[i, c]
+                            _slope(a, b, columns, ss, slope)
+                    for i in range(n):
+                        total[i] = f[i] * gain + (total[i] if stage > 0 else 0.0)
+                    if width > 0:
+                        for i in range(n):
+                            if stage == 0:
+                                for c in range(width):
+                                    stotal[i, c] = gain * slope[i, c]
+                            else:
+                                for c in range(width):
+                                    stotal[i, c] += gain * slope[i, c]
+                for i in range(n):
+                    xw[i] += step / 6.0 * total[i]
+                if width > 0:
+                    for i in range(n):
+                        for c in range(width):
+                            sw[i, c] += step / 6.0 * stotal[i, c]
+            for i in range(n):
+                if not np.isfinite(xw[i]) or abs(xw[i]) > 1e12:
+                    return False
+    return True
+
+
+@nb.njit(
+    types.boolean(
+        MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F1, _F2, types.int64, types.float64, _F2, _F2
+    ),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def trajectory(rate, output, start, p, inputs, substeps, dt, states, readings):
+    """States (samples, n) and readings (samples, channels) from a start; False on divergence."""
+    n = start.shape[0]
+    samples, channels = readings.shape
+    x = start.copy()
+    step = dt / substeps
+    f = np.empty(n)
+    a = np.zeros((n, n))
+    b = np.zeros((n, p.shape[0]))
+    h = np.empty(channels)
+    cx = np.zeros((channels, n))
+    cp = np.zeros((channels, p.shape[0]))
+    xs = np.empty(n)
+    total = np.empty(n)
+    points = np.array([0.0, 0.5, 0.5, 1.0])
+    gains = np.array([1.0, 2.0, 2.0, 1.0])
+    for sample in range(samples):
+        output(x, inputs[sample * 2 * substeps], p, h, cx, cp)
+        for i in range(n):
+            states[sample, i] = x[i]
+        for j in range(channels):
+            readings[sample, j] = h[j]
+        if sample == samples - 1:
+            break
+        for sub in range(substeps):
+            at = (sample * substeps + sub) * 2
+            total[:] = 0.0
+            f[:] = 0.0
+            for stage in range(4):
+                for i in range(n):
+                    xs[i] = x[i] + points[stage] * step * f[i]
+                rate(xs, inputs[at + (stage + 1) // 2], p, f, a, b)
+                for i in range(n):
+                    total[i] += gains[stage] * f[i]
+            for i in range(n):
+                x[i] += step / 6.0 * total[i]
+        for i in range(n):
+            if not np.isfinite(x[i]):
+                return False
+    return True

@@ -1,0 +1,56 @@
+"""How a record is cut into windows, and into blocks for selection and estimation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spiral.record import Array
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Windows of one record: ``starts`` and ``lengths`` in samples, and the samples that count."""
+
+    starts: Array
+    lengths: Array
+    mask: Array | None
+
+
+def cut(samples: int, length: int, mask: Array | None = None) -> Layout:
+    """Windows of ``length`` samples that begin where the mask holds.
+
+    Windows without a sample that counts are left out; a last window too short to determine
+    anything (under half the length) is joined to the one before it.
+    """
+    first = 0 if mask is None else int(np.argmax(mask))
+    starts = list(range(first, samples, length))
+    if len(starts) > 1 and samples - starts[-1] < length / 2:
+        starts.pop()
+    stops = [*starts[1:], samples]
+    keep = [
+        (a, b - a) for a, b in zip(starts, stops, strict=True) if mask is None or mask[a:b].any()
+    ]
+    begin, size = (np.array(v, dtype=np.int64) for v in zip(*keep, strict=True))
+    return Layout(begin, size, mask)
+
+
+def halves(samples: int, block: int) -> tuple[Array, Array]:
+    """Masks of the even blocks (they select) and the odd blocks (they judge and estimate).
+
+    With white measurement noise the two halves are independent data, whatever the windows.
+    """
+    odd = (np.arange(samples) // block) % 2 == 1
+    return ~odd, odd
+
+
+def block_length(samples: int) -> int:
+    """Samples in a block: 256, or less where the record would give under 16 blocks."""
+    return int(min(256, max(8, 2 ** int(np.log2(max(samples // 16, 8))))))
+
+
+def stage_lengths(samples: int, mask_block: int) -> list[int]:
+    """Window lengths 64, 256, 1024, whole record, as far as the record goes."""
+    lengths = [n for n in (min(64, mask_block), 256, 1024) if n <= mask_block or 4 * n <= samples]
+    return [*dict.fromkeys(lengths), samples]

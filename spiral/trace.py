@@ -1,0 +1,293 @@
+"""Physics once: a system and its effects, traced with SymPy to explicit expressions.
+
+    x' = f(x, u, p),    y = h(x, u, p)
+
+with exact Jacobians f_x, f_p, h_x, h_p. Everything else (compiled functions, LaTeX, regression
+columns, exported code) is made from a ``Traced``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import sympy as sp
+
+from spiral.effect import Effect, FlowEffect, ForceEffect, SensorEffect, expand
+from spiral.errors import ConfigError, PluginError, did_you_mean
+from spiral.parameter import Parameter
+from spiral.port import At, Port
+from spiral.system import MechanicalSystem, System
+
+
+@dataclass(frozen=True)
+class Traced:
+    """Symbols and expressions of one model; order of all tuples is the order of arrays."""
+
+    states: tuple[str, ...]
+    channels: tuple[str, ...]
+    inputs: tuple[str, ...]
+    keys: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    x: tuple[sp.Symbol, ...]
+    u: tuple[sp.Symbol, ...]
+    p: tuple[sp.Symbol, ...]
+    rate: tuple[sp.Expr, ...]
+    output: tuple[sp.Expr, ...]
+    balance: tuple[sp.Expr, ...]
+    acceleration: tuple[sp.Symbol, ...]
+
+    @cached_property
+    def rate_x(self) -> sp.Matrix:
+        """f_x, n x n."""
+        return sp.Matrix(self.rate).jacobian(list(self.x))
+
+    @cached_property
+    def rate_p(self) -> sp.Matrix:
+        """f_p, n x number of parameters."""
+        return sp.Matrix(self.rate).jacobian(list(self.p))
+
+    @cached_property
+    def output_x(self) -> sp.Matrix:
+        """h_x, channels x n."""
+        return sp.Matrix(self.output).jacobian(list(self.x))
+
+    @cached_property
+    def output_p(self) -> sp.Matrix:
+        """h_p, channels x number of parameters."""
+        return sp.Matrix(self.output).jacobian(list(self.p))
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """An effect at its port with the symbols it sees."""
+
+    effect: Effect
+    port: Port
+    at: At
+    p: SimpleNamespace
+    jacobian: sp.Matrix | None
+
+
+def model_keys(
+    system: System, effects: tuple[Effect, ...]
+) -> tuple[tuple[str, Parameter], ...]:
+    """Full names and parameters of a model: the system's first, then each effect's."""
+    pairs = list(expand("system", system.parameters, ()))
+    for effect in effects:
+        pairs += effect.keys(system.port(effect.port))
+    return tuple(pairs)
+
+
+def check_effect(system: System, effect: Effect) -> Port:
+    """The effect's port, or an error saying what the system lacks."""
+    port = system.port(effect.port)
+    if effect.axes is not None and len(port.axes) != effect.axes:
+        raise ConfigError(
+            f"effect {effect.label!r} at port {port.name!r} with {len(port.axes)} axis",
+            f"a port with {effect.axes} axes",
+            "choose an effect for one axis, or a system with two",
+        )
+    have = [i.name for i in system.inputs]
+    for name in effect.inputs:
+        if name not in have and not name.removesuffix("_rate") in have:
+            raise ConfigError(
+                f"effect {effect.label!r} with system {system.plugin_name()!r}",
+                f"a system with the input {name!r}; this one has: {', '.join(have)}",
+                did_you_mean(name, have),
+            )
+    return port
+
+
+def trace(
+    system: System, effects: tuple[Effect, ...], phase_shift: tuple[float, ...] = ()
+) -> Traced:
+    """Trace a system with effects.
+
+    Parameters
+    ----------
+    system, effects : the physics.
+    phase_shift : per effect, radians added to ``u.phase`` as that effect sees it (0 or pi/2, the
+        quadrature companion of a synchronous effect whose phase origin is not known yet).
+
+    Raises
+    ------
+    ConfigError : an effect needs what the system lacks.
+    PluginError : an effect returns what does not fit its port.
+    """
+    shifts = phase_shift or (0.0,) * len(effects)
+    pairs = model_keys(system, effects)
+    keys = tuple(k for k, _ in pairs)
+    symbols = {k: sp.Symbol(f"p{i}", real=True) for i, k in enumerate(keys)}
+    own = [
+        (f"{effect.label}.{state.name}{suffix}")
+        for effect in effects
+        for state in effect.states
+        for suffix in _suffixes(state.per_axis, system.port(effect.port))
+    ]
+    names = (*(s.name for s in system.states), *own)
+    states = {n: sp.Symbol(f"x{i}", real=True) for i, n in enumerate(names)}
+    input_names = input_columns(system)
+    inputs = {n: sp.Symbol(f"u{i}", real=True) for i, n in enumerate(input_names)}
+    x = SimpleNamespace(**{s.name: states[s.name] for s in system.states})
+    u = SimpleNamespace(**inputs)
+    p = SimpleNamespace(**{q.name: symbols[f"system.{q.name}"] for q in system.parameters})
+    placed = [_place(system, effect, x, p, states, symbols) for effect in effects]
+    seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
+
+    injected = _inject(system, placed, seen, x)
+    rates = system.rate(x, u, p, injected)
+    for item, view in zip(placed, seen, strict=True):
+        rates.update(_own_rates(item, view))
+    output = _readings(system, placed, seen, x)
+    acceleration, balance = _balance(system, x, u, p, injected)
+    return Traced(
+        states=names,
+        channels=system.observed,
+        inputs=input_names,
+        keys=keys,
+        parameters=tuple(q for _, q in pairs),
+        x=tuple(states.values()),
+        u=tuple(inputs.values()),
+        p=tuple(symbols.values()),
+        rate=tuple(sp.sympify(rates[n]) for n in names),
+        output=tuple(output),
+        acceleration=acceleration,
+        balance=balance,
+    )
+
+
+def input_columns(system: System) -> tuple[str, ...]:
+    """Columns of the input array: each input, then ``NAME_rate`` where its rate is used."""
+    names = [i.name for i in system.inputs]
+    return (*names, *(f"{i.name}_rate" for i in system.inputs if i.derivative))
+
+
+def _suffixes(per_axis: bool, port: Port) -> list[str]:
+    return [f"_{axis}" for axis in port.axes] if per_axis and len(port.axes) > 1 else [""]
+
+
+def _place(
+    system: System,
+    effect: Effect,
+    x: SimpleNamespace,
+    p: SimpleNamespace,
+    states: dict[str, sp.Symbol],
+    symbols: dict[str, sp.Symbol],
+) -> _Placed:
+    port = check_effect(system, effect)
+    jacobian = None
+    position: tuple[Any, ...] = ()
+    velocity: tuple[Any, ...] = ()
+    if isinstance(system, MechanicalSystem):
+        q, v = system.split(x)
+        position = tuple(port.coordinates(q, p))
+        names = [c.name for c in system.coordinates]
+        jacobian = sp.Matrix(position).jacobian([getattr(q, n) for n in names])
+        velocity = tuple(jacobian * sp.Matrix([getattr(v, n) for n in names]))
+    own = SimpleNamespace()
+    for state in effect.states:
+        found = [states[f"{effect.label}.{state.name}{s}"] for s in _suffixes(state.per_axis, port)]
+        setattr(own, state.name, tuple(found) if state.per_axis else found[0])
+    values = SimpleNamespace()
+    for parameter in effect.parameters:
+        found = [symbols[k] for k, _ in expand(effect.label, (parameter,), port.axes)]
+        setattr(values, parameter.name, tuple(found) if parameter.per_axis else found[0])
+    return _Placed(effect, port, At(position, velocity, own), values, jacobian)
+
+
+def _shifted(u: SimpleNamespace, shift: float) -> SimpleNamespace:
+    if not shift:
+        return u
+    return SimpleNamespace(**{**vars(u), "phase": u.phase + sp.nsimplify(shift / sp.pi) * sp.pi})
+
+
+def _inject(
+    system: System, placed: list[_Placed], seen: list[SimpleNamespace], x: SimpleNamespace
+) -> dict[str, Any]:
+    total: dict[str, Any] = {i.name: sp.Integer(0) for i in system.injections}
+    for item, u in zip(placed, seen, strict=True):
+        effect = item.effect
+        if isinstance(effect, ForceEffect):
+            force = effect.force(item.at, u, item.p)
+            _check_length(effect, "force", force, item.port)
+            assert item.jacobian is not None
+            generalised = item.jacobian.T * sp.Matrix(force)
+            for name, value in zip(total, generalised, strict=True):
+                total[name] += value
+        elif isinstance(effect, FlowEffect):
+            for name, value in effect.flow(x, u, item.p).items():
+                if name not in total:
+                    raise PluginError(
+                        f"effect {effect.label!r} with a flow into {name!r}",
+                        f"one of the channels {', '.join(total)}",
+                        did_you_mean(name, total),
+                    )
+                total[name] += value
+    return total
+
+
+def _check_length(effect: Effect, what: str, values: list[Any], port: Port) -> None:
+    if len(values) != len(port.axes):
+        raise PluginError(
+            f"{what} of effect {effect.label!r} with {len(values)} values",
+            f"{len(port.axes)} values, one for each axis of port {port.name!r}",
+        )
+
+
+def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
+    effect = item.effect
+    if not effect.states:
+        return {}
+    given = effect.rate(item.at, u, item.p)
+    rates: dict[str, Any] = {}
+    for state in effect.states:
+        if state.name not in given:
+            raise PluginError(
+                f"rate() of effect {effect.label!r} without {state.name!r}",
+                "a value for each state of its own",
+            )
+        value = given[state.name]
+        values = list(value) if state.per_axis else [value]
+        for suffix, one in zip(_suffixes(state.per_axis, item.port), values, strict=True):
+            rates[f"{effect.label}.{state.name}{suffix}"] = one
+    return rates
+
+
+def _readings(
+    system: System, placed: list[_Placed], seen: list[SimpleNamespace], x: SimpleNamespace
+) -> list[sp.Expr]:
+    y: list[Any] = [getattr(x, name) for name in system.observed]
+    for item, u in zip(placed, seen, strict=True):
+        if isinstance(item.effect, SensorEffect):
+            y = list(item.effect.reading(y, item.at, u, item.p))
+            if len(y) != len(system.observed):
+                raise PluginError(
+                    f"reading of effect {item.effect.label!r} with {len(y)} values",
+                    f"{len(system.observed)} values, one for each channel",
+                )
+    return [sp.sympify(value) for value in y]
+
+
+def _balance(
+    system: System,
+    x: SimpleNamespace,
+    u: SimpleNamespace,
+    p: SimpleNamespace,
+    injected: dict[str, Any],
+) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Expr, ...]]:
+    """M a - force - injected, the balance of forces: linear in masses and amplitudes."""
+    if not isinstance(system, MechanicalSystem):
+        return (), ()
+    q, v = system.split(x)
+    count = len(system.coordinates)
+    a = tuple(sp.Symbol(f"a{i}", real=True) for i in range(count))
+    inertia = sp.Matrix(system.mass(q, p)) * sp.Matrix(a)
+    own = system.force(q, v, u, p)
+    names = [c.name for c in system.coordinates]
+    balance = tuple(
+        sp.expand(inertia[i] - own[i] - injected[names[i]]) for i in range(count)
+    )
+    return a, balance
