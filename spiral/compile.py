@@ -1,9 +1,9 @@
 """Traced physics to compiled functions, cached on disk by the hash of their source.
 
-The generated module holds two functions of one signature each,
+The generated module holds, with their Jacobians and without,
 
-    rate(x, u, p, f, A, B)      f = x', A = f_x, B = f_p
-    output(x, u, p, y, C, D)    y = h,  C = h_x, D = h_p
+    rate(x, u, p, f, A, B)      f = x', A = f_x, B = f_p        rate_value(x, u, p, f)
+    output(x, u, p, y, C, D)    y = h,  C = h_x, D = h_p        output_value(x, u, p, y)
 
 with common subexpressions shared. It is written atomically under the user's cache folder, so
 processes started together do not disturb each other.
@@ -26,7 +26,7 @@ from sympy.printing.pycode import PythonCodePrinter
 
 from spiral.trace import Traced
 
-_VERSION = "1"  # raise when the generated code's form changes
+_VERSION = "2"  # raise when the generated code's form changes
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,8 @@ class Compiled:
     traced: Traced
     rate: Any
     output: Any
+    rate_value: Any
+    output_value: Any
 
 
 class _Printer(PythonCodePrinter):
@@ -60,7 +62,9 @@ def compile_model(traced: Traced) -> Compiled:
     """Compile, or load from the cache."""
     source = generate(traced)
     module = _load(source)
-    return Compiled(traced, module.rate, module.output)
+    return Compiled(
+        traced, module.rate, module.output, module.rate_value, module.output_value
+    )
 
 
 def generate(traced: Traced) -> str:
@@ -70,18 +74,25 @@ def generate(traced: Traced) -> str:
         "import math\n"
         "from numba import njit, float64, void\n\n"
         "SIGNATURE = void(float64[::1], float64[::1], float64[::1], float64[::1],"
-        " float64[:, ::1], float64[:, ::1])\n\n"
+        " float64[:, ::1], float64[:, ::1])\n"
+        "VALUE = void(float64[::1], float64[::1], float64[::1], float64[::1])\n\n"
     )
     rate = _function("rate", traced, traced.rate, traced.rate_x, traced.rate_p)
     output = _function("output", traced, traced.output, traced.output_x, traced.output_p)
-    return header + rate + "\n\n" + output
+    values = [
+        _function(f"{name}_value", traced, expressions, None, None)
+        for name, expressions in (("rate", traced.rate), ("output", traced.output))
+    ]
+    return "\n\n".join([header + rate, output, *values])
 
 
 def _function(
-    name: str, traced: Traced, value: tuple[sp.Expr, ...], by_x: sp.Matrix, by_p: sp.Matrix
+    name: str, traced: Traced, value: tuple[sp.Expr, ...], by_x: Any, by_p: Any
 ) -> str:
     targets: list[tuple[str, sp.Expr]] = [(f"f[{i}]", e) for i, e in enumerate(value)]
     for letter, matrix in (("A", by_x), ("B", by_p)):
+        if matrix is None:
+            continue
         for i in range(matrix.rows):
             for j in range(matrix.cols):
                 if matrix[i, j] != 0:
@@ -89,7 +100,11 @@ def _function(
     shared, reduced = sp.cse([e for _, e in targets], sp.numbered_symbols("s"), order="none")
     printer = _Printer({"fully_qualified_modules": True})
     used = set().union(*(e.free_symbols for _, e in targets)) if targets else set()
-    lines = [f"@njit(SIGNATURE, cache=True, nogil=True, error_model='numpy')\ndef {name}(x, u, p, f, A, B):"]
+    given = ("VALUE", "x, u, p, f") if by_x is None else ("SIGNATURE", "x, u, p, f, A, B")
+    lines = [
+        f"@njit({given[0]}, cache=True, nogil=True, error_model='numpy')",
+        f"def {name}({given[1]}):",
+    ]
     for letter, group in (("x", traced.x), ("u", traced.u), ("p", traced.p)):
         lines += [f"    {s} = {letter}[{i}]" for i, s in enumerate(group) if s in used]
     lines += [f"    {symbol} = {printer.doprint(e)}" for symbol, e in shared]

@@ -24,6 +24,7 @@ class Effect(Plugin):
     Fields
     ------
     port : where it acts; empty means the system's first port.
+    variant : tells copies of one effect apart inside a study (a grid of shapes); not for users.
     """
 
     kind: ClassVar[str] = "effect"
@@ -33,11 +34,23 @@ class Effect(Plugin):
     inputs: ClassVar[tuple[str, ...]] = ()
 
     port: str = ""
+    variant: str = ""
 
     @property
     def label(self) -> str:
         """Its name in a model: ``cubic_stiffness`` or ``cubic_stiffness@bearing_2``."""
-        return self.plugin_name() + (f"@{self.port}" if self.port else "")
+        place = f"@{self.port}" if self.port else ""
+        return self.plugin_name() + place + (f"#{self.variant}" if self.variant else "")
+
+    @classmethod
+    def amplitudes(cls) -> tuple[Parameter, ...]:
+        """Parameters that are zero when the effect is absent."""
+        return tuple(p for p in cls.parameters if p.role == "amplitude")
+
+    @classmethod
+    def undirected(cls) -> bool:
+        """Whether it turns with the phase but has no direction of its own (an unbalance)."""
+        return "phase" in cls.inputs and len(cls.amplitudes()) == 1
 
     def rate(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> dict[str, Any]:
         """Time derivatives of its own states: name -> value, or list of values per axis."""

@@ -11,7 +11,7 @@ from spiral.compile import compile_model
 from spiral.errors import ConfigError
 from spiral.model import Model
 from spiral.record import Array, Record, make_record
-from spiral.shooting.kernel import trajectory
+from spiral.shooting.kernel import trajectories
 from spiral.shooting.series import half_step_inputs
 from spiral.trace import trace
 
@@ -80,9 +80,10 @@ def integrate(
         x[compiled.traced.states.index(key)] = value
     states = np.empty((len(time), len(x)))
     readings = np.empty((len(time), len(model.system.observed)))
-    ok = trajectory(
-        compiled.rate, compiled.output, x, values,
-        half_step_inputs(model.system, frame, substeps), substeps, frame.dt, states, readings,
+    ok = trajectories(
+        compiled.rate_value, compiled.output_value, x[None, :], np.zeros(1, dtype=np.int64),
+        np.array([len(time)]), values[None, :], half_step_inputs(model.system, frame, substeps),
+        substeps, frame.dt, states, readings,
     )  # fmt: skip
     if not ok:
         raise ConfigError(

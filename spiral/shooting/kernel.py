@@ -22,6 +22,9 @@ MODEL_FUNCTION = types.FunctionType(
         types.float64[:, ::1],
     )
 )
+VALUE_FUNCTION = types.FunctionType(
+    types.void(types.float64[::1], types.float64[::1], types.float64[::1], types.float64[::1])
+)
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
 
@@ -67,8 +70,7 @@ def advance(
     ----------
     rate, output : model functions (see ``spiral.compile``).
     x : (windows, n) states at the windows' starts; on return at start + length.
-    s : (windows, n, n + columns) sensitivities, carried like ``x``; a last axis of 0 switches
-        sensitivities off (only residuals are written).
+    s : (windows, n, n + columns) sensitivities, carried like ``x``.
     starts : (windows,) first sample of each.
     length : samples to write.
     p : (parameters,) values; columns : indices of those differentiated.
@@ -112,8 +114,6 @@ def advance(
                         row[c] = 0.0
                     continue
                 row[width] = scale * (y[sample, j] - h[j])
-                if width == 0:
-                    continue
                 for c in range(n):
                     row[c] = 0.0
                 for c in range(count):
@@ -127,44 +127,27 @@ def advance(
                 continue
             for sub in range(substeps):
                 at = (sample * substeps + sub) * 2
+                total[:] = 0.0
+                stotal[:] = 0.0
+                f[:] = 0.0
+                slope[:] = 0.0
                 for stage in range(4):
-                    if stage == 0:
-                        offset, point, gain = 0, 0.0, 1.0
-                    elif stage == 1:
-                        offset, point, gain = 1, 0.5, 2.0
-                    elif stage == 2:
-                        offset, point, gain = 1, 0.5, 2.0
-                    else:
-                        offset, point, gain = 2, 1.0, 1.0
-                    if stage == 0:
-                        rate(xw, inputs[at], p, f, a, b)
-                        if width > 0:
-                            _slope(a, b, columns, sw, slope)
-                    else:
-                        for i in range(n):
-                            xs[i] = xw[i] + point * step * f[i]
-                        rate(xs, inputs[at + offset], p, f, a, b)
-                        if width > 0:
-                            for i in range(n):
-                                for c in range(width):
-                                    ss[i, c] = sw[i, c] + point * step * slope[i, c]
-                            _slope(a, b, columns, ss, slope)
+                    point = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+                    gain = 2.0 if stage == 1 or stage == 2 else 1.0
                     for i in range(n):
-                        total[i] = f[i] * gain + (total[i] if stage > 0 else 0.0)
-                    if width > 0:
-                        for i in range(n):
-                            if stage == 0:
-                                for c in range(width):
-                                    stotal[i, c] = gain * slope[i, c]
-                            else:
-                                for c in range(width):
-                                    stotal[i, c] += gain * slope[i, c]
+                        xs[i] = xw[i] + point * step * f[i]
+                        for c in range(width):
+                            ss[i, c] = sw[i, c] + point * step * slope[i, c]
+                    rate(xs, inputs[at + (stage + 1) // 2], p, f, a, b)
+                    _slope(a, b, columns, ss, slope)
+                    for i in range(n):
+                        total[i] += gain * f[i]
+                        for c in range(width):
+                            stotal[i, c] += gain * slope[i, c]
                 for i in range(n):
                     xw[i] += step / 6.0 * total[i]
-                if width > 0:
-                    for i in range(n):
-                        for c in range(width):
-                            sw[i, c] += step / 6.0 * stotal[i, c]
+                    for c in range(width):
+                        sw[i, c] += step / 6.0 * stotal[i, c]
             for i in range(n):
                 if not np.isfinite(xw[i]) or abs(xw[i]) > 1e12:
                     return False
@@ -173,49 +156,53 @@ def advance(
 
 @nb.njit(
     types.boolean(
-        MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F1, _F2, types.int64, types.float64, _F2, _F2
+        VALUE_FUNCTION, VALUE_FUNCTION, _F2, _I1, _I1, _F2, _F2, types.int64, types.float64, _F2, _F2
     ),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def trajectory(rate, output, start, p, inputs, substeps, dt, states, readings):
-    """States (samples, n) and readings (samples, channels) from a start; False on divergence."""
-    n = start.shape[0]
+def trajectories(rate, output, x, starts, lengths, p, inputs, substeps, dt, states, readings):
+    """States (samples, n) and readings (samples, channels) of windows; False on divergence.
+
+    ``x`` (windows, n) states at ``starts``; ``p`` (1, parameters); only the samples inside the
+    windows are written.
+    """
+    windows, n = x.shape
     samples, channels = readings.shape
-    x = start.copy()
     step = dt / substeps
-    f = np.empty(n)
-    a = np.zeros((n, n))
-    b = np.zeros((n, p.shape[0]))
+    f = np.zeros(n)
     h = np.empty(channels)
-    cx = np.zeros((channels, n))
-    cp = np.zeros((channels, p.shape[0]))
+    xw = np.empty(n)
     xs = np.empty(n)
     total = np.empty(n)
-    points = np.array([0.0, 0.5, 0.5, 1.0])
-    gains = np.array([1.0, 2.0, 2.0, 1.0])
-    for sample in range(samples):
-        output(x, inputs[sample * 2 * substeps], p, h, cx, cp)
+    for w in range(windows):
         for i in range(n):
-            states[sample, i] = x[i]
-        for j in range(channels):
-            readings[sample, j] = h[j]
-        if sample == samples - 1:
-            break
-        for sub in range(substeps):
-            at = (sample * substeps + sub) * 2
-            total[:] = 0.0
-            f[:] = 0.0
-            for stage in range(4):
-                for i in range(n):
-                    xs[i] = x[i] + points[stage] * step * f[i]
-                rate(xs, inputs[at + (stage + 1) // 2], p, f, a, b)
-                for i in range(n):
-                    total[i] += gains[stage] * f[i]
+            xw[i] = x[w, i]
+        for k in range(lengths[w]):
+            sample = starts[w] + k
+            output(xw, inputs[sample * 2 * substeps], p[0], h)
             for i in range(n):
-                x[i] += step / 6.0 * total[i]
-        for i in range(n):
-            if not np.isfinite(x[i]):
-                return False
+                states[sample, i] = xw[i]
+            for j in range(channels):
+                readings[sample, j] = h[j]
+            if k == lengths[w] - 1 or sample == samples - 1:
+                break
+            for sub in range(substeps):
+                at = (sample * substeps + sub) * 2
+                total[:] = 0.0
+                f[:] = 0.0
+                for stage in range(4):
+                    point = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+                    gain = 2.0 if stage == 1 or stage == 2 else 1.0
+                    for i in range(n):
+                        xs[i] = xw[i] + point * step * f[i]
+                    rate(xs, inputs[at + (stage + 1) // 2], p[0], f)
+                    for i in range(n):
+                        total[i] += gain * f[i]
+                for i in range(n):
+                    xw[i] += step / 6.0 * total[i]
+            for i in range(n):
+                if not np.isfinite(xw[i]) or abs(xw[i]) > 1e12:
+                    return False
     return True

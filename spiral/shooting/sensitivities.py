@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.record import Array
-from spiral.shooting.kernel import advance
+from spiral.shooting.kernel import advance, trajectories
 from spiral.shooting.series import Series
 from spiral.shooting.study import Columns, Layouts, Point, Study
+from spiral.shooting.windows import Layout
 
 _PIECE = 4096  # samples in memory at a time
 _RANK = 1e-9  # relative singular value under which a direction of the initial state is unseen
@@ -103,20 +104,27 @@ def residuals(study: Study, layouts: Layouts, point: Point) -> tuple[Array, ...]
     """Weighted residuals (samples, channels) of each record; zero where nothing counts."""
     found = []
     for record, (series, layout) in enumerate(zip(study.series, layouts, strict=True)):
-        weight = series.weight(layout.mask)
-        result = np.zeros_like(series.y)
-        for batch in _batches((layout,)):
-            starts = layout.starts[batch.windows]
-            x = point.starts[record][batch.windows].copy()
-            s = np.zeros((len(x), study.state_count, 0))
-            rows = np.empty((len(x), batch.length * series.y.shape[1], 1))
-            ok = _advance(study, series, x, s, starts, batch.length, point.values[record],
-                          np.zeros(0, dtype=np.int64), weight, rows)
-            block = rows[:, :, 0].reshape(len(x), batch.length, -1)
-            for start, values in zip(starts, block, strict=True):
-                result[start : start + batch.length] = values if ok else np.inf
-        found.append(result)
+        states, readings = run_windows(study, record, layout, point)
+        miss = series.weight(layout.mask) * (series.y - readings)
+        outside = np.isnan(readings) if np.isfinite(states[layout.starts]).all() else False
+        found.append(np.where(outside, 0.0, miss))
     return tuple(found)
+
+
+def run_windows(study: Study, record: int, layout: Layout, point: Point) -> tuple[Array, Array]:
+    """States and readings of one record, window by window; infinite throughout on divergence."""
+    series = study.series[record]
+    states = np.full((series.samples, study.state_count), np.nan)
+    readings = np.full_like(series.y, np.nan)
+    ok = trajectories(
+        study.compiled.rate_value, study.compiled.output_value,
+        np.ascontiguousarray(point.starts[record]), layout.starts, layout.lengths,
+        np.ascontiguousarray(point.values[record : record + 1]), series.inputs, series.substeps,
+        series.dt, states, readings,
+    )  # fmt: skip
+    if not ok:
+        states[:], readings[:] = np.inf, np.inf
+    return states, readings
 
 
 def cost_of(study: Study, layouts: Layouts, point: Point) -> float:

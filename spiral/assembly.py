@@ -1,0 +1,251 @@
+"""From a problem to one compiled study: the model, all candidates, and their variants.
+
+A candidate with a shape parameter is compiled once for each value of its grid; a candidate that
+turns with the phase but has no direction of its own (an unbalance), while the model knows no phase
+origin yet, is compiled with a companion a quarter turn ahead.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.compile import compile_model
+from spiral.effect import Effect
+from spiral.model import Model
+from spiral.problem import Problem
+from spiral.record import Array, Record
+from spiral.shooting.series import prepare
+from spiral.shooting.start import motion
+from spiral.shooting.study import Columns, Study, columns_for
+from spiral.trace import trace
+
+ORIGIN = "system.phase_origin"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One compiled copy of a candidate: its shapes, and its companion a quarter turn ahead."""
+
+    effect: Effect
+    original: Effect
+    shapes: Mapping[str, float]
+    companion: Effect | None = None
+
+    @property
+    def label(self) -> str:
+        """The compiled label."""
+        return self.effect.label
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """One compiled study with what it was made from."""
+
+    problem: Problem
+    study: Study
+    variants: tuple[Variant, ...]
+
+    def variant(self, label: str) -> Variant:
+        """A variant by its compiled label."""
+        return next(v for v in self.variants if v.label == label)
+
+    def parameter_keys(self, label: str) -> tuple[str, ...]:
+        """Full names of the parameters of an effect, or of ``system``."""
+        return tuple(k for k in self.study.keys if k.rsplit(".", 1)[0] == label)
+
+
+def assemble(problem: Problem, substeps: int = 1) -> Assembly:
+    """Trace and compile the model with all variants of all candidates, and prepare the records."""
+    model = problem.model
+    extremes = _extremes(model, problem.records)
+    variants = [v for c in problem.candidates for v in _variants(model, c, extremes)]
+    effects = [*model.effects]
+    shifts = [0.0] * len(effects)
+    for variant in variants:
+        effects.append(variant.effect)
+        shifts.append(0.0)
+        if variant.companion is not None:
+            effects.append(variant.companion)
+            shifts.append(np.pi / 2)
+    compiled = compile_model(trace(model.system, tuple(effects), tuple(shifts)))
+    series = tuple(prepare(model.system, r, substeps) for r in problem.records)
+    return Assembly(problem, Study(compiled, series), tuple(variants))
+
+
+def with_records(assembly: Assembly, records: tuple[Record, ...], substeps: int) -> Assembly:
+    """The same compiled model with other records."""
+    system = assembly.problem.model.system
+    series = tuple(prepare(system, r, substeps) for r in records)
+    return replace(assembly, study=replace(assembly.study, series=series))
+
+
+def _variants(model: Model, effect: Effect, extremes: Mapping[str, float]) -> list[Variant]:
+    port = model.system.port(effect.port)
+    shapes = [p for p in effect.parameters if p.role == "shape"]
+    directed = any(e.undirected() for e in model.effects)
+    companion = effect.undirected() and not directed
+    found = []
+    for number, values in enumerate(itertools.product(*(p.grid or (1.0,) for p in shapes))):
+        tag = str(number + 1) if shapes else ""
+        copy = replace(effect, variant=tag)
+        sizes = {}
+        for parameter, share in zip(shapes, values, strict=True):
+            kind = "velocity" if "velocity" in parameter.unit else "position"
+            scale = extremes[f"{port.name}.{kind}"] if parameter.grid else parameter.start or 1.0
+            sizes[f"{copy.label}.{parameter.name}"] = share * scale
+        turned = replace(effect, variant=f"{tag}quarter") if companion else None
+        found.append(Variant(copy, effect, sizes, turned))
+    return found
+
+
+def _extremes(model: Model, records: tuple[Record, ...]) -> dict[str, float]:
+    """Largest position and velocity seen at every port, from smoothed measurements."""
+    import sympy as sp
+
+    from spiral.system import MechanicalSystem
+
+    system = model.system
+    if not isinstance(system, MechanicalSystem):
+        return {}
+    compiled = compile_model(trace(system, ()))
+    series = tuple(prepare(system, r, 1) for r in records)
+    study = Study(compiled, series)
+    states = np.concatenate([motion(study, s, 11).states for s in series])
+    traced = compiled.traced
+    from types import SimpleNamespace
+
+    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
+    p = SimpleNamespace(
+        **{k.split(".", 1)[1]: sp.Float(v.start or 1.0) for k, v in
+           zip(traced.keys, traced.parameters, strict=True)}
+    )  # fmt: skip
+    q, v = system.split(x)
+    found = {}
+    for port in system.ports:
+        position = sp.Matrix(port.coordinates(q, p))
+        jacobian = position.jacobian([getattr(q, c.name) for c in system.coordinates])
+        velocity = jacobian * sp.Matrix([getattr(v, c.name) for c in system.coordinates])
+        for kind, vector in (("position", position), ("velocity", velocity)):
+            values = sp.lambdify(traced.x, list(vector), "numpy")(*states.T)
+            found[f"{port.name}.{kind}"] = max(
+                float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
+            )
+    return found
+
+
+# --- columns -------------------------------------------------------------------------------------
+
+
+def active_keys(
+    assembly: Assembly, labels: tuple[str, ...], freed: tuple[str, ...] = ()
+) -> tuple[str, ...]:
+    """Parameters that a fit moves when these effects (compiled labels) are active."""
+    model = assembly.problem.model
+    movable = set(model.active)
+    effects = _effects(assembly, labels)
+    keys = []
+    for key in assembly.study.keys:
+        owner = key.rsplit(".", 1)[0]
+        if key == ORIGIN:
+            if ORIGIN in movable and any(e.undirected() for e in effects):
+                keys.append(key)
+        elif owner == "system" or owner in model.labels:
+            if key in movable and (owner == "system" or owner in labels):
+                keys.append(key)
+        elif owner in labels and (key in freed or _role(assembly, key) == "amplitude"):
+            keys.append(key)
+    return tuple(keys)
+
+
+def nuisance_keys(assembly: Assembly, labels: tuple[str, ...]) -> tuple[str, ...]:
+    """Parameters that belong to a record and that these effects depend on."""
+    effects = _effects(assembly, labels)
+    traced = assembly.study.compiled.traced
+    keys = []
+    for key, parameter in zip(traced.keys, traced.parameters, strict=True):
+        owner = key.rsplit(".", 1)[0]
+        if parameter.scope != "record" or (owner != "system" and owner not in labels):
+            continue
+        if key == ORIGIN and not any("phase" in e.inputs for e in effects):
+            continue
+        keys.append(key)
+    return tuple(keys)
+
+
+def _effects(assembly: Assembly, labels: tuple[str, ...]) -> list[Effect]:
+    own = [e for e in assembly.problem.model.effects if e.label in labels]
+    return own + [v.effect for v in assembly.variants if v.label in labels]
+
+
+def _role(assembly: Assembly, key: str) -> str:
+    return assembly.study.compiled.traced.parameters[assembly.study.index(key)].role
+
+
+def columns(assembly: Assembly, keys: tuple[str, ...]) -> tuple[Columns, tuple[Array, Array]]:
+    """Columns with their bounds; the phase origin is shared where phase was measured."""
+    study = assembly.study
+    shared = all("phase" in s.record.measured for s in study.series)
+    found = columns_for(study, keys, shared)
+    parameters = [study.compiled.traced.parameters[i] for i in found.index]
+    low = np.array([-np.inf if p.lower is None else p.lower for p in parameters])
+    high = np.array([np.inf if p.upper is None else p.upper for p in parameters])
+    return found, (low, high)
+
+
+def first_row(assembly: Assembly) -> Array:
+    """Values (records, parameters) known before any fit: given, starts, shapes; else zero."""
+    study = assembly.study
+    row = np.zeros(len(study.keys))
+    given = assembly.problem.model.values
+    for i, (key, parameter) in enumerate(
+        zip(study.keys, study.compiled.traced.parameters, strict=True)
+    ):
+        row[i] = given.get(key, parameter.start or 0.0)
+    for variant in assembly.variants:
+        for key, value in variant.shapes.items():
+            row[study.index(key)] = value
+            if variant.companion is not None:
+                row[study.index(key.replace(variant.label, variant.companion.label))] = value
+    return np.tile(row, (len(study.series), 1))
+
+
+def unknown_keys(assembly: Assembly, keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Active parameters for which neither a value nor a start is known."""
+    given = assembly.problem.model.values
+    traced = assembly.study.compiled.traced
+    starts = dict(zip(traced.keys, traced.parameters, strict=True))
+    return tuple(k for k in keys if k not in given and starts[k].start is None)
+
+
+def to_model(
+    assembly: Assembly,
+    labels: tuple[str, ...],
+    values: Array,
+    errors: Mapping[str, float],
+    freed: tuple[str, ...] = (),
+) -> Model:
+    """The model that a standing of the study amounts to, under its effects' real names."""
+    model = assembly.problem.model
+    chosen = [assembly.variant(x) for x in labels if x not in model.labels]
+    rename = {v.label: v.original.label for v in chosen}
+    effects = tuple(e for e in model.effects if e.label in labels)
+    effects += tuple(v.original for v in chosen)
+
+    def real(key: str) -> str:
+        owner, name = key.rsplit(".", 1)
+        return f"{rename.get(owner, owner)}.{name}"
+
+    kept = {"system", *labels}
+    row = dict(zip(assembly.study.keys, values[0], strict=True))
+    known = {real(k): float(v) for k, v in row.items() if k.rsplit(".", 1)[0] in kept}
+    return replace(
+        model,
+        effects=effects,
+        values=known,
+        errors={real(k): float(v) for k, v in errors.items() if k.rsplit(".", 1)[0] in kept},
+        freed=(*model.freed, *(real(k) for k in freed)),
+    )

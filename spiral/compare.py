@@ -1,0 +1,143 @@
+"""Compare a model with measurements: fit, free run, and the statistics of what is left."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from spiral.assembly import Assembly, assemble, columns, to_model, with_records
+from spiral.effect import Effect
+from spiral.evidence import Masks, Standing, all_samples, begin, grown
+from spiral.judge import FreeRun, free_run, run_free, whole
+from spiral.model import Model
+from spiral.problem import Problem, Progress, silent
+from spiral.record import Record
+from spiral.run import Comparison
+from spiral.shooting.fit import covariance
+from spiral.shooting.growth import Stage
+from spiral.shooting.sensitivities import residuals
+from spiral.statistics import Whiteness, whiteness
+
+_SETTLE = 0.1  # share of a test record that settles its nuisances, where no time is given
+_STEP = 0.3  # largest phase advance per integration step, rad
+
+
+def compare(problem: Problem, progress: Progress = silent) -> Comparison:
+    """Fit the model as it is to all samples, and compare it with the test record."""
+    assembly, standing = prepared(problem, ())
+    progress("fitting on growing windows")
+    stage = last_stage(assembly, standing, all_samples(assembly))
+    return judged(assembly, Standing(standing.labels, stage.fitted.point.values), stage, progress)
+
+
+def prepared(
+    problem: Problem, candidates: tuple[Effect, ...] | None = None
+) -> tuple[Assembly, Standing]:
+    """The problem assembled with its first standing, steps fine enough for its fastest mode."""
+    if candidates is not None:
+        problem = replace(problem, candidates=candidates)
+    assembly = assemble(problem)
+    standing = begin(assembly, problem.model.labels)
+    substeps = _substeps(assembly, standing)
+    if substeps > 1:
+        assembly = with_records(assembly, problem.records, substeps)
+    return assembly, standing
+
+
+def _substeps(assembly: Assembly, standing: Standing) -> int:
+    """Steps per sample that keep |eigenvalue| dt below 0.3 at rest, at the largest inputs."""
+    study = assembly.study
+    n, count = study.state_count, len(study.keys)
+    a, b = np.zeros((n, n)), np.zeros((n, count))
+    fastest = 0.0
+    for series in study.series:
+        size = np.abs(series.inputs).max(axis=0) if series.inputs.size else np.zeros(0)
+        study.compiled.rate(
+            np.full(n, 1e-12), size, np.ascontiguousarray(standing.values[0]), np.empty(n), a, b
+        )
+        if np.all(np.isfinite(a)):
+            fastest = max(fastest, float(np.abs(np.linalg.eigvals(a)).max()) * series.dt)
+    return int(np.clip(np.ceil(fastest / _STEP), 1, 32))
+
+
+def last_stage(assembly: Assembly, standing: Standing, masks: Masks) -> Stage:
+    """The longest windows whose fit converged (the first, converged or not, if none did)."""
+    kept: Stage | None = None
+    for stage in grown(assembly, standing, masks):
+        if kept is None or stage.fitted.converged:
+            kept = stage
+    assert kept is not None
+    return kept
+
+
+def standard_errors(assembly: Assembly, standing: Standing, stage: Stage) -> dict[str, float]:
+    """Standard error of every fitted parameter, noise as declared, inflated where chi2 is above 1."""
+    moving, _ = columns(assembly, standing.keys(assembly))
+    if stage.fitted.reduction is None:
+        return {}
+    spread = np.sqrt(np.maximum(np.diag(covariance(stage.fitted)), 0.0))
+    spread = spread * np.sqrt(max(stage.fitted.chi2_per_dof, 1.0))
+    errors: dict[str, float] = {}
+    for i, position in enumerate(moving.index):
+        errors.setdefault(assembly.study.keys[position], float(spread[i]))
+    return errors
+
+
+def judged(
+    assembly: Assembly, standing: Standing, stage: Stage, progress: Progress = silent
+) -> Comparison:
+    """The comparison of a fitted standing: free runs, chi2 and whiteness on all samples."""
+    problem, study = assembly.problem, assembly.study
+    labels, values = standing.labels, stage.fitted.point.values
+    model = to_model(assembly, labels, values, standard_errors(assembly, standing, stage), standing.freed)
+    progress("free run on the test record")
+    full = whole(assembly, labels, values, stage.length)
+    left = residuals(study, full.layouts, full.fitted.point)
+    names = problem.model.system.observed
+    records = tuple(0 for _ in problem.records)
+    own = run_free(assembly, full, records).errors(names)
+    run = test_run(assembly, labels, values)
+    channels = (run.errors(names) if run is not None else own)
+    dof = full.fitted.samples - full.fitted.nuisances - len(standing.keys(assembly))
+    white = _whiteness(left, problem.settings.lags)
+    return Comparison(
+        model=model,
+        fit_error=float(np.mean([e.relative for e in own.values()])),
+        test_error=float(np.mean([e.relative for e in channels.values()])),
+        channels=channels,
+        noise_floor=_noise_floor(problem.test or problem.records, model, run),
+        chi2_per_dof=full.fitted.cost / max(dof, 1),
+        whiteness_p=white.p,
+        whiteness_effect=white.effect,
+        horizon=int(full.length),
+        converged=stage.fitted.converged,
+        notes=tuple(n for r in problem.records for n in r.notes),
+    )
+
+
+def _whiteness(left: tuple[np.ndarray, ...], lags: int) -> Whiteness:
+    return whiteness(left, min(lags, max(2, min(len(r) for r in left) // 5)))
+
+
+def test_run(assembly: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun | None:
+    """Free run on the test records, or nothing where there are none."""
+    problem = assembly.problem
+    if not problem.test:
+        return None
+    other = with_records(assembly, problem.test, assembly.study.series[0].substeps)
+    settle = problem.settle
+    if settle is None:
+        settle = _SETTLE * min(r.samples * r.dt for r in problem.test)
+    return free_run(other, labels, values, settle)
+
+
+def _noise_floor(records: tuple[Record, ...], model: Model, run: FreeRun | None) -> float:
+    """Noise over standard deviation, mean over channels: the error of a perfect model."""
+    shares = []
+    for name in model.system.observed:
+        noise = np.mean([r.sigma()[name] ** 2 for r in records])
+        first = run.settled if run is not None else (0,) * len(records)
+        spread = np.mean([np.var(r.channels[name][s:]) for r, s in zip(records, first, strict=True)])
+        shares.append(np.sqrt(noise / spread))
+    return float(np.mean(shares))

@@ -1,0 +1,235 @@
+"""Evidence from trajectories: fit the standing model on growing windows and score every candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from spiral.assembly import (
+    ORIGIN,
+    Assembly,
+    Variant,
+    active_keys,
+    columns,
+    first_row,
+    unknown_keys,
+)
+from spiral.record import Array
+from spiral.shooting.fit import Fitted, fit
+from spiral.shooting.growth import Stage, first_starts, grow, layouts_for, lengths_for
+from spiral.shooting.score import (
+    Score,
+    Table,
+    block_samples,
+    correlation_samples,
+    score,
+    tabulate,
+)
+from spiral.shooting.sensitivities import reduce, residuals
+from spiral.shooting.start import SMOOTHING, balance, first_values
+from spiral.shooting.study import Point
+from spiral.shooting.windows import block_length, halves
+from spiral.trace import trace
+
+Masks = tuple[Array | None, ...]
+_WORTH = 10.0  # fall of the sum of squares (sigma^2) for which a shape is set free
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a study stands: active effects (compiled labels), values, shapes set free."""
+
+    labels: tuple[str, ...]
+    values: Array
+    freed: tuple[str, ...] = ()
+
+    def keys(self, assembly: Assembly) -> tuple[str, ...]:
+        """Parameters that a fit of this standing moves."""
+        return active_keys(assembly, self.labels, self.freed)
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate's best variant with its evidence; ``rank`` falls with worth (BIC, smaller first)."""
+
+    variant: Variant
+    columns: tuple[int, ...]
+    score: Score
+    rank: float
+    tests: int
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Candidates at one window length, best first, with the pass they were scored in."""
+
+    stage: Stage
+    ranked: tuple[Ranked, ...]
+    table: Table
+    block: int
+
+
+def half_masks(assembly: Assembly) -> tuple[Masks, Masks]:
+    """Blocks that select and blocks that judge, for every record."""
+    pairs = [halves(s.samples, block_length(s.samples)) for s in assembly.study.series]
+    return tuple(a for a, _ in pairs), tuple(b for _, b in pairs)
+
+
+def all_samples(assembly: Assembly) -> Masks:
+    """No mask: every sample counts."""
+    return (None,) * len(assembly.study.series)
+
+
+def stage_lengths(assembly: Assembly) -> list[int]:
+    """Window lengths of this study."""
+    shortest = min(s.samples for s in assembly.study.series)
+    return lengths_for(assembly.study, block_length(shortest))
+
+
+def begin(assembly: Assembly, labels: tuple[str, ...]) -> Standing:
+    """The first standing: unknown values from the balance of forces.
+
+    Several smoothing windows are tried; the one whose shortest-window fit promises the smallest
+    error after one step is kept.
+    """
+    known = Standing(labels, first_row(assembly))
+    keys = known.keys(assembly)
+    unknown = unknown_keys(assembly, keys)
+    if not unknown:
+        return known
+    study, model = assembly.study, assembly.problem.model
+    own = tuple(e for e in model.effects if e.label in labels)
+    equations = balance(study, trace(model.system, own), unknown)
+    layouts = layouts_for(study, stage_lengths(assembly)[0], all_samples(assembly))
+    moving, _ = columns(assembly, keys)
+    best, lowest = known, np.inf
+    for window in SMOOTHING:
+        values = first_values(study, equations, known.values, window)
+        if not np.all(np.isfinite(values)):
+            continue
+        point = Point(values, first_starts(study, layouts, window))
+        reduction = reduce(study, layouts, point, moving)
+        promised = float(reduction.triangle[-1, -1] ** 2) if reduction.finite else np.inf
+        if promised < lowest:
+            best, lowest = Standing(labels, values), promised
+    return best
+
+
+def grown(
+    assembly: Assembly,
+    standing: Standing,
+    masks: Masks,
+    lengths: list[int] | None = None,
+    patient: bool = False,
+) -> Iterator[Stage]:
+    """Fit the standing model on growing windows (``patient``: go on where a fit does not converge)."""
+    moving, bounds = columns(assembly, standing.keys(assembly))
+    sizes = lengths or stage_lengths(assembly)
+    yield from grow(assembly.study, standing.values, moving, bounds, masks, sizes, patient)
+
+
+def score_stage(assembly: Assembly, standing: Standing, stage: Stage) -> Evidence:
+    """Score all candidates that are not active, in one pass."""
+    keys = standing.keys(assembly)
+    present = {assembly.variant(x).original.label for x in standing.labels if _is_variant(assembly, x)}
+    absent = [v for v in assembly.variants if v.original.label not in present]
+    groups = [(v, tested_keys(assembly, v)) for v in absent]
+    candidate_keys = tuple(k for _, g in groups for k in g)
+    residual = residuals(assembly.study, stage.layouts, stage.fitted.point)
+    counted = sum(int(np.any(r != 0, axis=1).sum()) for r in residual)
+    block = block_samples(correlation_samples(residual), counted)
+    moving, _ = columns(assembly, (*keys, *candidate_keys))
+    active, _ = columns(assembly, keys)
+    reduction = reduce(assembly.study, stage.layouts, stage.fitted.point, moving, block)
+    table = tabulate(reduction, active.count)
+    found: dict[str, Ranked] = {}
+    traced = assembly.study.compiled.traced
+    parameters = dict(zip(traced.keys, traced.parameters, strict=True))
+    first = 0
+    for variant, group in groups:
+        indices = tuple(range(first, first + len(group)))
+        first += len(group)
+        sides = tuple(parameters[k].lower == 0.0 and variant.companion is None for k in group)
+        scored = score(table, indices, sides)
+        ranked = Ranked(variant, indices, scored, _bic(table, scored), 1)
+        label = variant.original.label
+        best = found.get(label)
+        tests = 1 if best is None else best.tests + 1
+        keep = ranked if best is None or ranked.rank < best.rank else best
+        found[label] = Ranked(keep.variant, keep.columns, keep.score, keep.rank, tests)
+    order = sorted(found.values(), key=lambda r: r.rank)
+    return Evidence(stage, tuple(order), table, block)
+
+
+def _is_variant(assembly: Assembly, label: str) -> bool:
+    return any(v.label == label for v in assembly.variants)
+
+
+def tested_keys(assembly: Assembly, variant: Variant) -> tuple[str, ...]:
+    """Amplitudes of a variant, and of its companion."""
+    owners = [variant.label] + ([variant.companion.label] if variant.companion else [])
+    names = {p.name for p in variant.effect.amplitudes()}
+    traced = assembly.study.compiled.traced
+    return tuple(
+        k
+        for owner in owners
+        for k, p in zip(traced.keys, traced.parameters, strict=True)
+        if k.rsplit(".", 1)[0] == owner and p.name in names
+    )
+
+
+def _bic(table: Table, scored: Score) -> float:
+    """N log(1 - gain / rest) + q log N: twice the negative log-likelihood gain, plus its price."""
+    left = max(1.0 - scored.gain / max(table.rest, 1e-300), 1e-12)
+    return table.samples * float(np.log(left)) + len(scored.columns) * float(np.log(table.samples))
+
+
+# --- admitting -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Admitted:
+    """A candidate admitted and refitted at one window length."""
+
+    standing: Standing
+    stage: Stage
+    variant: Variant
+
+
+def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) -> Admitted:
+    """Add a candidate with its Gauss-Newton step, refit, and set its shapes free where that pays."""
+    variant = ranked.variant
+    values = _stepped(assembly, stage.fitted.point.values, ranked)
+    wider = Standing((*standing.labels, variant.label), values, standing.freed)
+    fitted = _refit(assembly, wider, stage)
+    wider = Standing(wider.labels, fitted.point.values, wider.freed)
+    if variant.shapes and np.isfinite(fitted.cost):
+        freer = Standing(wider.labels, wider.values, (*wider.freed, *variant.shapes))
+        trial = _refit(assembly, freer, Stage(stage.length, stage.layouts, fitted))
+        if fitted.cost - trial.cost > _WORTH:
+            fitted = trial
+            wider = Standing(freer.labels, trial.point.values, freer.freed)
+    return Admitted(wider, Stage(stage.length, stage.layouts, fitted), variant)
+
+
+def _stepped(assembly: Assembly, values: Array, ranked: Ranked) -> Array:
+    """Values with the candidate's step; a companion's becomes amplitude and phase origin."""
+    variant, study = ranked.variant, assembly.study
+    keys = tested_keys(assembly, variant)
+    new = values.copy()
+    if variant.companion is None:
+        for key, amount in zip(keys, ranked.score.step, strict=False):
+            new[:, study.index(key)] = amount
+        return new
+    cosine, sine = ranked.score.step[:2]
+    new[:, study.index(keys[0])] = np.hypot(cosine, sine)
+    new[:, study.index(ORIGIN)] += np.arctan2(sine, cosine)
+    return new
+
+
+def _refit(assembly: Assembly, standing: Standing, stage: Stage) -> Fitted:
+    moving, bounds = columns(assembly, standing.keys(assembly))
+    point = Point(standing.values, stage.fitted.point.starts)
+    return fit(assembly.study, stage.layouts, point, moving, bounds)

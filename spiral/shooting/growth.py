@@ -1,0 +1,86 @@
+"""Windows that grow: 64 -> 256 -> 1024 -> whole record, each stage started from the last."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.record import Array
+from spiral.shooting.fit import Fitted, fit
+from spiral.shooting.sensitivities import run_windows
+from spiral.shooting.start import motion
+from spiral.shooting.study import Columns, Layouts, Point, Study
+from spiral.shooting.windows import cut, stage_lengths
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One window length with its windows and its fit; ``length`` is the longest window."""
+
+    length: int
+    layouts: Layouts
+    fitted: Fitted
+
+
+def layouts_for(study: Study, length: int, masks: tuple[Array | None, ...]) -> Layouts:
+    """Windows of one length in every record."""
+    return tuple(cut(s.samples, length, m) for s, m in zip(study.series, masks, strict=True))
+
+
+def lengths_for(study: Study, block: int) -> list[int]:
+    """Stage lengths for the longest record."""
+    return stage_lengths(max(s.samples for s in study.series), block)
+
+
+def first_starts(study: Study, layouts: Layouts, window: int = 11) -> tuple[Array, ...]:
+    """Window starts from local polynomials; hidden coordinates begin at zero."""
+    return tuple(
+        motion(study, series, window).states[layout.starts]
+        for series, layout in zip(study.series, layouts, strict=True)
+    )
+
+
+def carried_starts(study: Study, stage: Stage, layouts: Layouts) -> tuple[Array, ...]:
+    """States of a stage's fitted windows at the samples where other windows begin.
+
+    A sample before the stage's first window takes the state that window starts with.
+    """
+    found = []
+    for record, (layout, old) in enumerate(zip(layouts, stage.layouts, strict=True)):
+        reach = np.diff(np.append(old.starts, study.series[record].samples))
+        covering = replace(old, lengths=np.maximum(reach, old.lengths))
+        states, _ = run_windows(study, record, covering, stage.fitted.point)
+        found.append(states[np.maximum(layout.starts, old.starts[0])])
+    return tuple(found)
+
+
+def grow(
+    study: Study,
+    values: Array,
+    columns: Columns,
+    bounds: tuple[Array, Array],
+    masks: tuple[Array | None, ...],
+    lengths: list[int],
+    patient: bool = False,
+) -> Iterator[Stage]:
+    """Yield a stage for each window length, as long as the fits converge.
+
+    The caller may stop taking stages; the last stage that converged is where the model stands.
+    A stage that does not converge is yielded too (its ``fitted.converged`` is false) and ends it,
+    unless ``patient`` and the model stayed finite.
+    """
+    stage: Stage | None = None
+    for length in lengths:
+        layouts = layouts_for(study, length, masks)
+        if stage is None:
+            starts = first_starts(study, layouts)
+        else:
+            starts = carried_starts(study, stage, layouts)
+            values = stage.fitted.point.values
+        fitted = fit(study, layouts, Point(values, starts), columns, bounds)
+        stage = Stage(length, layouts, fitted)
+        yield stage
+        if not fitted.converged and not (patient and np.isfinite(fitted.cost)):
+            return

@@ -1,0 +1,188 @@
+"""Evidence for candidates: what each would explain, active parameters and nuisances projected out.
+
+With R the triangle of one pass over [active | candidates | r], a candidate g has
+
+    gain  = |Q_g^T z|^2                                the fall of the sum of squares,
+    F     = (gain / q) / (rest / dof)                  classical partial F,
+    Wald  = d^T V^-1 d / q                             robust,
+
+d being one Gauss-Newton step and V = H^-1 M H^-1 its covariance from the residual *after* that
+step, M = sum over blocks s_b s_b^T with s_b = J_b^T e_b. Blocks are at least as long as the
+residual's correlation time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from spiral.record import Array
+from spiral.shooting.sensitivities import Reduction
+
+MINIMUM_BLOCKS = 40
+_RANK = 1e-7
+
+
+@dataclass(frozen=True)
+class Score:
+    """Evidence for one group of columns.
+
+    ``step`` the Gauss-Newton step; ``gain`` in sigma^2; ``explains`` the share of the residual
+    energy in excess of noise; ``log_p`` natural logarithms of the p-values; ``alias`` the largest
+    cosine between the group's signatures and the active ones.
+    """
+
+    columns: tuple[int, ...]
+    step: Array
+    gain: float
+    explains: float
+    statistic: float
+    log_p: float
+    wald: float
+    wald_log_p: float
+    effect_size: float
+    alias: float
+
+
+@dataclass(frozen=True)
+class Table:
+    """A pass prepared for scoring: candidates' triangle with the active columns projected out."""
+
+    triangle: Array
+    target: Array
+    norms: Array
+    rest: float
+    samples: int
+    dof: int
+    blocks: Array
+    active_gain: float
+
+
+def tabulate(reduction: Reduction, active: int) -> Table:
+    """Project the first ``active`` columns out of all others."""
+    triangle = reduction.triangle
+    norms = np.linalg.norm(triangle[:, :-1], axis=0)
+    blocks = _without_active(reduction, active)
+    inner = triangle[active:, active:]
+    rest = float(inner[:, -1] @ inner[:, -1])
+    dof = reduction.samples - reduction.nuisances - active
+    return Table(
+        inner[:, :-1], inner[:, -1], norms[active:], rest, reduction.samples, dof, blocks,
+        float(np.sum(triangle[:active, -1] ** 2)),
+    )  # fmt: skip
+
+
+def _without_active(reduction: Reduction, active: int) -> Array:
+    """Gram blocks in coordinates where active columns are projected out of the others and r."""
+    blocks = reduction.blocks
+    if not len(blocks):
+        return blocks
+    triangle = reduction.triangle[:active]
+    scale = np.linalg.norm(triangle[:, :active], axis=0)
+    scale[scale == 0] = 1.0
+    head, *_ = np.linalg.lstsq(triangle[:, :active] / scale, triangle[:, active:], rcond=1e-12)
+    transform = np.concatenate([-head / scale[:, None], np.eye(triangle.shape[1] - active)])
+    return transform.T @ blocks @ transform
+
+
+def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -> Score:
+    """Evidence for the candidates' columns (indices among the candidates).
+
+    One-sided columns that step out of their side are dropped from the group; the p-value of a
+    group with a single one-sided column is halved.
+    """
+    kept = list(columns)
+    while True:
+        step, gain, alias = _project(table, kept)
+        wrong = [c for c, d in zip(kept, step, strict=True) if one_sided[columns.index(c)] and d < 0]
+        if not wrong:
+            break
+        kept = [c for c in kept if c not in wrong]
+    full = np.zeros(len(columns))
+    for c, d in zip(kept, step, strict=True):
+        full[columns.index(c)] = d
+    halved = np.log(0.5) if len(columns) == 1 and one_sided[0] and kept else 0.0
+    q, dof = max(len(kept), 1), max(table.dof - len(kept), 1)
+    rest = max(table.rest - gain, 1e-300)
+    statistic = (gain / q) / (rest / dof)
+    wald, wald_log_p = _wald(table, kept, step)
+    excess = max(table.rest - table.dof, 1e-12)
+    return Score(
+        columns, full, gain, float(min(gain / excess, 1.0)) if gain > 0 else 0.0, statistic,
+        float(stats.f.logsf(statistic, q, dof)) + halved, wald, wald_log_p + halved,
+        float(np.sqrt(gain / max(table.samples, 1))), alias,
+    )  # fmt: skip
+
+
+def _project(table: Table, kept: list[int]) -> tuple[Array, float, float]:
+    """Gauss-Newton step, gain, and cosine to what is already active; nothing where no rank."""
+    if not kept:
+        return np.zeros(0), 0.0, 1.0
+    group = table.triangle[:, kept]
+    before = table.norms[kept]
+    after = np.linalg.norm(group, axis=0)
+    ratio = after / np.where(before == 0, 1.0, before)
+    alias = float(np.sqrt(max(0.0, 1.0 - float(np.min(ratio)) ** 2)))
+    if np.all(ratio < _RANK):
+        return np.zeros(len(kept)), 0.0, 1.0
+    scale = np.where(after == 0, 1.0, after)
+    step, *_ = np.linalg.lstsq(group / scale, table.target, rcond=_RANK)
+    fitted = (group / scale) @ step
+    return step / scale, float(fitted @ fitted), alias
+
+
+def _wald(table: Table, kept: list[int], step: Array) -> tuple[float, float]:
+    """Robust Wald statistic over q and the log of its p-value (Hotelling's T^2, blocks as cases)."""
+    blocks = table.blocks
+    count, q = len(blocks), len(kept)
+    if not q or count < MINIMUM_BLOCKS // 2 or not np.any(step):
+        return 0.0, 0.0
+    gram = blocks[:, kept][:, :, kept]
+    scores = blocks[:, kept, -1] - np.einsum("bij,j->bi", gram, step)
+    bread = gram.sum(axis=0)
+    scale = np.sqrt(np.maximum(np.diag(bread), 1e-300))
+    meat = (scores.T @ scores) / np.outer(scale, scale) * count / (count - 1)
+    normal = bread / np.outer(scale, scale)
+    scaled = normal @ (step * scale)
+    try:
+        wald = float(scaled @ np.linalg.solve(meat, scaled)) / q
+    except np.linalg.LinAlgError:
+        return 0.0, 0.0
+    ratio = wald * (count - q) / (count - 1)
+    return wald, float(stats.f.logsf(ratio, q, count - q))
+
+
+def cosine(table: Table, first: tuple[int, ...], second: tuple[int, ...]) -> float:
+    """Cosine of the smallest principal angle between two groups of signatures."""
+    from scipy.linalg import subspace_angles
+
+    groups = [table.triangle[:, list(g)] for g in (first, second)]
+    if any(np.linalg.norm(g) == 0 for g in groups):
+        return 1.0
+    scaled = [g / np.maximum(np.linalg.norm(g, axis=0), 1e-300) for g in groups]
+    return float(np.cos(np.min(subspace_angles(*scaled))))
+
+
+def correlation_samples(residuals: tuple[Array, ...]) -> int:
+    """Lag after which the residuals' autocorrelation stays below 0.1, largest over channels."""
+    longest = 1
+    for values in residuals:
+        for channel in values.T:
+            energy = float(channel @ channel)
+            if energy == 0 or not np.isfinite(energy):
+                continue
+            size = 2 ** int(np.ceil(np.log2(2 * len(channel))))
+            spectrum = np.abs(np.fft.rfft(channel, size)) ** 2
+            lags = np.fft.irfft(spectrum)[: len(channel) // 4] / energy
+            above = np.flatnonzero(np.abs(lags) > 0.1)
+            longest = max(longest, int(above[-1]) + 1 if len(above) else 1)
+    return longest
+
+
+def block_samples(correlation: int, counted: int) -> int:
+    """Samples in a block: a power of two above the correlation time, at least 40 blocks."""
+    most = max(counted // MINIMUM_BLOCKS, 8)
+    wanted = 2 ** int(np.ceil(np.log2(max(32, 2 * correlation))))
+    return int(min(wanted, 2 ** int(np.log2(most))))

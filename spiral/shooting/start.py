@@ -1,0 +1,164 @@
+"""Where a fit begins: parameters from the balance of forces, states from local polynomials.
+
+The balance M a - F = 0 of a mechanical system is linear in masses and amplitudes. With positions,
+velocities and accelerations from local polynomials it is solved by scaled least squares. The
+answer is biased by noise; it only has to lie in the basin of the short-window fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from spiral.errors import ConfigError
+from spiral.record import Array
+from spiral.shooting.series import Series
+from spiral.shooting.study import Study
+from spiral.trace import Traced
+
+SMOOTHING = (5, 7, 11, 17, 25, 41, 65)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Smoothed states (samples, n) and accelerations (samples, coordinates) of one record."""
+
+    states: Array
+    acceleration: Array
+
+
+def motion(study: Study, series: Series, window: int) -> Motion:
+    """Local polynomials of degree 3 (Savitzky-Golay) through the measured coordinates.
+
+    A state that is not measured, nor the rate of one that is, is taken as zero.
+    """
+    from scipy.signal import savgol_filter
+
+    traced = study.compiled.traced
+    degree = min(3, window - 2)
+    states = np.zeros((series.samples, len(traced.states)))
+    acceleration = np.zeros((series.samples, len(traced.acceleration)))
+    for channel, name in enumerate(traced.channels):
+        smooth = [
+            savgol_filter(series.y[:, channel], window, degree, deriv=k, delta=series.dt)
+            for k in range(3)
+        ]
+        states[:, traced.states.index(name)] = smooth[0]
+        if f"{name}_rate" in traced.states:
+            states[:, traced.states.index(f"{name}_rate")] = smooth[1]
+            acceleration[:, traced.states.index(name)] = smooth[2]
+    return Motion(states, acceleration)
+
+
+@dataclass(frozen=True)
+class Balance:
+    """The balance of forces of one model as regression: columns for the unknowns, and the rest.
+
+    ``unknown`` are parameter positions in the study's arrays; ``turning`` is the one unknown whose
+    column turns with the phase origin (an unbalance), if there is one.
+    """
+
+    unknown: tuple[int, ...]
+    origin: int | None
+    turning: int | None
+    used: tuple[int, ...]
+    columns: Callable[..., list[Any]]
+    rest: Callable[..., list[Any]]
+    rows: int
+
+
+def balance(study: Study, traced: Traced, unknown: tuple[str, ...]) -> Balance:
+    """Prepare the balance of a model traced without its candidates.
+
+    Raises
+    ------
+    ConfigError : a parameter without a start in a system whose coordinates are not all measured.
+    """
+    measured = {n for n in traced.states if f"{n}_rate" in traced.states} <= set(traced.channels)
+    if not traced.balance or not measured:
+        raise ConfigError(
+            f"no value for {', '.join(unknown)}",
+            "a start for every parameter of a system with hidden coordinates",
+            f"give one: values='{{{unknown[0]}: 1.0}}'",
+        )
+    symbols = [traced.p[traced.keys.index(k)] for k in unknown]
+    linear = sp.Matrix(traced.balance).jacobian(symbols)
+    rest = sp.Matrix(traced.balance).subs(dict.fromkeys(symbols, 0))
+    origin = "system.phase_origin" if "system.phase_origin" in traced.keys else None
+    turning = _turning(traced, linear, origin)
+    arguments = [*traced.x, *traced.u, *traced.p, *traced.acceleration]
+    return Balance(
+        unknown=tuple(study.index(k) for k in unknown),
+        origin=study.index(origin) if origin else None,
+        turning=turning,
+        used=tuple(study.index(k) for k in traced.keys),
+        columns=sp.lambdify(arguments, list(linear), "numpy", cse=True),
+        rest=sp.lambdify(arguments, list(rest), "numpy", cse=True),
+        rows=linear.rows,
+    )
+
+
+def _turning(traced: Traced, linear: sp.Matrix, origin: str | None) -> int | None:
+    """The one unknown whose column turns with the phase origin, if there is just one."""
+    if origin is None:
+        return None
+    symbol = traced.p[traced.keys.index(origin)]
+    found = [j for j in range(linear.cols) if linear[:, j].has(symbol)]
+    return found[0] if len(found) == 1 else None
+
+
+def first_values(study: Study, equations: Balance, values: Array, window: int) -> Array:
+    """Values (records, parameters) with the unknown ones solved from the balance of forces.
+
+    The phase origin is found together with its unbalance from a quadrature pair.
+    """
+    parts = [
+        _equations(equations, series, motion(study, series, window), row, window)
+        for series, row in zip(study.series, values, strict=True)
+    ]
+    matrix, target = (np.concatenate(p) for p in zip(*parts, strict=True))
+    solution = _scaled_least_squares(matrix, target)
+    new = values.copy()
+    for position, amount in zip(equations.unknown, solution, strict=False):
+        new[:, position] = amount
+    turning = equations.turning
+    if turning is not None and equations.origin is not None:
+        cosine, sine = solution[turning], solution[-1]
+        new[:, equations.unknown[turning]] = np.hypot(cosine, sine)
+        new[:, equations.origin] += np.arctan2(sine, cosine)
+    return new
+
+
+def _equations(
+    equations: Balance, series: Series, moving: Motion, row: Array, window: int
+) -> tuple[Array, Array]:
+    """Rows (samples * coordinates) of the regression of one record, its ends left out."""
+    u = series.inputs[:: 2 * series.substeps]
+    edge = slice(window, -window)
+
+    def at(function: Callable[..., list[Any]], shift: float, width: int) -> Array:
+        shifted = row.copy()
+        if equations.origin is not None:
+            shifted[equations.origin] += shift
+        known = shifted[list(equations.used)]
+        given = function(*moving.states.T, *u.T, *known, *moving.acceleration.T)
+        flat = np.array([np.broadcast_to(v, (len(u),))[edge] for v in given])
+        return np.moveaxis(flat.reshape(equations.rows, width, -1), -1, 0).reshape(-1, width)
+
+    count = len(equations.unknown)
+    matrix = at(equations.columns, 0.0, count)
+    if equations.turning is not None:
+        quadrature = at(equations.columns, np.pi / 2, count)[:, [equations.turning]]
+        matrix = np.concatenate([matrix, quadrature], axis=1)
+    return matrix, -at(equations.rest, 0.0, 1)[:, 0]
+
+
+def _scaled_least_squares(matrix: Array, target: Array) -> Array:
+    scale = np.linalg.norm(matrix, axis=0)
+    scale[scale == 0] = 1.0
+    solution, *_ = np.linalg.lstsq(matrix / scale, target, rcond=1e-10)
+    return solution / scale

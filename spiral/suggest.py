@@ -1,0 +1,234 @@
+"""Suggest what is missing: the longest window that agrees, the gates, and the alias groups."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from spiral.assembly import Assembly
+from spiral.evidence import (
+    Admitted,
+    Evidence,
+    Masks,
+    Ranked,
+    Standing,
+    admit,
+    grown,
+    score_stage,
+)
+from spiral.judge import held_out
+from spiral.problem import Progress, Settings, silent
+from spiral.run import Suggestion
+from spiral.shooting.growth import Stage
+from spiral.shooting.score import cosine
+from spiral.statistics import Paired, paired_errors, spent
+
+_RIVALS = 4  # candidates refitted beside the first
+_RIVAL_SHARE = 0.5  # least share of the first one's gain to be a rival
+_LISTED = 5
+_HINT = 0.95
+_STAGES = 4  # looks at the data, over which the level is shared
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What one round found: evidence, the candidate to admit with its aliases, refusals."""
+
+    evidence: Evidence | None
+    stages: tuple[Stage, ...]
+    admitted: Admitted | None
+    aliases: tuple[str, ...]
+    suggestions: tuple[Suggestion, ...]
+    rejected: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def diverged(self) -> bool:
+        """Whether not even the shortest windows could be fitted."""
+        return self.evidence is None
+
+
+def propose(
+    assembly: Assembly,
+    standing: Standing,
+    masks: tuple[Masks, Masks],
+    round_number: int,
+    progress: Progress = silent,
+) -> Proposal:
+    """One round's evidence on the selecting half, judged on the other half.
+
+    Parameters
+    ----------
+    masks : (select, judge) for every record.
+    round_number : from 1; decides the share of the study's error rate that is spent.
+    """
+    settings = assembly.problem.settings
+    evidence, stages = _longest_that_agrees(assembly, standing, masks[0], round_number, progress)
+    if evidence is None:
+        return Proposal(None, stages, None, (), ())
+    rejected: dict[str, str] = {}
+    chosen: Admitted | None = None
+    aliases: tuple[str, ...] = ()
+    passing = [r for r in evidence.ranked if _significant(r, evidence, settings, round_number)]
+    for ranked in passing[: _RIVALS + 1]:
+        if ranked.variant.original.label in rejected:
+            continue
+        progress(f"refitting with {ranked.variant.original.label} and its rivals")
+        first, aliases = _contest(assembly, standing, evidence, ranked, passing, masks[1], rejected)
+        reason = _refused(assembly, standing, evidence, first, masks[1])
+        if not reason:
+            chosen = first
+            break
+        rejected[first.variant.original.label] = reason
+    listed = _listed(evidence, chosen, aliases)
+    return Proposal(evidence, stages, chosen, aliases, listed, rejected)
+
+
+def _longest_that_agrees(
+    assembly: Assembly,
+    standing: Standing,
+    mask: Masks,
+    round_number: int,
+    progress: Progress,
+) -> tuple[Evidence | None, tuple[Stage, ...]]:
+    """Score at growing windows; keep the longest whose fit converged and whose leaders agree."""
+    settings = assembly.problem.settings
+    kept: Evidence | None = None
+    stages: list[Stage] = []
+    for stage in grown(assembly, standing, mask):
+        stages.append(stage)
+        if not np.isfinite(stage.fitted.cost) or (kept is not None and not stage.fitted.converged):
+            break
+        progress(f"scoring candidates on windows of {stage.length} samples")
+        evidence = score_stage(assembly, standing, stage)
+        if kept is not None and not _agree(kept, evidence, settings, round_number):
+            break
+        kept = evidence
+    return kept, tuple(stages)
+
+
+def _leaders(evidence: Evidence, settings: Settings, round_number: int) -> list[str]:
+    return [
+        r.variant.original.label
+        for r in evidence.ranked[:3]
+        if _significant(r, evidence, settings, round_number)
+    ]
+
+
+def _agree(before: Evidence, after: Evidence, settings: Settings, round_number: int) -> bool:
+    """Whether longer windows keep the first suggestion and lose none of the top three.
+
+    Where nothing was significant before, longer windows may speak alone.
+    """
+    old = _leaders(before, settings, round_number)
+    new = _leaders(after, settings, round_number)
+    if not old:
+        return True
+    return old[0] in new[:1] and set(old) <= set(new)
+
+
+def _significant(
+    ranked: Ranked, evidence: Evidence, settings: Settings, round_number: int
+) -> bool:
+    """Classical and robust p-values below the candidate's share of the round's level."""
+    tests = sum(r.tests for r in evidence.ranked) * _STAGES
+    level = np.log(spent(settings.level, round_number) / tests)
+    return ranked.score.log_p < level and ranked.score.wald_log_p < level
+
+
+def _contest(
+    assembly: Assembly,
+    standing: Standing,
+    evidence: Evidence,
+    ranked: Ranked,
+    passing: list[Ranked],
+    mask: Masks,
+    rejected: Mapping[str, str],
+) -> tuple[Admitted, tuple[str, ...]]:
+    """Refit the candidate and its rivals; the best on held-out data wins, equals are its aliases."""
+    gain = ranked.score.gain
+    rivals = [
+        r
+        for r in passing
+        if r.score.gain >= _RIVAL_SHARE * gain and r.variant.original.label not in rejected
+    ]
+    rivals = sorted(rivals, key=lambda r: r is not ranked)[: _RIVALS + 1]
+    refits = [admit(assembly, standing, evidence.stage, r) for r in rivals]
+    errors = [held_out(assembly, a.standing.labels, a.stage, mask)[1] for a in refits]
+    winner = 0
+    for i in range(1, len(refits)):
+        if paired_errors(errors[winner], errors[i], evidence.block).p_fall < _alias_level(assembly):
+            winner = i
+    aliases = tuple(
+        refits[i].variant.original.label
+        for i in range(len(refits))
+        if i != winner and _alike(assembly, paired_errors(errors[winner], errors[i], evidence.block))
+    )
+    return refits[winner], aliases
+
+
+def _alias_level(assembly: Assembly) -> float:
+    return assembly.problem.settings.alias_level
+
+
+def _alike(assembly: Assembly, paired: Paired) -> bool:
+    return paired.p_differ >= _alias_level(assembly)
+
+
+def _refused(
+    assembly: Assembly, standing: Standing, evidence: Evidence, first: Admitted, mask: Masks
+) -> str:
+    """Why the gates refuse a refitted candidate; empty where they let it pass."""
+    settings = assembly.problem.settings
+    fitted = first.stage.fitted
+    if not np.isfinite(fitted.cost):
+        return "the refitted model diverges"
+    fall = evidence.stage.fitted.cost - fitted.cost
+    size = float(np.sqrt(max(fall, 0.0) / fitted.samples))
+    if size < settings.smallest:
+        return (
+            f"significant, but too small to matter: it changes the prediction by {size:.3f} noise "
+            f"standard deviations (least {settings.smallest:g})"
+        )
+    before = held_out(assembly, standing.labels, evidence.stage, mask)[1]
+    after = held_out(assembly, first.standing.labels, first.stage, mask)[1]
+    paired = paired_errors(before, after, evidence.block)
+    if paired.p_fall >= settings.level:
+        return f"rolled back: no significant fall of the error on held-out blocks (p = {paired.p_fall:.2g})"
+    return ""
+
+
+def _listed(
+    evidence: Evidence, chosen: Admitted | None, aliases: tuple[str, ...]
+) -> tuple[Suggestion, ...]:
+    """The best candidates as suggestions; the admitted one first."""
+    order = list(evidence.ranked)
+    if chosen is not None:
+        label = chosen.variant.original.label
+        order.sort(key=lambda r: (r.variant.original.label != label, r.rank))
+    lead = order[0] if order else None
+    found = []
+    for ranked in order[:_LISTED]:
+        hint = tuple(
+            r.variant.original.label
+            for r in order[:_LISTED]
+            if r is not ranked and cosine(evidence.table, ranked.columns, r.columns) > _HINT
+        )
+        is_first = chosen is not None and ranked is lead
+        found.append(_suggestion(ranked, aliases if is_first else (), hint))
+    return tuple(found)
+
+
+def _suggestion(ranked: Ranked, aliases: tuple[str, ...], hint: tuple[str, ...]) -> Suggestion:
+    scored = ranked.score
+    return Suggestion(
+        effect=ranked.variant.original.label,
+        meaning=ranked.variant.original.meaning(),
+        aliases=aliases,
+        p_value=float(np.exp(scored.log_p)),
+        statistic=scored.statistic,
+        wald_p_value=float(np.exp(scored.wald_log_p)),
+        explains=scored.explains,
+        hint=hint,
+    )

@@ -1,0 +1,55 @@
+"""Verdicts and advice, in words a person can act on."""
+
+from __future__ import annotations
+
+from spiral.run import Round, Stopped, Verdict
+
+
+def seed_verdict(rounds: list[Round], stopped: Stopped, level: float) -> Verdict:
+    """The verdict on the seed: what ``diagnose`` would say of it.
+
+    ``nothing_missing`` needs no candidate passing *and* white residuals; candidates exhausted
+    while the residuals are coloured is ``unknown_structure``.
+    """
+    if stopped == "not_identifiable":
+        return "not_identifiable"
+    if len(rounds) > 1:
+        return "effect_missing"
+    return "nothing_missing" if rounds[0].comparison.whiteness_p >= level else "unknown_structure"
+
+
+def advice_for(
+    verdict: Verdict,
+    stopped: Stopped,
+    rounds: list[Round],
+    groups: tuple[tuple[str, ...], ...],
+) -> str:
+    """One or two sentences: what to do next."""
+    if verdict == "not_identifiable":
+        tied = "; ".join(" = ".join(g) for g in groups)
+        return (
+            "This record cannot tell the model's own parameters apart"
+            + (f" ({tied})" if tied else "")
+            + ". Sweep the speed (run-up or coast-down) through the resonance, or record the "
+            "start-up transient, and try again."
+        )
+    if stopped == "diverged":
+        return (
+            "The model diverged even on short windows. Check units and signs of the channels, or "
+            "give starts with values='{...}'."
+        )
+    last = rounds[-1].comparison
+    if verdict == "unknown_structure":
+        return (
+            "Something is missing that no candidate explains. See where the residual lives with "
+            "`spiral diagnose`, and add an effect of your own."
+        )
+    if verdict == "nothing_missing":
+        return "The model explains this record down to its noise; nothing needs to be added."
+    ending = {
+        "whiteness": "What is left is white noise.",
+        "no_candidate": "No further candidate passes the gates"
+        + ("." if last.whiteness_p > 0.001 else ", though the residual is not quite white."),
+        "max_rounds": "The loop stopped at its largest number of rounds.",
+    }
+    return ending.get(stopped, "")
