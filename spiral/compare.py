@@ -61,10 +61,12 @@ def _substeps(assembly: Assembly, standing: Standing) -> int:
     return int(np.clip(np.ceil(fastest / _STEP), 1, 32))
 
 
-def last_stage(assembly: Assembly, standing: Standing, masks: Masks) -> Stage:
+def last_stage(
+    assembly: Assembly, standing: Standing, masks: Masks, lengths: list[int] | None = None
+) -> Stage:
     """The longest windows whose fit converged (the first, converged or not, if none did)."""
     kept: Stage | None = None
-    for stage in grown(assembly, standing, masks):
+    for stage in grown(assembly, standing, masks, lengths):
         if kept is None or stage.fitted.converged:
             kept = stage
     assert kept is not None

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from spiral.assembly import Assembly, to_model
 from spiral.compare import judged, last_stage, prepared
 from spiral.effect import Effect
-from spiral.evidence import Masks, Standing, all_samples, half_masks
+from spiral.evidence import Masks, Standing, all_samples, half_masks, long_lengths
 from spiral.identifiability import Entanglement, entangled
 from spiral.problem import Problem, Progress, silent
 from spiral.run import Comparison, Round, Run, Stopped, Verdict
@@ -75,7 +75,9 @@ def _loop(
             stopped = _why_stopped(proposal, rounds[-1].comparison, settings.whiteness_level)
             break
         standing = proposal.admitted.standing
-        comparison, standing = _judge(assembly, standing, masks[1], progress)
+        comparison, standing = _judge(
+            assembly, standing, masks[1], progress, long_lengths(assembly)
+        )
         rounds.append(_round(number, proposal, comparison, rounds, time.perf_counter() - clock))
     verdict = seed_verdict(rounds, stopped, settings.whiteness_level)
     return Run(
@@ -85,11 +87,15 @@ def _loop(
 
 
 def _judge(
-    assembly: Assembly, standing: Standing, mask: Masks, progress: Progress
+    assembly: Assembly,
+    standing: Standing,
+    mask: Masks,
+    progress: Progress,
+    lengths: list[int] | None = None,
 ) -> tuple[Comparison, Standing]:
     """Refit on the half that did not select, and compare."""
     progress("refitting on the half that did not select")
-    stage = last_stage(assembly, standing, mask)
+    stage = last_stage(assembly, standing, mask, lengths)
     refitted = replace(standing, values=stage.fitted.point.values)
     return judged(assembly, refitted, stage, progress), refitted
 

@@ -117,6 +117,12 @@ def begin(assembly: Assembly, labels: tuple[str, ...]) -> Standing:
     return best
 
 
+def long_lengths(assembly: Assembly) -> list[int]:
+    """Window lengths for a refit from good values: the shortest are left out."""
+    lengths = stage_lengths(assembly)
+    return lengths[1:] if len(lengths) > 2 else lengths
+
+
 def grown(
     assembly: Assembly,
     standing: Standing,

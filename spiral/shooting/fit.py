@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.record import Array
-from spiral.shooting.sensitivities import Reduction, cost_of, reduce
+from spiral.shooting.sensitivities import Reduction, reduce
 from spiral.shooting.study import Columns, Layouts, Point, Study
 
 _ITERATIONS = 30
 _ENOUGH = 0.02  # predicted fall of the sum of squares (in sigma^2) that is not worth a step
-_RELATIVE = 1e-7  # the same as a share of the sum of squares
+_RELATIVE = 1e-6  # the same as a share of the sum of squares
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,14 @@ class Fitted:
     converged: bool
     iterations: int
     reduction: Reduction | None
+
+    @classmethod
+    def of(cls, point: Point, reduction: Reduction, converged: bool, iterations: int) -> Fitted:
+        """The result at a point, with its pass."""
+        return cls(
+            point, reduction.cost, reduction.samples, reduction.nuisances, converged, iterations,
+            reduction,
+        )  # fmt: skip
 
     @property
     def chi2_per_dof(self) -> float:
@@ -51,37 +59,27 @@ def fit(
     reduction = reduce(study, layouts, point, columns)
     if not reduction.finite:
         return Fitted(point, np.inf, reduction.samples, reduction.nuisances, False, 0, None)
-    cost = reduction.cost
     for iteration in range(1, iterations + 1):
-        moved = False
+        cost = reduction.cost
+        worth = max(_ENOUGH, _RELATIVE * cost)
+        better = None
         for _ in range(8):
             step, promised = _step(reduction, columns, point, bounds, damping)
+            if promised < worth:
+                return Fitted.of(point, reduction, True, iteration)
             trial = _move(point, columns, reduction, step)
-            reached = cost_of(study, layouts, trial)
-            if reached <= cost:
-                moved = True
-                break
-            if promised < max(_ENOUGH, _RELATIVE * cost):
+            reached = reduce(study, layouts, trial, columns)
+            if reached.cost <= cost:
+                better = reached
                 break
             damping = max(damping * 10.0, 1e-4)
-        if not moved:
-            small = promised < max(_ENOUGH, 10 * _RELATIVE * cost)
-            return _result(point, cost, reduction, small, iteration)
-        fall = cost - reached
-        point, cost = trial, reached
+        if better is None:
+            return Fitted.of(point, reduction, promised < 10 * worth, iteration)
+        point, reduction = trial, better
         damping = max(damping / 10.0, 1e-12)
-        reduction = reduce(study, layouts, point, columns)
-        if fall < max(_ENOUGH, _RELATIVE * cost):
-            return _result(point, cost, reduction, True, iteration)
-    return _result(point, cost, reduction, False, iterations)
-
-
-def _result(
-    point: Point, cost: float, reduction: Reduction, converged: bool, iterations: int
-) -> Fitted:
-    return Fitted(
-        point, cost, reduction.samples, reduction.nuisances, converged, iterations, reduction
-    )
+        if cost - reduction.cost < worth:
+            return Fitted.of(point, reduction, True, iteration)
+    return Fitted.of(point, reduction, False, iterations)
 
 
 def _step(

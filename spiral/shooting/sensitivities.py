@@ -127,13 +127,6 @@ def run_windows(study: Study, record: int, layout: Layout, point: Point) -> tupl
     return states, readings
 
 
-def cost_of(study: Study, layouts: Layouts, point: Point) -> float:
-    """Sum of squared weighted residuals; infinite where the model diverged."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = sum(float(np.sum(r * r)) for r in residuals(study, layouts, point))
-    return total if np.isfinite(total) else np.inf
-
-
 def _parallel(work, batches: list[_Batch]) -> list:
     if len(batches) < 2 * _THREADS:
         return [work(batch) for batch in batches]
