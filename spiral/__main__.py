@@ -1,0 +1,5 @@
+"""``python -m spiral``."""
+
+from spiral.cli import entry
+
+entry()

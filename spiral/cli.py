@@ -1,0 +1,230 @@
+"""The command line: ``spiral VERB [names] [KEY=VALUE ...] [--json FILE] [-m] [--plugins DIR]``.
+
+Exit codes: 0 done (also where nothing is missing, or nothing known explains what is); 2 bad input,
+told in one message; 3 an honest refusal. Heavy imports happen where a verb needs them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from spiral import __version__
+from spiral.errors import ConfigError, SpiralError, did_you_mean
+from spiral.verbs import BAD_INPUT, Outcome, Request, in_worker, perform
+
+VERBS = {
+    "discover": "find what the model is missing, add it, and repeat: the main job",
+    "compare": "fit the model as configured and compare it with data it has not seen",
+    "diagnose": "say where the model fails and rank what may be missing; changes nothing",
+    "add": "fit the model, then the model plus EFFECT...; before and after side by side",
+    "simulate": "make a record from a model and write it to a file",
+    "plugins": "list systems, effects and sources",
+}
+
+_EPILOG = """\
+first steps:
+  spiral discover experiment=rotor_coastdown
+  spiral compare  experiment=rotor_coastdown
+  spiral diagnose experiment=rotor_coastdown
+  spiral add cubic_stiffness run=latest
+
+your own data:
+  spiral discover system=planar_rotor record=csv record.path=a.csv record.time=t \\
+      record.channels='{x: ch1, y: ch2}' record.inputs='{speed: rpm}' \\
+      record.units='{x: um, y: um, speed: rpm}'
+
+KEY=VALUE are Hydra overrides: system= record= test= effect=[a,b] experiment= choose by name,
+record.FIELD=VALUE sets a field; with -m, KEY=a,b,c runs once for each value.
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaints are errors like all others."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise instead of printing a usage and exiting."""
+        raise ConfigError(message, f"{self.prog} as in its --help", f"{self.prog} --help")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns its exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    target = _json_target(given)
+    try:
+        options = _parsed(given)
+        if options.verb is None:
+            parser().print_help()
+            return 0
+        request = _request(options)
+        if options.multirun:
+            return _multirun(request, options.json)
+        return _single(request, options.json)
+    except SpiralError as error:
+        return _told(error, target)
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+
+
+def entry() -> NoReturn:
+    """Run the program and end the process."""
+    sys.exit(main())
+
+
+def parser() -> argparse.ArgumentParser:
+    """The verbs and their options."""
+    top = _Parser(
+        prog="spiral",
+        description="Find the physics that a model is missing, from measurements.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    top.add_argument("--version", action="version", version=f"spiral {__version__}")
+    verbs = top.add_subparsers(dest="verb", metavar="VERB", parser_class=_Parser)
+    for name, meaning in VERBS.items():
+        verb = verbs.add_parser(
+            name,
+            help=meaning,
+            description=meaning[0].upper() + meaning[1:] + ".",
+            epilog=_EPILOG,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        verb.add_argument("words", nargs="*", metavar="NAME|KEY=VALUE", help="names and overrides")
+        verb.add_argument("--json", metavar="FILE", help="write the result as JSON; - is stdout")
+        verb.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
+        if name == "simulate":
+            verb.add_argument("--out", metavar="FILE", help="the table to write: .csv or .parquet")
+        if name != "plugins":
+            verb.add_argument(
+                "-m", "--multirun", action="store_true", help="run once for each swept value"
+            )
+    return top
+
+
+def _parsed(given: list[str]) -> argparse.Namespace:
+    if given and not given[0].startswith("-") and given[0] not in VERBS:
+        raise ConfigError(
+            f"spiral {given[0]}", f"a verb: {', '.join(VERBS)}", did_you_mean(given[0], VERBS)
+        )
+    top = parser()
+    options, rest = top.parse_known_args(given)
+    for word in rest:
+        if word.startswith("-"):
+            raise ConfigError(
+                f"option {word!r}",
+                f"an option of spiral {options.verb}",
+                f"spiral {options.verb} --help",
+            )
+    if options.verb is not None:
+        options.words = [*options.words, *rest]
+        options.multirun = getattr(options, "multirun", False)
+    return options
+
+
+def _json_target(given: list[str]) -> str | None:
+    """Where JSON goes, known before anything can fail."""
+    for index, word in enumerate(given):
+        if word.startswith("--json="):
+            return word.partition("=")[2]
+        if word == "--json" and index + 1 < len(given):
+            return given[index + 1]
+    return None
+
+
+def _request(options: argparse.Namespace) -> Request:
+    def is_override(word: str) -> bool:
+        return "=" in word or word.startswith(("~", "+"))
+
+    return Request(
+        options.verb,
+        names=tuple(w for w in options.words if not is_override(w)),
+        overrides=tuple(w for w in options.words if is_override(w)),
+        plugins=options.plugins,
+        out=getattr(options, "out", None),
+    )
+
+
+def _single(request: Request, target: str | None) -> int:
+    from spiral import terminal
+
+    with terminal.progress() as tell:
+
+        def on_round(found: Any) -> None:
+            terminal.round_line(found, tell)
+
+        outcome = perform(request, tell, on_round)
+    _write_json(outcome.result, target)
+    if target != "-":
+        terminal.show(request.verb, outcome)
+    return outcome.exit
+
+
+def _multirun(request: Request, target: str | None) -> int:
+    from spiral import terminal
+    from spiral.overrides import expand
+    from spiral.sweep import run_sweep
+
+    jobs = expand(request.overrides)
+    with terminal.progress() as tell:
+        tell(f"{len(jobs)} runs")
+        rows = run_sweep(
+            in_worker, request.verb, request.names, jobs, request.plugins, _processes(jobs), tell
+        )
+    result = {"runs": [row.as_dict() for row in rows]}
+    code = max((row.exit for row in rows), default=0)
+    _write_json(result, target)
+    if target != "-":
+        terminal.show("multirun", Outcome(code, result, {"rows": rows}))
+    return 130 if len(rows) < len(jobs) else code
+
+
+def _processes(jobs: Sequence[tuple[str, ...]]) -> int:
+    """``n_jobs`` of the first job; the usual -1 is one process for each processor."""
+    for text in reversed(jobs[0]):
+        if text.startswith("n_jobs="):
+            try:
+                return int(text.partition("=")[2]) or -1
+            except ValueError as error:
+                raise ConfigError(text, "n_jobs=NUMBER of processes, -1 for all") from error
+    return -1
+
+
+def _write_json(result: dict[str, Any], target: str | None) -> None:
+    if target is None:
+        return
+    from pathlib import Path
+
+    from spiral.storage import to_json, write_whole
+
+    text = to_json(result) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+        sys.stdout.flush()
+        return
+    try:
+        write_whole(Path(target).expanduser(), text)
+    except OSError as error:
+        raise ConfigError(
+            f"--json {target}: {error.strerror or error}", "a file that can be written"
+        ) from error
+
+
+def _told(error: SpiralError, target: str | None) -> int:
+    """One message on standard error, the same in JSON where it is asked for."""
+    print(f"spiral: bad input\n{error}", file=sys.stderr)
+    if target is not None:
+        try:
+            _write_json({"error": error.as_dict()}, target)
+        except SpiralError as other:
+            print(other, file=sys.stderr)
+    return BAD_INPUT
+
+
+if __name__ == "__main__":
+    entry()

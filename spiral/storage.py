@@ -1,0 +1,256 @@
+"""Saved runs: ``OUT/ID/run.json``, written whole or not at all, and taken up again.
+
+A saved run holds the composed configuration, the model (plugin names, fields, values, errors), the
+hashes of its data, the plugins' versions, and the result as the JSON contract writes it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import secrets
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from spiral.errors import ConfigError, InputError, did_you_mean
+from spiral.fields import plain
+
+if TYPE_CHECKING:
+    from spiral.model import Model
+    from spiral.record import Record
+    from spiral.registry import Registry
+    from spiral.run import Run
+
+FORMAT = 1
+FILE = "run.json"
+LATEST = "latest"
+
+
+@dataclass(frozen=True)
+class SavedRun:
+    """A run as it lies on disk."""
+
+    run_id: str
+    file: Path
+    data: Mapping[str, Any]
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration it was started with."""
+        return dict(self.data["config"])
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """The result as the JSON contract writes it."""
+        return dict(self.data["result"])
+
+    def model(self, registry: Registry) -> Model:
+        """Its final model, built again from plugins.
+
+        Raises
+        ------
+        ConfigError : a plugin it used is not known here.
+        """
+        from spiral.model import Model
+
+        saved = self.data["model"]
+        fields = {k: v for k, v in saved["system"].items() if k != "name"}
+        system = registry.make("system", saved["system"]["name"], fields)
+        effects = tuple(
+            registry.effect_from_label(e["name"], {k: v for k, v in e.items() if k != "name"})
+            for e in saved["effects"]
+        )
+        return Model(
+            system,
+            effects,
+            values=_numbers(saved["values"]),
+            freed=tuple(saved["freed"]),
+            fixed=tuple(saved["fixed"]),
+            errors=_numbers(saved["errors"]),
+        )
+
+    def as_config(self) -> dict[str, Any]:
+        """A configuration whose model is this run's final one.
+
+        Its effects become ``seed`` (those with fields of their own ``effect``), so that further
+        effects come on top; its values become first values.
+        """
+        saved = self.data["model"]
+        config = self.config
+        own = {_label(e): _own_fields(e) for e in saved["effects"]}
+        config["seed"] = [label for label, fields in own.items() if not fields]
+        config["effect"] = {label: fields for label, fields in own.items() if fields}
+        config["without"] = []
+        config["values"] = _numbers(saved["values"])
+        config["free"], config["fixed"] = list(saved["freed"]), list(saved["fixed"])
+        config["run"] = self.run_id
+        return config
+
+
+def new_run_id(now: datetime | None = None) -> str:
+    """Sorts by time, and ends in a few random characters: ``20250131-142501-3fa9c2``."""
+    moment = now or datetime.now(UTC)
+    return f"{moment:%Y%m%d-%H%M%S}-{moment.microsecond // 1000:03d}{secrets.token_hex(2)}"
+
+
+def save_run(
+    run: Run,
+    config: Mapping[str, Any],
+    records: Mapping[str, Sequence[Record]],
+    registry: Registry,
+    folder: str | os.PathLike[str],
+    verb: str = "discover",
+) -> Run:
+    """Write a run and return it with its id.
+
+    Raises
+    ------
+    InputError : the folder cannot be written.
+    """
+    named = replace(run, run_id=run.run_id or new_run_id())
+    content = {
+        "format": FORMAT,
+        "run_id": named.run_id,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "verb": verb,
+        "config": dict(config),
+        "plugins": registry.versions(),
+        "data": {k: [_data(r) for r in group] for k, group in records.items()},
+        "model": model_data(named.model),
+        "result": named.as_dict(),
+    }
+    target = Path(folder).expanduser() / named.run_id / FILE
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(target, to_json(content))
+    except OSError as error:
+        raise InputError(
+            f"folder of runs {str(folder)!r}: {error.strerror}",
+            "a folder that can be written",
+            "out=FOLDER, or free some space",
+        ) from error
+    return named
+
+
+def model_data(model: Model) -> dict[str, Any]:
+    """Enough to build a model again: plugin names, fields, values, errors."""
+    return {
+        "system": plain(model.system),
+        "effects": [plain(e) for e in model.effects],
+        "values": dict(model.values),
+        "errors": dict(model.errors),
+        "freed": list(model.freed),
+        "fixed": list(model.fixed),
+    }
+
+
+def load_run(name: str, folder: str | os.PathLike[str]) -> SavedRun:
+    """A saved run by ``latest``, its id, or the start of its id.
+
+    Raises
+    ------
+    ConfigError : no such run, or several that start so.
+    InputError : a file that is not a saved run.
+    """
+    known = run_ids(folder)
+    if not known:
+        raise ConfigError(f"run={name}", f"a saved run in {str(folder)!r}", "run discover first")
+    found = [known[-1]] if name == LATEST else [i for i in known if i == name]
+    found = found or [i for i in known if i.startswith(name)]
+    if len(found) > 1:
+        raise ConfigError(
+            f"run={name}, which {len(found)} runs start with",
+            "one run",
+            f"type more of it: {', '.join(found[:4])}",
+        )
+    if not found:
+        raise ConfigError(
+            f"run={name}",
+            f"latest, or one of the {len(known)} runs in {str(folder)!r}",
+            did_you_mean(name, known) if len(known) < 6 else f"the last is {known[-1]}",
+        )
+    return read_run(Path(folder).expanduser() / found[0] / FILE)
+
+
+def read_run(file: Path) -> SavedRun:
+    """A saved run from its file."""
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        if data["format"] > FORMAT:
+            raise InputError(
+                f"{file}: format {data['format']}", f"at most {FORMAT}", "update this program"
+            )
+        return SavedRun(data["run_id"], file, data)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{file}: {error}", "a run saved by this program") from error
+
+
+def run_ids(folder: str | os.PathLike[str]) -> list[str]:
+    """Ids of the saved runs, oldest first."""
+    place = Path(folder).expanduser()
+    if not place.is_dir():
+        return []
+    return sorted(p.name for p in place.iterdir() if (p / FILE).is_file())
+
+
+def to_json(value: Any) -> str:
+    """JSON in which NaN and infinity are ``null``."""
+    return json.dumps(finite(value), indent=1, allow_nan=False, ensure_ascii=False)
+
+
+def finite(value: Any) -> Any:
+    """Plain data with ``None`` for NaN and infinity; NumPy's numbers and arrays as Python's."""
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [finite(v) for v in value]
+    if hasattr(value, "tolist"):
+        return finite(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return plain(value) if hasattr(value, "plugin_name") else str(value)
+
+
+def write_whole(file: Path, text: str) -> None:
+    """Write to a temporary name beside the file, then move into place."""
+    handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as out:
+            out.write(text)
+            out.flush()
+            os.fsync(out.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, file)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _data(record: Record) -> dict[str, Any]:
+    return {
+        "name": record.name,
+        "samples": record.samples,
+        "rate": 1.0 / record.dt,
+        "sha256": record.sha256,
+        "notes": list(record.notes),
+    }
+
+
+def _label(effect: Mapping[str, Any]) -> str:
+    return effect["name"] + (f"@{effect['port']}" if effect.get("port") else "")
+
+
+def _own_fields(effect: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields beyond its place."""
+    return {k: v for k, v in effect.items() if k not in ("name", "port", "variant")}
+
+
+def _numbers(values: Mapping[str, float | None]) -> dict[str, float]:
+    return {k: float(v) for k, v in values.items() if v is not None}

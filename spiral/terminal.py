@@ -1,0 +1,413 @@
+"""What a person sees: tables and sentences on standard output, progress on standard error."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from spiral.run import Comparison, Diagnosis, Round, Run, Suggestion
+    from spiral.verbs import Outcome, Request
+
+Tell = Callable[[str], None]
+
+_WIDE, _MEDIUM = 110, 88
+
+
+@contextmanager
+def progress() -> Iterator[Tell]:
+    """A line on standard error that says what is being done; lines of a log off a terminal."""
+    console = Console(stderr=True, highlight=False)
+    if not console.is_terminal:
+        yield lambda message: console.print(message, style="dim", soft_wrap=True, markup=False)
+        return
+    with console.status("starting") as status:
+
+        def tell(message: str) -> None:
+            if message.startswith("round "):
+                console.print(message, markup=False)
+            else:
+                status.update(escape(message))
+
+        yield tell
+
+
+def round_line(found: Round, tell: Tell) -> None:
+    """One line about a round that has just ended."""
+    c = found.comparison
+    what = "+ " + ", ".join(found.admitted) if found.admitted else "the seed"
+    tell(
+        f"round {found.number}: {what}: test error {percent(c.test_error)}, "
+        f"chi2/dof {number(c.chi2_per_dof)}, {found.seconds:.1f} s"
+    )
+
+
+def show(verb: str, outcome: Outcome) -> None:
+    """Print an outcome on standard output."""
+    console = Console(highlight=False)
+    {
+        "discover": _discover,
+        "compare": _compare,
+        "diagnose": _diagnose,
+        "add": _add,
+        "simulate": _simulate,
+        "plugins": _plugins,
+        "multirun": _multirun,
+    }[verb](console, outcome)
+
+
+def percent(value: float | None) -> str:
+    """A share as people read it: ``1.99 %``."""
+    return "-" if not _finite(value) else f"{100 * float(value):.3g} %"  # type: ignore[arg-type]
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A few significant digits, ``-`` where there is no number."""
+    return "-" if not _finite(value) else f"{float(value):.{digits}g}"  # type: ignore[arg-type]
+
+
+def probability(value: float | None) -> str:
+    """A p-value: ``0.32``, ``2e-09``, ``< 1e-99``."""
+    if not _finite(value):
+        return "-"
+    p = float(value)  # type: ignore[arg-type]
+    if p < 1e-99:
+        return "< 1e-99"
+    return f"{p:.2f}" if p >= 0.01 else f"{p:.0e}"
+
+
+def plus_minus(value: float | None, se: float | None) -> str:
+    """An estimate with its standard error to the digits that it supports."""
+    if not _finite(value):
+        return "-"
+    size = float(value)  # type: ignore[arg-type]
+    if not _finite(se) or not se:
+        return f"{size:.5g}"
+    error = float(se)
+    power = _power(max(abs(size), error))
+    scale = 10.0**power if abs(power) >= 5 or power <= -3 else 1.0
+    places = max(0, 1 - _power(error / scale))
+    text = f"{size / scale:.{places}f} ± {error / scale:.{places}f}"
+    return text if scale == 1.0 else f"({text})e{power}"
+
+
+def _power(value: float) -> int:
+    return math.floor(math.log10(abs(value))) if value else 0
+
+
+def _finite(value: Any) -> bool:
+    return value is not None and math.isfinite(float(value))
+
+
+def _heading(console: Console, text: str) -> None:
+    console.print()
+    console.print(Text(text, style="bold"))
+
+
+def _table(*columns: str, right: Sequence[str] = ()) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    for name in columns:
+        justify = "right" if name in right else "left"
+        table.add_column(name, justify=justify, no_wrap=name in right, overflow="fold")
+    return table
+
+
+def _discover(console: Console, outcome: Outcome) -> None:
+    run: Run = outcome.parts["run"]
+    _about(console, outcome)
+    _heading(console, "Rounds")
+    console.print(_rounds(run, console.width))
+    _model(console, run)
+    _heading(console, "Verdict")
+    console.print(Text(_sentence(run)))
+    if run.advice:
+        console.print(Text(run.advice))
+    _next(console, _after_discover(run, outcome.parts["config"]))
+
+
+def _about(console: Console, outcome: Outcome) -> None:
+    problem = outcome.parts["problem"]
+    for kind, records in (("fit", problem.records), ("test", problem.test)):
+        for record in records:
+            length = record.samples * record.dt
+            console.print(
+                Text(f"{kind:<5}{record.name}: {record.samples} samples, {length:.4g} s", "dim")
+            )
+            for note in record.notes:
+                console.print(Text(f"     note: {note}", style="yellow"))
+
+
+def _rounds(run: Run, width: int) -> Table:
+    columns = ["round", "added", "fit error", "test error", "chi2/dof"]
+    if width >= _MEDIUM:
+        columns += ["whiteness p", "s"]
+    if width >= _WIDE:
+        columns[4:4] = ["noise floor"]
+        columns[-2:-2] = ["horizon"]
+    table = _table(*columns, right=[c for c in columns if c != "added"])
+    for item in run.rounds:
+        c = item.comparison
+        cells = {
+            "round": str(item.number),
+            "added": _added(item),
+            "fit error": percent(c.fit_error),
+            "test error": percent(c.test_error),
+            "noise floor": percent(c.noise_floor),
+            "chi2/dof": number(c.chi2_per_dof),
+            "horizon": str(c.horizon),
+            "whiteness p": probability(c.whiteness_p),
+            "s": f"{item.seconds:.1f}",
+        }
+        table.add_row(*(cells[name] for name in columns))
+    if width < _WIDE and run.rounds:
+        table.caption = f"noise floor {percent(run.final.noise_floor)}"
+        table.caption_justify = "left"
+    return table
+
+
+def _added(item: Round) -> Text:
+    text = Text()
+    if not item.admitted:
+        text.append("the seed" if item.number == 0 else "nothing")
+    for index, label in enumerate(item.admitted):
+        text.append("\n" if index else "")
+        text.append(label, style="bold green")
+        text.append(" (second order)" if item.second_order else "", style="dim")
+        text.append(f"\n{item.meaning}" if item.meaning and index == 0 else "", style="dim")
+        aliases = item.aliases.get(label, ())
+        if aliases:
+            text.append(f"\ncannot be told from: {', '.join(aliases)}", style="yellow")
+    for label, reason in item.rejected.items():
+        text.append(f"\nrefused {label}: {reason}", style="dim")
+    return text
+
+
+def _model(console: Console, run: Run) -> None:
+    from spiral.export import equation
+
+    _heading(console, "Model")
+    console.print(Text(equation(run.model)), soft_wrap=True)
+    console.print()
+    console.print(_parameters(run.model))
+
+
+def _parameters(model: Any) -> Table:
+    table = _table(
+        "effect", "parameter", "estimate ± se", "t", "unit", right=["estimate ± se", "t"]
+    )
+    for owner, parameters in model.estimates().items():
+        for index, (name, found) in enumerate(parameters.items()):
+            value = plus_minus(found.estimate, found.se)
+            t = number(found.t, 3) if found.t is not None else "given"
+            table.add_row(owner if index == 0 else "", name, value, t, found.unit)
+    return table
+
+
+_STOPPED = {
+    "whiteness": "Nothing more is missing: no candidate passes, and what is left is white.",
+    "no_candidate": "Something is still missing that no known effect explains: "
+    "no candidate passes, yet what is left is not white.",
+    "not_identifiable": "This record cannot tell the model's effects apart; nothing is claimed.",
+    "diverged": "The fit diverged; nothing is claimed.",
+    "max_rounds": "Stopped at settings.max_rounds; more may be missing.",
+}
+
+
+def _sentence(run: Run) -> str:
+    found = [label for r in run.rounds for label in r.admitted]
+    text = _STOPPED[run.stopped]
+    if not found:
+        return text.replace("Nothing more", "Nothing")
+    first, last = run.rounds[0].comparison, run.final
+    return (
+        f"Missing were {', '.join(found)}: test error {percent(first.test_error)} -> "
+        f"{percent(last.test_error)} (noise floor {percent(last.noise_floor)}). {text}"
+    )
+
+
+def _after_discover(run: Run, config: dict[str, Any]) -> list[tuple[str, str]]:
+    out = f" out={config['out']}" if config["out"] != "runs" else ""
+    given = f"run={run.run_id}{out}"
+    found = [label for r in run.rounds for label in r.admitted]
+    commands = [
+        (f"spiral diagnose {given}", "what is left, and what comes closest to explaining it")
+    ]
+    if found:
+        without = f"spiral compare {given} 'without=[{found[-1]}]'"
+        commands.append((without, f"what {found[-1]} is worth"))
+    commands.append((f"spiral compare {given}", "the final model against the test record"))
+    return commands
+
+
+def _next(console: Console, commands: Sequence[tuple[str, str]]) -> None:
+    _heading(console, "Next")
+    for command, meaning in commands:
+        console.print(Text(f"  {command}", style="cyan"), soft_wrap=True)
+        console.print(Text(f"      {meaning}", style="dim"))
+
+
+def command(verb: str, request: Request, names: Sequence[str] = ()) -> str:
+    """A command line with the overrides of a request, quoted for a shell."""
+    words = [*names, *request.overrides]
+    if request.plugins:
+        words += ["--plugins", request.plugins]
+    return " ".join(["spiral", verb, *(shlex.quote(w) for w in words)])
+
+
+def _errors(comparisons: dict[str, Comparison]) -> Table:
+    """One column for each comparison."""
+    table = _table("", *comparisons, right=list(comparisons))
+    rows: dict[str, Callable[[Comparison], str]] = {
+        "fit error": lambda c: percent(c.fit_error),
+        "test error": lambda c: percent(c.test_error),
+        "noise floor": lambda c: percent(c.noise_floor),
+    }
+    for name in next(iter(comparisons.values())).channels:
+        rows[f"test rmse {name}"] = lambda c, n=name: number(c.channels[n].rmse)
+    rows["chi2/dof"] = lambda c: number(c.chi2_per_dof)
+    rows["whiteness p"] = lambda c: probability(c.whiteness_p)
+    rows["horizon"] = lambda c: f"{c.horizon} samples"
+    for label, cell in rows.items():
+        table.add_row(label, *(cell(c) for c in comparisons.values()))
+    return table
+
+
+def _warn_unconverged(console: Console, outcome: Outcome) -> None:
+    error = outcome.result.get("error")
+    if error:
+        console.print()
+        for word in ("given", "expected", "try"):
+            console.print(Text(f"{word + ':':<10}{error[word]}", style="yellow"))
+
+
+def _compare(console: Console, outcome: Outcome) -> None:
+    comparison: Comparison = outcome.parts["comparison"]
+    _about(console, outcome)
+    _heading(console, "Comparison")
+    console.print(_errors({"model": comparison}))
+    console.print()
+    console.print(_parameters(comparison.model))
+    _warn_unconverged(console, outcome)
+    request = outcome.parts["request"]
+    _next(
+        console,
+        [
+            (command("diagnose", request), "where it fails, and what may be missing"),
+            (command("discover", request), "find and add what is missing"),
+        ],
+    )
+
+
+def _add(console: Console, outcome: Outcome) -> None:
+    parts = outcome.parts
+    names = ", ".join(parts["request"].names)
+    _about(console, outcome)
+    _heading(console, f"Before and after adding {names}")
+    console.print(_errors({"before": parts["before"], "after": parts["after"]}))
+    _model(console, parts["run"])
+    _warn_unconverged(console, outcome)
+    run, config = parts["run"], parts["config"]
+    out = f" out={config['out']}" if config["out"] != "runs" else ""
+    _next(
+        console,
+        [
+            (f"spiral diagnose run={run.run_id}{out}", "what is still missing"),
+            (f"spiral add EFFECT run={run.run_id}{out}", "add another effect to this model"),
+        ],
+    )
+
+
+_VERDICTS = {
+    "effect_missing": "An effect is missing.",
+    "nothing_missing": "Nothing is missing: no candidate passes and what is left is white.",
+    "not_identifiable": "This record cannot tell the effects of the model apart.",
+    "unknown_structure": "Something is missing that no known effect explains.",
+}
+
+
+def _diagnose(console: Console, outcome: Outcome) -> None:
+    diagnosis: Diagnosis = outcome.parts["diagnosis"]
+    _about(console, outcome)
+    _heading(console, _VERDICTS[diagnosis.verdict])
+    if diagnosis.where.sentence:
+        console.print(Text(diagnosis.where.sentence))
+    if diagnosis.suggestions:
+        _heading(console, "What may be missing, best first")
+        console.print(_suggestions(diagnosis.suggestions))
+    if diagnosis.advice:
+        console.print()
+        console.print(Text(diagnosis.advice))
+    request = outcome.parts["request"]
+    if diagnosis.suggestions and diagnosis.verdict == "effect_missing":
+        best = diagnosis.suggestions[0].effect
+        _next(console, [(command("add", request, [best]), f"add {best}, before and after")])
+
+
+def _suggestions(found: Sequence[Suggestion]) -> Table:
+    table = _table("", "effect", "explains", "p", right=["", "explains", "p"])
+    for rank, item in enumerate(found, 1):
+        text = Text(item.effect, style="bold green" if rank == 1 else "bold")
+        text.append(f"\n{item.meaning}", style="dim not bold")
+        if item.aliases:
+            words = f"\ncannot be told from: {', '.join(item.aliases)}"
+            text.append(words, style="yellow not bold")
+        table.add_row(str(rank), text, percent(item.explains), probability(item.p_value))
+    return table
+
+
+def _simulate(console: Console, outcome: Outcome) -> None:
+    for written in outcome.parts["written"]:
+        units = ", ".join(f"{k} in {u or '1'}" for k, u in written.units.items())
+        console.print(Text(f"{written.file}: {written.rows} rows; {units}"), soft_wrap=True)
+    back = " ".join(["spiral discover", *(shlex.quote(w) for w in outcome.result["read_back"])])
+    _next(console, [(back, "read it back and find what its model is made of")])
+
+
+def _plugins(console: Console, outcome: Outcome) -> None:
+    entries = outcome.parts["entries"]
+    for kind in dict.fromkeys(e.kind for e in entries):
+        _heading(console, f"{kind}" + (" (record=, test=)" if kind == "source" else ""))
+        table = _table("name", "meaning", "from")
+        for entry in (e for e in entries if e.kind == kind):
+            origin = entry.origin if entry.origin == "local" else f"{entry.origin} {entry.version}"
+            table.add_row(Text(entry.name, style="bold"), Text(entry.plugin.meaning()), origin)
+        console.print(table)
+    for failure in outcome.parts["failures"]:
+        console.print(Text(f"not usable: {failure.name} in {failure.file}", style="bold red"))
+        console.print(Padding(Text(failure.message), (0, 0, 0, 4)))
+
+
+def _multirun(console: Console, outcome: Outcome) -> None:
+    rows = outcome.parts["rows"]
+    _heading(console, "Runs")
+    table = _table("overrides", "outcome", "test error", "exit", right=["test error", "exit"])
+    for row in rows:
+        what, error = _summary(row.result)
+        table.add_row(Text(" ".join(row.overrides)), Text(what), percent(error), str(row.exit))
+    console.print(table)
+
+
+def _summary(result: dict[str, Any]) -> tuple[str, float | None]:
+    """What a job of a sweep came to, and its last test error."""
+    rounds = result.get("rounds")
+    if rounds:
+        found = [label for r in rounds for label in r["admitted"]]
+        return ", ".join(found) or result["verdict"], rounds[-1]["test_error"]
+    if "after" in result:
+        return "added", result["after"]["test_error"]
+    if "suggestions" in result:
+        best = result["suggestions"][0]["effect"] if result["suggestions"] else ""
+        return f"{result['verdict']} {best}".strip(), result["comparison"]["test_error"]
+    if "test_error" in result:
+        return "compared", result["test_error"]
+    return result.get("error", {}).get("given", ""), None

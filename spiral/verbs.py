@@ -1,0 +1,292 @@
+"""What each verb of the command line does: a request in, an outcome out, nothing printed.
+
+The same functions serve the terminal, ``--json`` and the workers of a sweep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from spiral.errors import ConfigError, SpiralError, did_you_mean
+
+if TYPE_CHECKING:
+    from spiral.config import Config
+    from spiral.problem import Problem
+    from spiral.registry import Registry
+    from spiral.run import Comparison, Round, Run
+
+OK, BAD_INPUT, REFUSED = 0, 2, 3
+
+OnRound = Callable[["Round"], None]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked: a verb, names (effects, kinds), overrides, and where plugins lie."""
+
+    verb: str
+    names: tuple[str, ...] = ()
+    overrides: tuple[str, ...] = ()
+    plugins: str | None = None
+    out: str | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of it.
+
+    ``result`` is the JSON contract's; ``parts`` are the objects that the terminal draws, by name.
+    """
+
+    exit: int
+    result: dict[str, Any]
+    parts: dict[str, Any] = field(default_factory=dict)
+
+
+Tell = Callable[[str], None]
+
+
+def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Outcome:
+    """Carry out one request.
+
+    Raises
+    ------
+    SpiralError : bad input; the caller makes it exit 2.
+    """
+    from spiral.registry import load_registry
+
+    registry = load_registry(request.plugins)
+    if request.verb == "plugins":
+        return list_plugins(request, registry)
+    config = configured(request, registry)
+    steps = {"discover": _discover, "compare": _compare, "diagnose": _diagnose, "add": _add}
+    if request.verb == "simulate":
+        return _simulate(request, config, registry)
+    if request.names and request.verb != "add":
+        raise ConfigError(
+            f"{request.verb} {' '.join(request.names)}",
+            f"{request.verb} with overrides KEY=VALUE",
+            f"spiral add {request.names[0]}, or effect=[{request.names[0]}]",
+        )
+    tell("reading the records")
+    return steps[request.verb](Study(request, config, registry, tell, on_round))
+
+
+def in_worker(
+    verb: str, names: tuple[str, ...], overrides: tuple[str, ...], plugins: str | None
+) -> tuple[int, dict[str, Any]]:
+    """A request as a job of a sweep: exit code and result."""
+    try:
+        outcome = perform(Request(verb, names, overrides, plugins), lambda message: None)
+    except SpiralError as error:
+        return BAD_INPUT, {"error": error.as_dict()}
+    return outcome.exit, outcome.result
+
+
+def configured(request: Request, registry: Registry) -> Config:
+    """The composed configuration, on top of a saved run where ``run=`` names one."""
+    from spiral.config import compose
+    from spiral.overrides import parse
+    from spiral.storage import load_run
+
+    given = {".".join(i.path): i.value for i in parse(request.overrides)}
+    if not given.get("run"):
+        return compose(request.overrides, registry)
+    saved = load_run(str(given["run"]), str(given.get("out") or "runs"))
+    base = saved.as_config()
+    if request.verb == "simulate":
+        base = _as_truth(base, registry)
+    kept = tuple(o for o in request.overrides if not o.startswith("run="))
+    return {**compose(kept, registry, base), "run": saved.run_id}
+
+
+@dataclass(frozen=True)
+class Study:
+    """A request with its composed configuration; the problem is built when a verb asks."""
+
+    request: Request
+    config: Config
+    registry: Registry
+    tell: Tell
+    on_round: OnRound | None
+
+    def problem(self) -> Problem:
+        """Records loaded, test kept apart."""
+        from spiral.config import build_problem
+
+        return build_problem(self.config, self.registry)
+
+    def saved(self, run: Run, problem: Problem) -> Run:
+        """The run with its id, written to the folder of runs."""
+        from spiral.storage import save_run
+
+        data = {"records": problem.records, "test": problem.test}
+        verb = self.request.verb
+        return save_run(run, self.config, data, self.registry, self.config["out"], verb)
+
+    def parts(self, problem: Problem, **more: Any) -> dict[str, Any]:
+        """What the terminal needs besides the result."""
+        return {"problem": problem, "request": self.request, "config": self.config, **more}
+
+
+def _discover(study: Study) -> Outcome:
+    from spiral.discover import discover
+
+    problem = study.problem()
+    run = study.saved(discover(problem, study.tell, study.on_round), problem)
+    result = run.as_dict()
+    refused = run.stopped in ("not_identifiable", "diverged")
+    if refused:
+        result["error"] = _refusal(run.stopped, run.advice)
+    return Outcome(REFUSED if refused else OK, result, study.parts(problem, run=run))
+
+
+def _compare(study: Study) -> Outcome:
+    from spiral.compare import compare
+
+    problem = study.problem()
+    comparison = compare(problem, study.tell)
+    result = comparison.as_dict()
+    if not comparison.converged:
+        result["error"] = _not_converged(comparison)
+    code = OK if comparison.converged else REFUSED
+    return Outcome(code, result, study.parts(problem, comparison=comparison))
+
+
+def _diagnose(study: Study) -> Outcome:
+    from spiral.diagnose import diagnose
+
+    problem = study.problem()
+    diagnosis = diagnose(problem, study.tell)
+    result = diagnosis.as_dict()
+    refused = diagnosis.verdict == "not_identifiable"
+    if refused:
+        result["error"] = _refusal(diagnosis.verdict, diagnosis.advice)
+    return Outcome(REFUSED if refused else OK, result, study.parts(problem, diagnosis=diagnosis))
+
+
+def _add(study: Study) -> Outcome:
+    from spiral.discover import add
+    from spiral.run import estimates_dict
+
+    if not study.request.names:
+        raise ConfigError("add without an effect", "spiral add EFFECT...", "spiral plugins effect")
+    problem = study.problem()
+    effects = tuple(study.registry.effect_from_label(n) for n in study.request.names)
+    for effect in effects:
+        if effect.label in problem.model.labels:
+            raise ConfigError(
+                f"add {effect.label}, which the model has",
+                f"an effect it has not; it has {', '.join(problem.model.labels)}",
+                f"at another port: {effect.plugin_name()}@PORT",
+            )
+    before, after, run = add(problem, effects, study.tell)
+    run = study.saved(run, problem)
+    result = {
+        "before": before.as_dict(),
+        "after": after.as_dict(),
+        "model": estimates_dict(run.model),
+        "run_id": run.run_id,
+    }
+    if not after.converged:
+        result["error"] = _not_converged(after)
+    parts = study.parts(problem, before=before, after=after, run=run)
+    return Outcome(OK if after.converged else REFUSED, result, parts)
+
+
+def _refusal(verdict: str, advice: str) -> dict[str, str]:
+    given = {
+        "not_identifiable": "a record in which the model's effects look alike",
+        "diverged": "a model whose motion runs away from the record",
+    }[verdict]
+    expected = {
+        "not_identifiable": "excitation that tells them apart",
+        "diverged": "a model near enough to follow the record",
+    }[verdict]
+    return {"given": given, "expected": expected, "try": advice}
+
+
+def _not_converged(comparison: Comparison) -> dict[str, str]:
+    return {
+        "given": f"a fit that does not converge on windows of {comparison.horizon} samples",
+        "expected": "a model near enough to follow the record",
+        "try": "spiral diagnose with the same overrides, or first values: values='{NAME: VALUE}'",
+    }
+
+
+def _as_truth(base: Config, registry: Registry) -> Config:
+    """A saved run's model as what ``record=simulation`` integrates."""
+    from spiral.fields import defaults_of
+
+    fields = defaults_of(registry.entry("source", "simulation").plugin)
+    seeded = [e.label for e in registry.make("system", base["system"]["name"]).seed]
+    labels = [*base["seed"], *base["effect"]]
+    record = {
+        "name": "simulation",
+        **fields,
+        "effects": [
+            {"name": label, **base["effect"].get(label, {})}
+            for label in labels
+            if label not in seeded
+        ],
+        "without": [label for label in seeded if label not in labels],
+        "values": dict(base["values"]),
+    }
+    return {**base, "record": record, "test": {"name": None, "settle": None}}
+
+
+def _simulate(request: Request, config: Config, registry: Registry) -> Outcome:
+    from spiral.config import build_sources, build_system
+    from spiral.tables import write_record
+
+    if not request.out:
+        raise ConfigError("simulate without a file to write", "--out FILE.csv or FILE.parquet")
+    system = build_system(config, registry)
+    source, _ = build_sources({**config, "test": {"name": None}}, registry)
+    records = source.load(system)
+    written = [
+        write_record(record, system, request.out, i if len(records) > 1 else None)
+        for i, record in enumerate(records)
+    ]
+    result = {"files": [w.as_dict() for w in written], "read_back": list(written[0].read_back)}
+    return Outcome(OK, result, {"written": written, "records": records, "request": request})
+
+
+def list_plugins(request: Request, registry: Registry) -> Outcome:
+    """Every plugin, or those of the kinds and names asked for."""
+    known = {*registry.kinds, *(e.name for e in registry.entries)}
+    for name in request.names:
+        if name not in known:
+            raise ConfigError(
+                f"plugin or kind {name!r}",
+                f"a kind ({', '.join(registry.kinds)}) or a plugin's name",
+                did_you_mean(name, known),
+            )
+    asked = set(request.names)
+    entries = [e for e in registry.entries if not asked or {e.kind, e.name} & asked]
+    result = {
+        "plugins": [_described(e) for e in entries],
+        "failures": [
+            {"name": f.name, "file": f.file, "message": f.message} for f in registry.failures
+        ],
+    }
+    return Outcome(OK, result, {"entries": entries, "failures": registry.failures})
+
+
+def _described(entry: Any) -> dict[str, Any]:
+    from spiral.fields import defaults_of
+
+    fields = {k: v for k, v in defaults_of(entry.plugin).items() if k != "variant"}
+    parameters = getattr(entry.plugin, "parameters", ())
+    return {
+        "kind": entry.kind,
+        "name": entry.name,
+        "meaning": entry.plugin.meaning(),
+        "fields": fields,
+        "parameters": {p.name: p.unit for p in parameters} if isinstance(parameters, tuple) else {},
+        "origin": entry.origin,
+        "version": entry.version,
+        "file": entry.file,
+    }
