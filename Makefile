@@ -1,0 +1,100 @@
+# The commands of the project; `make help` lists them.
+
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+.DELETE_ON_ERROR:
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+WORKERS ?= 2
+# Two workers, each with its own compiled threads: the linear algebra stays serial beside them.
+TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+# Held back so that later extras (mlflow 3.17) fit into the same lock.
+HELD_BACK := 'pyarrow<26' 'python-dateutil<3'
+
+# Measured data sets beside the checkout, where there are any.
+ifndef SPIRAL_DATA
+ifneq ($(wildcard ../shared/data/.),)
+export SPIRAL_DATA := $(abspath ../shared/data)
+endif
+endif
+
+# The first Python that runs, is 3.11 or newer and can make environments; 3.11 itself if present.
+FIND_PYTHON = for python in python3.11 python3 /usr/bin/python3.11 /usr/bin/python3; do \
+	if "$$python" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' \
+		>/dev/null 2>&1; then echo "$$python"; exit; fi; done; \
+	echo 'needed: Python 3.11 or newer with venv (Debian: apt install python3.11-venv)' >&2; exit 1
+
+.PHONY: help setup demo test test-slow bench lint format lock clean
+
+help: ## List these commands
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+setup: $(VENV)/.installed ## Make .venv with the locked versions and install the package
+
+# ensurepip writes pip last, so its presence means a complete environment.
+$(BIN)/pip:
+	@python="$$($(FIND_PYTHON))" && echo "setup: .venv from $$("$$python" -V)" \
+		&& "$$python" -m venv $(VENV)
+
+$(VENV)/.locked: requirements.lock | $(BIN)/pip
+	@echo "setup: $$(grep -c == $<) locked packages (a minute or so the first time)"
+	@$(PIP) install --requirement $<
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.locked pyproject.toml setup.py
+	@echo "setup: the package itself"
+	@PYTHONWARNINGS='ignore:Editable installation' $(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+demo: setup ## Find what the rotor's model is missing, on the embedded record
+	@$(BIN)/spiral discover experiment=rotor_coastdown
+
+# Compiled once here, so that the workers find the cache instead of compiling side by side.
+.PHONY: warm
+warm: setup
+	@echo "test: compiled kernels"
+	@$(BIN)/python -c 'import spiral.shooting.kernel'
+
+test: warm ## Run the tests (without the slow ones)
+	@echo "test: pytest with $(WORKERS) workers, slow tests left out"
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) --dist loadfile $(PYTEST)
+
+test-slow: warm ## Run the slow statistical tests
+	@echo "test: pytest with $(WORKERS) workers, slow tests only"
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist worksteal $(PYTEST)
+
+bench: warm ## Measure speed (benchmarks/)
+	@echo "bench: benchmarks/, one at a time"
+	@$(BIN)/python -m pytest -q -s -p no:xdist benchmarks $(PYTEST)
+
+# All four run even where an earlier one fails; the last line says which did.
+lint: setup ## Check format, rules, types and layers
+	@failed=; \
+	check() { echo "lint: $$1"; shift; "$$@" || failed="$$failed $$(basename $$1)"; }; \
+	check 'format (ruff format)' $(BIN)/ruff format --quiet --check .; \
+	check 'rules (ruff check)' $(BIN)/ruff check --quiet --output-format concise .; \
+	check 'types (pyright)' $(BIN)/pyright; \
+	check 'layers (lint-imports)' $(BIN)/lint-imports --no-logo; \
+	if [ -n "$$failed" ]; then echo "lint: failed:$$failed" >&2; exit 1; fi; echo 'lint: clean'
+
+format: setup ## Format the code and apply the safe fixes
+	@$(BIN)/ruff check --quiet --fix-only .
+	@$(BIN)/ruff format --quiet .
+
+lock: ## Resolve every version anew into requirements.lock
+	@python="$$($(FIND_PYTHON))"; folder="$$(mktemp -d)"; trap 'rm -rf "$$folder"' EXIT; \
+	echo 'lock: resolving in a fresh environment'; \
+	"$$python" -m venv "$$folder"; pip="$$folder/bin/python -m pip --quiet --disable-pip-version-check"; \
+	$$pip install --upgrade pip; \
+	"$$folder/bin/python" -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; print(*p["dependencies"], *p["optional-dependencies"]["dev"], sep="\n")' > "$$folder/wanted"; \
+	$$pip install --upgrade --requirement "$$folder/wanted" $(HELD_BACK); \
+	{ head -1 requirements.lock; "$$folder/bin/python" -m pip freeze --all; } > "$$folder/lock"; \
+	mv "$$folder/lock" requirements.lock; echo "lock: $$(grep -c == requirements.lock) versions"
+
+clean: ## Remove the environment, caches and build folders
+	@rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
