@@ -109,15 +109,18 @@ def _longest_that_agrees(
 
 
 def _leaders(evidence: Evidence, settings: Settings, round_number: int) -> list[str]:
+    """The significant ones of the top three that come near the first (half its gain)."""
+    top = evidence.ranked[:3]
     return [
         r.variant.original.label
-        for r in evidence.ranked[:3]
+        for r in top
         if _significant(r, evidence, settings, round_number)
+        and r.score.gain >= _RIVAL_SHARE * top[0].score.gain
     ]
 
 
 def _agree(before: Evidence, after: Evidence, settings: Settings, round_number: int) -> bool:
-    """Whether longer windows keep the first suggestion and lose none of the top three.
+    """Whether longer windows keep the first suggestion and lose none of its near rivals.
 
     Where nothing was significant before, longer windows may speak alone.
     """

@@ -30,7 +30,7 @@ class Score:
     """Evidence for one group of columns.
 
     ``step`` the Gauss-Newton step; ``gain`` in sigma^2; ``explains`` the share of the residual
-    energy in excess of noise; ``log_p`` natural logarithms of the p-values; ``alias`` the largest
+    energy; ``log_p`` natural logarithms of the p-values; ``alias`` the largest
     cosine between the group's signatures and the active ones.
     """
 
@@ -108,9 +108,8 @@ def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -
     rest = max(table.rest - gain, 1e-300)
     statistic = (gain / q) / (rest / dof)
     wald, wald_log_p = _wald(table, kept, step)
-    excess = max(table.rest - table.dof, 1e-12)
     return Score(
-        columns, full, gain, float(min(gain / excess, 1.0)) if gain > 0 else 0.0, statistic,
+        columns, full, gain, gain / max(table.rest, 1e-300), statistic,
         float(stats.f.logsf(statistic, q, dof)) + halved, wald, wald_log_p + halved,
         float(np.sqrt(gain / max(table.samples, 1))), alias,
     )  # fmt: skip

@@ -1,0 +1,93 @@
+"""Diagnose: compare, say where the model fails, and rank what is missing; changes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from spiral.assembly import Assembly
+from spiral.compare import judged, last_stage, prepared, test_run
+from spiral.evidence import Standing, admit, all_samples, half_masks
+from spiral.identifiability import entangled
+from spiral.problem import Problem, Progress, silent
+from spiral.run import Diagnosis, Round, Stopped, Suggestion
+from spiral.suggest import Proposal, propose
+from spiral.verdict import advice_for, seed_verdict
+from spiral.where import where
+
+_TRIED = 3  # suggestions whose test error is worked out
+
+
+def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
+    """The verdict on the model as it is, with ranked suggestions.
+
+    The candidates are scored on one half of the blocks and judged on the other, as in a round of
+    ``discover``; the comparison is of the model fitted to all samples.
+    """
+    progress("compiling the model and all candidates")
+    assembly, standing = prepared(problem)
+    tangle = entangled(assembly, standing)
+    progress("fitting the model as it is")
+    stage = last_stage(assembly, standing, all_samples(assembly))
+    standing = replace(standing, values=stage.fitted.point.values)
+    comparison = judged(assembly, standing, stage, progress)
+    first = Round(0, (), {}, {}, (), comparison, 0.0)
+    if tangle is not None:
+        advice = advice_for("not_identifiable", "not_identifiable", [first], tangle.groups)
+        groups = tuple(Suggestion(g[0], "", g[1:], 1.0, 0.0, 1.0, 0.0) for g in tangle.groups)
+        return Diagnosis(
+            "not_identifiable", comparison, groups, where(assembly, stage), advice, stage.length
+        )
+    proposal = propose(assembly, standing, half_masks(assembly), 1, progress)
+    return _diagnosis(assembly, standing, comparison, proposal, first, progress)
+
+
+def _diagnosis(
+    assembly: Assembly, standing: Standing, comparison, proposal: Proposal, first: Round, progress
+) -> Diagnosis:
+    level = assembly.problem.settings.whiteness_level
+    stopped: Stopped = "diverged" if proposal.diverged else "no_candidate"
+    rounds = [first] if proposal.admitted is None else [first, first]
+    verdict = seed_verdict(rounds, stopped, level)
+    evidence = proposal.evidence
+    suggestions = _with_test_errors(assembly, standing, comparison.test_error, proposal, progress)
+    if verdict == "nothing_missing":
+        suggestions = ()
+    shown = evidence.stage if evidence is not None else proposal.stages[-1]
+    advice = advice_for(verdict, stopped, [first], ())
+    if verdict == "effect_missing":
+        best = suggestions[0]
+        alike = f" (or {', '.join(best.aliases)}: this record cannot tell)" if best.aliases else ""
+        advice = f"Add {best.effect}{alike}: {best.meaning}"
+    return Diagnosis(
+        verdict, comparison, suggestions, where(assembly, shown), advice, shown.length
+    )
+
+
+def _with_test_errors(
+    assembly: Assembly, standing: Standing, before: float, proposal: Proposal, progress: Progress
+) -> tuple[Suggestion, ...]:
+    """Work out the test error of the best suggestions, each admitted alone."""
+    if proposal.evidence is None:
+        return proposal.suggestions
+    found = []
+    by_label = {r.variant.original.label: r for r in proposal.evidence.ranked}
+    for number, suggestion in enumerate(proposal.suggestions):
+        if number >= _TRIED or suggestion.wald_p_value > 0.01:
+            found.append(suggestion)
+            continue
+        progress(f"trying {suggestion.effect} on the test record")
+        if number == 0 and proposal.admitted is not None:
+            wider = proposal.admitted.standing
+        else:
+            chosen = by_label[suggestion.effect]
+            wider = admit(assembly, standing, proposal.evidence.stage, chosen).standing
+        stage = last_stage(assembly, wider, all_samples(assembly))
+        run = test_run(assembly, wider.labels, stage.fitted.point.values)
+        after = None
+        if run is not None:
+            names = assembly.problem.model.system.observed
+            after = float(np.mean([e.relative for e in run.errors(names).values()]))
+        found.append(replace(suggestion, test_error_before=before, test_error_after=after))
+    return tuple(found)
