@@ -288,12 +288,12 @@ def _apply(config: Config, item: Assignment, registry: Registry) -> None:
     if item.path == ("effect",):
         config["effect"] = _effect_fields(None if item.delete else item.value, registry)
         return
-    if first == "test" and item.path[1] != "settle" and not config["test"]["name"]:
+    if first == "test" and item.path[1:] != ("settle",) and not config["test"]["name"]:
         config["test"] = {"settle": None, **_test_like_record(config, registry, config["test"])}
     if item.path[-1] == "name" and first in GROUPS:
         raise ConfigError(f"{item.text!r}", f"{first}=NAME", f"{first}={item.value}")
     if first == "effect" and len(item.path) == 2 and item.delete:
-        config["effect"].pop(item.path[1], None)
+        config["effect"].pop(item.path[-1], None)
         return
     set_value(config, item, _open_keys(config, registry))
 

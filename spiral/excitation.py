@@ -39,7 +39,7 @@ def excite(name: str, description: Any, time: Array, unit: str, rng: np.random.G
     """
     if isinstance(description, int | float) and not isinstance(description, bool):
         description = {"constant": description}
-    form = _form(name, description)
+    form, description = _form(name, description)
     scale = factor(str(description["unit"]), unit, name) if description.get("unit") else 1.0
     size = _numbers(name, form, description[form], 2 if form == "sweep" else 1)
     duration = (time[1] - time[0]) * len(time)
@@ -54,7 +54,7 @@ def excite(name: str, description: Any, time: Array, unit: str, rng: np.random.G
     return scale * size[0] * _random(form, len(time), duration, low, high, rng)
 
 
-def _form(name: str, description: Any) -> str:
+def _form(name: str, description: Any) -> tuple[str, Mapping[str, Any]]:
     if not isinstance(description, Mapping):
         raise ConfigError(
             f"input {name!r} described as {description!r}", f"for instance {_EXAMPLE}"
@@ -74,7 +74,7 @@ def _form(name: str, description: Any) -> str:
             f"one of {', '.join(FORMS)}",
             f"for instance {_EXAMPLE}",
         )
-    return forms[0]
+    return forms[0], description
 
 
 def _numbers(name: str, key: str, value: Any, count: int) -> list[float]:

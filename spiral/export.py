@@ -56,7 +56,7 @@ def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
             seen = _with_values(one, model)
             if name in one.states:
                 own = seen.rate[seen.states.index(name)]
-                before = base.rate[base.states.index(name)] if name in bare.states else 0
+                before = base.rate[base.states.index(name)] if name in bare.states else sp.Integer(0)
                 terms.append(Term(label, _difference(own, before)))
         found.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0)))
     return (*found, *_readings(model, whole)), whole
@@ -125,7 +125,7 @@ def _symbol(name: str) -> sp.Symbol:
     return sp.Symbol(name, real=True)
 
 
-def _difference(value: sp.Expr, before: sp.Expr) -> sp.Expr:
+def _difference(value: sp.Expr, before: sp.Expr) -> Any:
     """value - before; multiplied out only where that is shorter."""
     left = value - before
     expanded = sp.expand(left) if before != 0 else left
@@ -160,7 +160,7 @@ def _latex_name(name: str) -> str:
     return words.get(name, name if len(name) == 1 else rf"\mathrm{{{text}}}")
 
 
-def _named(value: sp.Expr, name: Any) -> sp.Expr:
+def _named(value: Any, name: Any) -> Any:
     """Symbols renamed and numbers rounded, for a printer."""
     swap: dict[Any, Any] = {s: sp.Symbol(name(s.name)) for s in value.free_symbols}
     swap.update({f: sp.Float(f"{float(f):.{_DIGITS}g}", _DIGITS) for f in value.atoms(sp.Float)})
@@ -187,7 +187,7 @@ class _Unicode(StrPrinter):
 
     def _print_Mul(self, expr: sp.Mul) -> str:
         sign = "-" if expr.could_extract_minus_sign() else ""
-        value = -expr if sign else expr
+        value: Any = -expr if sign else expr
         top, bottom = value.as_numer_denom()
         text = self._product(top)
         if bottom == 1:
@@ -208,18 +208,20 @@ class _Unicode(StrPrinter):
         return f"|{self._print(expr.args[0])}|"
 
     def _print_Piecewise(self, expr: sp.Piecewise) -> str:
-        (first, condition), *others = expr.args
+        pairs: Any = expr.args
+        (first, condition), *others = pairs
         last = others[-1][0] if others else sp.Integer(0)
         if last == 0 and _is_positive_part(first, condition):
             return f"max({self._print(first)}, 0)"
         return f"[{self._print(first)} where {self._print(condition)}, else {self._print(last)}]"
 
 
-def _is_positive_part(value: sp.Expr, condition: Any) -> bool:
+def _is_positive_part(value: Any, condition: Any) -> bool:
     """Whether a condition reads value >= 0."""
     if not isinstance(condition, sp.Ge | sp.Gt | sp.Le | sp.Lt):
         return False
-    return sp.expand(value - (condition.gts - condition.lts)) == 0
+    relation: Any = condition
+    return sp.expand(value - (relation.gts - relation.lts)) == 0
 
 
 def _number(value: float) -> str:

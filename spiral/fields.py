@@ -73,7 +73,7 @@ def construct(
     for name, value in given.items():
         if name not in known:
             raise unknown_field(where, str(name), known)
-        values[name] = convert(value, hints[name], f"{where}.{name}", resolve)
+        values[name] = convert(value, hints[name], f"{where}.{name}".lstrip("."), resolve)
     try:
         return cls(**values)
     except SpiralError:

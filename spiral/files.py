@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -100,13 +100,12 @@ class Table:
     def _numbers(self, name: str, values: pd.Series, start: int) -> Array:
         import pandas as pd
 
-        if pd.api.types.is_numeric_dtype(values):
-            numbers = values.to_numpy(dtype=float)
-            bad = np.flatnonzero(~np.isfinite(numbers))
+        if not pd.api.types.is_numeric_dtype(values):
+            parsed: Any = pd.to_numeric(values.astype(str).str.strip(), errors="coerce")
         else:
-            text = values.astype(str).str.strip()
-            numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=float)
-            bad = np.flatnonzero(~np.isfinite(numbers))
+            parsed = values
+        numbers = np.asarray(parsed, dtype=float)
+        bad = np.flatnonzero(~np.isfinite(numbers))
         if not len(bad):
             return numbers
         row = start + int(bad[0])

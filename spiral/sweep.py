@@ -68,7 +68,7 @@ def _results(
 
     yield _one(execute, 0, verb, names, jobs[0], plugins)  # warms the cache of compiled models
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        pool = Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
+        pool = Parallel(n_jobs=n_jobs, return_as="generator_unordered")
         yield from pool(
             delayed(_one)(execute, index, verb, names, job, plugins)
             for index, job in enumerate(jobs)

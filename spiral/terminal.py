@@ -68,7 +68,10 @@ def show(verb: str, outcome: Outcome) -> None:
 
 def percent(value: float | None) -> str:
     """A share as people read it: ``1.99 %``."""
-    return "-" if not _finite(value) else f"{100 * float(value):.3g} %"  # type: ignore[arg-type]
+    if not _finite(value):
+        return "-"
+    share = 100 * float(value)  # type: ignore[arg-type]
+    return f"{share:.0f} %" if abs(share) >= 1000 else f"{share:#.3g} %".replace(". ", " ")
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -129,9 +132,7 @@ def _discover(console: Console, outcome: Outcome) -> None:
     console.print(_rounds(run, console.width))
     _model(console, run)
     _heading(console, "Verdict")
-    console.print(Text(_sentence(run)))
-    if run.advice:
-        console.print(Text(run.advice))
+    console.print(Text(f"{_sentence(run)} {run.advice}".strip()))
     _next(console, _after_discover(run, outcome.parts["config"]))
 
 
@@ -209,29 +210,19 @@ def _parameters(model: Any) -> Table:
         for index, (name, found) in enumerate(parameters.items()):
             value = plus_minus(found.estimate, found.se)
             t = number(found.t, 3) if found.t is not None else "given"
-            table.add_row(owner if index == 0 else "", name, value, t, found.unit)
+            table.add_row(owner if index == 0 else "", name, value, t, found.unit or "1")
     return table
-
-
-_STOPPED = {
-    "whiteness": "Nothing more is missing: no candidate passes, and what is left is white.",
-    "no_candidate": "Something is still missing that no known effect explains: "
-    "no candidate passes, yet what is left is not white.",
-    "not_identifiable": "This record cannot tell the model's effects apart; nothing is claimed.",
-    "diverged": "The fit diverged; nothing is claimed.",
-    "max_rounds": "Stopped at settings.max_rounds; more may be missing.",
-}
 
 
 def _sentence(run: Run) -> str:
     found = [label for r in run.rounds for label in r.admitted]
-    text = _STOPPED[run.stopped]
     if not found:
-        return text.replace("Nothing more", "Nothing")
+        return _VERDICTS[run.verdict] if run.stopped != "diverged" else "The fit diverged."
     first, last = run.rounds[0].comparison, run.final
     return (
-        f"Missing were {', '.join(found)}: test error {percent(first.test_error)} -> "
-        f"{percent(last.test_error)} (noise floor {percent(last.noise_floor)}). {text}"
+        f"Missing {'was' if len(found) == 1 else 'were'} {', '.join(found)}: test error "
+        f"{percent(first.test_error)} -> {percent(last.test_error)} "
+        f"(noise floor {percent(last.noise_floor)})."
     )
 
 
@@ -389,11 +380,19 @@ def _plugins(console: Console, outcome: Outcome) -> None:
 
 def _multirun(console: Console, outcome: Outcome) -> None:
     rows = outcome.parts["rows"]
-    _heading(console, "Runs")
+    if not rows:
+        return
+    common = set.intersection(*(set(row.overrides) for row in rows)) if len(rows) > 1 else set()
+    _heading(console, " ".join(["Runs", *(w for w in rows[0].overrides if w in common)]))
     table = _table("overrides", "outcome", "test error", "exit", right=["test error", "exit"])
     for row in rows:
         what, error = _summary(row.result)
-        table.add_row(Text(" ".join(row.overrides)), Text(what), percent(error), str(row.exit))
+        table.add_row(
+            Text(" ".join(w for w in row.overrides if w not in common)),
+            Text(what),
+            percent(error),
+            str(row.exit),
+        )
     console.print(table)
 
 
