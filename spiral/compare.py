@@ -18,11 +18,13 @@ from spiral.shooting.fit import covariance
 from spiral.shooting.growth import Stage
 from spiral.shooting.sensitivities import residuals
 from spiral.statistics import Whiteness, whiteness
+from spiral.threads import one_blas_thread
 
 _SETTLE = 0.1  # share of a test record that settles its nuisances, where no time is given
 _STEP = 0.3  # largest phase advance per integration step, rad
 
 
+@one_blas_thread
 def compare(problem: Problem, progress: Progress = silent) -> Comparison:
     """Fit the model as it is to all samples, and compare it with the test record."""
     assembly, standing = prepared(problem, ())

@@ -13,12 +13,14 @@ from spiral.identifiability import entangled
 from spiral.problem import Problem, Progress, silent
 from spiral.run import Diagnosis, Round, Stopped, Suggestion
 from spiral.suggest import Proposal, propose
+from spiral.threads import one_blas_thread
 from spiral.verdict import advice_for, seed_verdict
 from spiral.where import where
 
 _TRIED = 3  # suggestions whose test error is worked out
 
 
+@one_blas_thread
 def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
     """The verdict on the model as it is, with ranked suggestions.
 

@@ -14,6 +14,7 @@ from spiral.identifiability import Entanglement, entangled
 from spiral.problem import Problem, Progress, silent
 from spiral.run import Comparison, Round, Run, Stopped, Verdict
 from spiral.suggest import Proposal, propose
+from spiral.threads import one_blas_thread
 from spiral.verdict import advice_for, seed_verdict
 
 OnRound = Callable[[Round], None]
@@ -30,6 +31,7 @@ class _Turn:
     started: float
 
 
+@one_blas_thread
 def discover(problem: Problem, progress: Progress = silent, on_round: OnRound | None = None) -> Run:
     """Find what the model is missing.
 
@@ -134,6 +136,7 @@ def _refusal(assembly: Assembly, standing: Standing, first: Round, tangle: Entan
     )  # fmt: skip
 
 
+@one_blas_thread
 def add(
     problem: Problem, effects: tuple[Effect, ...], progress: Progress = silent
 ) -> tuple[Comparison, Comparison, Run]:

@@ -205,7 +205,7 @@ class Admitted:
 
 
 def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) -> Admitted:
-    """Add a candidate with its Gauss-Newton step, refit, and set its shapes free where that pays."""
+    """Add a candidate, refit, and set its shapes free where that pays."""
     variant = ranked.variant
     values = _stepped(assembly, stage.fitted.point.values, ranked)
     wider = Standing((*standing.labels, variant.label), values, standing.freed)
@@ -221,14 +221,15 @@ def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) 
 
 
 def _stepped(assembly: Assembly, values: Array, ranked: Ranked) -> Array:
-    """Values with the candidate's step; a companion's becomes amplitude and phase origin."""
+    """Where the refit starts: zero amplitude, from which the fit takes the damped joint step.
+
+    A companion's step becomes amplitude and phase origin, which zero amplitude could not tell.
+    """
     variant, study = ranked.variant, assembly.study
+    if variant.companion is None:
+        return values
     keys = tested_keys(assembly, variant)
     new = values.copy()
-    if variant.companion is None:
-        for key, amount in zip(keys, ranked.score.step, strict=False):
-            new[:, study.index(key)] = amount
-        return new
     cosine, sine = ranked.score.step[:2]
     new[:, study.index(keys[0])] = np.hypot(cosine, sine)
     new[:, study.index(ORIGIN)] += np.arctan2(sine, cosine)

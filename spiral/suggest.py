@@ -29,6 +29,7 @@ _RIVALS = 4  # candidates refitted beside the first
 _RIVAL_SHARE = 0.5  # least share of the first one's gain to be a rival
 _LISTED = 5
 _HINT = 0.95
+_NEARLY_RIGHT = 2.0  # chi2 per degree of freedom
 _STAGES = 4  # looks at the data, over which the level is shared
 
 
@@ -122,13 +123,15 @@ def _leaders(evidence: Evidence, settings: Settings, round_number: int) -> list[
 def _agree(before: Evidence, after: Evidence, settings: Settings, round_number: int) -> bool:
     """Whether longer windows keep the first suggestion and lose none of its near rivals.
 
-    Where nothing was significant before, longer windows may speak alone.
+    Where nothing was significant before, or where the model is nearly right on the longer windows
+    (so that they cannot have led it into a wrong basin), the first suggestion alone must stay.
     """
     old = _leaders(before, settings, round_number)
     new = _leaders(after, settings, round_number)
     if not old:
         return True
-    return old[0] in new[:1] and set(old) <= set(new)
+    nearly_right = after.stage.fitted.chi2_per_dof < _NEARLY_RIGHT
+    return old[0] in new[:1] and (nearly_right or set(old) <= set(new))
 
 
 def _significant(

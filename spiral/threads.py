@@ -1,0 +1,27 @@
+"""One thread inside linear algebra: the windows are shared by threads already.
+
+Small decompositions lose by threads of their own (measured: half the processor time saved), and
+results then do not depend on how many threads a machine has.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def one_blas_thread(step: Callable[P, R]) -> Callable[P, R]:
+    """Run a step with BLAS and LAPACK limited to one thread."""
+
+    @functools.wraps(step)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(limits=1, user_api="blas"):
+            return step(*args, **kwargs)
+
+    return limited
