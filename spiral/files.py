@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 DATA_VARIABLE = "SPIRAL_DATA"
-_OTHER_SEPARATORS = {";": "';'", "\t": "tab", "|": "'|'"}
+_OTHER_SEPARATORS = {";": "a semicolon", "\t": "a tab", "|": "a bar"}
 
 
 def find_file(given: str) -> Path:
@@ -157,40 +158,29 @@ def read_table(given: str, separator: str = ",", decimal: str = ".") -> Table:
             return Table(given, pd.read_parquet(path), first_line=0)
         except Exception as error:  # pyarrow raises a family of its own
             raise InputError(f"{given}: {_first(error)}", "a Parquet file") from error
-    _check_text(given, path)
+    _check_text(given, path, separator)
     try:
-        frame = pd.read_csv(
-            path, sep=separator, decimal=decimal, skipinitialspace=True, low_memory=False,
-            skip_blank_lines=False, encoding="utf-8-sig", index_col=False,
-            encoding_errors="replace",
-        )  # fmt: skip
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # cells without a name
+            frame = pd.read_csv(
+                path, sep=separator, decimal=decimal, skipinitialspace=True, low_memory=False,
+                skip_blank_lines=False, encoding="utf-8-sig", index_col=False,
+                encoding_errors="replace",
+            )  # fmt: skip
     except pd.errors.EmptyDataError as error:
         raise InputError(f"{given}: no columns", "a line of names, then numbers") from error
-    except (pd.errors.ParserError, ValueError) as error:
+    except (pd.errors.ParserError, pd.errors.ParserWarning, ValueError, TypeError) as error:
         raise InputError(
-            f"{given}: {_first(error)}",
-            "a table with as many cells in every row",
-            f"check the separator (record.separator={separator!r})",
+            f"{given}: rows with other numbers of cells than the line of names ({_first(error)})",
+            "as many cells in every row",
+            f"check record.separator={separator!r} and record.decimal={decimal!r}",
         ) from error
-    return _checked(given, frame, separator)
-
-
-def _checked(given: str, frame: pd.DataFrame, separator: str) -> Table:
-    table = Table(given, frame)
-    if len(frame.columns) == 1:
-        for other, word in _OTHER_SEPARATORS.items():
-            if other in str(frame.columns[0]):
-                raise InputError(
-                    f"{given}: one column named {frame.columns[0]!r}",
-                    f"columns separated by {separator!r}",
-                    f"the separator looks like {word}: record.separator='{other}'",
-                )
     if not len(frame):
         raise InputError(f"{given}: a line of names and no rows", "rows of numbers")
-    return table
+    return Table(given, frame)
 
 
-def _check_text(given: str, path: Path) -> None:
+def _check_text(given: str, path: Path, separator: str) -> None:
     try:
         with path.open("rb") as file:
             head = file.read(4096)
@@ -201,10 +191,18 @@ def _check_text(given: str, path: Path) -> None:
             f"{given}: an empty file" if not head else f"{given}: only blank lines",
             "a line of names, then rows of numbers",
         )
-    if b"\0" in head or sum(b < 9 for b in head) > 0:
+    if b"\0" in head or any(byte < 9 for byte in head):
         raise InputError(
             f"{given}: a binary file", "a text file with separated columns", "export it as CSV"
         )
+    names = head.decode("utf-8", errors="replace").splitlines()[0]
+    for other, word in _OTHER_SEPARATORS.items():
+        if other in names and separator not in names:
+            raise InputError(
+                f"{given}: one column named {names[:60]!r}",
+                f"columns separated by {separator!r}",
+                f"the separator looks like {word}: record.separator='{other}'",
+            )
 
 
 def _first(error: Exception) -> str:
