@@ -1,9 +1,10 @@
-"""The base of every plugin: a class is abstract or final, and final classes are frozen dataclasses."""
+"""The base of every plugin: classes are abstract or final, and final ones frozen dataclasses."""
 
 from __future__ import annotations
 
 import inspect
 import re
+from abc import ABC
 from dataclasses import dataclass
 from typing import Any, ClassVar, dataclass_transform
 
@@ -14,7 +15,7 @@ def snake_case(name: str) -> str:
 
 
 @dataclass_transform(frozen_default=True)
-class Plugin:
+class Plugin(ABC):  # noqa: B024  (its subclasses, the kinds, have the abstract methods)
     """Something chosen by name in a configuration.
 
     A plugin is a concrete subclass of one of the abstract kinds; its name is the snake_case of
