@@ -105,9 +105,10 @@ def residuals(study: Study, layouts: Layouts, point: Point) -> tuple[Array, ...]
     found = []
     for record, (series, layout) in enumerate(zip(study.series, layouts, strict=True)):
         states, readings = run_windows(study, record, layout, point)
-        miss = series.weight(layout.mask) * (series.y - readings)
-        outside = np.isnan(readings) if np.isfinite(states[layout.starts]).all() else False
-        found.append(np.where(outside, 0.0, miss))
+        weight = series.weight(layout.mask)
+        written = np.isfinite(readings) if np.isfinite(states[layout.starts]).all() else True
+        with np.errstate(invalid="ignore", over="ignore"):
+            found.append(np.where(written & (weight > 0), weight * (series.y - readings), 0.0))
     return tuple(found)
 
 

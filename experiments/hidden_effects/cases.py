@@ -1,0 +1,140 @@
+"""One case for each mechanical and rotor effect: put into the truth, left out of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from spiral.effect import Effect
+from spiral.model import Model
+from spiral.problem import Problem, Settings
+from spiral.record import Record
+from spiral.registry import Registry
+from spiral.simulate import simulate
+from spiral.system import System
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A system, its usual truth, and how it is excited."""
+
+    system: str
+    fields: Mapping[str, str]
+    truth: Mapping[str, float]
+    duration: float
+    rate: float
+    substeps: int
+
+    def inputs(self, time: np.ndarray, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """A run-down from 40 to 0 Hz for a rotor, band-limited noise for an oscillator."""
+        if self.system == "planar_rotor":
+            slope = -2 * np.pi * 40.0 / self.duration
+            first = 2 * np.pi * 40.0
+            return {"speed": first + slope * time, "phase": first * time + slope * time**2 / 2}
+        from scipy.signal import butter, sosfiltfilt
+
+        low = butter(6, 6.0, fs=self.rate, output="sos")
+        return {"force": sosfiltfilt(low, rng.normal(size=len(time))) * 3.0}
+
+
+ROTOR = Scene(
+    "planar_rotor",
+    {},
+    {
+        "linear_stiffness.stiffness_x": 8085.0,
+        "linear_stiffness.stiffness_y": 9672.0,
+        "linear_damping.damping_x": 3.5,
+        "linear_damping.damping_y": 2.1,
+        "unbalance.moment": 1.565e-5,
+    },
+    duration=14.0,
+    rate=1000.0,
+    substeps=2,
+)
+SWING = Scene(
+    "oscillator",
+    {"position_unit": "rad", "force_unit": "N*m"},
+    {
+        "system.mass": 0.02,
+        "linear_stiffness.stiffness": 0.4,
+        "linear_damping.damping": 0.02,
+    },
+    duration=40.0,
+    rate=100.0,
+    substeps=4,
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """An effect hidden in the truth with these values (none: it belongs to the seed)."""
+
+    effect: str
+    values: Mapping[str, float] = field(default_factory=dict)
+    scene: Scene = ROTOR
+
+
+CASES = (
+    Case("linear_stiffness"),
+    Case("linear_damping"),
+    Case("unbalance"),
+    Case("quadratic_stiffness", {"stiffness_x": 1e7, "stiffness_y": 1e7}),
+    Case("cubic_stiffness", {"stiffness": 3e10}),
+    Case("clearance", {"stiffness": 4000.0, "gap": 1.2e-4}),
+    Case("constant_load", {"force_x": 0.3, "force_y": 0.1}),
+    Case("cross_stiffness", {"stiffness": 600.0}),
+    Case("cross_coupled_stiffness", {"stiffness": 100.0}),
+    Case("speed_stiffness", {"coefficient": 0.03}),
+    Case("rub", {"stiffness": 4000.0, "gap": 1.5e-4}),
+    Case("quadratic_damping", {"damping": 150.0}),
+    Case("amplitude_damping", {"damping": 1e8}),
+    Case("coulomb_friction", {"level_x": 0.05, "level_y": 0.05, "width": 5e-4}),
+    Case("cross_damping", {"damping": 0.8}),
+    Case("antisymmetric_damping", {"damping": 1.0}),
+    Case("gyroscopic", {"coefficient": 0.01}),
+    Case("internal_damping", {"damping": 0.6}),
+    Case("shaft_bow", {"cosine": 0.05, "sine": 0.03}),
+    Case("misalignment", {"cosine": 0.05, "sine": 0.03}),
+    Case("crack", {"cosine": 300.0, "sine": 150.0}),
+    Case("gravity_torque", {"torque": 0.5}, SWING),
+)
+
+
+def problem(case: Case, registry: Registry, seed: int = 1, noise: float = 0.02) -> Problem:
+    """The study of one case: record and test from the truth, a model without the effect."""
+    system = registry.make("system", case.scene.system, dict(case.scene.fields))
+    assert isinstance(system, System)
+    truth = _truth(case, system, registry)
+    model = Model(system, tuple(e for e in system.seed if e.label != case.effect))
+    candidates = tuple(e for e in registry.candidates(system) if e.label not in model.labels)
+    return Problem(
+        model,
+        (_record(case.scene, truth, seed, 0.4, noise),),
+        (_record(case.scene, truth, seed + 1000, 1.3, noise),),
+        candidates=candidates,
+        settings=Settings(max_rounds=1),
+    )
+
+
+def _truth(case: Case, system: System, registry: Registry) -> Model:
+    effects: tuple[Effect, ...] = system.seed
+    values = dict(case.scene.truth)
+    if case.effect not in [e.label for e in effects]:
+        effects = (*effects, registry.effect_from_label(case.effect, {}))
+        values.update({f"{case.effect}.{k}": v for k, v in case.values.items()})
+    return Model(system, effects, values)
+
+
+def _record(scene: Scene, truth: Model, seed: int, phase: float, noise: float) -> Record:
+    rng = np.random.default_rng(seed)
+    time = np.arange(int(round(scene.duration * scene.rate)) + 1) / scene.rate
+    if scene.system == "planar_rotor":
+        truth = Model(
+            truth.system, truth.effects, {**truth.values, "system.phase_origin": phase}
+        )
+    return simulate(
+        truth, time, scene.inputs(time, rng), noise, rng, substeps=scene.substeps,
+        name=f"hidden effect, seed {seed}",
+    )  # fmt: skip

@@ -1,0 +1,20 @@
+"""Every mechanical and rotor effect, hidden in the truth and left out of the model."""
+
+import pytest
+
+from experiments.hidden_effects.cases import CASES
+from experiments.hidden_effects.run import outcome
+from tests.scenes import registry
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.effect)
+def test_the_hidden_effect_is_the_first_suggestion_and_adding_it_is_enough(case):
+    found = outcome(case, seed=1, noise=0.02)
+    assert found["hit"]
+    assert found["before"] > 1.5
+    assert found["after"] <= 1.2
+
+
+def test_every_shipped_force_effect_has_a_case():
+    names = {c.effect for c in CASES}
+    assert set(registry().names("effect")) == names

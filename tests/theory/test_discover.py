@@ -1,0 +1,142 @@
+"""The loop on machines whose truth is known."""
+
+from dataclasses import replace
+
+import pytest
+from spiral_plugins.sources.simulation import Simulation
+from spiral_plugins.systems.planar_rotor import PlanarRotor
+from spiral_plugins.systems.tilting_rotor import TiltingRotor
+
+from spiral.compare import compare
+from spiral.diagnose import diagnose
+from spiral.discover import add, discover
+from spiral.model import seed_model
+from tests.scenes import (
+    PROJECTION,
+    SEED_TRUTH,
+    admitted,
+    coastdown_problem,
+    effect,
+    planar_problem,
+    planar_record,
+)
+
+
+@pytest.fixture(scope="module")
+def coastdown():
+    return discover(coastdown_problem(11))
+
+
+def test_the_hidden_tilt_is_named_in_order(coastdown):
+    names = admitted(coastdown)
+    assert names[:3] == ["cross_stiffness", "cubic_stiffness", "gyroscopic"]
+    assert set(names[3:]) <= {"cross_damping", "speed_stiffness"}
+    assert all(r.second_order for r in coastdown.rounds[4:])
+    assert coastdown.verdict == "effect_missing"
+
+
+def test_the_error_falls_to_the_noise(coastdown):
+    errors = [r.comparison.test_error for r in coastdown.rounds]
+    assert errors == sorted(errors, reverse=True)
+    assert coastdown.final.test_error <= 1.1 * coastdown.final.noise_floor
+    assert 0.97 <= coastdown.final.chi2_per_dof <= 1.03
+    assert coastdown.final.horizon == 14000
+
+
+def test_coefficients_agree_with_the_exact_projection(coastdown):
+    table = coastdown.model.estimates()
+    for key, truth in PROJECTION.items():
+        owner, name = key.rsplit(".", 1)
+        found = table[owner][name]
+        share = 0.10 if owner == "gyroscopic" else 0.01  # the projection is of leading order
+        assert found.estimate == pytest.approx(truth, rel=share)
+        assert found.se is not None
+        assert found.se > 0
+
+
+def test_without_the_gyroscopic_effect_the_whole_record_does_not_fit(coastdown):
+    problem = coastdown_problem(11)
+    model = coastdown.model.without("gyroscopic")
+    assert compare(replace(problem, model=model)).chi2_per_dof > 1.1
+
+
+def test_nothing_hidden_is_called_nothing_missing():
+    run = discover(planar_problem(planar_record(5), planar_record(105, phase=1.3)))
+    assert run.verdict == "nothing_missing"
+    assert run.stopped == "whiteness"
+    assert run.final.test_error <= 1.1 * run.final.noise_floor
+    for key, truth in SEED_TRUTH.items():
+        owner, name = key.rsplit(".", 1)
+        found = run.model.estimates()[owner][name]
+        assert abs(found.estimate - truth) < 4.5 * found.se
+
+
+def _constant_speed(settled: bool, seed: int):
+    source = Simulation(
+        system=TiltingRotor(),
+        inputs={"speed": {"constant": 30.0, "unit": "Hz"}},
+        duration=5.0,
+        rate=1000.0,
+        seed=seed,
+        noise_level=0.02,
+        settled=settled,
+    )
+    return source.load(PlanarRotor())[0]
+
+
+def test_constant_speed_in_steady_state_is_refused_with_groups_and_advice():
+    run = discover(planar_problem(_constant_speed(True, 1), _constant_speed(True, 2)))
+    assert run.verdict == run.stopped == "not_identifiable"
+    assert any({"linear_stiffness", "unbalance"} <= set(g) for g in run.alias_groups)
+    assert "weep the speed" in run.advice
+    told = diagnose(planar_problem(_constant_speed(True, 1), _constant_speed(True, 2)))
+    assert told.verdict == "not_identifiable"
+
+
+def test_constant_speed_with_its_start_up_transient_is_judged_by_its_signatures():
+    run = discover(planar_problem(_constant_speed(False, 1), _constant_speed(False, 2)))
+    assert run.verdict == "effect_missing"
+    assert admitted(run)[0] == "cross_stiffness"
+
+
+def test_the_manual_way_leads_to_the_same_place():
+    problem = coastdown_problem(11)
+    told = diagnose(problem)
+    assert told.verdict == "effect_missing"
+    assert told.suggestions[0].effect == "cross_stiffness"
+    assert told.suggestions[0].test_error_after < told.suggestions[0].test_error_before
+    three = tuple(effect(e) for e in ("cross_stiffness", "cubic_stiffness", "gyroscopic"))
+    before, after, run = add(problem, three)
+    assert after.test_error < 0.05 * before.test_error
+    assert after.test_error <= 1.1 * after.noise_floor
+    assert run.model.labels[-3:] == tuple(e.label for e in three)
+
+
+def test_phase_integrated_from_exact_speed_serves_as_well_as_measured_phase():
+    record = planar_record(3, (effect("gyroscopic"),), {"gyroscopic.coefficient": 0.01},
+                           with_phase=False)
+    test = planar_record(103, (effect("gyroscopic"),), {"gyroscopic.coefficient": 0.01},
+                         phase=1.3, with_phase=False)
+    assert record.measured == ("speed",)
+    run = discover(planar_problem(record, test))
+    assert admitted(run) == ["gyroscopic"]
+    assert run.final.test_error <= 1.1 * run.final.noise_floor
+
+
+def test_two_records_share_the_machine_and_keep_their_own_phase():
+    records = tuple(planar_record(s, phase=p, duration=7.0, with_phase=False)
+                    for s, p in ((1, 0.4), (2, 2.0)))
+    one = planar_problem(records[0], planar_record(101, duration=7.0, with_phase=False))
+    both = replace(one, records=records)
+    single, joint = compare(one), compare(both)
+    assert joint.chi2_per_dof == pytest.approx(1.0, abs=0.03)
+    key = ("linear_stiffness", "stiffness_x")
+    se = [c.model.estimates()[key[0]][key[1]].se for c in (single, joint)]
+    assert se[1] == pytest.approx(se[0] / 2**0.5, rel=0.15)
+
+
+def test_a_seed_model_keeps_its_frozen_past():
+    model = seed_model(PlanarRotor())
+    wider = model.add(effect("gyroscopic"))
+    assert "gyroscopic" not in model.labels
+    assert wider.without("gyroscopic").labels == model.labels
