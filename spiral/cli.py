@@ -100,7 +100,7 @@ def parser() -> argparse.ArgumentParser:
         verb.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
         if name == "simulate":
             verb.add_argument("--out", metavar="FILE", help="the table to write: .csv or .parquet")
-        if name != "plugins":
+        if name not in ("plugins", "simulate"):
             verb.add_argument(
                 "-m", "--multirun", action="store_true", help="run once for each swept value"
             )
