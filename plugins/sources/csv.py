@@ -30,6 +30,7 @@ class Csv(Source):
     units : name of a channel or input (or ``time``) -> its unit in the file.
     rows : [start, stop], zero-based data rows, stop excluded.
     noise : channel -> standard deviation in the system's unit, where it is known.
+    offset : name -> what the instrument reads at rest, in the file's unit; it is subtracted.
     separator, decimal : how the file writes columns and fractions.
     """
 
@@ -41,6 +42,7 @@ class Csv(Source):
     units: Mapping[str, str] | None = None
     rows: tuple[int, int] | None = None
     noise: Mapping[str, float] | None = None
+    offset: Mapping[str, float] | None = None
     separator: str = ","
     decimal: str = "."
 
@@ -73,11 +75,13 @@ class Csv(Source):
         known = tuple(i.name for i in system.inputs)
         inputs = self._mapped(table, "inputs", known, required=tuple(driving))
         scale = self._scales(system, (*channels, *inputs))
+        offset = self._offsets((*channels, *inputs))
         name = Path(path).name + (f" rows [{start}, {stop})" if self.rows else "")
 
         def values(columns: Mapping[str, str], option: str) -> dict[str, Array]:
             return {
-                k: scale.get(k, 1.0) * table.column(c, f"record.{option} {k}", start, stop)
+                k: scale.get(k, 1.0)
+                * (table.column(c, f"record.{option} {k}", start, stop) - offset.get(k, 0.0))
                 for k, c in columns.items()
             }
 
@@ -89,6 +93,19 @@ class Csv(Source):
             values(inputs, "inputs"),
             dict(self.noise or {}),
         )
+
+    def _offsets(self, names: tuple[str, ...]) -> dict[str, float]:
+        given = dict(self.offset or {})
+        for name, value in given.items():
+            if name not in names:
+                raise InputError(
+                    f"record.offset names {name!r}",
+                    f"a channel or input of this record: {', '.join(names)}",
+                    did_you_mean(name, names),
+                )
+            if not np.isfinite(value):
+                raise InputError(f"record.offset of {name!r}: {value}", "a finite number")
+        return given
 
     def _range(self, table: Table) -> tuple[int, int]:
         if self.rows is None:
