@@ -75,7 +75,7 @@ bench: warm ## Measure speed (benchmarks/)
 lint: setup ## Check format, rules, types and layers
 	@failed=; \
 	check() { echo "lint: $$1"; shift; "$$@" || failed="$$failed $$(basename $$1)"; }; \
-	check 'format (ruff format)' $(BIN)/ruff format --quiet --check .; \
+	check 'format (ruff format)' $(BIN)/ruff format --check --output-format concise .; \
 	check 'rules (ruff check)' $(BIN)/ruff check --quiet --output-format concise .; \
 	check 'types (pyright)' $(BIN)/pyright; \
 	check 'layers (lint-imports)' $(BIN)/lint-imports --no-logo; \
