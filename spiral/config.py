@@ -224,12 +224,18 @@ def _preset(items: Iterable[Assignment]) -> str | None:
 def _from_hydra(preset: str | None, registry: Registry) -> Config:
     """``config.yaml`` with a preset, as plain data."""
     import hydra
+    from hydra.core.global_hydra import GlobalHydra
     from omegaconf import OmegaConf
 
     register(registry)
     given = [f"experiment={preset}"] if preset else []
-    with hydra.initialize_config_module(PACKAGE, version_base="1.3"):
-        composed = hydra.compose("config", overrides=given)
+    shared = GlobalHydra.instance()
+    outer, shared.hydra = shared.hydra, None  # a Hydra application may be running around us
+    try:
+        with hydra.initialize_config_module(PACKAGE, version_base="1.3"):
+            composed = hydra.compose("config", overrides=given)
+    finally:
+        shared.hydra = outer
     config = OmegaConf.to_container(composed, resolve=True)
     assert isinstance(config, dict)
     return {"experiment": preset, "system": None, "record": None, **config}  # type: ignore[dict-item]

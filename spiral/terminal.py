@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from rich import box
 from rich.console import Console
 from rich.markup import escape
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -46,24 +45,15 @@ def round_line(found: Round, tell: Tell) -> None:
     """One line about a round that has just ended."""
     c = found.comparison
     what = "+ " + ", ".join(found.admitted) if found.admitted else "the seed"
-    tell(
-        f"round {found.number}: {what}: test error {percent(c.test_error)}, "
-        f"chi2/dof {number(c.chi2_per_dof)}, {found.seconds:.1f} s"
-    )
+    errors = f"test error {percent(c.test_error)}, chi2/dof {number(c.chi2_per_dof)}"
+    tell(f"round {found.number}: {what}: {errors}, {found.seconds:.1f} s")
 
 
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
     console = Console(highlight=False)
-    {
-        "discover": _discover,
-        "compare": _compare,
-        "diagnose": _diagnose,
-        "add": _add,
-        "simulate": _simulate,
-        "plugins": _plugins,
-        "multirun": _multirun,
-    }[verb](console, outcome)
+    drawn = (_discover, _compare, _diagnose, _add, _simulate, _plugins, _multirun)
+    {f.__name__.removeprefix("_"): f for f in drawn}[verb](console, outcome)
 
 
 def percent(value: float | None) -> str:
@@ -132,8 +122,8 @@ def _discover(console: Console, outcome: Outcome) -> None:
     console.print(_rounds(run, console.width))
     _model(console, run)
     _heading(console, "Verdict")
-    console.print(Text(f"{_sentence(run)} {run.advice}".strip()))
-    _next(console, _after_discover(run, outcome.parts["config"]))
+    console.print(Text(f"{_sentence(run)} {run.advice}"))
+    _next(console, *_after_discover(run, outcome.parts["config"]))
 
 
 def _about(console: Console, outcome: Outcome) -> None:
@@ -156,8 +146,7 @@ def _rounds(run: Run, width: int) -> Table:
         columns[4:4] = ["noise floor"]
         columns[-2:-2] = ["horizon"]
     table = _table(*columns, right=[c for c in columns if c != "added"])
-    for item in run.rounds:
-        c = item.comparison
+    for item, c in ((r, r.comparison) for r in run.rounds):
         cells = {
             "round": str(item.number),
             "added": _added(item),
@@ -227,8 +216,7 @@ def _sentence(run: Run) -> str:
 
 
 def _after_discover(run: Run, config: dict[str, Any]) -> list[tuple[str, str]]:
-    out = f" out={config['out']}" if config["out"] != "runs" else ""
-    given = f"run={run.run_id}{out}"
+    given = _taken_up(run, config)
     found = [label for r in run.rounds for label in r.admitted]
     commands = [
         (f"spiral diagnose {given}", "what is left, and what comes closest to explaining it")
@@ -240,7 +228,12 @@ def _after_discover(run: Run, config: dict[str, Any]) -> list[tuple[str, str]]:
     return commands
 
 
-def _next(console: Console, commands: Sequence[tuple[str, str]]) -> None:
+def _taken_up(run: Run, config: dict[str, Any]) -> str:
+    """The overrides that start from a saved run."""
+    return f"run={run.run_id}" + (f" out={config['out']}" if config["out"] != "runs" else "")
+
+
+def _next(console: Console, *commands: tuple[str, str]) -> None:
     _heading(console, "Next")
     for command, meaning in commands:
         console.print(Text(f"  {command}", style="cyan"), soft_wrap=True)
@@ -263,8 +256,10 @@ def _errors(comparisons: dict[str, Comparison]) -> Table:
         "test error": lambda c: percent(c.test_error),
         "noise floor": lambda c: percent(c.noise_floor),
     }
-    for name in next(iter(comparisons.values())).channels:
-        rows[f"test rmse {name}"] = lambda c, n=name: number(c.channels[n].rmse)
+    first = next(iter(comparisons.values()))
+    for name in first.channels:
+        unit = first.model.system.unit_of(name)
+        rows[f"test rmse {name} ({unit})"] = lambda c, n=name: number(c.channels[n].rmse)
     rows["chi2/dof"] = lambda c: number(c.chi2_per_dof)
     rows["whiteness p"] = lambda c: probability(c.whiteness_p)
     rows["horizon"] = lambda c: f"{c.horizon} samples"
@@ -290,13 +285,8 @@ def _compare(console: Console, outcome: Outcome) -> None:
     console.print(_parameters(comparison.model))
     _warn_unconverged(console, outcome)
     request = outcome.parts["request"]
-    _next(
-        console,
-        [
-            (command("diagnose", request), "where it fails, and what may be missing"),
-            (command("discover", request), "find and add what is missing"),
-        ],
-    )
+    diagnose = (command("diagnose", request), "where it fails, and what may be missing")
+    _next(console, diagnose, (command("discover", request), "find and add what is missing"))
 
 
 def _add(console: Console, outcome: Outcome) -> None:
@@ -307,15 +297,9 @@ def _add(console: Console, outcome: Outcome) -> None:
     console.print(_errors({"before": parts["before"], "after": parts["after"]}))
     _model(console, parts["run"])
     _warn_unconverged(console, outcome)
-    run, config = parts["run"], parts["config"]
-    out = f" out={config['out']}" if config["out"] != "runs" else ""
-    _next(
-        console,
-        [
-            (f"spiral diagnose run={run.run_id}{out}", "what is still missing"),
-            (f"spiral add EFFECT run={run.run_id}{out}", "add another effect to this model"),
-        ],
-    )
+    given = _taken_up(parts["run"], parts["config"])
+    another = (f"spiral add EFFECT {given}", "add another effect to this model")
+    _next(console, (f"spiral diagnose {given}", "what is still missing"), another)
 
 
 _VERDICTS = {
@@ -341,18 +325,23 @@ def _diagnose(console: Console, outcome: Outcome) -> None:
     request = outcome.parts["request"]
     if diagnosis.suggestions and diagnosis.verdict == "effect_missing":
         best = diagnosis.suggestions[0].effect
-        _next(console, [(command("add", request, [best]), f"add {best}, before and after")])
+        _next(console, (command("add", request, [best]), f"add {best}, before and after"))
 
 
 def _suggestions(found: Sequence[Suggestion]) -> Table:
-    table = _table("", "effect", "explains", "p", right=["", "explains", "p"])
+    columns = ["", "effect", "explains", "p", "test error with it"]
+    if all(item.test_error_after is None for item in found):
+        columns.pop()
+    table = _table(*columns, right=[c for c in columns if c != "effect"])
     for rank, item in enumerate(found, 1):
         text = Text(item.effect, style="bold green" if rank == 1 else "bold")
         text.append(f"\n{item.meaning}", style="dim not bold")
         if item.aliases:
             words = f"\ncannot be told from: {', '.join(item.aliases)}"
             text.append(words, style="yellow not bold")
-        table.add_row(str(rank), text, percent(item.explains), probability(item.p_value))
+        numbers = [percent(item.explains), probability(item.p_value)]
+        numbers += [percent(item.test_error_after)] if len(columns) == 5 else []
+        table.add_row(str(rank), text, *numbers)
     return table
 
 
@@ -361,7 +350,7 @@ def _simulate(console: Console, outcome: Outcome) -> None:
         units = ", ".join(f"{k} in {u or '1'}" for k, u in written.units.items())
         console.print(Text(f"{written.file}: {written.rows} rows; {units}"), soft_wrap=True)
     back = " ".join(["spiral discover", *(shlex.quote(w) for w in outcome.result["read_back"])])
-    _next(console, [(back, "read it back and find what its model is made of")])
+    _next(console, (back, "read it back and find what its model is made of"))
 
 
 def _plugins(console: Console, outcome: Outcome) -> None:
@@ -375,7 +364,7 @@ def _plugins(console: Console, outcome: Outcome) -> None:
         console.print(table)
     for failure in outcome.parts["failures"]:
         console.print(Text(f"not usable: {failure.name} in {failure.file}", style="bold red"))
-        console.print(Padding(Text(failure.message), (0, 0, 0, 4)))
+        console.print(Text(f"    {failure.message}"))
 
 
 def _multirun(console: Console, outcome: Outcome) -> None:
