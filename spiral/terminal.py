@@ -291,9 +291,8 @@ def _compare(console: Console, outcome: Outcome) -> None:
 
 def _add(console: Console, outcome: Outcome) -> None:
     parts = outcome.parts
-    names = ", ".join(parts["request"].names)
     _about(console, outcome)
-    _heading(console, f"Before and after adding {names}")
+    _heading(console, f"Before and after adding {', '.join(parts['request'].names)}")
     console.print(_errors({"before": parts["before"], "after": parts["after"]}))
     _model(console, parts["run"])
     _warn_unconverged(console, outcome)
@@ -368,8 +367,7 @@ def _plugins(console: Console, outcome: Outcome) -> None:
 
 
 def _multirun(console: Console, outcome: Outcome) -> None:
-    rows = outcome.parts["rows"]
-    if not rows:
+    if not (rows := outcome.parts["rows"]):
         return
     common = set.intersection(*(set(row.overrides) for row in rows)) if len(rows) > 1 else set()
     _heading(console, " ".join(["Runs", *(w for w in rows[0].overrides if w in common)]))
