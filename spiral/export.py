@@ -56,7 +56,9 @@ def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
             seen = _with_values(one, model)
             if name in one.states:
                 own = seen.rate[seen.states.index(name)]
-                before = base.rate[base.states.index(name)] if name in bare.states else sp.Integer(0)
+                before = (
+                    base.rate[base.states.index(name)] if name in bare.states else sp.Integer(0)
+                )
                 terms.append(Term(label, _difference(own, before)))
         found.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0)))
     return (*found, *_readings(model, whole)), whole
