@@ -68,8 +68,8 @@ test-slow: warm ## Run the slow statistical tests
 	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist worksteal $(PYTEST)
 
 bench: warm ## Measure speed (benchmarks/)
-	@echo "bench: benchmarks/, one at a time"
-	@$(BIN)/python -m pytest -q -s -p no:xdist benchmarks $(PYTEST)
+	@echo "bench: benchmarks/run.py"
+	@$(BIN)/python benchmarks/run.py
 
 # All four run even where an earlier one fails; the last line says which did.
 lint: setup ## Check format, rules, types and layers

@@ -1,0 +1,57 @@
+"""What the package imports is what it declares, so that a fresh environment holds it."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+OWN = {"spiral", "spiral_plugins", "spiral_conf"}
+# Distributions that come with another one by design: OmegaConf is Hydra's own configuration type.
+BROUGHT_ALONG = {"omegaconf": "hydra-core"}
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _declared() -> set[str]:
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        listed = tomllib.load(file)["project"]["dependencies"]
+    return {_plain(re.split(r"[^\w.-]", item, maxsplit=1)[0]) for item in listed}
+
+
+def _imported() -> dict[str, str]:
+    """Top-level names that the shipped trees import, each with a file that does."""
+    found: dict[str, str] = {}
+    for tree in ("spiral", "plugins", "conf"):
+        for path in sorted((ROOT / tree).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+                if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                    names = [node.module]
+                for name in names:
+                    found.setdefault(name.split(".")[0], path.relative_to(ROOT).as_posix())
+    return {n: f for n, f in found.items() if n not in OWN and n not in sys.stdlib_module_names}
+
+
+def test_every_import_is_declared() -> None:
+    declared = _declared()
+    providers = packages_distributions()
+    undeclared = {
+        f"{name} ({file})"
+        for name, file in _imported().items()
+        if declared.isdisjoint(_plain(d) for d in providers.get(name, [name]))
+        and BROUGHT_ALONG.get(name) not in declared
+    }
+    assert not undeclared, f"add to [project.dependencies], then `make lock`: {sorted(undeclared)}"
+
+
+def test_every_dependency_is_locked() -> None:
+    lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+    locked = {_plain(line.split("==")[0]) for line in lines if "==" in line}
+    assert _declared() <= locked, f"run `make lock`: {sorted(_declared() - locked)}"
