@@ -126,15 +126,17 @@ def commands() -> list[tuple[str, float, str]]:
 
         def run(command: list[str]) -> float:
             clock = time.perf_counter()
-            subprocess.run(
-                [*command], env=environment, cwd=folder, check=True, capture_output=True
-            )
+            subprocess.run([*command], env=environment, cwd=folder, check=True, capture_output=True)
             return time.perf_counter() - clock
 
         return [
             ("demo, nothing cached", run(demo), "<= 60 s"),
             ("demo, warm", float(np.median([run(demo) for _ in range(3)])), "<= 15 s"),
-            ("spiral --help", float(np.median([run([spiral, "--help"]) for _ in range(5)])), "< 1 s"),
+            (
+                "spiral --help",
+                float(np.median([run([spiral, "--help"]) for _ in range(5)])),
+                "< 1 s",
+            ),
         ]
 
 

@@ -130,7 +130,7 @@ def _extremes(model: Model, records: tuple[Record, ...]) -> dict[str, float]:
         jacobian = position.jacobian([getattr(q, c.name) for c in system.coordinates])
         velocity = jacobian * sp.Matrix([getattr(v, c.name) for c in system.coordinates])
         for kind, vector in (("position", position), ("velocity", velocity)):
-            values = sp.lambdify(traced.x, list(vector), "numpy")(*states.T)
+            values = sp.lambdify(traced.x, list(sp.flatten(vector)), "numpy")(*states.T)
             found[f"{port.name}.{kind}"] = max(
                 float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
             )

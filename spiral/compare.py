@@ -76,7 +76,7 @@ def last_stage(
 
 
 def standard_errors(assembly: Assembly, standing: Standing, stage: Stage) -> dict[str, float]:
-    """Standard error of every fitted parameter, noise as declared, inflated where chi2 is above 1."""
+    """Standard error of every fitted parameter, inflated where chi2 per dof is above 1."""
     moving, _ = columns(assembly, standing.keys(assembly))
     if stage.fitted.reduction is None:
         return {}
@@ -94,7 +94,9 @@ def judged(
     """The comparison of a fitted standing: free runs, chi2 and whiteness on all samples."""
     problem, study = assembly.problem, assembly.study
     labels, values = standing.labels, stage.fitted.point.values
-    model = to_model(assembly, labels, values, standard_errors(assembly, standing, stage), standing.freed)
+    model = to_model(
+        assembly, labels, values, standard_errors(assembly, standing, stage), standing.freed
+    )
     progress("free run on the test record")
     full = whole(assembly, labels, values, stage.length)
     left = residuals(study, full.layouts, full.fitted.point)
@@ -102,7 +104,7 @@ def judged(
     records = tuple(0 for _ in problem.records)
     own = run_free(assembly, full, records).errors(names)
     run = test_run(assembly, labels, values)
-    channels = (run.errors(names) if run is not None else own)
+    channels = run.errors(names) if run is not None else own
     dof = full.fitted.samples - full.fitted.nuisances - len(standing.keys(assembly))
     white = _whiteness(left, problem.settings.lags)
     return Comparison(
@@ -142,6 +144,8 @@ def _noise_floor(records: tuple[Record, ...], model: Model, run: FreeRun | None)
     for name in model.system.observed:
         noise = np.mean([r.sigma()[name] ** 2 for r in records])
         first = run.settled if run is not None else (0,) * len(records)
-        spread = np.mean([np.var(r.channels[name][s:]) for r, s in zip(records, first, strict=True)])
+        spread = np.mean(
+            [np.var(r.channels[name][s:]) for r, s in zip(records, first, strict=True)]
+        )
         shares.append(np.sqrt(noise / spread))
     return float(np.mean(shares))

@@ -43,12 +43,12 @@ class Compiled:
 class _Printer(PythonCodePrinter):
     """Plain Python with ``math`` functions, powers of integers as products."""
 
-    def _print_Pow(self, expr: sp.Pow, **kwargs: Any) -> str:
+    def _print_Pow(self, expr: Any, rational: bool = False) -> str:  # noqa: N802
         base, exponent = expr.args
         if exponent.is_Integer and 2 <= int(exponent) <= 4:
             inner = self.parenthesize(base, 1000)
             return "(" + "*".join([inner] * int(exponent)) + ")"
-        return super()._print_Pow(expr, **kwargs)
+        return super()._print_Pow(expr, rational=rational)
 
 
 def cache_folder() -> Path:
@@ -62,9 +62,7 @@ def compile_model(traced: Traced) -> Compiled:
     """Compile, or load from the cache."""
     source = generate(traced)
     module = _load(source)
-    return Compiled(
-        traced, module.rate, module.output, module.rate_value, module.output_value
-    )
+    return Compiled(traced, module.rate, module.output, module.rate_value, module.output_value)
 
 
 def generate(traced: Traced) -> str:
@@ -86,17 +84,17 @@ def generate(traced: Traced) -> str:
     return "\n\n".join([header + rate, output, *values])
 
 
-def _function(
-    name: str, traced: Traced, value: tuple[sp.Expr, ...], by_x: Any, by_p: Any
-) -> str:
+def _function(name: str, traced: Traced, value: tuple[sp.Expr, ...], by_x: Any, by_p: Any) -> str:
     targets: list[tuple[str, sp.Expr]] = [(f"f[{i}]", e) for i, e in enumerate(value)]
     for letter, matrix in (("A", by_x), ("B", by_p)):
         if matrix is None:
             continue
-        for i in range(matrix.rows):
-            for j in range(matrix.cols):
-                if matrix[i, j] != 0:
-                    targets.append((f"{letter}[{i}, {j}]", matrix[i, j]))
+        targets += [
+            (f"{letter}[{i}, {j}]", matrix[i, j])
+            for i in range(matrix.rows)
+            for j in range(matrix.cols)
+            if matrix[i, j] != 0
+        ]
     shared, reduced = sp.cse([e for _, e in targets], sp.numbered_symbols("s"), order="none")
     printer = _Printer({"fully_qualified_modules": True})
     used = set().union(*(e.free_symbols for _, e in targets)) if targets else set()
@@ -119,7 +117,8 @@ def _load(source: str) -> ModuleType:
         return sys.modules[name]
     path = _written(name, source)
     spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # before loading: numba's cache looks the module up by name
     try:

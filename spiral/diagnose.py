@@ -59,12 +59,10 @@ def _diagnosis(
     shown = evidence.stage if evidence is not None else proposal.stages[-1]
     advice = advice_for(verdict, stopped, [first], ())
     if verdict == "effect_missing":
-        best = suggestions[0]
+        best = next(iter(suggestions))
         alike = f" (or {', '.join(best.aliases)}: this record cannot tell)" if best.aliases else ""
         advice = f"Add {best.effect}{alike}: {best.meaning}"
-    return Diagnosis(
-        verdict, comparison, suggestions, where(assembly, shown), advice, shown.length
-    )
+    return Diagnosis(verdict, comparison, suggestions, where(assembly, shown), advice, shown.length)
 
 
 def _with_test_errors(

@@ -157,9 +157,7 @@ def add(
     after = judged(assembly, standing, stage, progress)
     labels = tuple(e.label for e in effects)
     meaning = "; ".join(e.meaning() for e in effects)
-    rounds.append(
-        Round(1, labels, {}, {}, (), after, time.perf_counter() - clock, meaning=meaning)
-    )
+    rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock, meaning=meaning))
     run = Run("effect_missing", "max_rounds", tuple(rounds), after.model, "added by hand")
     return before, after, run
 

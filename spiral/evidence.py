@@ -1,4 +1,4 @@
-"""Evidence from trajectories: fit the standing model on growing windows and score every candidate."""
+"""Evidence from trajectories: fit the model on growing windows, score every candidate."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Standing:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate's best variant with its evidence; ``rank`` falls with worth (BIC, smaller first)."""
+    """A candidate's best variant with its evidence; the smallest ``rank`` (BIC) is best."""
 
     variant: Variant
     columns: tuple[int, ...]
@@ -130,7 +130,7 @@ def grown(
     lengths: list[int] | None = None,
     patient: bool = False,
 ) -> Iterator[Stage]:
-    """Fit the standing model on growing windows (``patient``: go on where a fit does not converge)."""
+    """Fit the standing model on growing windows; ``patient`` as in ``grow``."""
     moving, bounds = columns(assembly, standing.keys(assembly))
     sizes = lengths or stage_lengths(assembly)
     yield from grow(assembly.study, standing.values, moving, bounds, masks, sizes, patient)
@@ -139,7 +139,9 @@ def grown(
 def score_stage(assembly: Assembly, standing: Standing, stage: Stage) -> Evidence:
     """Score all candidates that are not active, in one pass."""
     keys = standing.keys(assembly)
-    present = {assembly.variant(x).original.label for x in standing.labels if _is_variant(assembly, x)}
+    present = {
+        assembly.variant(x).original.label for x in standing.labels if _is_variant(assembly, x)
+    }
     absent = [v for v in assembly.variants if v.original.label not in present]
     groups = [(v, tested_keys(assembly, v)) for v in absent]
     candidate_keys = tuple(k for _, g in groups for k in g)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.assembly import Assembly, columns
-from spiral.evidence import Standing, tested_keys, all_samples, grown
+from spiral.evidence import Standing, all_samples, grown, tested_keys
 from spiral.record import Array
 from spiral.shooting.growth import Stage
 from spiral.shooting.sensitivities import reduce
@@ -55,7 +55,9 @@ def entangled(assembly: Assembly, standing: Standing) -> Entanglement | None:
         if np.any(norms == 0):
             bad, smallest, share = np.eye(len(norms))[norms == 0], 0.0, 1.0
         else:
-            bad, smallest, share = _noisy_directions(assembly, stage, moving, triangle / norms, norms)
+            bad, smallest, share = _noisy_directions(
+                assembly, stage, moving, triangle / norms, norms
+            )
         if not len(bad):
             return None
         owners = [assembly.study.keys[i] for i in moving.index]
@@ -66,7 +68,7 @@ def entangled(assembly: Assembly, standing: Standing) -> Entanglement | None:
 def _noisy_directions(
     assembly: Assembly, stage: Stage, moving: Columns, unit: Array, norms: Array
 ) -> tuple[Array, float, float]:
-    """Singular vectors that noise sustains, the smallest singular value, the largest noise share."""
+    """Singular vectors that noise sustains, smallest singular value, largest noise share."""
     _, singular, right = np.linalg.svd(unit)
     suspects = [i for i, s in enumerate(singular) if s < _COLLINEAR]
     if not suspects:
@@ -81,9 +83,7 @@ def _noisy_directions(
     return np.array(bad), float(singular[-1]), float(np.max(shares))
 
 
-def _redrawn(
-    assembly: Assembly, stage: Stage, moving: Columns, rng: np.random.Generator
-) -> Array:
+def _redrawn(assembly: Assembly, stage: Stage, moving: Columns, rng: np.random.Generator) -> Array:
     """The triangle of signatures, initial states moved by fresh noise of the residual's size."""
     study, point = assembly.study, stage.fitted.point
     misfit = np.sqrt(max(stage.fitted.chi2_per_dof, 1.0))
@@ -106,10 +106,8 @@ def _redrawn(
 def _groups(
     assembly: Assembly, standing: Standing, stage: Stage, bad: Array, owners: list[str]
 ) -> tuple[tuple[str, ...], ...]:
-    """Effects tied together: by the seed's entangled combinations, and candidates that they mimic."""
-    links: list[set[str]] = []
-    for vector in bad:
-        links.append({_owner(owners[i]) for i in np.flatnonzero(np.abs(vector) > 0.1)})
+    """Effects tied together: the model's entangled ones, and candidates that they mimic."""
+    links = [{_owner(owners[i]) for i in np.flatnonzero(np.abs(v) > 0.1)} for v in bad]
     groups = [(v, tested_keys(assembly, v)) for v in assembly.variants]
     keys = tuple(k for _, g in groups for k in g)
     active = columns(assembly, standing.keys(assembly))[0].count

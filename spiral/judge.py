@@ -41,11 +41,12 @@ class FreeRun:
         """Error of each channel over all records, relative to its standard deviation."""
         found = {}
         for j, name in enumerate(names):
-            miss = np.concatenate(
-                [(p - m)[s:, j] for p, m, s in zip(*self._parts(), strict=True)]
-            )
+            miss = np.concatenate([(p - m)[s:, j] for p, m, s in zip(*self._parts(), strict=True)])
             seen = np.concatenate(
-                [m[s:, j] - m[s:, j].mean() for m, s in zip(self.measured, self.settled, strict=True)]
+                [
+                    m[s:, j] - m[s:, j].mean()
+                    for m, s in zip(self.measured, self.settled, strict=True)
+                ]
             )
             with np.errstate(over="ignore", invalid="ignore"):
                 rmse = float(np.sqrt(np.mean(miss**2)))
@@ -124,7 +125,7 @@ def free_run(
     if settle is None:
         settled, heads = (0,) * len(study.series), assembly
     else:
-        settled = tuple(min(int(round(settle / s.dt)), s.samples // 2) for s in study.series)
+        settled = tuple(min(round(settle / s.dt), s.samples // 2) for s in study.series)
         parts = tuple(
             s.record.part(0, max(n, 16), s.record.name)
             for s, n in zip(study.series, settled, strict=True)

@@ -57,7 +57,7 @@ def where(condition: Any, if_true: Any, if_false: Any) -> Any:
         sympy = sys.modules["sympy"]
         return sympy.Piecewise((if_true, condition), (if_false, True))
     if _is_quantity(if_true) and _is_quantity(if_false):
-        if_true + if_false  # raises unless the units agree
+        _ = if_true + if_false  # raises unless the units agree
     if isinstance(condition, bool):
         return if_true if condition else if_false
     import numpy as np
@@ -72,4 +72,6 @@ def length(values: Any) -> Any:
     v_i / |v| is 0 and not 0/0 at rest.
     """
     squares = sum(v * v for v in values)
-    return sqrt(squares + sys.modules["sympy"].Float("1e-200") if _is_symbolic(squares) else squares)
+    return sqrt(
+        squares + sys.modules["sympy"].Float("1e-200") if _is_symbolic(squares) else squares
+    )

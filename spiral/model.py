@@ -133,7 +133,9 @@ class Model:
         table: dict[str, dict[str, Estimate]] = {}
         for key, parameter in self.pairs:
             owner, name = key.rsplit(".", 1)
-            value = float(self.values.get(key, np.nan if parameter.start is None else parameter.start))
+            value = float(
+                self.values.get(key, np.nan if parameter.start is None else parameter.start)
+            )
             found = Estimate(value, self.errors.get(key), self.unit(key))
             table.setdefault(owner, {})[name] = found
         return table

@@ -143,7 +143,7 @@ def estimate_noise(values: Array) -> float:
 
 def split_off_test(record: Record, share: float) -> tuple[Record, Record]:
     """The first part for fitting and the last ``share`` kept apart for the test."""
-    cut = int(round(record.samples * (1.0 - share)))
+    cut = round(record.samples * (1.0 - share))
     return (
         record.part(0, cut, record.name),
         record.part(cut, record.samples, f"{record.name} (last {share:.0%}, kept apart)"),
@@ -170,7 +170,8 @@ def _check_names(system: System, channels: dict[str, Array], inputs: dict[str, A
     for key in inputs:
         if key not in known:
             raise InputError(
-                f"input {key!r}", f"an input of {name!r}: {', '.join(known)}",
+                f"input {key!r}",
+                f"an input of {name!r}: {', '.join(known)}",
                 did_you_mean(key, known),
             )
     for item in system.inputs:
@@ -246,7 +247,9 @@ def _check_noise(noise: dict[str, float], channels: dict[str, Array]) -> dict[st
     for key, value in noise.items():
         if key not in channels:
             raise InputError(
-                f"noise of {key!r}", f"a channel: {', '.join(channels)}", did_you_mean(key, channels)
+                f"noise of {key!r}",
+                f"a channel: {', '.join(channels)}",
+                did_you_mean(key, channels),
             )
         if not (isinstance(value, int | float) and np.isfinite(value) and value > 0):
             raise InputError(f"noise of {key!r}: {value!r}", "a positive standard deviation")

@@ -14,7 +14,7 @@ Stopped = Literal["whiteness", "no_candidate", "not_identifiable", "diverged", "
 
 @dataclass(frozen=True)
 class ChannelError:
-    """Free-run error of one channel: rmse in its unit, and over the channel's standard deviation."""
+    """Free-run error of one channel: rmse in its unit, and over its standard deviation."""
 
     rmse: float
     relative: float
@@ -136,7 +136,7 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Round:
-    """One turn of the loop. Round 0 is the seed; ``rejected`` says what the gates refused and why."""
+    """One turn of the loop; round 0 is the seed. ``rejected``: what the gates refused, and why."""
 
     number: int
     admitted: tuple[str, ...]

@@ -51,9 +51,7 @@ def simulate(
     if noise_level > 0:
         generator = rng if rng is not None else np.random.default_rng(0)
         noise = {c: noise_level * float(np.std(v)) for c, v in channels.items()}
-        channels = {
-            c: v + generator.normal(0.0, noise[c], len(v)) for c, v in channels.items()
-        }
+        channels = {c: v + generator.normal(0.0, noise[c], len(v)) for c, v in channels.items()}
     return make_record(model.system, name, time, channels, inputs, noise, truth)
 
 

@@ -12,14 +12,14 @@ from spiral.record import Array
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Ljung-Box over channels: the smallest p-value, Bonferroni-corrected, and Q/N as effect size."""
+    """Ljung-Box over channels: smallest p-value (Bonferroni), and Q/N as effect size."""
 
     p: float
     effect: float
 
 
 def whiteness(residuals: tuple[Array, ...], lags: int) -> Whiteness:
-    """Ljung-Box Q = N (N + 2) sum_k rho_k^2 / (N - k) of every channel of every record (paper, eq. ljungbox).
+    """Ljung-Box Q = N (N + 2) sum_k rho_k^2 / (N - k) of every channel (paper, eq. ljungbox).
 
     Q/N is about the summed squared autocorrelation: the size of what is left, whatever N.
     """
@@ -68,9 +68,7 @@ def paired_errors(first: tuple[Array, ...], second: tuple[Array, ...], block: in
     if not all(np.isfinite(a).all() for a in first):
         return Paired(np.inf, 1.0, np.inf, 0.0, 0.0)
     counted = [np.any((a != 0) | (b != 0), axis=1) for a, b in zip(first, second, strict=True)]
-    a, b = (
-        [r[c] for r, c in zip(side, counted, strict=True)] for side in (first, second)
-    )
+    a, b = ([r[c] for r, c in zip(side, counted, strict=True)] for side in (first, second))
     d = [x - y for x, y in zip(a, b, strict=True)]
     energy = sum(float(np.sum(x * x)) for x in d)
     if energy < 1e-12:
@@ -94,5 +92,5 @@ def _block_sums(values: Array, block: int) -> Array:
 
 
 def spent(level: float, round_number: int) -> float:
-    """The share of a study's level that a round (from 1) may spend: 6 / (pi r)^2, summing to one."""
+    """What a round (from 1) may spend of a study's level: 6 / (pi r)^2, summing to one."""
     return level * 6.0 / (np.pi * round_number) ** 2

@@ -134,9 +134,7 @@ def _agree(before: Evidence, after: Evidence, settings: Settings, round_number: 
     return old[0] in new[:1] and (nearly_right or set(old) <= set(new))
 
 
-def _significant(
-    ranked: Ranked, evidence: Evidence, settings: Settings, round_number: int
-) -> bool:
+def _significant(ranked: Ranked, evidence: Evidence, settings: Settings, round_number: int) -> bool:
     """Classical and robust p-values below the candidate's share of the round's level."""
     tests = sum(r.tests for r in evidence.ranked) * _STAGES
     level = np.log(spent(settings.level, round_number) / tests)
@@ -152,7 +150,7 @@ def _contest(
     mask: Masks,
     rejected: Mapping[str, str],
 ) -> tuple[Admitted, tuple[str, ...]]:
-    """Refit the candidate and its rivals; the best on held-out data wins, equals are its aliases."""
+    """Refit candidate and rivals; the best on held-out data wins, its equals are aliases."""
     gain = ranked.score.gain
     rivals = [
         r
@@ -169,7 +167,8 @@ def _contest(
     aliases = tuple(
         refits[i].variant.original.label
         for i in range(len(refits))
-        if i != winner and _alike(assembly, paired_errors(errors[winner], errors[i], evidence.block))
+        if i != winner
+        and _alike(assembly, paired_errors(errors[winner], errors[i], evidence.block))
     )
     return refits[winner], aliases
 
@@ -190,8 +189,8 @@ def _refused(
     fitted = first.stage.fitted
     if not np.isfinite(fitted.cost):
         return "the refitted model diverges"
-    fall = evidence.stage.fitted.cost - fitted.cost
-    size = float(np.sqrt(max(fall, 0.0) / fitted.samples))
+    gain = max(evidence.stage.fitted.cost - fitted.cost, 0.0)
+    size = float(np.sqrt(gain / fitted.samples))
     if size < settings.smallest:
         return (
             f"significant, but too small to matter: it changes the prediction by {size:.3f} noise "
@@ -201,7 +200,8 @@ def _refused(
     after = held_out(assembly, first.standing.labels, first.stage, mask)[1]
     paired = paired_errors(before, after, evidence.block)
     if paired.p_fall >= settings.level:
-        return f"rolled back: no significant fall of the error on held-out blocks (p = {paired.p_fall:.2g})"
+        fall = "no significant fall of the error on held-out blocks"
+        return f"rolled back: {fall} (p = {paired.p_fall:.2g})"
     return ""
 
 

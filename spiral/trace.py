@@ -71,9 +71,7 @@ class _Placed:
     jacobian: sp.Matrix | None
 
 
-def model_keys(
-    system: System, effects: tuple[Effect, ...]
-) -> tuple[tuple[str, Parameter], ...]:
+def model_keys(system: System, effects: tuple[Effect, ...]) -> tuple[tuple[str, Parameter], ...]:
     """Full names and parameters of a model: the system's first, then each effect's."""
     pairs = list(expand("system", system.parameters, ()))
     for effect in effects:
@@ -92,7 +90,7 @@ def check_effect(system: System, effect: Effect) -> Port:
         )
     have = [i.name for i in system.inputs]
     for name in effect.inputs:
-        if name not in have and not name.removesuffix("_rate") in have:
+        if name not in have and name.removesuffix("_rate") not in have:
             raise ConfigError(
                 f"effect {effect.label!r} with system {system.plugin_name()!r}",
                 f"a system with the input {name!r}; this one has: {', '.join(have)}",
@@ -119,24 +117,15 @@ def trace(
     """
     shifts = phase_shift or (0.0,) * len(effects)
     pairs = model_keys(system, effects)
-    keys = tuple(k for k, _ in pairs)
-    symbols = {k: sp.Symbol(f"p{i}", real=True) for i, k in enumerate(keys)}
-    own = [
-        (f"{effect.label}.{state.name}{suffix}")
-        for effect in effects
-        for state in effect.states
-        for suffix in _suffixes(state.per_axis, system.port(effect.port))
-    ]
-    names = (*(s.name for s in system.states), *own)
+    symbols = {k: sp.Symbol(f"p{i}", real=True) for i, (k, _) in enumerate(pairs)}
+    names = (*(s.name for s in system.states), *_own_states(system, effects))
     states = {n: sp.Symbol(f"x{i}", real=True) for i, n in enumerate(names)}
-    input_names = input_columns(system)
-    inputs = {n: sp.Symbol(f"u{i}", real=True) for i, n in enumerate(input_names)}
+    inputs = {n: sp.Symbol(f"u{i}", real=True) for i, n in enumerate(input_columns(system))}
     x = SimpleNamespace(**{s.name: states[s.name] for s in system.states})
     u = SimpleNamespace(**inputs)
     p = SimpleNamespace(**{q.name: symbols[f"system.{q.name}"] for q in system.parameters})
     placed = [_place(system, effect, x, p, states, symbols) for effect in effects]
     seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
-
     injected = _inject(system, placed, seen, x)
     rates = system.rate(x, u, p, injected)
     for item, view in zip(placed, seen, strict=True):
@@ -146,8 +135,8 @@ def trace(
     return Traced(
         states=names,
         channels=system.observed,
-        inputs=input_names,
-        keys=keys,
+        inputs=tuple(inputs),
+        keys=tuple(symbols),
         parameters=tuple(q for _, q in pairs),
         x=tuple(states.values()),
         u=tuple(inputs.values()),
@@ -156,6 +145,16 @@ def trace(
         output=tuple(output),
         acceleration=acceleration,
         balance=balance,
+    )
+
+
+def _own_states(system: System, effects: tuple[Effect, ...]) -> tuple[str, ...]:
+    """Names of the states that effects bring, ``label.state`` with ``_axis`` where per axis."""
+    return tuple(
+        f"{effect.label}.{state.name}{suffix}"
+        for effect in effects
+        for state in effect.states
+        for suffix in _suffixes(state.per_axis, system.port(effect.port))
     )
 
 
@@ -287,7 +286,5 @@ def _balance(
     inertia = sp.Matrix(system.mass(q, p)) * sp.Matrix(a)
     own = system.force(q, v, u, p)
     names = [c.name for c in system.coordinates]
-    balance = tuple(
-        sp.expand(inertia[i] - own[i] - injected[names[i]]) for i in range(count)
-    )
+    balance = tuple(sp.expand(inertia[i] - own[i] - injected[names[i]]) for i in range(count))
     return a, balance

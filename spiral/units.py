@@ -65,7 +65,8 @@ def factor(given: str, wanted: str, what: str) -> float:
         return float(registry().Quantity(1.0, given.replace("^", "**")).to(wanted).magnitude)
     except pint.UndefinedUnitError as error:
         raise InputError(
-            f"unit {given!r} of {what}", f"a unit of {wanted!r}",
+            f"unit {given!r} of {what}",
+            f"a unit of {wanted!r}",
             "write it as in 'um', 'mm/s', 'rpm', 'Hz', 'V'",
         ) from error
     except (pint.DimensionalityError, pint.OffsetUnitCalculusError) as error:

@@ -1,4 +1,4 @@
-"""Where a model fails: which channel, time, speed, frequency, order and amplitude hold the residual."""
+"""Where a model fails: the channel, times, speeds, frequencies and amplitudes it shows in."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ def where(assembly: Assembly, stage: Stage) -> Where:
     left = residuals(assembly.study, stage.layouts, stage.fitted.point)
     names = assembly.problem.model.system.observed
     energy = np.array([sum(float(np.sum(r[:, j] ** 2)) for r in left) for j in range(len(names))])
-    counted = np.array([sum(int(np.count_nonzero(r[:, j])) for r in left) for j in range(len(names))])
+    counted = np.array(
+        [sum(int(np.count_nonzero(r[:, j])) for r in left) for j in range(len(names))]
+    )
     worst = int(np.argmax(energy / np.maximum(counted, 1)))
     if energy[worst] / max(counted[worst], 1) < 1.1:
         return Where(names[worst], "The residual is at the level of the noise everywhere.")
@@ -34,7 +36,7 @@ def where(assembly: Assembly, stage: Stage) -> Where:
     time = _range(rec.time, excess)
     speed = _range(rec.inputs["speed"], excess) if "speed" in rec.inputs else None
     amplitude = _range(_envelope(series.y), excess)
-    frequency = _frequency(left[record], rec.dt, series.sigma)
+    frequency = _frequency(left[record], rec.dt)
     order = _order(frequency, speed, rec)
     both = len(names) > 1 and energy.min() > 0.3 * energy.max()
     channel = names[worst]
@@ -43,12 +45,12 @@ def where(assembly: Assembly, stage: Stage) -> Where:
                  time, frequency, speed, order, amplitude)  # fmt: skip
 
 
-def _range(values: Array, excess: Array) -> tuple[float, float] | None:
-    """The shortest run of bins of ``values`` that holds most of the excess; none where it is wide."""
+def _range(values: Array, excess: Array, bins: int = _BINS) -> tuple[float, float] | None:
+    """The shortest range of ``values`` that holds most of the excess; none where it is wide."""
     low, high = float(np.min(values)), float(np.max(values))
     if not high > low:
         return None
-    edges = np.linspace(low, high, _BINS + 1)
+    edges = np.linspace(low, high, bins + 1)
     held, _ = np.histogram(values, edges, weights=excess)
     held = np.maximum(held, 0.0)
     total = held.sum()
@@ -56,33 +58,31 @@ def _range(values: Array, excess: Array) -> tuple[float, float] | None:
         return None
     cumulative = np.concatenate([[0.0], np.cumsum(held)]) / total
     best: tuple[int, int] | None = None
-    for first in range(_BINS):
+    for first in range(bins):
         last = int(np.searchsorted(cumulative, cumulative[first] + _MOST - 1e-12))
-        if last <= _BINS and (best is None or last - first < best[1] - best[0]):
+        if last <= bins and (best is None or last - first < best[1] - best[0]):
             best = (first, last)
-    if best is None or best[1] - best[0] > _NARROW * _BINS:
+    if best is None or best[1] - best[0] > _NARROW * bins:
         return None
     return float(edges[best[0]]), float(edges[best[1]])
 
 
 def _envelope(y: Array) -> Array:
-    """Size of the motion: the largest |y| over about a period of its main frequency."""
+    """Size of the motion: the largest |y| within a period of its main frequency."""
     from scipy.ndimage import maximum_filter1d
 
-    size = np.sqrt(np.sum((y - y.mean(axis=0)) ** 2, axis=1))
-    spectrum = np.abs(np.fft.rfft(size * np.hanning(len(size))))
-    main = int(np.argmax(spectrum[4:])) + 4
-    return maximum_filter1d(size, max(3, int(2 * len(size) / main)))
+    moving = y - y.mean(axis=0)
+    spectrum = np.abs(np.fft.rfft(moving[:, 0] * np.hanning(len(moving))))
+    main = int(np.argmax(spectrum[1:])) + 1
+    return maximum_filter1d(np.linalg.norm(moving, axis=1), max(3, len(moving) // main))
 
 
-def _frequency(left: Array, dt: float, sigma: Array) -> tuple[float, float] | None:
+def _frequency(left: Array, dt: float) -> tuple[float, float] | None:
     from scipy.signal import welch
 
-    size = min(len(left), 1024)
-    frequencies, power = welch(left, 1.0 / dt, nperseg=size, axis=0)
+    frequencies, power = welch(left, 1.0 / dt, nperseg=min(len(left), 1024), axis=0)
     total = power.sum(axis=1)
-    excess = total - np.median(total)
-    return _range(frequencies, excess)
+    return _range(frequencies, total - np.median(total), len(frequencies))
 
 
 def _order(

@@ -53,7 +53,7 @@ def planar_record(
     base = seed_model(PlanarRotor())
     truth = {**SEED_TRUTH, **(values or {}), "system.phase_origin": phase}
     model = Model(base.system, (*base.effects, *effects), truth)
-    time = 1e-3 * np.arange(int(round(duration * 1000)) + 1)
+    time = 1e-3 * np.arange(round(duration * 1000) + 1)
     speed = 2 * np.pi * (hertz[0] + (hertz[1] - hertz[0]) * time / duration)
     slope = 2 * np.pi * (hertz[1] - hertz[0]) / duration
     inputs = {"speed": speed}

@@ -129,11 +129,9 @@ def _truth(case: Case, system: System, registry: Registry) -> Model:
 
 def _record(scene: Scene, truth: Model, seed: int, phase: float, noise: float) -> Record:
     rng = np.random.default_rng(seed)
-    time = np.arange(int(round(scene.duration * scene.rate)) + 1) / scene.rate
+    time = np.arange(round(scene.duration * scene.rate) + 1) / scene.rate
     if scene.system == "planar_rotor":
-        truth = Model(
-            truth.system, truth.effects, {**truth.values, "system.phase_origin": phase}
-        )
+        truth = Model(truth.system, truth.effects, {**truth.values, "system.phase_origin": phase})
     return simulate(
         truth, time, scene.inputs(time, rng), noise, rng, substeps=scene.substeps,
         name=f"hidden effect, seed {seed}",

@@ -1,6 +1,6 @@
 """Hide every effect in turn and see whether the study names it.
 
-    python experiments/hidden_effects/run.py [--only NAME ...] [--seeds 1] [--json FILE]
+python experiments/hidden_effects/run.py [--only NAME ...] [--seeds 1] [--json FILE]
 """
 
 from __future__ import annotations

@@ -75,7 +75,11 @@ class GravityTorque(ForceEffect):
 
 
 class CrossStiffness(ForceEffect):
-    """Symmetric coupling of the axes by springs: F = -k (y, x). Direct (turned principal axes) or mediated by a hidden tilt: not separable from the displacements alone."""
+    """Symmetric coupling of the axes, direct or mediated by a hidden tilt: F = -k (y, x).
+
+    Turned principal axes of the support, a tilt that no sensor sees and a probe pair turned by a
+    small angle all look like this; displacements alone do not separate them.
+    """
 
     axes = 2
     parameters = (Parameter("stiffness", "force/position"),)

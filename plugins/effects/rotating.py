@@ -8,7 +8,7 @@ from spiral.parameter import Parameter
 
 
 class Unbalance(ForceEffect):
-    """Mass off the axis of rotation: F = U W^2 (cos t, sin t) + U W' (sin t, -cos t), t the phase."""
+    """Mass off the axis: F = U W^2 (cos t, sin t) + U W' (sin t, -cos t), t the phase."""
 
     axes = 2
     inputs = ("speed", "speed_rate", "phase")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from spiral_plugins.effects.dissipative import LinearDamping
+from spiral_plugins.effects.restoring import LinearStiffness
+
 from spiral.parameter import Input, Parameter, State
 from spiral.port import Port
 from spiral.system import MechanicalSystem
-from spiral_plugins.effects.dissipative import LinearDamping
-from spiral_plugins.effects.restoring import LinearStiffness
 
 
 class Oscillator(MechanicalSystem):

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from spiral.parameter import Input, Parameter, State
-from spiral.port import Port
-from spiral.system import MechanicalSystem
 from spiral_plugins.effects.dissipative import LinearDamping
 from spiral_plugins.effects.restoring import LinearStiffness
 from spiral_plugins.effects.rotating import Unbalance
 from spiral_plugins.systems.rotor import ROTOR_INPUTS, turned
 
+from spiral.parameter import Input, Parameter, State
+from spiral.port import Port
+from spiral.system import MechanicalSystem
+
 
 class PlanarRotor(MechanicalSystem):
-    """x'' + c x' + k x = U W^2 cos t + ..., per unit mass: the observable seed of the paper (eq. seed_rotor)."""
+    """x'' + c x' + k x = U W^2 cos t, per unit mass: what two displacement sensors see.
+
+    The observable seed of the paper (eq. seed_rotor).
+    """
 
     position_unit: str = "m"
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from spiral.parameter import Input, Parameter, State
-from spiral.port import Port
-from spiral.system import MechanicalSystem
 from spiral_plugins.effects.dissipative import CrossDamping, LinearDamping
 from spiral_plugins.effects.restoring import CrossStiffness, CubicStiffness, LinearStiffness
 from spiral_plugins.effects.rotating import Unbalance
 from spiral_plugins.systems.rotor import ROTOR_INPUTS, turned
 
+from spiral.parameter import Input, Parameter, State
+from spiral.port import Port
+from spiral.system import MechanicalSystem
 
 # Paper, appendix: both bearings have 1.6 times the target translational matrices, and the cubic
 # stiffness of each is 1e11 / (0.75^4 + 0.25^4).
@@ -39,7 +39,10 @@ def _bearing_2(q, p):
 
 
 class TiltingRotor(MechanicalSystem):
-    """M q'' + (C + W G) q' + K q + f_NL(q) = f_u: the paper's 4-DOF rotor, tilts hidden, SI (eq. full_rotor and appendix)."""
+    """M q'' + (C + W G) q' + K q + f_NL(q) = f_u: a rotor on two bearings, its tilts hidden.
+
+    The paper's 4-DOF rotor in SI units (eq. full_rotor, values of its appendix).
+    """
 
     @property
     def coordinates(self):

@@ -62,7 +62,7 @@ def fit(
     for iteration in range(1, iterations + 1):
         cost = reduction.cost
         worth = max(_ENOUGH, _RELATIVE * cost)
-        better = None
+        better, trial, promised = None, point, np.inf
         for _ in range(8):
             step, promised = _step(reduction, columns, point, bounds, damping)
             if promised < worth:

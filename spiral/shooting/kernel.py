@@ -36,7 +36,9 @@ _I1 = types.int64[::1]
     error_model="numpy",
     fastmath={"contract", "reassoc"},
 )
-def _slope(a: np.ndarray, b: np.ndarray, columns: np.ndarray, s: np.ndarray, out: np.ndarray) -> None:
+def _slope(
+    a: np.ndarray, b: np.ndarray, columns: np.ndarray, s: np.ndarray, out: np.ndarray
+) -> None:
     """out = A S + [0 | B[:, columns]]; structural zeros of A are skipped."""
     n, width = s.shape
     for i in range(n):
@@ -53,17 +55,27 @@ def _slope(a: np.ndarray, b: np.ndarray, columns: np.ndarray, s: np.ndarray, out
 
 @nb.njit(
     types.boolean(
-        MODEL_FUNCTION, MODEL_FUNCTION, _F2, _F3, _I1, types.int64, _F1, _I1,
-        _F2, types.int64, types.float64, _F2, _F2, _F3,
+        MODEL_FUNCTION,
+        MODEL_FUNCTION,
+        _F2,
+        _F3,
+        _I1,
+        types.int64,
+        _F1,
+        _I1,
+        _F2,
+        types.int64,
+        types.float64,
+        _F2,
+        _F2,
+        _F3,
     ),
     cache=True,
     nogil=True,
     error_model="numpy",
     fastmath={"contract"},
 )
-def advance(
-    rate, output, x, s, starts, length, p, columns, inputs, substeps, dt, y, weight, rows
-):
+def advance(rate, output, x, s, starts, length, p, columns, inputs, substeps, dt, y, weight, rows):
     """Advance a batch of windows by ``length`` samples and write their weighted rows.
 
     Parameters
@@ -156,7 +168,17 @@ def advance(
 
 @nb.njit(
     types.boolean(
-        VALUE_FUNCTION, VALUE_FUNCTION, _F2, _I1, _I1, _F2, _F2, types.int64, types.float64, _F2, _F2
+        VALUE_FUNCTION,
+        VALUE_FUNCTION,
+        _F2,
+        _I1,
+        _I1,
+        _F2,
+        _F2,
+        types.int64,
+        types.float64,
+        _F2,
+        _F2,
     ),
     cache=True,
     nogil=True,

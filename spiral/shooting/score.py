@@ -96,7 +96,9 @@ def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -
     kept = list(columns)
     while True:
         step, gain, alias = _project(table, kept)
-        wrong = [c for c, d in zip(kept, step, strict=True) if one_sided[columns.index(c)] and d < 0]
+        wrong = [
+            c for c, d in zip(kept, step, strict=True) if one_sided[columns.index(c)] and d < 0
+        ]
         if not wrong:
             break
         kept = [c for c in kept if c not in wrong]
@@ -133,7 +135,7 @@ def _project(table: Table, kept: list[int]) -> tuple[Array, float, float]:
 
 
 def _wald(table: Table, kept: list[int], step: Array) -> tuple[float, float]:
-    """Robust Wald statistic over q and the log of its p-value (Hotelling's T^2, blocks as cases)."""
+    """Robust Wald statistic over q, and the log of its p-value (Hotelling, blocks as cases)."""
     blocks = table.blocks
     count, q = len(blocks), len(kept)
     if not q or count < MINIMUM_BLOCKS // 2 or not np.any(step):

@@ -14,13 +14,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.record import Array
+from spiral.shooting.elimination import (
+    eliminate,
+    grams,
+    merged,
+    project,
+    scattered,
+    scattered_blocks,
+    triangle_of,
+)
 from spiral.shooting.kernel import advance, trajectories
 from spiral.shooting.series import Series
 from spiral.shooting.study import Columns, Layouts, Point, Study
 from spiral.shooting.windows import Layout
 
 _PIECE = 4096  # samples in memory at a time
-_RANK = 1e-9  # relative singular value under which a direction of the initial state is unseen
 _THREADS = 2
 
 
@@ -57,6 +65,23 @@ class _Batch:
     length: int
 
 
+@dataclass(frozen=True)
+class _Reduced:
+    """One batch: rows left after elimination, the elimination, Gram blocks, cost and rank."""
+
+    rows: Array
+    eliminated: Array
+    grams: Array
+    cost: float
+    rank: int
+
+    @classmethod
+    def diverged(cls) -> _Reduced:
+        """A batch whose model did not stay finite."""
+        none = np.zeros((0, 0))
+        return cls(none, none, none, np.inf, 0)
+
+
 def reduce(
     study: Study, layouts: Layouts, point: Point, columns: Columns, block: int = 0
 ) -> Reduction:
@@ -70,33 +95,31 @@ def reduce(
     weights = [s.weight(layout.mask) for s, layout in zip(study.series, layouts, strict=True)]
     batches = list(_batches(layouts))
 
-    def work(batch: _Batch) -> tuple[Array, Array, Array, float, int]:
+    def work(batch: _Batch) -> _Reduced:
         return _reduce_batch(study, layouts, point, columns, batch, weights[batch.record], block)
 
-    results = _parallel(work, batches)
-    width = columns.count + 1
-    elimination = [np.zeros((len(x), study.state_count, width)) for x in point.starts]
-    blocks: list[Array] = []
-    parts: list[Array] = []
-    cost, nuisances = 0.0, 0
-    for batch, (rows, eliminated, grams, squares, rank) in zip(batches, results, strict=True):
-        seen = np.append(columns.local(batch.record), width - 1)
-        target = elimination[batch.record]
-        target[np.ix_(batch.windows, np.arange(study.state_count), seen)] = eliminated
-        parts.append(_scatter(rows, seen, width))
-        if block:
-            blocks.append(_scatter_blocks(grams, seen, width))
-        cost += squares
-        nuisances += rank
+    results = list(zip(batches, _parallel(work, batches), strict=True))
+    width, n = columns.count + 1, study.state_count
     samples = int(sum(np.count_nonzero(w) for w in weights))
-    finite = np.isfinite(cost)
+    elimination = tuple(np.zeros((len(x), n, width)) for x in point.starts)
+    cost = sum(found.cost for _, found in results)
+    if not np.isfinite(cost):
+        empty = np.zeros((0, width, width))
+        return Reduction(np.zeros((width, width)), np.inf, samples, 0, elimination, empty)
+    parts, blocks = [], []
+    for batch, found in results:
+        seen = np.append(columns.local(batch.record), width - 1)
+        at = np.ix_(batch.windows, np.arange(n), seen)
+        elimination[batch.record][at] = found.eliminated
+        parts.append(triangle_of(scattered(found.rows, seen, width)))
+        blocks.append(scattered_blocks(found.grams, seen, width))
     return Reduction(
-        triangle=_triangle(np.concatenate(parts)) if finite else np.zeros((width, width)),
-        cost=cost if finite else np.inf,
+        triangle=triangle_of(np.concatenate(parts)),
+        cost=cost,
         samples=samples,
-        nuisances=nuisances,
-        elimination=tuple(elimination),
-        blocks=np.concatenate(blocks) if block and finite else np.zeros((0, width, width)),
+        nuisances=sum(found.rank for _, found in results),
+        elimination=elimination,
+        blocks=np.concatenate(blocks),
     )
 
 
@@ -153,10 +176,15 @@ def _advance(study, series: Series, x, s, starts, length, values, local, weight,
 
 
 def _reduce_batch(
-    study: Study, layouts: Layouts, point: Point, columns: Columns, batch: _Batch,
-    weight: Array, block: int,
-) -> tuple[Array, Array, Array, float, int]:  # fmt: skip
-    """Rows left after elimination, the elimination, Gram blocks, cost and rank of one batch."""
+    study: Study,
+    layouts: Layouts,
+    point: Point,
+    columns: Columns,
+    batch: _Batch,
+    weight: Array,
+    block: int,
+) -> _Reduced:
+    """Integrate one batch piece by piece, keeping its triangle and its Gram blocks."""
     series = study.series[batch.record]
     starts = layouts[batch.record].starts[batch.windows].copy()
     local = columns.index[columns.local(batch.record)]
@@ -166,93 +194,22 @@ def _reduce_batch(
     s = np.zeros((count, n, width - 1))
     s[:, :, :n] = np.eye(n)
     triangle = np.zeros((count, 0, width))
-    grams: list[Array] = []
+    raw: list[Array] = []
     cost = 0.0
     for first in range(0, batch.length, _PIECE):
         piece = min(_PIECE, batch.length - first)
         rows = np.empty((count, piece * channels, width))
-        ok = _advance(study, series, x, s, starts + first, piece, point.values[batch.record],
-                      local, weight, rows)
+        values = point.values[batch.record]
+        ok = _advance(study, series, x, s, starts + first, piece, values, local, weight, rows)
         if not ok or not np.isfinite(rows).all():
-            empty = np.zeros((count, n, width - n))
-            return np.zeros((0, width - n)), empty, np.zeros((0, width - n, width - n)), np.inf, 0
+            return _Reduced.diverged()
         cost += float(np.sum(rows[:, :, -1] ** 2))
         if block:
-            grams.append(_grams(rows, block * channels))
-        triangle = np.linalg.qr(np.concatenate([triangle, rows], axis=1), mode="r")
-    left, eliminated, rank = _eliminate(triangle, n)
-    projected = np.zeros((0, width - n, width - n))
+            raw.append(grams(rows, block * channels))
+        triangle = triangle_of(np.concatenate([triangle, rows], axis=1))
+    left, eliminated, rank = eliminate(triangle, n)
+    kept = np.zeros((0, width - n, width - n))
     if block:
-        projected = _merged(_project(np.concatenate(grams, axis=1), eliminated), block, batch)
-    return left, eliminated, projected, cost, rank
-
-
-def _eliminate(triangle: Array, n: int) -> tuple[Array, Array, int]:
-    """Project the first n columns out of each window's triangle, as far as they have rank."""
-    head, tail = triangle[:, :n, :n], triangle[:, :n, n:]
-    scale = np.linalg.norm(head, axis=1, keepdims=True)
-    scale[scale == 0] = 1.0
-    left, values, right = np.linalg.svd(head / scale)
-    seen = values > _RANK * values[:, :1]
-    rotated = np.swapaxes(left, 1, 2) @ tail
-    inverse = np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)
-    eliminated = np.swapaxes(right, 1, 2) @ (inverse[:, :, None] * rotated)
-    eliminated /= np.swapaxes(scale, 1, 2)
-    unseen = np.where(seen[:, :, None], 0.0, rotated)
-    rows = np.concatenate([unseen, triangle[:, n:, n:]], axis=1)
-    return rows.reshape(-1, tail.shape[2]), eliminated, int(seen.sum())
-
-
-def _grams(rows: Array, size: int) -> Array:
-    """Gram matrices of consecutive groups of ``size`` rows in each window."""
-    count, total, width = rows.shape
-    size = min(size, total)
-    whole = total // size
-    cutoff = (whole - 1) * size
-    body = rows[:, :cutoff].reshape(count, whole - 1, size, width)
-    last = rows[:, cutoff:]  # a short rest is joined to the last group
-    joined = (np.swapaxes(last, -1, -2) @ last)[:, None]
-    if whole == 1:
-        return joined
-    return np.concatenate([np.swapaxes(body, -1, -2) @ body, joined], axis=1)
-
-
-def _project(grams: Array, eliminated: Array) -> Array:
-    """T^T G T with T = [-elimination; identity], for every block of every window."""
-    count, _, size = eliminated.shape
-    transform = np.concatenate([-eliminated, np.broadcast_to(np.eye(size), (count, size, size))], 1)
-    return np.swapaxes(transform, 1, 2)[:, None] @ grams @ transform[:, None]
-
-
-def _merged(grams: Array, block: int, batch: _Batch) -> Array:
-    """Blocks of all windows in order; short windows are added up to whole blocks."""
-    flat = grams.reshape(-1, *grams.shape[2:])
-    group = max(1, block // batch.length)
-    flat = flat[np.abs(flat[:, -1, -1]) > 0]
-    if group == 1 or len(flat) < 2:
-        return flat
-    edges = np.arange(0, len(flat), group)
-    return np.add.reduceat(flat, edges, axis=0)
-
-
-def _scatter(rows: Array, seen: Array, width: int) -> Array:
-    if len(seen) == width:
-        return _triangle(rows)
-    full = np.zeros((len(rows), width))
-    full[:, seen] = rows
-    return _triangle(full)
-
-
-def _scatter_blocks(grams: Array, seen: Array, width: int) -> Array:
-    if len(seen) == width:
-        return grams
-    full = np.zeros((len(grams), width, width))
-    full[:, seen[:, None], seen[None, :]] = grams
-    return full
-
-
-def _triangle(rows: Array) -> Array:
-    width = rows.shape[1]
-    if len(rows) < width:
-        rows = np.concatenate([rows, np.zeros((width - len(rows), width))])
-    return np.linalg.qr(rows, mode="r")
+        projected = project(np.concatenate(raw, axis=1), eliminated)
+        kept = merged(projected, block, batch.length)
+    return _Reduced(left, eliminated, kept, cost, rank)

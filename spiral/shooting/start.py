@@ -107,7 +107,7 @@ def _turning(traced: Traced, linear: sp.Matrix, origin: str | None) -> int | Non
     if origin is None:
         return None
     symbol = traced.p[traced.keys.index(origin)]
-    found = [j for j in range(linear.cols) if linear[:, j].has(symbol)]
+    found = [j for j in range(linear.cols) if symbol in linear.col(j).free_symbols]
     return found[0] if len(found) == 1 else None
 
 

@@ -113,10 +113,12 @@ def test_the_manual_way_leads_to_the_same_place():
 
 
 def test_phase_integrated_from_exact_speed_serves_as_well_as_measured_phase():
-    record = planar_record(3, (effect("gyroscopic"),), {"gyroscopic.coefficient": 0.01},
-                           with_phase=False)
-    test = planar_record(103, (effect("gyroscopic"),), {"gyroscopic.coefficient": 0.01},
-                         phase=1.3, with_phase=False)
+    record = planar_record(
+        3, (effect("gyroscopic"),), {"gyroscopic.coefficient": 0.01}, with_phase=False
+    )
+    test = planar_record(
+        103, (effect("gyroscopic"),), {"gyroscopic.coefficient": 0.01}, phase=1.3, with_phase=False
+    )
     assert record.measured == ("speed",)
     run = discover(planar_problem(record, test))
     assert admitted(run) == ["gyroscopic"]
@@ -124,8 +126,9 @@ def test_phase_integrated_from_exact_speed_serves_as_well_as_measured_phase():
 
 
 def test_two_records_share_the_machine_and_keep_their_own_phase():
-    records = tuple(planar_record(s, phase=p, duration=7.0, with_phase=False)
-                    for s, p in ((1, 0.4), (2, 2.0)))
+    records = tuple(
+        planar_record(s, phase=p, duration=7.0, with_phase=False) for s, p in ((1, 0.4), (2, 2.0))
+    )
     one = planar_problem(records[0], planar_record(101, duration=7.0, with_phase=False))
     both = replace(one, records=records)
     single, joint = compare(one), compare(both)

@@ -70,7 +70,8 @@ def test_an_effect_is_finite_at_rest_and_with_zero_amplitude(system, label):
     parameters = compiled.traced.parameters
     for amplitude in (0.0, 1.0):
         p = np.array([amplitude if q.role == "amplitude" else 0.5 for q in parameters])
-        p[[k.startswith("system.") and p_ == 0 for k, p_ in zip(compiled.traced.keys, p)]] = 0.5
+        own = [k.startswith("system.") for k in compiled.traced.keys]
+        p[own] = 0.5
         for part in rate(x, u, p):
             assert np.isfinite(part).all()
 
@@ -81,8 +82,10 @@ def test_an_effect_is_linear_in_its_amplitudes_and_absent_at_zero(system, label)
     rng = np.random.default_rng(2)
     x = rng.normal(size=len(compiled.traced.states))
     u = rng.normal(size=len(compiled.traced.inputs))
-    own = [k.startswith(label) and q.role == "amplitude"
-           for k, q in zip(compiled.traced.keys, compiled.traced.parameters)]
+    own = [
+        k.startswith(label) and q.role == "amplitude"
+        for k, q in zip(compiled.traced.keys, compiled.traced.parameters, strict=False)
+    ]
     base = rng.uniform(0.3, 0.9, size=len(own))
     one, two, none = base.copy(), base.copy(), base.copy()
     two[own] *= 2.0
@@ -147,9 +150,17 @@ def test_the_gyroscopic_matrix_is_skew_and_does_no_work():
 
 def test_energy_is_conserved_without_damping_and_forcing():
     none = dict.fromkeys(
-        [f"{kind}@{bearing}.{name}" for bearing in ("bearing_1", "bearing_2")
-         for kind, name in (("linear_damping", "damping_x"), ("linear_damping", "damping_y"),
-                            ("cross_damping", "damping"))], 0.0)
+        [
+            f"{kind}@{bearing}.{name}"
+            for bearing in ("bearing_1", "bearing_2")
+            for kind, name in (
+                ("linear_damping", "damping_x"),
+                ("linear_damping", "damping_y"),
+                ("cross_damping", "damping"),
+            )
+        ],
+        0.0,
+    )
     _, _, _, rate = _tilting_rate({**none, "unbalance.moment": 0.0}, 2 * np.pi * 30)
     start = np.array([2e-4, -1e-4, 2e-4, 3e-4, 0.01, 0.02, -0.02, 0.01])
     solution = solve_ivp(

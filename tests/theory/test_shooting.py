@@ -11,6 +11,7 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 import spiral.shooting.sensitivities as sensitivities
 from spiral.compile import compile_model
 from spiral.model import Model, seed_model
+from spiral.shooting.elimination import eliminate
 from spiral.shooting.fit import covariance, fit
 from spiral.shooting.growth import first_starts, layouts_for
 from spiral.shooting.score import score, tabulate
@@ -44,8 +45,12 @@ def test_the_integrator_has_order_four():
     model = Model(
         Oscillator(),
         (*seed_model(Oscillator()).effects, effect("cubic_stiffness")),
-        {"system.mass": 1.0, "linear_stiffness.stiffness": 40.0, "linear_damping.damping": 0.3,
-         "cubic_stiffness.stiffness": 25.0},
+        {
+            "system.mass": 1.0,
+            "linear_stiffness.stiffness": 40.0,
+            "linear_damping.damping": 0.3,
+            "cubic_stiffness.stiffness": 25.0,
+        },
     )
 
     def exact():
@@ -130,7 +135,7 @@ def test_an_unseen_direction_of_the_initial_state_is_left_alone():
     # A free mass under a known force, position unseen: no window can tell the position.
     triangle = np.zeros((1, 3, 3))
     triangle[0] = [[1.0, 0.0, 2.0], [0.0, 0.0, 3.0], [0.0, 0.0, 1.0]]
-    rows, eliminated, rank = sensitivities._eliminate(triangle, 2)
+    rows, eliminated, rank = eliminate(triangle, 2)
     assert rank == 1
     assert np.linalg.norm(rows) == pytest.approx(np.sqrt(10.0))
     assert np.isfinite(eliminated).all()
@@ -156,8 +161,13 @@ def test_bounds_hold():
     layouts = layouts_for(study, 256, (None,))
     start = values.copy()
     start[0, study.index("linear_stiffness.stiffness_x")] = 9000.0
-    fitted = fit(study, layouts, _point(study, start, layouts), columns,
-                 (low, np.full(columns.count, np.inf)))
+    fitted = fit(
+        study,
+        layouts,
+        _point(study, start, layouts),
+        columns,
+        (low, np.full(columns.count, np.inf)),
+    )
     reached = fitted.point.values[0, study.index("linear_stiffness.stiffness_x")]
     assert reached == pytest.approx(8500.0)
 
@@ -166,8 +176,12 @@ def test_partial_f_is_that_of_ordinary_least_squares():
     import statsmodels.api as sm
 
     study, values, _ = _study(duration=0.8)
-    keys = ["linear_stiffness.stiffness_x", "linear_damping.damping_x", "gyroscopic.coefficient",
-            "cubic_stiffness.stiffness"]
+    keys = [
+        "linear_stiffness.stiffness_x",
+        "linear_damping.damping_x",
+        "gyroscopic.coefficient",
+        "cubic_stiffness.stiffness",
+    ]
     columns = Columns(np.array([study.index(k) for k in keys]), np.full(4, -1))
     layouts = layouts_for(study, 801, (None,))
     point = _point(study, values, layouts)

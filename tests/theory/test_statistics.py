@@ -41,7 +41,7 @@ def test_equal_predictors_are_told_apart_at_the_nominal_rate():
     p = []
     for _ in range(400):
         noise = rng.normal(size=(2560, 1))
-        envelope = np.exp(-np.linspace(-3, 3, 2560) ** 2)[:, None]  # energy in few blocks
+        envelope = np.exp(-(np.linspace(-3, 3, 2560) ** 2))[:, None]  # energy in few blocks
         miss = 0.3 * envelope * rng.normal(size=(2560, 1))
         other = 0.3 * envelope * rng.normal(size=(2560, 1))
         p.append(paired_errors((noise + miss,), (noise + other,), 32).p_differ)
