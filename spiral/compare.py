@@ -81,6 +81,8 @@ def standard_errors(assembly: Assembly, standing: Standing, stage: Stage) -> dic
     if stage.fitted.reduction is None:
         return {}
     spread = np.sqrt(np.maximum(np.diag(covariance(stage.fitted)), 0.0))
+    seen = np.linalg.norm(stage.fitted.reduction.triangle[:-1, :-1], axis=0) > 0
+    spread = np.where(seen, spread, np.inf)
     spread = spread * np.sqrt(max(stage.fitted.chi2_per_dof, 1.0))
     errors: dict[str, float] = {}
     for i, position in enumerate(moving.index):

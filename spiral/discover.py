@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from spiral.assembly import Assembly, to_model
 from spiral.compare import judged, last_stage, prepared
 from spiral.effect import Effect
-from spiral.evidence import Masks, Standing, all_samples, half_masks, long_lengths
+from spiral.evidence import Masks, Standing, all_samples, half_masks
 from spiral.identifiability import Entanglement, entangled
 from spiral.problem import Problem, Progress, silent
+from spiral.retire import let_go, superfluous
 from spiral.run import Comparison, Round, Run, Stopped, Verdict
 from spiral.suggest import Proposal, propose
 from spiral.threads import one_blas_thread
@@ -44,12 +45,12 @@ def discover(problem: Problem, progress: Progress = silent, on_round: OnRound | 
     assembly, standing = prepared(problem)
     masks = half_masks(assembly)
     tangle = entangled(assembly, standing)
-    comparison, refitted = _judge(assembly, standing, masks[1], progress)
+    comparison = _judge(assembly, standing, masks[1], progress)
     rounds = [Round(0, (), {}, {}, (), comparison, time.perf_counter() - clock)]
     if tangle is not None:
         tell(rounds[0])
         return _refusal(assembly, standing, rounds[0], tangle)
-    return _loop(assembly, replace(standing, values=refitted.values), rounds, masks, progress, tell)
+    return _loop(assembly, standing, rounds, masks, progress, tell)
 
 
 def _loop(
@@ -76,11 +77,9 @@ def _loop(
         if proposal.admitted is None:
             stopped = _why_stopped(proposal, rounds[-1].comparison, settings.whiteness_level)
             break
-        standing = proposal.admitted.standing
-        comparison, standing = _judge(
-            assembly, standing, masks[1], progress, long_lengths(assembly)
-        )
-        rounds.append(_round(number, proposal, comparison, rounds, time.perf_counter() - clock))
+        standing, comparison, gone = _settled(assembly, proposal, masks[1], progress)
+        taken = time.perf_counter() - clock
+        rounds.append(replace(_round(number, proposal, comparison, rounds, taken), retired=gone))
     verdict = seed_verdict(rounds, stopped, settings.whiteness_level)
     return Run(
         verdict, stopped, tuple(rounds), rounds[-1].comparison.model,
@@ -88,18 +87,33 @@ def _loop(
     )  # fmt: skip
 
 
+def _settled(
+    assembly: Assembly, proposal: Proposal, mask: Masks, progress: Progress
+) -> tuple[Standing, Comparison, tuple[str, ...]]:
+    """Refit and compare after an admission, letting go of effects it has made superfluous."""
+    latest = proposal.admitted
+    assert latest is not None
+    assert proposal.evidence is not None
+    comparison = _judge(assembly, latest.standing, mask, progress)
+    gone = superfluous(assembly, latest, comparison.model, mask, proposal.evidence.block)
+    if not gone:
+        return latest.standing, comparison, ()
+    standing = let_go(latest.standing, gone)
+    comparison = _judge(assembly, standing, mask, progress)
+    return standing, comparison, tuple(assembly.variant(x).original.label for x in gone)
+
+
 def _judge(
     assembly: Assembly,
     standing: Standing,
     mask: Masks,
     progress: Progress,
-    lengths: list[int] | None = None,
-) -> tuple[Comparison, Standing]:
+) -> Comparison:
     """Refit on the half that did not select, and compare."""
     progress("refitting on the half that did not select")
-    stage = last_stage(assembly, standing, mask, lengths)
+    stage = last_stage(assembly, standing, mask)
     refitted = replace(standing, values=stage.fitted.point.values)
-    return judged(assembly, refitted, stage, progress), refitted
+    return judged(assembly, refitted, stage, progress)
 
 
 def _why_stopped(proposal: Proposal, comparison: Comparison, level: float) -> Stopped:

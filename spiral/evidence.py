@@ -117,12 +117,6 @@ def begin(assembly: Assembly, labels: tuple[str, ...]) -> Standing:
     return best
 
 
-def long_lengths(assembly: Assembly) -> list[int]:
-    """Window lengths for a refit from good values: the shortest are left out."""
-    lengths = stage_lengths(assembly)
-    return lengths[1:] if len(lengths) > 2 else lengths
-
-
 def grown(
     assembly: Assembly,
     standing: Standing,
@@ -211,11 +205,11 @@ def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) 
     variant = ranked.variant
     values = _stepped(assembly, stage.fitted.point.values, ranked)
     wider = Standing((*standing.labels, variant.label), values, standing.freed)
-    fitted = _refit(assembly, wider, stage)
+    fitted = refit(assembly, wider, stage)
     wider = Standing(wider.labels, fitted.point.values, wider.freed)
     if variant.shapes and np.isfinite(fitted.cost):
         freer = Standing(wider.labels, wider.values, (*wider.freed, *variant.shapes))
-        trial = _refit(assembly, freer, Stage(stage.length, stage.layouts, fitted))
+        trial = refit(assembly, freer, Stage(stage.length, stage.layouts, fitted))
         if fitted.cost - trial.cost > _WORTH:
             fitted = trial
             wider = Standing(freer.labels, trial.point.values, freer.freed)
@@ -238,7 +232,8 @@ def _stepped(assembly: Assembly, values: Array, ranked: Ranked) -> Array:
     return new
 
 
-def _refit(assembly: Assembly, standing: Standing, stage: Stage) -> Fitted:
+def refit(assembly: Assembly, standing: Standing, stage: Stage) -> Fitted:
+    """Fit a standing on a stage's windows, started from that stage's states."""
     moving, bounds = columns(assembly, standing.keys(assembly))
     point = Point(standing.values, stage.fitted.point.starts)
     return fit(assembly.study, stage.layouts, point, moving, bounds)

@@ -147,6 +147,7 @@ class Round:
     seconds: float
     second_order: bool = False
     meaning: str = ""
+    retired: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -156,6 +157,7 @@ class Round:
             "admitted": list(self.admitted),
             "aliases": {k: list(v) for k, v in self.aliases.items()},
             "rejected": dict(self.rejected),
+            "retired": list(self.retired),
             "fit_error": c.fit_error,
             "test_error": c.test_error,
             "chi2_per_dof": c.chi2_per_dof,

@@ -177,6 +177,8 @@ def _added(item: Round) -> Text:
         aliases = item.aliases.get(label, ())
         if aliases:
             text.append(f"\ncannot be told from: {', '.join(aliases)}", style="yellow")
+    for label in item.retired:
+        text.append(f"\nlet go {label}: superfluous beside it", style="dim")
     for label, reason in item.rejected.items():
         text.append(f"\nrefused {label}: {reason}", style="dim")
     return text

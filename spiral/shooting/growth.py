@@ -15,6 +15,10 @@ from spiral.shooting.study import Columns, Layouts, Point, Study
 from spiral.shooting.windows import cut, stage_lengths
 
 
+_RUNAWAY = 100.0
+_FIRM = 10.0  # noise standard deviations that a parameter's whole value must be worth
+
+
 @dataclass(frozen=True)
 class Stage:
     """One window length with its windows and its fit; ``length`` is the longest window."""
@@ -56,6 +60,20 @@ def carried_starts(study: Study, stage: Stage, layouts: Layouts) -> tuple[Array,
     return tuple(found)
 
 
+def _ran_away(before: Fitted, after: Fitted, columns: Columns) -> bool:
+    """Whether a parameter that was well determined has moved by a factor of a hundred.
+
+    A model that cannot follow long windows may flee to where its input no longer matters (an
+    infinite mass); there the cost is flat and looks converged.
+    """
+    if before.reduction is None:
+        return False
+    old, new = (columns.current(f.point.values) for f in (before, after))
+    norms = np.linalg.norm(before.reduction.triangle[:-1, :-1], axis=0)
+    firm = norms * np.abs(old) > _FIRM
+    return bool(np.any(np.abs(new[firm]) > _RUNAWAY * np.abs(old[firm])))
+
+
 def grow(
     study: Study,
     values: Array,
@@ -80,6 +98,8 @@ def grow(
             starts = carried_starts(study, stage, layouts)
             values = stage.fitted.point.values
         fitted = fit(study, layouts, Point(values, starts), columns, bounds)
+        if stage is not None and _ran_away(stage.fitted, fitted, columns):
+            fitted = replace(fitted, converged=False)
         stage = Stage(length, layouts, fitted)
         yield stage
         if not fitted.converged and not (patient and np.isfinite(fitted.cost)):

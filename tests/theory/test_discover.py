@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 from spiral_plugins.sources.simulation import Simulation
+from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
@@ -11,6 +12,7 @@ from spiral.compare import compare
 from spiral.diagnose import diagnose
 from spiral.discover import add, discover
 from spiral.model import seed_model
+from spiral.record import split_off_test
 from tests.scenes import (
     PROJECTION,
     SEED_TRUTH,
@@ -143,3 +145,27 @@ def test_a_seed_model_keeps_its_frozen_past():
     wider = model.add(effect("gyroscopic"))
     assert "gyroscopic" not in model.labels
     assert wider.without("gyroscopic").labels == model.labels
+
+
+def test_a_look_alike_admitted_first_is_let_go_when_the_true_effect_comes():
+    source = Simulation(
+        system=Oscillator(),
+        effects=(effect("cubic_stiffness"),),
+        values={
+            "system.mass": 1.0,
+            "linear_stiffness.stiffness": 40_000.0,
+            "linear_damping.damping": 4.0,
+            "cubic_stiffness.stiffness": 1e12,
+        },
+        inputs={"force": {"noise": 1, "band": [5, 100]}},
+        duration=10.0,
+        rate=1000.0,
+        noise_level=0.02,
+    )
+    record, test = split_off_test(source.load(Oscillator())[0], 0.2)
+    run = discover(planar_problem(record, test, seed_model(Oscillator())))
+    assert set(run.model.labels) == {"linear_stiffness", "linear_damping", "cubic_stiffness"}
+    found = run.model.estimates()["cubic_stiffness"]["stiffness"]
+    assert found.estimate == pytest.approx(1e12, rel=0.02)
+    for r in run.rounds:
+        assert not set(r.retired) & set(r.admitted)

@@ -1,0 +1,61 @@
+"""Backward step: an effect admitted earlier that a later one has made superfluous is let go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from spiral.assembly import Assembly
+from spiral.evidence import Admitted, Masks, Standing, refit
+from spiral.judge import held_out
+from spiral.model import Model
+from spiral.shooting.growth import Stage
+from spiral.statistics import paired_errors
+
+_WEAK = 2.0  # |t| under which every amplitude of an effect must lie before it is questioned
+
+
+def superfluous(
+    assembly: Assembly, latest: Admitted, model: Model, mask: Masks, block: int
+) -> tuple[str, ...]:
+    """Compiled labels of admitted effects whose absence does not cost held-out accuracy.
+
+    Questioned are effects (not the seed's, not the latest) whose amplitudes all have |t| < 2 in the
+    refitted model; each is let go where the model without it, refitted on the windows of the
+    latest admission, is not significantly worse on the half that did not select.
+    """
+    gone: list[str] = []
+    for label in latest.standing.labels:
+        if label in assembly.problem.model.labels or label == latest.variant.label:
+            continue
+        if not _weak(model, assembly.variant(label).original.label):
+            continue
+        smaller = _without(latest.standing, label)
+        trial = refit(assembly, smaller, latest.stage)
+        stage = Stage(latest.stage.length, latest.stage.layouts, trial)
+        left = held_out(assembly, smaller.labels, stage, mask)[1]
+        kept = held_out(assembly, latest.standing.labels, latest.stage, mask)[1]
+        if paired_errors(left, kept, block).p_fall >= assembly.problem.settings.level:
+            gone.append(label)
+    return tuple(gone)
+
+
+def let_go(standing: Standing, labels: tuple[str, ...]) -> Standing:
+    """The standing without these effects."""
+    for label in labels:
+        standing = _without(standing, label)
+    return standing
+
+
+def _without(standing: Standing, label: str) -> Standing:
+    return replace(
+        standing,
+        labels=tuple(x for x in standing.labels if x != label),
+        freed=tuple(k for k in standing.freed if k.rsplit(".", 1)[0] != label),
+    )
+
+
+def _weak(model: Model, label: str) -> bool:
+    names = {p.name for e in model.effects if e.label == label for p in e.amplitudes()}
+    rows = model.estimates()[label]
+    tested = [e for n, e in rows.items() if any(n == k or n.startswith(f"{k}_") for k in names)]
+    return bool(tested) and all(e.t is not None and abs(e.t) < _WEAK for e in tested)
