@@ -1,0 +1,49 @@
+"""Every preset of conf/experiment runs; the Silverbox reaches its figures where the data are."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PRESETS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
+DATA = os.environ.get("SPIRAL_DATA")
+
+
+def _discover(preset: str, folder: Path, *more: str) -> dict:
+    done = subprocess.run(
+        [sys.executable, "-m", "spiral", "discover", f"experiment={preset}", *more, "--json", "-"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def _needs_data(preset: str) -> bool:
+    return "SPIRAL_DATA" in (ROOT / "conf" / "experiment" / f"{preset}.yaml").read_text()
+
+
+@pytest.mark.parametrize("preset", [p for p in PRESETS if not _needs_data(p)])
+def test_a_preset_runs_in_a_fast_mode(preset, tmp_path):
+    found = _discover(preset, tmp_path, "settings.max_rounds=1", "candidates=[cross_stiffness]")
+    assert found["rounds"][1]["admitted"] == ["cross_stiffness"]
+    assert found["rounds"][1]["test_error"] < found["rounds"][0]["test_error"]
+
+
+@pytest.mark.skipif(
+    not DATA or not (Path(DATA or ".") / "silverbox" / "SNLS80mV.csv").exists(),
+    reason="silverbox/SNLS80mV.csv is not under SPIRAL_DATA",
+)
+def test_silverbox_names_the_cubic_spring_and_reaches_its_figures(tmp_path):
+    found = _discover("silverbox", tmp_path)
+    assert found["rounds"][0]["suggestions"][0]["effect"] == "cubic_stiffness"
+    assert found["rounds"][1]["admitted"] == ["cubic_stiffness"]
+    spread = found["test"]["x"]["rmse"] / found["test"]["x"]["relative"]
+    assert found["rounds"][1]["test_error"] * spread <= 0.50e-3
+    assert found["test"]["x"]["rmse"] <= 0.30e-3
+    assert all(r["meaning"] for r in found["rounds"][1:])

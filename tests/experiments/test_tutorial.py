@@ -1,0 +1,60 @@
+"""The README's five minutes, run as written."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def _commands() -> list[list[str]]:
+    text = (ROOT / "README.md").read_text()
+    block = re.search(r"## Five minutes by hand.*?```\n(.*?)```", text, re.DOTALL)
+    assert block is not None
+    return [line.split()[1:] for line in block[1].splitlines()]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tutorial")
+    found = []
+    for words in _commands():
+        done = subprocess.run(
+            [sys.executable, "-m", "spiral", *words, "--json", "-"],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        found.append((words, json.loads(done.stdout)))
+    return found
+
+
+def test_the_tutorial_has_its_six_steps(results):
+    assert [w[0] for w, _ in results] == ["compare", "diagnose", "add", "add", "diagnose", "add"]
+
+
+def test_diagnose_names_what_is_then_added(results):
+    assert results[1][1]["suggestions"][0]["effect"] == results[2][0][1] == "cross_stiffness"
+    assert results[4][1]["suggestions"][0]["effect"] == results[5][0][1] == "gyroscopic"
+
+
+def test_the_error_falls_at_every_step_down_to_the_noise(results):
+    steps = [r for w, r in results if w[0] == "add"]
+    for step in steps:
+        assert step["after"]["test_error"] < step["before"]["test_error"]
+    for earlier, later in zip(steps, steps[1:], strict=False):
+        assert later["before"]["test_error"] == pytest.approx(
+            earlier["after"]["test_error"], rel=0.02
+        )
+    last = steps[-1]["after"]
+    assert last["test_error"] <= 1.1 * last["noise_floor"]
+    assert set(steps[-1]["model"]["effects"]) >= {
+        "cross_stiffness",
+        "cubic_stiffness",
+        "gyroscopic",
+    }
