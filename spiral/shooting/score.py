@@ -22,6 +22,7 @@ from spiral.record import Array
 from spiral.shooting.sensitivities import Reduction
 
 MINIMUM_BLOCKS = 40
+MOST_BLOCKS = 512  # keeps memory bounded whatever the record's length
 _RANK = 1e-7
 
 
@@ -183,7 +184,7 @@ def correlation_samples(residuals: tuple[Array, ...]) -> int:
 
 
 def block_samples(correlation: int, counted: int) -> int:
-    """Samples in a block: a power of two above the correlation time, at least 40 blocks."""
+    """Samples in a block: a power of two above the correlation time, 40 to 512 blocks."""
     most = max(counted // MINIMUM_BLOCKS, 8)
-    wanted = 2 ** int(np.ceil(np.log2(max(32, 2 * correlation))))
+    wanted = 2 ** int(np.ceil(np.log2(max(32, 2 * correlation, counted / MOST_BLOCKS))))
     return int(min(wanted, 2 ** int(np.log2(most))))
