@@ -120,10 +120,13 @@ def _discover(console: Console, outcome: Outcome) -> None:
     _about(console, outcome)
     _heading(console, "Rounds")
     console.print(_rounds(run, console.width))
-    _model(console, run)
+    refused = run.verdict == "not_identifiable"
+    if not refused:  # values that the record does not determine would mislead
+        _model(console, run)
     _heading(console, "Verdict")
     console.print(Text(f"{_sentence(run)} {run.advice}"))
-    _next(console, *_after_discover(run, outcome.parts["config"]))
+    if not refused:
+        _next(console, *_after_discover(run, outcome.parts["config"]))
 
 
 def _about(console: Console, outcome: Outcome) -> None:
@@ -206,7 +209,7 @@ def _parameters(model: Any) -> Table:
 
 
 def _sentence(run: Run) -> str:
-    found = [label for r in run.rounds for label in r.admitted]
+    found = [x for r in run.rounds for x in r.admitted if x in run.model.labels]
     if not found:
         return _VERDICTS[run.verdict] if run.stopped != "diverged" else "The fit diverged."
     first, last = run.rounds[0].comparison, run.final
@@ -219,7 +222,7 @@ def _sentence(run: Run) -> str:
 
 def _after_discover(run: Run, config: dict[str, Any]) -> list[tuple[str, str]]:
     given = _taken_up(run, config)
-    found = [label for r in run.rounds for label in r.admitted]
+    found = [x for r in run.rounds for x in r.admitted if x in run.model.labels]
     commands = [
         (f"spiral diagnose {given}", "what is left, and what comes closest to explaining it")
     ]

@@ -28,9 +28,8 @@ def advice_for(
     if verdict == "not_identifiable":
         tied = "; ".join(" = ".join(g) for g in groups)
         return (
-            "This record cannot tell the model's own parameters apart"
-            + (f" ({tied})" if tied else "")
-            + ". Sweep the speed (run-up or coast-down) through the resonance, or record the "
+            (f"Alike on it are {tied}. " if tied else "")
+            + "Sweep the speed (run-up or coast-down) through the resonance, or record the "
             "start-up transient, and try again."
         )
     if stopped == "diverged":
@@ -41,11 +40,11 @@ def advice_for(
     last = rounds[-1].comparison
     if verdict == "unknown_structure":
         return (
-            "Something is missing that no candidate explains. See where the residual lives with "
-            "`spiral diagnose`, and add an effect of your own."
+            "See where the residual lives with `spiral diagnose`, and add an effect of your own "
+            "(a file in ./plugins)."
         )
     if verdict == "nothing_missing":
-        return "The model explains this record down to its noise; nothing needs to be added."
+        return "The model explains this record down to its noise."
     ending = {
         "whiteness": "What is left is white noise.",
         "no_candidate": "No further candidate passes the gates"
