@@ -80,11 +80,28 @@ class Registry:
             if entry.kind == kind and entry.name == name:
                 return entry
         names = self.names(kind)
-        hint = did_you_mean(name, names)
+        expected = f"one of {', '.join(names) or 'none'}"
+        raise ConfigError(f"{kind} {name!r}", expected, self._hint(name, names))
+
+    def named(self, name: str) -> tuple[Entry, ...]:
+        """Plugins of any kind by name.
+
+        Raises
+        ------
+        ConfigError : unknown; near misses and files that failed to import are named.
+        """
+        found = tuple(e for e in self.entries if e.name == name)
+        if not found:
+            names = tuple(e.name for e in self.entries)
+            expected = "the name of a plugin; spiral plugins lists them"
+            raise ConfigError(f"plugin {name!r}", expected, self._hint(name, names))
+        return found
+
+    def _hint(self, name: str, names: tuple[str, ...]) -> str:
         for failure in self.failures:
             if name in (failure.name, Path(failure.file).stem):
-                hint = f"{failure.file} could not be used: {failure.message}"
-        raise ConfigError(f"{kind} {name!r}", f"one of {', '.join(names) or 'none'}", hint)
+                return f"{failure.file} could not be used: {failure.message}"
+        return did_you_mean(name, names)
 
     def make(
         self, kind: str, name: str, fields: Mapping[str, Any] | None = None, where: str = ""
@@ -168,7 +185,7 @@ def _installed(failures: list[Failure]) -> Iterator[tuple[ModuleType, str, str]]
         try:
             yield importlib.import_module(point.module), origin, version
         except Exception as error:
-            failures.append(Failure(point.name, point.value, _told(error)))
+            failures.append(Failure(point.name, point.value, told(error)))
 
 
 def _walk(package: ModuleType, failures: list[Failure], seen: set[Path]) -> Iterator[ModuleType]:
@@ -185,7 +202,7 @@ def _walk(package: ModuleType, failures: list[Failure], seen: set[Path]) -> Iter
         try:
             yield importlib.import_module(info.name)
         except (Exception, SystemExit) as error:
-            failures.append(Failure(info.name.rsplit(".", 1)[-1], file, _told(error)))
+            failures.append(Failure(info.name.rsplit(".", 1)[-1], file, told(error)))
 
 
 def _see(file: str | None, seen: set[Path]) -> None:
@@ -225,12 +242,13 @@ def _load_folder(folder: Path, failures: list[Failure], seen: set[Path]) -> Iter
             spec.loader.exec_module(module)
         except (Exception, SystemExit) as error:
             del sys.modules[name]
-            failures.append(Failure(path.stem, str(path), _told(error)))
+            failures.append(Failure(path.stem, str(path), told(error)))
             continue
         yield module
 
 
-def _told(error: BaseException) -> str:
+def told(error: BaseException) -> str:
+    """An error in one line, with the place in the plugin's file where there is one."""
     if isinstance(error, SpiralError):
         return f"{error.given}; expected {error.expected}"
     place = f", line {error.lineno}" if isinstance(error, SyntaxError) else _line(error)

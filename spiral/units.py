@@ -13,7 +13,7 @@ from typing import Any
 from spiral.effect import Effect, FlowEffect, ForceEffect, SensorEffect
 from spiral.errors import InputError, PluginError
 from spiral.port import At, Port
-from spiral.system import System
+from spiral.system import MechanicalSystem, System
 
 _PER_TURN = {"rpm": 2 * math.pi / 60, "hz": 2 * math.pi, "rps": 2 * math.pi, "1/s": 2 * math.pi}
 
@@ -90,15 +90,55 @@ def check_units(system: System, effect: Effect) -> None:
 
     port = system.port(effect.port)
     try:
-        values, expected = _evaluated(system, effect, port)
-        for value in values:
-            _must_fit(effect, value, expected)
+        for what, value, expected in _evaluated(system, effect, port):
+            _must_fit(f"{what} {effect.label!r}", value, expected)
     except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
         raise PluginError(
             f"effect {effect.label!r} at port {port.name!r}: {error}",
             "an equation whose units fit",
             "check the units of its parameters",
         ) from error
+
+
+def check_system_units(system: MechanicalSystem) -> None:
+    """Evaluate M q'' and a system's own force on quantities with units.
+
+    Raises
+    ------
+    PluginError : a unit differs from that of the injection of its coordinate.
+    """
+    import pint
+
+    coordinates, name = system.coordinates, system.plugin_name()
+    q = SimpleNamespace(**{c.name: _quantity(c.unit) for c in coordinates})
+    v = SimpleNamespace(**{c.name: _quantity(f"({c.unit})/s") for c in coordinates})
+    p = SimpleNamespace(**{k.name: _quantity(k.unit) for k in system.parameters})
+    u = _inputs(system)
+    try:
+        force, mass = system.force(q, v, u, p), system.mass(q, p)
+    except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
+        raise PluginError(f"system {name!r}: {error}", "an equation whose units fit") from error
+    for i, entry in enumerate(system.injections):
+        own = [("force", force[i])]
+        own += [
+            (f"mass row {i}", m * _quantity(f"({c.unit})/s^2"))
+            for m, c in zip(mass[i], coordinates, strict=True)
+            if not _is_zero(m)
+        ]
+        for what, value in own:
+            _must_fit(f"{what} of system {name!r}", value, entry.unit)
+
+
+def _is_zero(value: Any) -> bool:
+    return isinstance(value, int | float) and value == 0
+
+
+def _inputs(system: System) -> SimpleNamespace:
+    u = SimpleNamespace()
+    for item in system.inputs:
+        setattr(u, item.name, _quantity(item.unit))
+        setattr(u, f"{item.name}_rate", _quantity(f"({item.unit})/s"))
+    return u
 
 
 def units_fit(system: System, effect: Effect) -> bool:
@@ -114,7 +154,8 @@ def _quantity(unit: str, size: float = 1.25) -> Any:
     return registry().Quantity(size, _parse(unit) if unit else "")
 
 
-def _evaluated(system: System, effect: Effect, port: Port) -> tuple[list[Any], str]:
+def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, Any, str]]:
+    """(what it is, its value with units, the unit it must have) of all that an effect gives."""
     count = len(port.axes)
     position = tuple(_quantity(port.position_unit, 1.0 + 0.25 * i) for i in range(count))
     velocity = tuple(_quantity(f"({port.position_unit})/s", 0.5 + 0.25 * i) for i in range(count))
@@ -126,10 +167,7 @@ def _evaluated(system: System, effect: Effect, port: Port) -> tuple[list[Any], s
             for s in effect.states
         }
     )
-    u = SimpleNamespace()
-    for item in system.inputs:
-        setattr(u, item.name, _quantity(item.unit))
-        setattr(u, f"{item.name}_rate", _quantity(f"({item.unit})/s"))
+    u = _inputs(system)
     p = SimpleNamespace(
         **{
             q.name: tuple(_quantity(port.unit(q.unit)) for _ in range(count))
@@ -139,25 +177,38 @@ def _evaluated(system: System, effect: Effect, port: Port) -> tuple[list[Any], s
         }
     )
     at = At(position, velocity, own)
+    found = [(f"rate {k} of effect", v, unit) for k, v, unit in _own_rates(effect, port, at, u, p)]
     if isinstance(effect, ForceEffect):
-        return list(effect.force(at, u, p)), port.force_unit
-    if isinstance(effect, SensorEffect):
-        return list(effect.reading(list(position), at, u, p)), port.position_unit
-    if isinstance(effect, FlowEffect):
+        found += [("effect", value, port.force_unit) for value in effect.force(at, u, p)]
+    elif isinstance(effect, SensorEffect):
+        readings = effect.reading(list(position), at, u, p)
+        found += [("effect", value, port.position_unit) for value in readings]
+    elif isinstance(effect, FlowEffect):
         x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states})
         units = {i.name: i.unit for i in system.injections}
-        flows = effect.flow(x, u, p)
-        for name, value in flows.items():
-            _must_fit(effect, value, units[name])
-        return [], ""
-    return [], ""
+        found += [("effect", value, units[name]) for name, value in effect.flow(x, u, p).items()]
+    return found
 
 
-def _must_fit(effect: Effect, value: Any, expected: str) -> None:
+def _own_rates(
+    effect: Effect, port: Port, at: At, u: SimpleNamespace, p: SimpleNamespace
+) -> list[tuple[str, Any, str]]:
+    rates = effect.rate(at, u, p) if effect.states else {}
+    return [
+        (state.name, value, f"({port.unit(state.unit)})/s")
+        for state in effect.states
+        if state.name in rates
+        for value in (rates[state.name] if state.per_axis else [rates[state.name]])
+    ]
+
+
+def _must_fit(what: str, value: Any, expected: str) -> None:
+    if _is_zero(value):
+        return
     quantity = registry().Quantity(value) if not hasattr(value, "dimensionality") else value
     if quantity.dimensionality != _parse(expected).dimensionality:
         raise PluginError(
-            f"effect {effect.label!r} gives {quantity.units:~C}",
+            f"{what} gives {quantity.units:~C}",
             f"{expected}",
             "check the units of its parameters",
         )

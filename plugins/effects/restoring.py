@@ -54,12 +54,12 @@ class Clearance(ForceEffect):
 
 
 class ConstantLoad(ForceEffect):
-    """Constant force (weight, misaligned support): F_i constant."""
+    """Constant force (weight, misaligned support): F_i = f_i."""
 
     parameters = (Parameter("force", "force", per_axis=True),)
 
     def force(self, at, u, p):
-        """F_i per axis."""
+        """f_i per axis."""
         return list(p.force)
 
 

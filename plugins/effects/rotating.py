@@ -30,7 +30,10 @@ def _rotating(p, angle):
 
 
 class ShaftBow(ForceEffect):
-    """A bent shaft: a force of constant size that turns once per turn."""
+    """A bent shaft: a force of constant size that turns once per turn.
+
+    F = a (cos t, sin t) + b (-sin t, cos t), t the phase.
+    """
 
     axes = 2
     inputs = ("phase",)
@@ -42,7 +45,10 @@ class ShaftBow(ForceEffect):
 
 
 class Misalignment(ForceEffect):
-    """Coupling misalignment: a force of constant size that turns twice per turn."""
+    """Coupling misalignment: a force of constant size that turns twice per turn.
+
+    F = a (cos 2t, sin 2t) + b (-sin 2t, cos 2t), t the phase.
+    """
 
     axes = 2
     inputs = ("phase",)

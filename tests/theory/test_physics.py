@@ -4,17 +4,24 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from spiral_plugins.systems.oscillator import Oscillator
+from spiral_plugins.systems.pendulum import Pendulum
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
 from spiral.compile import compile_model
 from spiral.model import Model, seed_model
 from spiral.simulate import with_defaults
+from spiral.testing import check_effect, failed
 from spiral.trace import trace
-from spiral.units import check_units, units_fit
+from spiral.units import units_fit
 from tests.scenes import registry
 
-SYSTEMS = (PlanarRotor(), TiltingRotor(), Oscillator(position_unit="rad", force_unit="N*m"))
+SYSTEMS = (
+    PlanarRotor(),
+    TiltingRotor(),
+    Oscillator(position_unit="rad", force_unit="N*m"),
+    Pendulum(),
+)
 LABELS = registry().names("effect")
 
 
@@ -30,73 +37,14 @@ def _each():
                 yield pytest.param(system, label, id=f"{system.plugin_name()}-{label}")
 
 
-def _functions(system, label):
-    effect = registry().effect_from_label(label, {})
-    compiled = compile_model(trace(system, (effect,)))
-    n, count = len(compiled.traced.states), len(compiled.traced.keys)
-
-    def rate(x, u, p):
-        f, a, b = np.zeros(n), np.zeros((n, n)), np.zeros((n, count))
-        compiled.rate(x, u, p, f, a, b)
-        return f, a, b
-
-    return compiled, rate
-
-
 @pytest.mark.parametrize(("system", "label"), _cases())
-def test_jacobians_agree_with_central_differences(system, label):
-    compiled, rate = _functions(system, label)
-    rng = np.random.default_rng(1)
-    step = 1e-6
-    for _ in range(3):
-        x = rng.normal(size=len(compiled.traced.states))
-        u = rng.normal(size=len(compiled.traced.inputs))
-        p = rng.uniform(0.3, 0.9, size=len(compiled.traced.keys))
-        f, a, b = rate(x, u, p)
-        for i in range(len(x)):
-            d = step * np.eye(len(x))[i]
-            slope = (rate(x + d, u, p)[0] - rate(x - d, u, p)[0]) / (2 * step)
-            np.testing.assert_allclose(a[:, i], slope, rtol=1e-5, atol=1e-5 * np.abs(f).max())
-        for i in range(len(p)):
-            d = step * np.eye(len(p))[i]
-            slope = (rate(x, u, p + d)[0] - rate(x, u, p - d)[0]) / (2 * step)
-            np.testing.assert_allclose(b[:, i], slope, rtol=1e-5, atol=1e-5 * np.abs(f).max())
-
-
-@pytest.mark.parametrize(("system", "label"), _cases())
-def test_an_effect_is_finite_at_rest_and_with_zero_amplitude(system, label):
-    compiled, rate = _functions(system, label)
-    x, u = np.zeros(len(compiled.traced.states)), np.zeros(len(compiled.traced.inputs))
-    parameters = compiled.traced.parameters
-    for amplitude in (0.0, 1.0):
-        p = np.array([amplitude if q.role == "amplitude" else 0.5 for q in parameters])
-        own = [k.startswith("system.") for k in compiled.traced.keys]
-        p[own] = 0.5
-        for part in rate(x, u, p):
-            assert np.isfinite(part).all()
-
-
-@pytest.mark.parametrize(("system", "label"), _cases())
-def test_an_effect_is_linear_in_its_amplitudes_and_absent_at_zero(system, label):
-    compiled, rate = _functions(system, label)
-    rng = np.random.default_rng(2)
-    x = rng.normal(size=len(compiled.traced.states))
-    u = rng.normal(size=len(compiled.traced.inputs))
-    own = [
-        k.startswith(label) and q.role == "amplitude"
-        for k, q in zip(compiled.traced.keys, compiled.traced.parameters, strict=False)
-    ]
-    base = rng.uniform(0.3, 0.9, size=len(own))
-    one, two, none = base.copy(), base.copy(), base.copy()
-    two[own] *= 2.0
-    none[own] = 0.0
-    f0, f1, f2 = (rate(x, u, p)[0] for p in (none, one, two))
-    np.testing.assert_allclose(f2 - f0, 2 * (f1 - f0), rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.parametrize(("system", "label"), _cases())
-def test_units_of_every_effect_fit(system, label):
-    check_units(system, registry().effect_from_label(label, {}))
+def test_an_effect_keeps_its_contract(system, label):
+    """Units; Jacobians to 1e-5; finite at rest; linear and absent to 1e-12 (spiral.testing)."""
+    checks = check_effect(registry().effect_from_label(label, {}), system)
+    assert not failed(checks)
+    names = {c.name for c in checks}
+    assert {"units", "jacobians", "finite at rest", "linear in amplitudes"} <= names
+    assert "absent at zero" in names
 
 
 def test_a_sine_of_a_length_does_not_fit():

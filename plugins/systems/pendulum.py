@@ -1,0 +1,46 @@
+"""A pendulum."""
+
+from __future__ import annotations
+
+from spiral_plugins.effects.dissipative import LinearDamping
+from spiral_plugins.effects.restoring import GravityTorque
+
+from spiral.parameter import Input, Parameter, State
+from spiral.port import Port
+from spiral.system import MechanicalSystem
+
+
+class Pendulum(MechanicalSystem):
+    """I theta'' + c theta' + g sin theta = torque: angle measured, rate hidden.
+
+    A common factor of all terms leaves the motion as it is, so the inertia I is fixed to 1: torque
+    and coefficients are per unit inertia. ``torque_unit=N*m`` makes I a number in kg m^2, which
+    ``values`` sets and ``free`` lets the fit find.
+    """
+
+    torque_unit: str = "rad/s^2"
+
+    # The angle; the torque about the pivot; what is measured; what is applied.
+    coordinates = (State("theta", "rad"),)
+    observed = ("theta",)
+    seed = (LinearDamping(), GravityTorque())
+    injections = property(lambda self: (State("theta", self.torque_unit),))
+    inputs = property(lambda self: (Input("torque", self.torque_unit, "band_limited"),))
+
+    @property
+    def parameters(self):
+        """The inertia, 1 unless given."""
+        return (Parameter("inertia", f"({self.torque_unit})*s^2/rad", lower=0.0, start=1.0),)
+
+    @property
+    def ports(self):
+        """The pivot."""
+        return (Port("pivot", ("theta",), lambda q, p: [q.theta], "rad", self.torque_unit),)
+
+    def mass(self, q, p):
+        """[[I]]."""
+        return [[p.inertia]]
+
+    def force(self, q, v, u, p):
+        """The applied torque."""
+        return [u.torque]

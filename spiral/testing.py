@@ -1,0 +1,249 @@
+"""The conformance suite of plugins: what ``spiral check NAME`` runs, and what a test calls.
+
+    assert not failed(check_effect(MyEffect(), PlanarRotor()))
+
+No check raises: each is a ``Check`` with what was seen and what to try.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from spiral import conformance as look
+from spiral.effect import Effect, FlowEffect, ForceEffect
+from spiral.errors import ConfigError, InputError, PluginError, SpiralError
+from spiral.fields import construct, field_names, plain
+from spiral.record import Record
+from spiral.registry import told
+from spiral.source import Source
+from spiral.system import MechanicalSystem, System
+
+if TYPE_CHECKING:
+    from spiral.registry import Entry, Registry
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check: its name, whether it passed, what was seen, what to try, and on what."""
+
+    name: str
+    passed: bool
+    seen: str
+    try_: str = ""
+    on: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As ``spiral check --json`` writes it."""
+        return {
+            "check": self.name,
+            "passed": self.passed,
+            "seen": self.seen,
+            "try": self.try_,
+            "on": self.on,
+        }
+
+
+Step = tuple[str, Callable[[], str], str]
+"""(name of a check, the check: what was seen or an error, what to try)."""
+
+
+def failed(checks: Iterable[Check]) -> list[Check]:
+    """Those that did not pass."""
+    return [c for c in checks if not c.passed]
+
+
+def check_effect(effect: Effect, system: System) -> list[Check]:
+    """An effect at its port of a system: text, units, Jacobians, rest, linearity, own states.
+
+    After a check that the others rest on (it fits, it traces) has failed, no more are run.
+    """
+    whole = look.Physics(system, (effect,))
+    bare = look.Physics(system, ())
+    return _run(
+        f"{effect.label} on {system.plugin_name()}",
+        [
+            ("docstring", lambda: look.docstring(effect), _SAY),
+            (
+                "fits",
+                lambda: look.fits(effect, system),
+                "another system, or another port: NAME@PORT",
+            ),
+            ("parameters", lambda: look.effect_units(effect, system), _UNITS),
+            ("traces", lambda: look.traces(whole), _TRACE),
+            (
+                "own states",
+                lambda: look.own_states(effect, whole),
+                "return their rates from rate()",
+            ),
+            ("units", lambda: look.units(system, (effect,)), _UNITS),
+            ("jacobians", lambda: look.jacobians(whole), _SMOOTH),
+            ("finite at rest", lambda: look.finite(whole), _REST),
+            ("linear in amplitudes", lambda: look.linear(effect, whole), _LINEAR),
+            ("absent at zero", lambda: look.absent(effect, whole, bare), _LINEAR),
+        ],
+    )
+
+
+def check_system(system: System) -> list[Check]:
+    """A system with its seed: names, units, tracing, mass, Jacobians, rest, a short record."""
+    whole = look.Physics(system)
+    return _run(
+        system.plugin_name(),
+        [
+            ("docstring", lambda: look.docstring(system), _SAY),
+            ("names", lambda: look.names(system), ""),
+            ("parameters", lambda: look.system_units(system), _UNITS),
+            ("traces", lambda: look.traces(whole), _TRACE),
+            ("units of the seed", lambda: look.units(system, system.seed), _UNITS),
+            (
+                "mass",
+                lambda: look.mass(system),
+                "one row and column for each coordinate, symmetric",
+            ),
+            ("units of mass and force", lambda: look.mechanical_units(system), _UNITS),
+            ("jacobians", lambda: look.jacobians(whole), _SMOOTH),
+            ("finite at rest", lambda: look.finite(whole), _REST),
+            ("simulates", lambda: look.simulates(system), "nominal values of a stable motion"),
+        ],
+    )
+
+
+def check_source(source: Source, system: System) -> list[Check]:
+    """A source asked for the records of a system; a refusal that says what to change passes."""
+    return _run(
+        f"{source.plugin_name()} for {system.plugin_name()}",
+        [
+            ("docstring", lambda: look.said(source), _SAY),
+            ("fields", lambda: _fields(source), "fields of plain values, each with a default"),
+            (
+                "loads",
+                lambda: _loads(source, system),
+                "raise InputError for what cannot be used",
+            ),
+            (
+                "repeatable",
+                lambda: _repeatable(source, system),
+                "seed what is random by a field",
+            ),
+            ("as test", lambda: _as_test(source), "return a Source from as_test()"),
+        ],
+    )
+
+
+def check_plugin(entry: Entry, registry: Registry) -> list[Check]:
+    """A registered plugin: an effect on every system that it fits, a source for every system."""
+    if entry.kind == "system":
+        return check_system(registry.make("system", entry.name))
+    systems = [registry.make("system", name) for name in registry.names("system")]
+    if entry.kind == "effect":
+        return _on_systems(registry.make("effect", entry.name), systems)
+    if entry.kind == "source":
+        source = registry.make("source", entry.name)
+        return [c for system in systems for c in check_source(source, system)]
+    return _run(entry.name, [("docstring", lambda: look.said(entry.plugin), _SAY)])
+
+
+def misfit(effect: Effect, system: System) -> str:
+    """Why an effect does not fit a system (axes, inputs, units); empty where it does."""
+    from spiral.trace import check_effect as check_needs
+    from spiral.units import check_units
+
+    if isinstance(effect, ForceEffect) and not isinstance(system, MechanicalSystem):
+        return "a force needs a system with coordinates"
+    try:
+        check_needs(system, effect)
+        check_units(system, effect)
+    except SpiralError as error:
+        return f"{error.given}, expected {error.expected}"
+    except (AttributeError, KeyError) as error:
+        return f"it lacks {error}" if isinstance(effect, FlowEffect) else ""
+    except Exception:  # a defect of the effect, which its checks name
+        return ""
+    return ""
+
+
+_SAY = "a first line that says what it is, and a line with its equation: F = -k q"
+_UNITS = "units relative to the port (force, position, velocity) or absolute ones such as kg*m^2"
+_TRACE = "plain arithmetic and functions of spiral.math; where(...) in place of if"
+_SMOOTH = "functions with derivatives: tanh(v / w) or where(...) in place of jumps"
+_REST = "avoid x / |x| and roots at zero: spiral.math.length stays smooth there"
+_LINEAR = "amplitudes as plain factors; role='shape' for gaps, widths and exponents"
+# After one of these has failed the others say nothing.
+_ESSENTIAL = ("fits", "names", "parameters", "traces", "fields", "loads")
+
+
+def _run(on: str, steps: Sequence[Step]) -> list[Check]:
+    found: list[Check] = []
+    for name, step, advice in steps:
+        found.append(_checked(name, on, step, advice))
+        if not found[-1].passed and name in _ESSENTIAL:
+            break
+    return found
+
+
+def _checked(name: str, on: str, step: Callable[[], str], advice: str) -> Check:
+    try:
+        return Check(name, True, step(), "", on)
+    except SpiralError as error:
+        seen = f"{error.given}; expected {error.expected}"
+        return Check(name, False, seen, error.try_ or advice, on)
+    except Exception as error:
+        return Check(name, False, told(error), advice, on)
+
+
+def _on_systems(effect: Effect, systems: Sequence[System]) -> list[Check]:
+    reasons = {s.plugin_name(): misfit(effect, s) for s in systems}
+    found = [c for s in systems if not reasons[s.plugin_name()] for c in check_effect(effect, s)]
+    if found:
+        return found
+    seen = "; ".join(f"{name}: {reason}" for name, reason in reasons.items()) or "no system"
+    advice = "correct its units, or put a system that it fits into the plugin folder"
+    return [Check("fits a system", False, f"it fits none. {seen}", advice, effect.label)]
+
+
+def _fields(source: Source) -> str:
+    """Fields become plain values and come back as they were."""
+    given = {k: plain(getattr(source, k)) for k in field_names(type(source))}
+    if construct(type(source), given, source.plugin_name()) != source:
+        raise PluginError("fields that do not come back from plain values", "the same fields")
+    return ", ".join(given) or "none"
+
+
+def _loads(source: Source, system: System) -> str:
+    """Records of the system, or a refusal that says what to change."""
+    records = _records(source, system)
+    if isinstance(records, SpiralError):
+        return f"refused: {records.given}, expected {records.expected}"
+    if not isinstance(records, tuple) or not records:
+        raise PluginError(f"load() gives {type(records).__name__}", "a tuple of records")
+    for record in records:
+        if not isinstance(record, Record) or tuple(record.channels) != tuple(system.observed):
+            raise PluginError(f"load() gives {record!r:.60}", "records made by make_record(system)")
+    return f"{len(records)} record of {records[0].samples} samples"
+
+
+def _records(source: Source, system: System) -> Any:
+    try:
+        return source.load(system)
+    except (InputError, ConfigError) as error:
+        return error
+
+
+def _repeatable(source: Source, system: System) -> str:
+    """Loading twice gives the same numbers."""
+    once, again = (_records(source, system) for _ in range(2))
+    if isinstance(once, SpiralError):
+        return "refused"
+    if [r.sha256 for r in once] != [r.sha256 for r in again]:
+        raise PluginError("two loads that differ", "the same records each time")
+    return once[0].sha256[:12]
+
+
+def _as_test(source: Source) -> str:
+    """What a test record takes from this source is a source."""
+    other = source.as_test()
+    if not isinstance(other, Source):
+        raise PluginError(f"as_test() gives {type(other).__name__}", "a Source")
+    return "the same" if other == source else "another"
