@@ -14,7 +14,6 @@ from spiral.shooting.start import motion
 from spiral.shooting.study import Columns, Layouts, Point, Study
 from spiral.shooting.windows import cut, stage_lengths
 
-
 _RUNAWAY = 100.0
 _FIRM = 10.0  # noise standard deviations that a parameter's whole value must be worth
 

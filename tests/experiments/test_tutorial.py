@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -47,7 +48,7 @@ def test_the_error_falls_at_every_step_down_to_the_noise(results):
     steps = [r for w, r in results if w[0] == "add"]
     for step in steps:
         assert step["after"]["test_error"] < step["before"]["test_error"]
-    for earlier, later in zip(steps, steps[1:], strict=False):
+    for earlier, later in pairwise(steps):
         assert later["before"]["test_error"] == pytest.approx(
             earlier["after"]["test_error"], rel=0.02
         )
