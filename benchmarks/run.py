@@ -107,7 +107,8 @@ def _kernel_only(study, layouts, point, columns) -> Callable[[], object]:
         s[:, :, :n] = np.eye(n)
         rows = np.empty((len(starts), batch.length * 2, width + 1))
         sensitivities._advance(
-            study, study.series[0], point.starts[0][batch.windows].copy(), s, starts,
+            study, study.series[0], study.series[0].inputs,
+            point.starts[0][batch.windows].copy(), s, starts,
             batch.length, point.values[0], columns.index, weight, rows,
         )  # fmt: skip
 

@@ -72,14 +72,17 @@ def assemble(problem: Problem, substeps: int = 1) -> Assembly:
             effects.append(variant.companion)
             shifts.append(np.pi / 2)
     compiled = compile_model(trace(model.system, tuple(effects), tuple(shifts)))
-    series = tuple(prepare(model.system, r, substeps) for r in problem.records)
+    knot = problem.settings.phase_knot
+    series = tuple(prepare(model.system, r, substeps, knot) for r in problem.records)
     return Assembly(problem, Study(compiled, series), tuple(variants))
 
 
-def with_records(assembly: Assembly, records: tuple[Record, ...], substeps: int) -> Assembly:
-    """The same compiled model with other records."""
+def with_records(
+    assembly: Assembly, records: tuple[Record, ...], substeps: int, knot: float = 0.0
+) -> Assembly:
+    """The same compiled model with other records, their phase corrected only where asked."""
     system = assembly.problem.model.system
-    series = tuple(prepare(system, r, substeps) for r in records)
+    series = tuple(prepare(system, r, substeps, knot) for r in records)
     return replace(assembly, study=replace(assembly.study, series=series))
 
 
@@ -141,24 +144,30 @@ def _extremes(model: Model, records: tuple[Record, ...]) -> dict[str, float]:
 
 
 def active_keys(
-    assembly: Assembly, labels: tuple[str, ...], freed: tuple[str, ...] = ()
+    assembly: Assembly,
+    labels: tuple[str, ...],
+    freed: tuple[str, ...] = (),
+    corrected: bool = True,
 ) -> tuple[str, ...]:
     """Parameters that a fit moves when these effects (compiled labels) are active."""
     model = assembly.problem.model
     movable = set(model.active)
     effects = _effects(assembly, labels)
+    turning = any("phase" in e.inputs for e in effects)
+    corrections = assembly.study.correction_keys if corrected and turning else ()
     keys = []
     for key in assembly.study.keys:
         owner = key.rsplit(".", 1)[0]
         if key == ORIGIN:
-            if ORIGIN in movable and any(e.undirected() for e in effects):
-                keys.append(key)
+            undirected = any(e.undirected() for e in effects)
+            if ORIGIN in movable and undirected and not corrections:
+                keys.append(key)  # the correction holds the origin as well
         elif owner == "system" or owner in model.labels:
             if key in movable and (owner == "system" or owner in labels):
                 keys.append(key)
         elif owner in labels and (key in freed or _role(assembly, key) == "amplitude"):
             keys.append(key)
-    return tuple(keys)
+    return (*keys, *corrections)
 
 
 def nuisance_keys(assembly: Assembly, labels: tuple[str, ...]) -> tuple[str, ...]:
@@ -190,16 +199,17 @@ def columns(assembly: Assembly, keys: tuple[str, ...]) -> tuple[Columns, tuple[A
     study = assembly.study
     shared = all("phase" in s.record.measured for s in study.series)
     found = columns_for(study, keys, shared)
-    parameters = [study.compiled.traced.parameters[i] for i in found.index]
-    low = np.array([-np.inf if p.lower is None else p.lower for p in parameters])
-    high = np.array([np.inf if p.upper is None else p.upper for p in parameters])
+    known = study.compiled.traced.parameters
+    parameters = [known[i] if i < len(known) else None for i in found.index]
+    low = np.array([-np.inf if p is None or p.lower is None else p.lower for p in parameters])
+    high = np.array([np.inf if p is None or p.upper is None else p.upper for p in parameters])
     return found, (low, high)
 
 
 def first_row(assembly: Assembly) -> Array:
     """Values (records, parameters) known before any fit: given, starts, shapes; else zero."""
     study = assembly.study
-    row = np.zeros(len(study.keys))
+    row = np.zeros(len(study.keys) + study.corrections)
     given = assembly.problem.model.values
     for i, (key, parameter) in enumerate(
         zip(study.keys, study.compiled.traced.parameters, strict=True)
@@ -218,7 +228,7 @@ def unknown_keys(assembly: Assembly, keys: tuple[str, ...]) -> tuple[str, ...]:
     given = assembly.problem.model.values
     traced = assembly.study.compiled.traced
     starts = dict(zip(traced.keys, traced.parameters, strict=True))
-    return tuple(k for k in keys if k not in given and starts[k].start is None)
+    return tuple(k for k in keys if k not in given and k in starts and starts[k].start is None)
 
 
 def to_model(
@@ -240,7 +250,7 @@ def to_model(
         return f"{rename.get(owner, owner)}.{name}"
 
     kept = {"system", *labels}
-    row = dict(zip(assembly.study.keys, values[0], strict=True))
+    row = dict(zip(assembly.study.keys, values[0], strict=False))  # corrections left out
     known = {real(k): float(v) for k, v in row.items() if k.rsplit(".", 1)[0] in kept}
     return replace(
         model,

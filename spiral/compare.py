@@ -43,7 +43,8 @@ def prepared(
     standing = begin(assembly, problem.model.labels)
     substeps = _substeps(assembly, standing)
     if substeps > 1:
-        assembly = with_records(assembly, problem.records, substeps)
+        knot = problem.settings.phase_knot
+        assembly = with_records(assembly, problem.records, substeps, knot)
     return assembly, standing
 
 
@@ -86,6 +87,8 @@ def standard_errors(assembly: Assembly, standing: Standing, stage: Stage) -> dic
     spread = spread * np.sqrt(max(stage.fitted.chi2_per_dof, 1.0))
     errors: dict[str, float] = {}
     for i, position in enumerate(moving.index):
+        if position >= len(assembly.study.keys):
+            continue
         errors.setdefault(assembly.study.keys[position], float(spread[i]))
     return errors
 

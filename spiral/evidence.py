@@ -44,10 +44,11 @@ class Standing:
     labels: tuple[str, ...]
     values: Array
     freed: tuple[str, ...] = ()
+    corrected: bool = True
 
     def keys(self, assembly: Assembly) -> tuple[str, ...]:
         """Parameters that a fit of this standing moves."""
-        return active_keys(assembly, self.labels, self.freed)
+        return active_keys(assembly, self.labels, self.freed, self.corrected)
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,8 @@ def entangled(assembly: Assembly, standing: Standing) -> Entanglement | None:
     initial states still excites a transient. Window lengths are tried in turn; one that tells
     the parameters apart is enough.
     """
-    keys = standing.keys(assembly)
-    moving, _ = columns(assembly, keys)
+    standing = replace(standing, corrected=False)  # speed taken as exact
+    moving, _ = columns(assembly, standing.keys(assembly))
     worst: Entanglement | None = None
     for stage in grown(assembly, standing, all_samples(assembly), None, patient=True):
         if stage.fitted.reduction is None:

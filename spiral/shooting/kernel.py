@@ -53,6 +53,21 @@ def _slope(
                     out[i, c] += value * s[k, c]
 
 
+@nb.njit(types.void(_F2, _I1, _I1, _F2, types.int64), cache=True, nogil=True)
+def _correct(
+    b: np.ndarray, phase: np.ndarray, first: np.ndarray, basis: np.ndarray, at: int
+) -> None:
+    """Columns of the phase correction: that of the phase origin times each spline."""
+    if basis.shape[1] == 0:
+        return
+    origin, plain = phase[0], phase[1]
+    for i in range(b.shape[0]):
+        for k in range(plain, b.shape[1]):
+            b[i, k] = 0.0
+        for j in range(basis.shape[1]):
+            b[i, plain + first[at] + j] = b[i, origin] * basis[at, j]
+
+
 @nb.njit(
     types.boolean(
         MODEL_FUNCTION,
@@ -63,6 +78,9 @@ def _slope(
         types.int64,
         _F1,
         _I1,
+        _I1,
+        _I1,
+        _F2,
         _F2,
         types.int64,
         types.float64,
@@ -75,7 +93,10 @@ def _slope(
     error_model="numpy",
     fastmath={"contract"},
 )
-def advance(rate, output, x, s, starts, length, p, columns, inputs, substeps, dt, y, weight, rows):
+def advance(
+    rate, output, x, s, starts, length, p, columns, phase, first, basis, inputs, substeps, dt, y,
+    weight, rows,
+):  # fmt: skip
     """Advance a batch of windows by ``length`` samples and write their weighted rows.
 
     Parameters
@@ -86,6 +107,9 @@ def advance(rate, output, x, s, starts, length, p, columns, inputs, substeps, dt
     starts : (windows,) first sample of each.
     length : samples to write.
     p : (parameters,) values; columns : indices of those differentiated.
+    phase : (2,) position of the phase origin, and number of parameters of the model; what follows
+        them in ``p`` are coefficients of a phase correction, whose derivative is that of the origin
+        times a spline. first, basis : its splines on the half-step grid, first one and weights.
     inputs : ((samples - 1) * 2 * substeps + 1, inputs) on the half-step grid.
     substeps : Runge-Kutta steps per sample; dt : sample interval in s.
     y : (samples, channels) measurements; weight : (samples, channels), 1/sigma or 0.
@@ -118,6 +142,7 @@ def advance(rate, output, x, s, starts, length, p, columns, inputs, substeps, dt
         for k in range(length):
             sample = starts[w] + k
             output(xw, inputs[sample * 2 * substeps], p, h, cx, cp)
+            _correct(cp, phase, first, basis, sample * 2 * substeps)
             for j in range(channels):
                 scale = weight[sample, j]
                 row = rows[w, k * channels + j]
@@ -151,6 +176,7 @@ def advance(rate, output, x, s, starts, length, p, columns, inputs, substeps, dt
                         for c in range(width):
                             ss[i, c] = sw[i, c] + point * step * slope[i, c]
                     rate(xs, inputs[at + (stage + 1) // 2], p, f, a, b)
+                    _correct(b, phase, first, basis, at + (stage + 1) // 2)
                     _slope(a, b, columns, ss, slope)
                     for i in range(n):
                         total[i] += gain * f[i]

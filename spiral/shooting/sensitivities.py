@@ -30,6 +30,7 @@ from spiral.shooting.windows import Layout
 
 _PIECE = 4096  # samples in memory at a time
 _THREADS = 2
+_CURVATURE = 0.05  # rad per knot^2: expected second difference of a phase correction
 
 
 @dataclass(frozen=True)
@@ -95,18 +96,22 @@ def reduce(
     weights = [s.weight(layout.mask) for s, layout in zip(study.series, layouts, strict=True)]
     batches = list(_batches(layouts))
 
+    grids = [study.inputs(r, row) for r, row in enumerate(point.values)]
+
     def work(batch: _Batch) -> _Reduced:
-        return _reduce_batch(study, layouts, point, columns, batch, weights[batch.record], block)
+        weight, grid = weights[batch.record], grids[batch.record]
+        return _reduce_batch(study, layouts, point, columns, batch, weight, grid, block)
 
     results = list(zip(batches, _parallel(work, batches), strict=True))
     width, n = columns.count + 1, study.state_count
     samples = int(sum(np.count_nonzero(w) for w in weights))
     elimination = tuple(np.zeros((len(x), n, width)) for x in point.starts)
-    cost = sum(found.cost for _, found in results)
+    prior = curvature_prior(study, columns, point.values)
+    cost = sum(found.cost for _, found in results) + float(np.sum(prior[:, -1] ** 2))
     if not np.isfinite(cost):
         empty = np.zeros((0, width, width))
         return Reduction(np.zeros((width, width)), np.inf, samples, 0, elimination, empty)
-    parts, blocks = [], []
+    parts, blocks = [prior], []
     for batch, found in results:
         seen = np.append(columns.local(batch.record), width - 1)
         at = np.ix_(batch.windows, np.arange(n), seen)
@@ -121,6 +126,23 @@ def reduce(
         elimination=elimination,
         blocks=np.concatenate(blocks),
     )
+
+
+def curvature_prior(study: Study, columns: Columns, values: Array) -> Array:
+    """Rows [J | r] of the prior on phase corrections: second differences of 0.05 rad per knot^2."""
+    plain = len(study.keys)
+    rows = [np.zeros((0, columns.count + 1))]
+    for record, series in enumerate(study.series):
+        count = series.splines.count
+        own = np.flatnonzero((columns.index >= plain) & (columns.record == record))
+        if count < 3 or not len(own):
+            continue
+        bend = np.diff(np.eye(count), n=2, axis=0) / _CURVATURE
+        block = np.zeros((count - 2, columns.count + 1))
+        block[:, own] = bend[:, columns.index[own] - plain]
+        block[:, -1] = -bend @ values[record, plain : plain + count]
+        rows.append(block)
+    return np.concatenate(rows)
 
 
 def residuals(study: Study, layouts: Layouts, point: Point) -> tuple[Array, ...]:
@@ -143,8 +165,8 @@ def run_windows(study: Study, record: int, layout: Layout, point: Point) -> tupl
     ok = trajectories(
         study.compiled.rate_value, study.compiled.output_value,
         np.ascontiguousarray(point.starts[record]), layout.starts, layout.lengths,
-        np.ascontiguousarray(point.values[record : record + 1]), series.inputs, series.substeps,
-        series.dt, states, readings,
+        np.ascontiguousarray(point.values[record : record + 1]),
+        study.inputs(record, point.values[record]), series.substeps, series.dt, states, readings,
     )  # fmt: skip
     if not ok:
         states[:], readings[:] = np.inf, np.inf
@@ -167,11 +189,24 @@ def _batches(layouts: Layouts) -> Iterator[_Batch]:
                 yield _Batch(record, same[first : first + group], int(length))
 
 
-def _advance(study, series: Series, x, s, starts, length, values, local, weight, rows) -> bool:
+def _advance(
+    study: Study,
+    series: Series,
+    grid: Array,
+    x: Array,
+    s: Array,
+    starts: Array,
+    length: int,
+    values: Array,
+    local: Array,
+    weight: Array,
+    rows: Array,
+) -> bool:
+    splines = series.splines
     return advance(
         study.compiled.rate, study.compiled.output, x, s, np.ascontiguousarray(starts), length,
-        np.ascontiguousarray(values), local, series.inputs, series.substeps, series.dt, series.y,
-        weight, rows,
+        np.ascontiguousarray(values), local, study.phase, splines.first, splines.weights, grid,
+        series.substeps, series.dt, series.y, weight, rows,
     )  # fmt: skip
 
 
@@ -182,6 +217,7 @@ def _reduce_batch(
     columns: Columns,
     batch: _Batch,
     weight: Array,
+    grid: Array,
     block: int,
 ) -> _Reduced:
     """Integrate one batch piece by piece, keeping its triangle and its Gram blocks."""
@@ -200,7 +236,8 @@ def _reduce_batch(
         piece = min(_PIECE, batch.length - first)
         rows = np.empty((count, piece * channels, width))
         values = point.values[batch.record]
-        ok = _advance(study, series, x, s, starts + first, piece, values, local, weight, rows)
+        at = starts + first
+        ok = _advance(study, series, grid, x, s, at, piece, values, local, weight, rows)
         if not ok or not np.isfinite(rows).all():
             return _Reduced.diverged()
         cost += float(np.sum(rows[:, :, -1] ** 2))

@@ -12,6 +12,26 @@ from spiral.system import System
 _SPEED_RATE_KNOTS = 64  # samples between the knots of the smooth curve a rate is taken from
 
 
+_MOST_PIECES = 60
+
+
+@dataclass(frozen=True)
+class Splines:
+    """B-splines of a phase correction: at each half step the first one and the weights of four.
+
+    ``count`` is the number of splines; 0 means that the record has no correction.
+    """
+
+    first: Array
+    weights: Array
+    count: int
+
+    def value(self, coefficients: Array) -> Array:
+        """The correction on the half-step grid, rad."""
+        at = self.first[:, None] + np.arange(self.weights.shape[1])
+        return np.sum(self.weights * coefficients[at], axis=1)
+
+
 @dataclass(frozen=True)
 class Series:
     """Arrays of one record.
@@ -26,6 +46,7 @@ class Series:
     inputs: Array
     dt: float
     substeps: int
+    splines: Splines
 
     @property
     def samples(self) -> int:
@@ -40,8 +61,14 @@ class Series:
         return weight
 
 
-def prepare(system: System, record: Record, substeps: int) -> Series:
-    """Make the arrays of a record; inputs are interpolated as the system's ``Input`` says."""
+def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) -> Series:
+    """Make the arrays of a record; inputs are interpolated as the system's ``Input`` says.
+
+    ``knot`` (s) spaces the knots of a smooth phase correction, which a record gets where its phase
+    was integrated from a measured speed; 0 makes none.
+    """
+    derived = [i.name for i in system.inputs if i.derived_from in record.measured]
+    wanted = knot > 0 and "phase" in derived and "phase" not in record.measured
     sigma = record.sigma()
     return Series(
         record=record,
@@ -50,7 +77,25 @@ def prepare(system: System, record: Record, substeps: int) -> Series:
         inputs=half_step_inputs(system, record, substeps),
         dt=record.dt,
         substeps=substeps,
+        splines=splines(record, substeps, knot if wanted else 0.0),
     )
+
+
+def splines(record: Record, substeps: int, knot: float) -> Splines:
+    """Cubic B-splines on the half-step grid, knots about ``knot`` seconds apart (at most 60)."""
+    from scipy.interpolate import BSpline
+
+    count = (record.samples - 1) * 2 * substeps + 1
+    if knot <= 0:
+        return Splines(np.zeros(count, dtype=np.int64), np.zeros((count, 0)), 0)
+    duration = (record.samples - 1) * record.dt
+    pieces = int(np.clip(round(duration / knot), 1, _MOST_PIECES))
+    inner = np.linspace(0.0, duration, pieces + 1)
+    knots = np.concatenate([[0.0] * 3, inner, [duration] * 3])
+    time = np.linspace(0.0, duration, count)
+    matrix = BSpline.design_matrix(time, knots, 3)
+    first = matrix.indices[matrix.indptr[:-1]].astype(np.int64)
+    return Splines(first, np.ascontiguousarray(matrix.data.reshape(count, 4)), pieces + 3)
 
 
 def half_step_inputs(system: System, record: Record, substeps: int) -> Array:

@@ -12,6 +12,8 @@ from spiral.record import Array
 from spiral.shooting.series import Series
 from spiral.shooting.windows import Layout
 
+CORRECTION = "phase_correction"
+
 
 @dataclass(frozen=True)
 class Study:
@@ -30,9 +32,38 @@ class Study:
         """Number of states."""
         return len(self.compiled.traced.states)
 
+    @property
+    def corrections(self) -> int:
+        """Coefficients of the phase correction that follow the parameters in arrays of values."""
+        return max(s.splines.count for s in self.series)
+
+    @property
+    def correction_keys(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(f"{CORRECTION}.{k}" for k in range(self.corrections))
+
+    @property
+    def phase(self) -> Array:
+        """Position of the phase origin and number of parameters, as the integrator wants them."""
+        origin = "system.phase_origin"
+        position = self.keys.index(origin) if origin in self.keys else 0
+        return np.array([position, len(self.keys)], dtype=np.int64)
+
     def index(self, key: str) -> int:
-        """Position of a parameter."""
+        """Position of a parameter, or of a coefficient of the phase correction."""
+        if key.startswith(f"{CORRECTION}."):
+            return len(self.keys) + int(key.rsplit(".", 1)[1])
         return self.keys.index(key)
+
+    def inputs(self, record: int, row: Array) -> Array:
+        """Inputs of a record on the half-step grid, its phase corrected by a row of values."""
+        series = self.series[record]
+        if not series.splines.count:
+            return series.inputs
+        corrected = series.inputs.copy()
+        position = self.compiled.traced.inputs.index("phase")
+        corrected[:, position] += series.splines.value(row[len(self.keys) :])
+        return corrected
 
 
 @dataclass(frozen=True)
@@ -90,6 +121,12 @@ def columns_for(study: Study, keys: Iterable[str], shared_origin: bool) -> Colum
     record: list[int] = []
     for key in keys:
         position = study.index(key)
+        if position >= len(study.keys):
+            number = position - len(study.keys)
+            having = [r for r, s in enumerate(study.series) if number < s.splines.count]
+            index += [position] * len(having)
+            record += having
+            continue
         own = study.compiled.traced.parameters[position].scope == "record" and not shared_origin
         for r in range(len(study.series)) if own else [-1]:
             index.append(position)
