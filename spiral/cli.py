@@ -22,6 +22,8 @@ VERBS = {
     "add": "fit the model, then the model plus EFFECT...; before and after side by side",
     "simulate": "make a record from a model and write it to a file",
     "plugins": "list systems, effects and sources",
+    "check": "verify a plugin: units, derivatives, behaviour at rest",
+    "new": "write a working skeleton of a plugin and its test: new system|effect|source NAME",
 }
 
 _EPILOG = """\
@@ -35,6 +37,10 @@ your own data:
   spiral discover system=planar_rotor record=csv record.path=a.csv record.time=t \\
       record.channels='{x: ch1, y: ch2}' record.inputs='{speed: rpm}' \\
       record.units='{x: um, y: um, speed: rpm}'
+
+your own physics, in ./plugins or --plugins DIR:
+  spiral new effect my_spring
+  spiral check my_spring
 
 KEY=VALUE are Hydra overrides: system= record= test= effect=[a,b] experiment= choose by name,
 record.FIELD=VALUE sets a field; with -m, KEY=a,b,c runs once for each value.
@@ -100,7 +106,7 @@ def parser() -> argparse.ArgumentParser:
         verb.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
         if name == "simulate":
             verb.add_argument("--out", metavar="FILE", help="the table to write: .csv or .parquet")
-        if name not in ("plugins", "simulate"):
+        if name not in ("plugins", "check", "new", "simulate"):
             verb.add_argument(
                 "-m", "--multirun", action="store_true", help="run once for each swept value"
             )
@@ -161,7 +167,10 @@ def _single(request: Request, target: str | None) -> int:
         outcome = perform(request, tell, on_round)
     _write_json(outcome.result, target)
     if target != "-":
-        terminal.show(request.verb, outcome)
+        from spiral import listing
+
+        screen = listing if request.verb in listing.VERBS else terminal
+        screen.show(request.verb, outcome)
     return outcome.exit
 
 

@@ -153,12 +153,13 @@ class Registry:
         return {f"{e.kind}/{e.name}": f"{e.origin} {e.version}".strip() for e in self.entries}
 
 
-def load_registry(folder: str | os.PathLike[str] | None = None) -> Registry:
+def load_registry(folder: str | os.PathLike[str] | None = None, local: bool = True) -> Registry:
     """Load installed plugins and those of a local folder.
 
     Parameters
     ----------
     folder : left out, ``SPIRAL_PLUGINS``, else ``./plugins`` where there is one.
+    local : whether to read a local folder at all.
 
     Raises
     ------
@@ -170,9 +171,9 @@ def load_registry(folder: str | os.PathLike[str] | None = None) -> Registry:
     seen: set[Path] = set()
     for package, origin, version in _installed(failures):
         modules += [(m, origin, version) for m in _walk(package, failures, seen)]
-    local = _local_folder(folder)
-    if local is not None:
-        modules += [(m, "local", _digest(m)) for m in _load_folder(local, failures, seen)]
+    place = _local_folder(folder) if local else None
+    if place is not None:
+        modules += [(m, "local", _digest(m)) for m in _load_folder(place, failures, seen)]
     return Registry(_entries(modules, failures), tuple(failures))
 
 

@@ -52,7 +52,7 @@ def round_line(found: Round, tell: Tell) -> None:
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
     console = Console(highlight=False)
-    drawn = (_discover, _compare, _diagnose, _add, _simulate, _plugins, _multirun)
+    drawn = (_discover, _compare, _diagnose, _add, _simulate, _multirun)
     {f.__name__.removeprefix("_"): f for f in drawn}[verb](console, outcome)
 
 
@@ -355,20 +355,6 @@ def _simulate(console: Console, outcome: Outcome) -> None:
         console.print(Text(f"{written.file}: {written.rows} rows; {units}"), soft_wrap=True)
     back = " ".join(["spiral discover", *(shlex.quote(w) for w in outcome.result["read_back"])])
     _next(console, (back, "read it back and find what its model is made of"))
-
-
-def _plugins(console: Console, outcome: Outcome) -> None:
-    entries = outcome.parts["entries"]
-    for kind in dict.fromkeys(e.kind for e in entries):
-        _heading(console, f"{kind}" + (" (record=, test=)" if kind == "source" else ""))
-        table = _table("name", "meaning", "from")
-        for entry in (e for e in entries if e.kind == kind):
-            origin = entry.origin if entry.origin == "local" else f"{entry.origin} {entry.version}"
-            table.add_row(Text(entry.name, style="bold"), Text(entry.plugin.meaning()), origin)
-        console.print(table)
-    for failure in outcome.parts["failures"]:
-        console.print(Text(f"not usable: {failure.name} in {failure.file}", style="bold red"))
-        console.print(Text(f"    {failure.message}"))
 
 
 def _multirun(console: Console, outcome: Outcome) -> None:

@@ -156,7 +156,10 @@ def misfit(effect: Effect, system: System) -> str:
         check_needs(system, effect)
         check_units(system, effect)
     except SpiralError as error:
-        return f"{error.given}, expected {error.expected}"
+        # Without a cause from pint (the sine of a length) its own units are wrong, so that it
+        # would pass only where positions are angles: its checks name that.
+        wrong = isinstance(error, PluginError) and error.__cause__ is None
+        return "" if wrong else f"{error.given}, expected {error.expected}"
     except (AttributeError, KeyError) as error:
         return f"it lacks {error}" if isinstance(effect, FlowEffect) else ""
     except Exception:  # a defect of the effect, which its checks name
