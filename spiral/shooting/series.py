@@ -136,4 +136,4 @@ def _rate(values: Array, coarse: Array, fine: Array) -> Array:
     pieces = max(1, len(values) // _SPEED_RATE_KNOTS)
     inner = np.linspace(coarse[0], coarse[-1], pieces + 1)[1:-1]
     knots = np.concatenate([[coarse[0]] * 4, inner, [coarse[-1]] * 4])
-    return make_lsq_spline(coarse, values, knots, k=3).derivative()(fine)
+    return make_lsq_spline(coarse, values, knots, k=3, method="norm-eq").derivative()(fine)
