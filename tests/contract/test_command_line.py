@@ -381,7 +381,7 @@ def test_help_answers_within_a_second_and_imports_nothing_heavy():
     )
     assert done.returncode == 0, done.stderr
     assert time.perf_counter() - started < 1.0
-    for verb in ("discover", "compare", "diagnose", "add", "simulate", "plugins"):
+    for verb in ("discover", "compare", "diagnose", "add", "simulate", "plugins", "check", "new"):
         assert verb in done.stdout
 
 

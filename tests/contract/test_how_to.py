@@ -1,0 +1,35 @@
+"""The how-to pages: every block of code in them is run, in order, in an empty folder."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+PAGES = Path(__file__).parents[2] / "docs" / "how-to"
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("page", ["own-effect.md", "own-system.md"])
+def test_every_block_runs(page, tmp_path):
+    folder = Path(sys.executable).parent
+    environment = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+    environment.pop("SPIRAL_PLUGINS", None)
+    blocks = BLOCK.findall((PAGES / page).read_text(encoding="utf-8"))
+    assert {"bash", "python"} <= {language for language, _ in blocks}
+    for language, text in blocks:
+        if language == "python":
+            file = tmp_path / text.splitlines()[0].removeprefix("# ")
+            file.write_text(text, encoding="utf-8")
+        elif language == "toml":
+            tomllib.loads(text)
+        else:
+            assert language == "bash"
+            command = ["bash", "-euo", "pipefail", "-c", text]
+            done = subprocess.run(
+                command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+            )
+            assert done.returncode == 0, f"{text}\n{done.stdout}\n{done.stderr}"
