@@ -106,7 +106,8 @@ def begin(assembly: Assembly, labels: tuple[str, ...]) -> Standing:
     layouts = layouts_for(study, stage_lengths(assembly)[0], all_samples(assembly))
     moving, _ = columns(assembly, keys)
     best, lowest = known, np.inf
-    for window in SMOOTHING:
+    shortest = min(s.samples for s in study.series)
+    for window in (w for w in SMOOTHING if 4 * w <= shortest):
         values = first_values(study, equations, known.values, window)
         if not np.all(np.isfinite(values)):
             continue

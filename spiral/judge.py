@@ -86,6 +86,7 @@ def whole(
     found, bounds = columns(assembly, nuisances)
     block = min(64, min(s.samples for s in study.series))
     lengths = [n for n in lengths_for(study, block) if longest is None or n <= longest]
+    lengths = lengths or [longest or block]
     masks: tuple[Array | None, ...] = (None,) * len(study.series)
     if any_origin and ORIGIN in nuisances:
         values = _best_origin(assembly, values, lengths, masks)

@@ -185,6 +185,6 @@ def correlation_samples(residuals: tuple[Array, ...]) -> int:
 
 def block_samples(correlation: int, counted: int) -> int:
     """Samples in a block: a power of two above the correlation time, 40 to 512 blocks."""
-    most = max(counted // MINIMUM_BLOCKS, 8)
+    most = max(counted // MINIMUM_BLOCKS, 4)
     wanted = 2 ** int(np.ceil(np.log2(max(32, 2 * correlation, counted / MOST_BLOCKS))))
     return int(min(wanted, 2 ** int(np.log2(most))))

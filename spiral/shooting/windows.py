@@ -46,8 +46,8 @@ def halves(samples: int, block: int) -> tuple[Array, Array]:
 
 
 def block_length(samples: int) -> int:
-    """Samples in a block: 256, or less where the record would give under 16 blocks."""
-    return int(min(256, max(8, 2 ** int(np.log2(max(samples // 16, 8))))))
+    """Samples in a block: 256, or less (down to 32) where the record would give under 16 blocks."""
+    return int(min(256, max(32, 2 ** int(np.log2(max(samples // 16, 32))))))
 
 
 def stage_lengths(samples: int, mask_block: int) -> list[int]:
