@@ -1,24 +1,23 @@
-"""Finding a file, and reading a table of text into columns of numbers."""
+"""Finding a file, and a table of named columns from which numbers are taken."""
 
 from __future__ import annotations
 
 import os
-import warnings
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from spiral.errors import InputError, did_you_mean, near_misses
-
-if TYPE_CHECKING:
-    import pandas as pd
+from spiral.errors import InputError, near_misses
 
 Array = np.ndarray
 
 DATA_VARIABLE = "SPIRAL_DATA"
-_OTHER_SEPARATORS = {";": "a semicolon", "\t": "a tab", "|": "a bar"}
+MISSING = frozenset(("", "nan", "na", "nat", "none", "null", "<na>", "inf", "-inf", "+inf"))
+"""Cells that stand for a number that is not there, in lower case."""
+_LISTED = 12
 
 
 def find_file(given: str) -> Path:
@@ -62,148 +61,113 @@ def _near(places: list[Path]) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """A file's columns as text, numbers parsed on request.
+    """A file's columns, numbers parsed on request.
 
-    ``first_line`` is the line of the file that holds data row 0, for messages.
+    Parameters
+    ----------
+    name : the file as the user named it.
+    values : column -> its rows, as numbers, times of day or text.
+    units : column -> its unit, where the file names one.
+    notes : what was understood of the file, in words.
+    first_line : the line of a text file that holds row 0, for messages.
+    decimal : the decimal mark of cells that are text.
     """
 
     name: str
-    frame: pd.DataFrame
-    first_line: int = 2
+    values: Mapping[str, Any]
+    units: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    first_line: int | None = None
+    decimal: str = "."
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns; unnamed ones are left out."""
-        names = [str(c).strip() for c in self.frame.columns]
-        return tuple(n for n in names if n and not n.startswith("Unnamed:"))
+        """Names of the columns."""
+        return tuple(self.values)
 
-    @property
-    def rows(self) -> int:
-        """Number of data rows."""
-        return len(self.frame)
+    def rows(self, columns: Mapping[str, str]) -> int:
+        """Number of rows, which the columns in use (option -> column) must share.
 
-    def column(self, name: str, option: str, start: int, stop: int) -> Array:
-        """Numbers of one column, rows [start, stop).
+        Raises
+        ------
+        InputError : no such column, or columns of different lengths.
+        """
+        lengths = {c: len(self._found(c, option)) for option, c in columns.items()}
+        if len(set(lengths.values())) > 1:
+            listed = ", ".join(f"{c!r} {n}" for c, n in lengths.items())
+            raise InputError(
+                f"{self.name}: columns of different lengths ({listed})",
+                "columns of one length",
+                "name columns of one measurement",
+            )
+        return next(iter(lengths.values()), 0)
+
+    def column(self, name: str, option: str, start: int, stop: int, gaps: bool = False) -> Array:
+        """Numbers of one column, rows [start, stop); with ``gaps``, missing ones are NaN.
 
         Raises
         ------
         InputError : no such column, text among the numbers, or empty cells.
         """
-        if name not in self.columns:
-            raise InputError(
-                f"column {name!r} of {self.name} ({option})",
-                f"one of its columns: {', '.join(self.columns[:12])}",
-                _column_hint(name, self.columns),
-            )
-        position = [str(c).strip() for c in self.frame.columns].index(name)
-        return self._numbers(name, self.frame.iloc[start:stop, position], start)
+        return self._numbers(name, self._found(name, option)[start:stop], start, gaps)
 
-    def _numbers(self, name: str, values: pd.Series, start: int) -> Array:
+    def _found(self, name: str, option: str) -> Any:
+        if name in self.values:
+            return self.values[name]
+        near = near_misses(name, self.columns)
+        more = ", ..." if len(self.columns) > _LISTED else ""
+        raise InputError(
+            f"column {name!r} of {self.name} ({option})",
+            f"one of its {len(self.columns)} columns: {', '.join(self.columns[:_LISTED])}{more}",
+            "did you mean " + " or ".join(repr(n) for n in near) + "?"
+            if near
+            else f"{option}=COLUMN"
+            if " " not in option
+            else "name one of these columns",
+        )
+
+    def _numbers(self, name: str, values: Any, start: int, gaps: bool) -> Array:
         import pandas as pd
 
-        if not pd.api.types.is_numeric_dtype(values):
-            parsed: Any = pd.to_numeric(values.astype(str).str.strip(), errors="coerce")
+        series = pd.Series(values)
+        if pd.api.types.is_datetime64_any_dtype(series):
+            parsed: Any = (series - series.iloc[0]).dt.total_seconds()
+        elif pd.api.types.is_numeric_dtype(series):
+            parsed = series
         else:
-            parsed = values
-        numbers = np.asarray(parsed, dtype=float)
+            text = series.astype(str).str.strip()
+            if self.decimal != ".":
+                text = text.str.replace(self.decimal, ".", regex=False)
+            parsed = pd.to_numeric(text, errors="coerce")
+        numbers = np.array(parsed, dtype=float)
         bad = np.flatnonzero(~np.isfinite(numbers))
-        if not len(bad):
+        cells = [str(c).strip() for c in series.iloc[bad]]
+        texts = [i for i, c in enumerate(cells) if c.lower() not in MISSING]
+        if not len(bad) or (gaps and not texts):
+            numbers[bad] = np.nan
             return numbers
-        row = start + int(bad[0])
-        cell = str(values.iloc[bad[0]]).strip()
-        place = f"column {name!r} of {self.name}, row {row} (line {row + self.first_line})"
-        if cell.lower() in ("", "nan", "na", "none", "null", "inf", "-inf"):
-            raise InputError(
-                f"{place}: {cell or 'an empty cell'}, one of {len(bad)} missing values",
-                "a number in every row",
-                f"cut the gap out with record.rows, for instance rows [{start}, {row}]",
-            )
-        raise InputError(f"{place}: text {cell!r}", "a number", _text_hint(cell, row))
-
-
-def _column_hint(name: str, columns: tuple[str, ...]) -> str:
-    if columns and all(_is_number(c) for c in columns):
-        return "the first line holds numbers: add a line with the columns' names"
-    return did_you_mean(name, columns)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _text_hint(cell: str, row: int) -> str:
-    if _is_number(cell.replace(",", ".", 1)):
-        return "write decimals with a point, or give record.decimal=','"
-    if row == 0:
-        return f"if row 0 holds units, start below it: record.rows='[1, STOP]' (got {cell!r})"
-    return "correct the file, or leave the row out with record.rows"
-
-
-def read_table(given: str, separator: str = ",", decimal: str = ".") -> Table:
-    """A table from a CSV file (a line of names, then rows) or a Parquet file.
-
-    Raises
-    ------
-    InputError : missing, empty, binary or broken files.
-    """
-    import pandas as pd
-
-    path = find_file(given)
-    if path.suffix == ".parquet":
-        try:
-            return Table(given, pd.read_parquet(path), first_line=0)
-        except Exception as error:  # pyarrow raises a family of its own
-            raise InputError(f"{given}: {_first(error)}", "a Parquet file") from error
-    _check_text(given, path, separator)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # cells without a name
-            frame = pd.read_csv(
-                path, sep=separator, decimal=decimal, skipinitialspace=True, low_memory=False,
-                skip_blank_lines=False, encoding="utf-8-sig", index_col=False,
-                encoding_errors="replace",
-            )  # fmt: skip
-    except pd.errors.EmptyDataError as error:
-        raise InputError(f"{given}: no columns", "a line of names, then numbers") from error
-    except (pd.errors.ParserError, pd.errors.ParserWarning, ValueError, TypeError) as error:
+        worst = texts[0] if texts else 0
+        row, cell = start + int(bad[worst]), cells[worst]
+        line = f" (line {row + self.first_line})" if self.first_line is not None else ""
+        place = f"column {name!r} of {self.name}, row {row}{line}"
+        if texts:
+            raise InputError(f"{place}: text {cell!r}", "a number", _text_hint(cell))
         raise InputError(
-            f"{given}: rows with other numbers of cells than the line of names ({_first(error)})",
-            "as many cells in every row",
-            f"check record.separator={separator!r} and record.decimal={decimal!r}",
-        ) from error
-    if not len(frame):
-        raise InputError(f"{given}: a line of names and no rows", "rows of numbers")
-    return Table(given, frame)
-
-
-def _check_text(given: str, path: Path, separator: str) -> None:
-    try:
-        with path.open("rb") as file:
-            head = file.read(4096)
-    except OSError as error:
-        raise InputError(f"{given}: {error.strerror}", "a file that can be read") from error
-    if not head.strip():
-        raise InputError(
-            f"{given}: an empty file" if not head else f"{given}: only blank lines",
-            "a line of names, then rows of numbers",
+            f"{place}: {cell or 'an empty cell'}, one of {len(bad)} missing values",
+            "a number in every row",
+            f"cut the gap out with record.rows, for instance rows [{start}, {row}], or fill short "
+            "ones with record.fill_gaps=SECONDS",
         )
-    if b"\0" in head or any(byte < 9 for byte in head):
-        raise InputError(
-            f"{given}: a binary file", "a text file with separated columns", "export it as CSV"
-        )
-    names = head.decode("utf-8", errors="replace").splitlines()[0]
-    for other, word in _OTHER_SEPARATORS.items():
-        if other in names and separator not in names:
-            raise InputError(
-                f"{given}: one column named {names[:60]!r}",
-                f"columns separated by {separator!r}",
-                f"the separator looks like {word}: record.separator='{other}'",
-            )
 
 
-def _first(error: Exception) -> str:
+def first_line_of(error: Exception) -> str:
+    """The first line of an error's message, or its type where it has none."""
     return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _text_hint(cell: str) -> str:
+    try:
+        float(cell.replace(",", ".", 1))
+    except ValueError:
+        return "correct the file, or leave the row out with record.rows"
+    return "write decimals with a point, or give record.decimal=','"

@@ -136,6 +136,7 @@ def test_file_without_names_is_told(tmp_path):
     path = tmp_path / "a.csv"
     np.savetxt(path, np.column_stack(list(columns().values())), delimiter=",")
     assert "first line holds numbers" in refusal(path=str(path)).try_
+    assert "no names" in refusal(path=str(path)).given
 
 
 def test_text_among_numbers_names_row_and_line(tmp_path):
@@ -145,26 +146,6 @@ def test_text_among_numbers_names_row_and_line(tmp_path):
     assert "row 17" in error.given
     assert "line 19" in error.given
     assert "n/a?" in error.given
-
-
-def test_units_row_is_told(tmp_path):
-    table = {k: v.astype(object) for k, v in columns().items()}
-    for name, unit in zip(table, ("s", "um", "N"), strict=True):
-        table[name][0] = unit
-    path = write(tmp_path / "a.csv", table)
-    assert "rows" in refusal(path=path).try_
-    assert load(path=path, rows=[1, COUNT])[0].samples == COUNT - 1
-
-
-def test_decimal_comma_is_told_and_read(tmp_path):
-    table = columns()
-    path = tmp_path / "a.csv"
-    rows = [";".join(str(v).replace(".", ",") for v in row) for row in zip(*table.values())]  # noqa: B905
-    path.write_text("\n".join([";".join(table), *rows]))
-    assert "separator" in refusal(path=str(path)).try_
-    assert "decimal" in refusal(path=str(path), separator=";").try_
-    record = load(path=str(path), separator=";", decimal=",")[0]
-    np.testing.assert_allclose(record.channels["x"], table["a"])
 
 
 def test_gaps_are_counted(tmp_path):

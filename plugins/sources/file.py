@@ -1,0 +1,19 @@
+"""Records from files of any format that is known."""
+
+from __future__ import annotations
+
+from spiral.columns import Columns
+from spiral.files import Table
+from spiral.readers import read_table
+
+
+class File(Columns):
+    """Columns of text, MAT, NPZ, Parquet, HDF5, UFF or TDMS files, told by their content.
+
+    A column inside a container is named as in ``group/name``, ``struct.field``, ``cell[0]``; a
+    matrix is a set of series along its longer side, the second one ``matrix[1]``.
+    """
+
+    def read(self, path: str) -> Table:
+        """The table of one file."""
+        return read_table(path, self.separator, self.decimal)

@@ -1,0 +1,180 @@
+"""Text files: every dialect reads back the same, and says how it was understood."""
+
+import codecs
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spiral.errors import ConfigError, InputError
+from spiral.readers import read_table
+from spiral.registry import load_registry
+
+REGISTRY = load_registry()
+OSCILLATOR = REGISTRY.make("system", "oscillator")
+ROTOR = REGISTRY.make("system", "planar_rotor")
+COUNT = 100
+RNG = np.random.default_rng(0)
+VALUES = {"t": 0.01 * np.arange(COUNT), "a": RNG.normal(size=COUNT), "f": RNG.normal(size=COUNT)}
+SPACED = st.sampled_from(["", " "])
+
+
+def text(separator=",", decimal=".", above=(), units=None, names=None, values=VALUES):
+    rows = [
+        separator.join(repr(float(v)).replace(".", decimal) for v in row)
+        for row in zip(*values.values(), strict=True)
+    ]
+    head = [*above, separator.join(names or values)]
+    return "\n".join([*head, *([separator.join(units)] if units else []), *rows]) + "\n"
+
+
+def write(folder, content, encoding="utf-8"):
+    path = folder / "a.csv"
+    path.write_bytes(content.encode(encoding))
+    return str(path)
+
+
+def load(path, system=OSCILLATOR, **fields):
+    usual = {"time": "t", "channels": {"x": "a"}, "inputs": {"force": "f"}}
+    return REGISTRY.make("source", "csv", {"path": path, **usual, **fields}, "record").load(system)[
+        0
+    ]
+
+
+def agrees(record):
+    np.testing.assert_allclose(record.channels["x"], VALUES["a"], rtol=1e-14)
+    np.testing.assert_allclose(record.inputs["force"], VALUES["f"], rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("dialect", "words"),
+    [
+        ({}, "separated by commas, decimal point"),
+        ({"separator": ";"}, "separated by semicolons, decimal point"),
+        ({"separator": "\t"}, "separated by tabs, decimal point"),
+        ({"separator": "|"}, "separated by bars"),
+        ({"separator": "  "}, "separated by spaces"),
+        ({"separator": ";", "decimal": ","}, "separated by semicolons, decimal comma"),
+        ({"separator": "\t", "decimal": ","}, "separated by tabs, decimal comma"),
+        ({"above": ["# rig 3", "# 2024"]}, "2 lines above the names left out"),
+        ({"above": ["Device,XY 7", "Rate,100", ""]}, "3 lines above the names left out"),
+        ({"separator": ";", "above": ["Rate;100;Hz", "Rig 3; a b"]}, "2 lines above"),
+        ({"names": ["# t", "a", "f"]}, "separated by commas"),
+        ({"separator": ";", "units": ["s", "-", ""]}, "row of units under the names (t in s)"),
+    ],
+)
+def test_dialect_is_found_and_told(tmp_path, dialect, words):
+    record = load(write(tmp_path, text(**dialect)))
+    agrees(record)
+    assert words in record.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "word"),
+    [("utf-8-sig", "byte order mark"), ("utf-16", "UTF-16"), ("cp1252", "Latin-1")],
+)
+def test_encodings(tmp_path, encoding, word):
+    content = text(separator=";", decimal=",", above=["Gerät;7"])
+    record = load(write(tmp_path, content, encoding))
+    agrees(record)
+    assert word in record.notes[0]
+
+
+def test_quotes_let_commas_be_both(tmp_path):
+    rows = [",".join(f'"{v!r}"'.replace(".", ",") for v in map(float, row)) for row in
+            zip(*VALUES.values(), strict=True)]  # fmt: skip
+    agrees(load(write(tmp_path, "\n".join(["t,a,f", *rows]))))
+
+
+def test_units_under_the_names_are_used_unless_others_are_given(tmp_path):
+    count = COUNT
+    values = {"t": 0.5 * np.arange(count), "x": RNG.normal(size=count),
+              "y": RNG.normal(size=count), "n": np.linspace(3000, 2000, count)}  # fmt: skip
+    path = write(tmp_path, text(";", ",", units=["ms", "[um]", "(µm)", "rpm"], values=values))
+    fields = {"channels": {"x": "x", "y": "y"}, "inputs": {"speed": "n"}}
+    record = load(path, ROTOR, **fields)
+    np.testing.assert_allclose(record.channels["x"], 1e-6 * values["x"])
+    np.testing.assert_allclose(record.channels["y"], 1e-6 * values["y"])
+    np.testing.assert_allclose(record.inputs["speed"], 2 * np.pi / 60 * values["n"])
+    assert record.dt == pytest.approx(0.5e-3)
+    assert "x from 'x' in um" in record.notes[1]
+    record = load(path, ROTOR, **fields, units={"x": "mm"})
+    np.testing.assert_allclose(record.channels["x"], 1e-3 * values["x"])
+
+
+def test_rows_are_counted_below_the_units(tmp_path):
+    path = write(tmp_path, text(units=["s", "m", "N"]))
+    np.testing.assert_allclose(load(path, rows=[10, 90]).channels["x"], VALUES["a"][10:90])
+
+
+def test_a_wrong_unit_in_the_file_is_told(tmp_path):
+    with pytest.raises(InputError, match="'kg'"):
+        load(write(tmp_path, text(units=["s", "kg", "N"])))
+
+
+def test_commas_for_columns_and_fractions_are_refused(tmp_path):
+    with pytest.raises(InputError) as caught:
+        load(write(tmp_path, text(",", ",")))
+    assert "3 names" in caught.value.given
+    assert "semicolons" in caught.value.try_
+
+
+def test_thousands_or_fractions_are_refused_until_told(tmp_path):
+    rows = [f"{i};1,{500 + i};2,{100 + i}" for i in range(COUNT)]
+    path = write(tmp_path, "\n".join(["t;a;f", *rows]))
+    with pytest.raises(InputError, match="thousands"):
+        load(path)
+    np.testing.assert_allclose(load(path, decimal=",").channels["x"], 1.5 + 1e-3 * np.arange(COUNT))
+
+
+def test_text_is_named_in_a_file_with_decimal_commas(tmp_path):
+    lines = text(";", ",").splitlines()
+    lines[20] = "0,19;oops;1,0"
+    with pytest.raises(InputError, match=r"row 19 \(line 21\): text 'oops'"):
+        load(write(tmp_path, "\n".join(lines)))
+
+
+def test_wrong_options_are_told(tmp_path):
+    path = write(tmp_path, text())
+    with pytest.raises(InputError, match=r"leave record\.separator"):
+        load(path, separator=";")
+    with pytest.raises(ConfigError, match="one character"):
+        load(path, separator="ab")
+    with pytest.raises(ConfigError, match=r"record\.decimal"):
+        load(path, decimal="x")
+
+
+FINITE = st.floats(-1e12, 1e12, allow_subnormal=False)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    rows=st.lists(st.tuples(FINITE, FINITE, FINITE), min_size=3, max_size=20),
+    separator=st.sampled_from([",", ";", "\t", "|"]),
+    comma=st.booleans(),
+    units=st.booleans(),
+    above=st.integers(0, 3),
+    mark=st.booleans(),
+)
+def test_any_numbers_in_any_dialect_read_back(rows, separator, comma, units, above, mark):
+    decimal = "," if comma and separator != "," else "."
+    values = dict(zip(("t", "a", "f"), np.array(rows).T, strict=True))
+    content = text(
+        separator,
+        decimal,
+        [f"# line {i}" for i in range(above)],
+        ["s", "um", "N"] * units,
+        values=values,
+    ).encode()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.csv"
+        path.write_bytes(codecs.BOM_UTF8 * mark + content)
+        table = read_table(str(path))
+    assert table.columns == ("t", "a", "f")
+    assert table.units == ({"t": "s", "a": "um", "f": "N"} if units else {})
+    for name, expected in values.items():
+        found = table.column(name, "", 0, len(rows))
+        np.testing.assert_allclose(found, expected, rtol=4e-16, atol=0)
