@@ -102,14 +102,14 @@ class Table:
             )
         return next(iter(lengths.values()), 0)
 
-    def column(self, name: str, option: str, start: int, stop: int, gaps: bool = False) -> Array:
-        """Numbers of one column, rows [start, stop); with ``gaps``, missing ones are NaN.
+    def column(self, name: str, option: str, start: int, stop: int) -> Array:
+        """Numbers of one column, rows [start, stop).
 
         Raises
         ------
         InputError : no such column, text among the numbers, or empty cells.
         """
-        return self._numbers(name, self._found(name, option)[start:stop], start, gaps)
+        return self._numbers(name, self._found(name, option)[start:stop], start)
 
     def _found(self, name: str, option: str) -> Any:
         if name in self.values:
@@ -126,7 +126,7 @@ class Table:
             else "name one of these columns",
         )
 
-    def _numbers(self, name: str, values: Any, start: int, gaps: bool) -> Array:
+    def _numbers(self, name: str, values: Any, start: int) -> Array:
         import pandas as pd
 
         series = pd.Series(values)
@@ -143,8 +143,7 @@ class Table:
         bad = np.flatnonzero(~np.isfinite(numbers))
         cells = [str(c).strip() for c in series.iloc[bad]]
         texts = [i for i, c in enumerate(cells) if c.lower() not in MISSING]
-        if not len(bad) or (gaps and not texts):
-            numbers[bad] = np.nan
+        if not len(bad):
             return numbers
         worst = texts[0] if texts else 0
         row, cell = start + int(bad[worst]), cells[worst]
@@ -155,8 +154,7 @@ class Table:
         raise InputError(
             f"{place}: {cell or 'an empty cell'}, one of {len(bad)} missing values",
             "a number in every row",
-            f"cut the gap out with record.rows, for instance rows [{start}, {row}], or fill short "
-            "ones with record.fill_gaps=SECONDS",
+            f"cut the gap out with record.rows, for instance rows [{start}, {row}]",
         )
 
 

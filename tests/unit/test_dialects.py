@@ -1,6 +1,7 @@
 """Text files: every dialect reads back the same, and says how it was understood."""
 
 import codecs
+import os
 import tempfile
 from pathlib import Path
 
@@ -178,3 +179,19 @@ def test_any_numbers_in_any_dialect_read_back(rows, separator, comma, units, abo
     for name, expected in values.items():
         found = table.column(name, "", 0, len(rows))
         np.testing.assert_allclose(found, expected, rtol=4e-16, atol=0)
+
+
+def test_the_example_of_the_how_to(tmp_path):
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "own-data.md"
+    example = next(b for b in page.read_text(encoding="utf-8").split("```") if "t;a;f" in b)
+    table = read_table(write(tmp_path, example.strip() + "\n"))
+    assert table.units == {"t": "ms", "a": "um", "f": "N"}
+    np.testing.assert_array_equal(table.column("a", "", 0, 2), [1.25, 1.31])
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root reads all")
+def test_a_file_without_permission(tmp_path):
+    path = write(tmp_path, text())
+    Path(path).chmod(0)
+    with pytest.raises(InputError, match="can be read"):
+        load(path)
