@@ -159,9 +159,8 @@ def active_keys(
     for key in assembly.study.keys:
         owner = key.rsplit(".", 1)[0]
         if key == ORIGIN:
-            undirected = any(e.undirected() for e in effects)
-            if ORIGIN in movable and undirected and not corrections:
-                keys.append(key)  # the correction holds the origin as well
+            if ORIGIN in movable and any(e.undirected() for e in effects):
+                keys.append(key)
         elif owner == "system" or owner in model.labels:
             if key in movable and (owner == "system" or owner in labels):
                 keys.append(key)

@@ -41,14 +41,14 @@ def prepared(
         problem = replace(problem, candidates=candidates)
     assembly = assemble(problem)
     standing = begin(assembly, problem.model.labels)
-    substeps = _substeps(assembly, standing)
+    substeps = _substeps(assembly, standing.values[0])
     if substeps > 1:
         knot = problem.settings.phase_knot
         assembly = with_records(assembly, problem.records, substeps, knot)
     return assembly, standing
 
 
-def _substeps(assembly: Assembly, standing: Standing) -> int:
+def _substeps(assembly: Assembly, row: np.ndarray) -> int:
     """Steps per sample that keep |eigenvalue| dt below 0.3 at rest, at the largest inputs."""
     study = assembly.study
     n, count = study.state_count, len(study.keys)
@@ -56,9 +56,7 @@ def _substeps(assembly: Assembly, standing: Standing) -> int:
     fastest = 0.0
     for series in study.series:
         size = np.abs(series.inputs).max(axis=0) if series.inputs.size else np.zeros(0)
-        study.compiled.rate(
-            np.full(n, 1e-12), size, np.ascontiguousarray(standing.values[0]), np.empty(n), a, b
-        )
+        study.compiled.rate(np.full(n, 1e-12), size, np.ascontiguousarray(row), np.empty(n), a, b)
         if np.all(np.isfinite(a)):
             fastest = max(fastest, float(np.abs(np.linalg.eigvals(a)).max()) * series.dt)
     return int(np.clip(np.ceil(fastest / _STEP), 1, 32))
@@ -136,7 +134,10 @@ def test_run(assembly: Assembly, labels: tuple[str, ...], values: np.ndarray) ->
     problem = assembly.problem
     if not problem.test:
         return None
-    other = with_records(assembly, problem.test, assembly.study.series[0].substeps)
+    other = with_records(assembly, problem.test, 1)
+    substeps = max(_substeps(other, values[0]), assembly.study.series[0].substeps)
+    if substeps > 1:
+        other = with_records(assembly, problem.test, substeps)
     settle = problem.settle
     if settle is None:
         settle = _SETTLE * min(r.samples * r.dt for r in problem.test)

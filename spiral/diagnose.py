@@ -62,7 +62,15 @@ def _diagnosis(
         best = next(iter(suggestions))
         alike = f" (or {', '.join(best.aliases)}: this record cannot tell)" if best.aliases else ""
         advice = f"Add {best.effect}{alike}: {best.meaning}"
-    return Diagnosis(verdict, comparison, suggestions, where(assembly, shown), advice, shown.length)
+    return Diagnosis(
+        verdict,
+        comparison,
+        suggestions,
+        where(assembly, shown),
+        advice,
+        shown.length,
+        proposal.diverged,
+    )
 
 
 def _with_test_errors(

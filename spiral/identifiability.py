@@ -46,6 +46,8 @@ def entangled(assembly: Assembly, standing: Standing) -> Entanglement | None:
     """
     standing = replace(standing, corrected=False)  # speed taken as exact
     moving, _ = columns(assembly, standing.keys(assembly))
+    if moving.count == 0:
+        return None
     worst: Entanglement | None = None
     for stage in grown(assembly, standing, all_samples(assembly), None, patient=True):
         if stage.fitted.reduction is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,7 +51,8 @@ class FreeRun:
             with np.errstate(over="ignore", invalid="ignore"):
                 rmse = float(np.sqrt(np.mean(miss**2)))
             rmse = rmse if np.isfinite(rmse) else np.inf
-            found[name] = ChannelError(rmse, rmse / float(np.sqrt(np.mean(seen**2))))
+            spread = float(np.sqrt(np.mean(seen**2)))
+            found[name] = ChannelError(rmse, rmse / spread if spread > 0 else np.inf)
         return found
 
     def _parts(self) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[int, ...]]:
@@ -101,20 +102,24 @@ def whole(
 def _best_origin(
     assembly: Assembly, values: Array, lengths: list[int], masks: tuple[Array | None, ...]
 ) -> Array:
-    """The phase origin to start from: the present one, or the best of eight around the circle."""
+    """Each record's phase origin to start from: the present one, or the best of eight turns."""
     study = assembly.study
     position = study.index(ORIGIN)
     layouts = layouts_for(study, lengths[min(1, len(lengths) - 1)], masks)
     none, _ = columns(assembly, ())
     starts = first_starts(study, layouts)
-    best, lowest = values, np.inf
-    for turn in range(_ORIGINS):
-        trial = values.copy()
-        trial[:, position] += 2 * np.pi * turn / _ORIGINS
-        reduction = reduce(study, layouts, Point(trial, starts), none)
-        cost = float(reduction.triangle[-1, -1] ** 2) if reduction.finite else np.inf
-        if cost < 0.98 * lowest:
-            best, lowest = trial, cost
+    best = values.copy()
+    for record, series in enumerate(study.series):
+        alone = replace(study, series=(series,))
+        lowest = np.inf
+        for turn in range(_ORIGINS):
+            trial = values[record : record + 1].copy()
+            trial[:, position] += 2 * np.pi * turn / _ORIGINS
+            point = Point(trial, (starts[record],))
+            reduction = reduce(alone, (layouts[record],), point, none)
+            cost = float(reduction.triangle[-1, -1] ** 2) if reduction.finite else np.inf
+            if cost < 0.98 * lowest:
+                best[record], lowest = trial[0], cost
     return best
 
 
@@ -128,7 +133,7 @@ def free_run(
     else:
         settled = tuple(min(round(settle / s.dt), s.samples // 2) for s in study.series)
         parts = tuple(
-            s.record.part(0, max(n, 16), s.record.name)
+            replace(s.record.part(0, max(n, 16), s.record.name), noise=s.record.sigma())
             for s, n in zip(study.series, settled, strict=True)
         )
         heads = with_records(assembly, parts, study.series[0].substeps)

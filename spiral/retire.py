@@ -24,18 +24,20 @@ def superfluous(
     latest admission, is not significantly worse on the half that did not select.
     """
     gone: list[str] = []
+    current = latest.standing
+    kept = held_out(assembly, current.labels, latest.stage, mask)[1]
     for label in latest.standing.labels:
         if label in assembly.problem.model.labels or label == latest.variant.label:
             continue
         if not _weak(model, assembly.variant(label).original.label):
             continue
-        smaller = _without(latest.standing, label)
+        smaller = _without(current, label)
         trial = refit(assembly, smaller, latest.stage)
         stage = Stage(latest.stage.length, latest.stage.layouts, trial)
         left = held_out(assembly, smaller.labels, stage, mask)[1]
-        kept = held_out(assembly, latest.standing.labels, latest.stage, mask)[1]
         if paired_errors(left, kept, block).p_fall >= assembly.problem.settings.level:
             gone.append(label)
+            current = replace(smaller, values=trial.point.values)
     return tuple(gone)
 
 

@@ -121,6 +121,7 @@ class Diagnosis:
     where: Where
     advice: str
     horizon: int
+    diverged: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""

@@ -166,9 +166,10 @@ def _diagnose(study: Study) -> Outcome:
     problem = study.problem()
     diagnosis = diagnose(problem, study.tell)
     result = diagnosis.as_dict()
-    refused = diagnosis.verdict == "not_identifiable"
+    refused = diagnosis.verdict == "not_identifiable" or diagnosis.diverged
     if refused:
-        result["error"] = _refusal(diagnosis.verdict, diagnosis.advice)
+        reason = "diverged" if diagnosis.diverged else diagnosis.verdict
+        result["error"] = _refusal(reason, diagnosis.advice)
     return Outcome(REFUSED if refused else OK, result, study.parts(problem, diagnosis=diagnosis))
 
 

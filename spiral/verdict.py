@@ -13,6 +13,8 @@ def seed_verdict(rounds: list[Round], stopped: Stopped, level: float) -> Verdict
     """
     if stopped == "not_identifiable":
         return "not_identifiable"
+    if stopped == "diverged" and len(rounds) == 1:
+        return "unknown_structure"
     if len(rounds) > 1:
         return "effect_missing"
     return "nothing_missing" if rounds[0].comparison.whiteness_p >= level else "unknown_structure"

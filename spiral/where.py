@@ -29,9 +29,12 @@ def where(assembly: Assembly, stage: Stage) -> Where:
     worst = int(np.argmax(energy / np.maximum(counted, 1)))
     if energy[worst] / max(counted[worst], 1) < 1.1:
         return Where(names[worst], "The residual is at the level of the noise everywhere.")
-    record = int(np.argmax([np.mean(np.sum(r**2, axis=1)) for r in left]))
+    seen = [np.any(r != 0, axis=1) for r in left]
+    record = int(
+        np.argmax([np.mean(np.sum(r[s] ** 2, axis=1)) for r, s in zip(left, seen, strict=True)])
+    )
     series = assembly.study.series[record]
-    excess = np.sum(left[record] ** 2, axis=1) - len(names)
+    excess = np.where(seen[record], np.sum(left[record] ** 2, axis=1) - len(names), 0.0)
     rec = series.record
     time = _range(rec.time, excess)
     speed = _range(rec.inputs["speed"], excess) if "speed" in rec.inputs else None

@@ -78,7 +78,7 @@ def tabulate(reduction: Reduction, active: int) -> Table:
 def _without_active(reduction: Reduction, active: int) -> Array:
     """Gram blocks in coordinates where active columns are projected out of the others and r."""
     blocks = reduction.blocks
-    if not len(blocks):
+    if not len(blocks) or active == 0:
         return blocks
     triangle = reduction.triangle[:active]
     scale = np.linalg.norm(triangle[:, :active], axis=0)
@@ -110,10 +110,13 @@ def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -
     q, dof = max(len(kept), 1), max(table.dof - len(kept), 1)
     rest = max(table.rest - gain, 1e-300)
     statistic = (gain / q) / (rest / dof)
+    log_p = float(stats.f.logsf(statistic, q, dof))
     wald, wald_log_p = _wald(table, kept, step)
+    if 0 < len(table.blocks) < MINIMUM_BLOCKS // 2:
+        wald, wald_log_p = statistic, log_p  # too short for a robust test; the gates remain
     return Score(
         columns, full, gain, gain / max(table.rest, 1e-300), statistic,
-        float(stats.f.logsf(statistic, q, dof)) + halved, wald, wald_log_p + halved,
+        log_p + halved, wald, wald_log_p + halved,
         float(np.sqrt(gain / max(table.samples, 1))), alias,
     )  # fmt: skip
 
@@ -178,7 +181,8 @@ def correlation_samples(residuals: tuple[Array, ...]) -> int:
             size = 2 ** int(np.ceil(np.log2(2 * len(channel))))
             spectrum = np.abs(np.fft.rfft(channel, size)) ** 2
             lags = np.fft.irfft(spectrum)[: len(channel) // 4] / energy
-            above = np.flatnonzero(np.abs(lags) > 0.1)
+            counted = np.count_nonzero(channel)
+            above = np.flatnonzero(np.abs(lags) > max(0.1, 3.0 / np.sqrt(counted)))
             longest = max(longest, int(above[-1]) + 1 if len(above) else 1)
     return longest
 

@@ -114,23 +114,55 @@ def _turning(traced: Traced, linear: sp.Matrix, origin: str | None) -> int | Non
 def first_values(study: Study, equations: Balance, values: Array, window: int) -> Array:
     """Values (records, parameters) with the unknown ones solved from the balance of forces.
 
-    The phase origin is found together with its unbalance from a quadrature pair.
+    The phase origin is found together with its unbalance from a quadrature pair; records whose
+    phase was not measured have a pair of their own, because their angles have nothing in common.
     """
     parts = [
         _equations(equations, series, motion(study, series, window), row, window)
         for series, row in zip(study.series, values, strict=True)
     ]
-    matrix, target = (np.concatenate(p) for p in zip(*parts, strict=True))
+    target = np.concatenate([t for _, t in parts])
+    turning = equations.turning
+    group = _angle_groups(study)
+    matrix = np.concatenate([m for m, _ in parts])
+    if turning is not None:
+        pairs = max(group) + 1
+        matrix = np.concatenate(
+            [_own_pair(m, turning, g, pairs) for (m, _), g in zip(parts, group, strict=True)]
+        )
     solution = _scaled_least_squares(matrix, target)
     new = values.copy()
-    for position, amount in zip(equations.unknown, solution, strict=False):
+    steady = [p for j, p in enumerate(equations.unknown) if j != turning]
+    for position, amount in zip(steady, solution, strict=False):
         new[:, position] = amount
-    turning = equations.turning
     if turning is not None and equations.origin is not None:
-        cosine, sine = solution[turning], solution[-1]
-        new[:, equations.unknown[turning]] = np.hypot(cosine, sine)
-        new[:, equations.origin] += np.arctan2(sine, cosine)
+        cosine, sine = solution[len(steady) :].reshape(-1, 2).T
+        new[:, equations.unknown[turning]] = np.sqrt(np.mean(cosine**2 + sine**2))
+        new[:, equations.origin] += np.arctan2(sine, cosine)[group]
     return new
+
+
+def _angle_groups(study: Study) -> list[int]:
+    """Records that share a phase origin have the same number: those with measured phase."""
+    groups: list[int] = []
+    own = 0
+    shared = any("phase" in s.record.measured for s in study.series)
+    for series in study.series:
+        if "phase" in series.record.measured:
+            groups.append(0)
+        else:
+            groups.append(own + (1 if shared else 0))
+            own += 1
+    return groups
+
+
+def _own_pair(matrix: Array, turning: int, group: int, pairs: int) -> Array:
+    """One record's rows with its turning column and quadrature moved to its group's pair."""
+    steady = np.delete(matrix[:, :-1], turning, axis=1)
+    wide = np.zeros((len(matrix), 2 * pairs))
+    wide[:, 2 * group] = matrix[:, turning]
+    wide[:, 2 * group + 1] = matrix[:, -1]
+    return np.concatenate([steady, wide], axis=1)
 
 
 def _equations(

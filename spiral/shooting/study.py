@@ -117,6 +117,8 @@ class Columns:
 
 def columns_for(study: Study, keys: Iterable[str], shared_origin: bool) -> Columns:
     """Columns for parameters by name: nuisances of a record get one column for each record."""
+    keys = tuple(keys)
+    corrected = any(k.startswith(f"{CORRECTION}.") for k in keys)
     index: list[int] = []
     record: list[int] = []
     for key in keys:
@@ -129,6 +131,8 @@ def columns_for(study: Study, keys: Iterable[str], shared_origin: bool) -> Colum
             continue
         own = study.compiled.traced.parameters[position].scope == "record" and not shared_origin
         for r in range(len(study.series)) if own else [-1]:
+            if own and corrected and position == study.phase[0] and study.series[r].splines.count:
+                continue  # the record's correction holds its origin as well
             index.append(position)
             record.append(r)
     return Columns(np.array(index, dtype=np.int64), np.array(record, dtype=np.int64))
