@@ -53,10 +53,6 @@ class Assembly:
         """A variant by its compiled label."""
         return next(v for v in self.variants if v.label == label)
 
-    def parameter_keys(self, label: str) -> tuple[str, ...]:
-        """Full names of the parameters of an effect, or of ``system``."""
-        return tuple(k for k in self.study.keys if k.rsplit(".", 1)[0] == label)
-
 
 def assemble(problem: Problem, substeps: int = 1) -> Assembly:
     """Trace and compile the model with all variants of all candidates, and prepare the records."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from spiral.assembly import Assembly, to_model
 from spiral.compare import judged, last_stage, prepared
@@ -22,14 +22,6 @@ OnRound = Callable[[Round], None]
 
 SECOND_ORDER = ("cross_damping", "speed_stiffness")
 """Effects that a hidden tilt leaves beyond leading order (design, fact 3)."""
-
-
-@dataclass(frozen=True)
-class _Turn:
-    """A round under way."""
-
-    standing: Standing
-    started: float
 
 
 @one_blas_thread

@@ -58,7 +58,6 @@ class Table:
     samples: int
     dof: int
     blocks: Array
-    active_gain: float
 
 
 def tabulate(reduction: Reduction, active: int) -> Table:
@@ -71,7 +70,6 @@ def tabulate(reduction: Reduction, active: int) -> Table:
     dof = reduction.samples - reduction.nuisances - active
     return Table(
         inner[:, :-1], inner[:, -1], norms[active:], rest, reduction.samples, dof, blocks,
-        float(np.sum(triangle[:active, -1] ** 2)),
     )  # fmt: skip
 
 

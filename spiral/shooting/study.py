@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -136,11 +136,6 @@ def columns_for(study: Study, keys: Iterable[str], shared_origin: bool) -> Colum
             index.append(position)
             record.append(r)
     return Columns(np.array(index, dtype=np.int64), np.array(record, dtype=np.int64))
-
-
-def with_starts(point: Point, starts: tuple[Array, ...]) -> Point:
-    """The same values with other window starts."""
-    return replace(point, starts=starts)
 
 
 Layouts = tuple[Layout, ...]
