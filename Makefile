@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 WORKERS ?= 2
 # Two workers, each with its own compiled threads: the linear algebra stays serial beside them.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
-# Held back so that later extras (mlflow 3.17) fit into the same lock.
+# Held back so that mlflow 3.17 fits into the same lock.
 HELD_BACK := 'pyarrow<26' 'python-dateutil<3'
 
 # Measured data sets beside the checkout, where there are any.
@@ -92,7 +92,7 @@ lock: ## Resolve every version anew into requirements.lock
 	$$pip install --upgrade pip; \
 	"$$folder/bin/python" -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; print(*p["dependencies"], *p["optional-dependencies"]["dev"], sep="\n")' > "$$folder/wanted"; \
 	$$pip install --upgrade --requirement "$$folder/wanted" $(HELD_BACK); \
-	{ head -1 requirements.lock; "$$folder/bin/python" -m pip freeze --all; } > "$$folder/lock"; \
+	{ head -1 requirements.lock; "$$folder/bin/python" -m pip freeze --all | sed 's/+cpu$$//'; } > "$$folder/lock"; \
 	mv "$$folder/lock" requirements.lock; echo "lock: $$(grep -c == requirements.lock) versions"
 
 clean: ## Remove the environment, caches and build folders
