@@ -23,7 +23,7 @@ VERBS = {
     "simulate": "make a record from a model and write it to a file",
     "plugins": "list systems, effects and sources",
     "check": "verify a plugin: units, derivatives, behaviour at rest",
-    "new": "write a working skeleton of a plugin and its test: new system|effect|source NAME",
+    "new": "write a working skeleton of a plugin and its test: new KIND NAME",
 }
 
 _EPILOG = """\

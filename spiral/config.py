@@ -20,7 +20,8 @@ from spiral.registry import Registry
 
 Config = dict[str, Any]
 
-GROUPS = {"system": "system", "record": "source", "test": "source"}
+GROUPS = {"system": "system", "record": "source", "test": "source", "derivative": "derivative"}
+USUAL = {"derivative": "savitzky_golay"}  # of groups that runs saved before them lack
 STRATEGIES = ("shooting",)
 PACKAGE = "spiral_conf"
 _TEST_SEED_FIELDS = ("name", "settle")
@@ -113,6 +114,11 @@ def settings(config: Config) -> Settings:
 def build_system(config: Config, registry: Registry) -> Any:
     """The system of a configuration."""
     return _plugin("system", config, registry)
+
+
+def build_derivative(config: Config, registry: Registry) -> Any:
+    """The estimator of derivatives of a configuration."""
+    return _plugin("derivative", config, registry)
 
 
 def build_sources(config: Config, registry: Registry) -> tuple[Any, Any | None]:
@@ -251,6 +257,9 @@ def _section(group: str, name: str, registry: Registry) -> Config:
 
 def _normalise(config: Config, registry: Registry) -> None:
     """One shape inside: ``test`` with all its fields, ``effect`` as label -> fields."""
+    for group, name in USUAL.items():
+        if not config.get(group):
+            config[group] = _section(group, name, registry)
     test = config["test"] or {}
     extra = [k for k in test if k not in _TEST_SEED_FIELDS]
     if extra and not test.get("name"):

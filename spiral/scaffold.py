@@ -16,7 +16,7 @@ from spiral.plugin import snake_case
 if TYPE_CHECKING:
     from spiral.registry import Registry
 
-KINDS = ("system", "effect", "source")
+KINDS = ("system", "effect", "source", "derivative")
 
 
 def new_plugin(kind: str, name: str, folder: Path, registry: Registry) -> tuple[Path, Path]:

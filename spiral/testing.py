@@ -12,9 +12,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from spiral import conformance as look
+from spiral import probe
+from spiral.derivative import Derivative
 from spiral.effect import Effect, FlowEffect, ForceEffect
 from spiral.errors import ConfigError, InputError, PluginError, SpiralError
 from spiral.fields import construct, field_names, plain
+from spiral.plugin import Plugin
 from spiral.record import Record
 from spiral.registry import told
 from spiral.source import Source
@@ -132,8 +135,27 @@ def check_source(source: Source, system: System) -> list[Check]:
     )
 
 
+def check_derivative(derivative: Derivative) -> list[Check]:
+    """An estimator of derivatives on a sine; a refusal that says what to change passes."""
+    return _run(
+        derivative.plugin_name(),
+        [
+            ("docstring", lambda: look.docstring(derivative), _SAY),
+            ("fields", lambda: _fields(derivative), "fields of plain values, each with a default"),
+            ("follows a sine", lambda: probe.sine_followed(derivative), "derivatives per second"),
+            (
+                "repeatable",
+                lambda: probe.estimate_repeatable(derivative),
+                "no hidden state, and no writing into the samples",
+            ),
+        ],
+    )
+
+
 def check_plugin(entry: Entry, registry: Registry) -> list[Check]:
     """A registered plugin: an effect on every system that it fits, a source for every system."""
+    if entry.kind == "derivative":
+        return check_derivative(registry.make("derivative", entry.name))
     if entry.kind == "system":
         return check_system(registry.make("system", entry.name))
     systems = [registry.make("system", name) for name in registry.names("system")]
@@ -206,10 +228,10 @@ def _on_systems(effect: Effect, systems: Sequence[System]) -> list[Check]:
     return [Check("fits a system", False, f"it fits none. {seen}", advice, effect.label)]
 
 
-def _fields(source: Source) -> str:
+def _fields(plugin: Plugin) -> str:
     """Fields become plain values and come back as they were."""
-    given = {k: plain(getattr(source, k)) for k in field_names(type(source))}
-    if construct(type(source), given, source.plugin_name()) != source:
+    given = {k: plain(getattr(plugin, k)) for k in field_names(type(plugin))}
+    if construct(type(plugin), given, plugin.plugin_name()) != plugin:
         raise PluginError("fields that do not come back from plain values", "the same fields")
     return ", ".join(given) or "none"
 

@@ -16,7 +16,7 @@ from spiral.testing import check_effect, check_plugin, check_source, check_syste
 from tests.scenes import registry
 
 REGISTRY = registry()
-EFFECTS = [e for e in REGISTRY.entries if e.kind != "source"]
+EFFECTS = [e for e in REGISTRY.entries if e.kind in ("system", "effect")]
 
 
 @pytest.mark.parametrize("entry", EFFECTS, ids=[f"{e.kind}-{e.name}" for e in EFFECTS])

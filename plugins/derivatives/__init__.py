@@ -1,0 +1,1 @@
+"""Shipped plugins: estimators of derivatives."""

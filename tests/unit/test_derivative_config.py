@@ -1,0 +1,29 @@
+"""The group ``derivative=``: chosen by name, its fields checked, also on runs saved without it."""
+
+import pytest
+from spiral_plugins.derivatives.savitzky_golay import SavitzkyGolay
+
+from spiral.config import build_derivative, compose
+from spiral.errors import ConfigError
+from tests.scenes import registry
+
+REGISTRY = registry()
+
+
+def test_fields_reach_the_estimator():
+    given = ["derivative=savitzky_golay", "derivative.window=61"]
+    config = compose(["experiment=rotor_coastdown", *given], REGISTRY)
+    assert build_derivative(config, REGISTRY) == SavitzkyGolay(window=61)
+
+
+def test_unknown_names_and_fields_are_refused_with_near_misses():
+    with pytest.raises(ConfigError, match="savitzky_golay"):
+        compose(["derivative=savitzky"], REGISTRY)
+    with pytest.raises(ConfigError, match="window"):
+        compose(["derivative.windw=61"], REGISTRY)
+
+
+def test_a_configuration_saved_before_there_was_a_group_gets_the_usual_one():
+    old = compose(["experiment=rotor_coastdown"], REGISTRY)
+    del old["derivative"]
+    assert build_derivative(compose([], REGISTRY, old), REGISTRY) == SavitzkyGolay()
