@@ -9,47 +9,40 @@ from dataclasses import replace
 from spiral.assembly import Assembly, to_model
 from spiral.compare import judged, last_stage, prepared
 from spiral.effect import Effect
-from spiral.evidence import Masks, Standing, all_samples, half_masks
-from spiral.identifiability import Entanglement, entangled
+from spiral.evidence import Standing, all_samples
 from spiral.problem import Problem, Progress, silent
-from spiral.retire import let_go, superfluous
 from spiral.run import Comparison, Round, Run, Stopped, Verdict
-from spiral.suggest import Proposal, propose
+from spiral.strategy import Begun, Strategy
 from spiral.threads import one_blas_thread
+from spiral.trajectories import SHOOTING
 from spiral.verdict import advice_for, seed_verdict
 
 OnRound = Callable[[Round], None]
-
-SECOND_ORDER = ("cross_damping", "speed_stiffness")
-"""Effects that a hidden tilt leaves beyond leading order (design, fact 3)."""
 
 
 @one_blas_thread
 def discover(problem: Problem, progress: Progress = silent, on_round: OnRound | None = None) -> Run:
     """Find what the model is missing.
 
-    Every round fits on one half of the blocks, scores all candidates, passes them through the
-    gates on the other half, and reports estimates refitted on that other half.
+    The problem's strategy supplies the evidence; rounds, verdict and history are the same for all.
     """
     tell = on_round or (lambda _: None)
-    progress("compiling the model and all candidates")
+    strategy = SHOOTING
     clock = time.perf_counter()
-    assembly, standing = prepared(problem)
-    masks = half_masks(assembly)
-    tangle = entangled(assembly, standing)
-    comparison = _judge(assembly, standing, masks[1], progress)
-    rounds = [Round(0, (), {}, {}, (), comparison, time.perf_counter() - clock)]
-    if tangle is not None:
+    begun = strategy.begin(problem, progress)
+    seconds = time.perf_counter() - clock
+    rounds = [Round(0, (), {}, {}, (), begun.comparison, seconds, details=begun.details)]
+    if begun.refused:
         tell(rounds[0])
-        return _refusal(assembly, standing, rounds[0], tangle)
-    return _loop(assembly, standing, rounds, masks, progress, tell)
+        return _refusal(begun, rounds[0])
+    return _loop(strategy, begun.assembly, begun.standing, rounds, progress, tell)
 
 
 def _loop(
+    strategy: Strategy,
     assembly: Assembly,
     standing: Standing,
     rounds: list[Round],
-    masks: tuple[Masks, Masks],
     progress: Progress,
     tell: OnRound,
 ) -> Run:
@@ -61,17 +54,33 @@ def _loop(
         if number > settings.max_rounds:
             tell(rounds[-1])
             break
-        proposal = propose(assembly, standing, masks, number, progress)
+        step = strategy.propose(assembly, standing, rounds[-1].comparison, number, progress)
         rounds[-1] = replace(
-            rounds[-1], suggestions=proposal.suggestions, rejected=dict(proposal.rejected)
+            rounds[-1],
+            suggestions=step.suggestions,
+            rejected=dict(step.rejected),
+            details={**rounds[-1].details, **step.details},
         )
         tell(rounds[-1])
-        if proposal.admitted is None:
-            stopped = _why_stopped(proposal, rounds[-1].comparison, settings.whiteness_level)
+        if not step.admitted:
+            stopped = step.stopped
             break
-        standing, comparison, gone = _settled(assembly, proposal, masks[1], progress)
-        taken = time.perf_counter() - clock
-        rounds.append(replace(_round(number, proposal, comparison, rounds, taken), retired=gone))
+        settled = strategy.settle(assembly, step, progress)
+        standing = settled.standing
+        rounds.append(
+            Round(
+                number=number,
+                admitted=step.admitted,
+                aliases=dict(step.aliases),
+                rejected={},
+                suggestions=(),
+                comparison=settled.comparison,
+                seconds=time.perf_counter() - clock,
+                second_order=step.second_order,
+                meaning=step.meaning,
+                retired=settled.retired,
+            )
+        )
     verdict = seed_verdict(rounds, stopped, settings.whiteness_level)
     return Run(
         verdict, stopped, tuple(rounds), rounds[-1].comparison.model,
@@ -79,66 +88,13 @@ def _loop(
     )  # fmt: skip
 
 
-def _settled(
-    assembly: Assembly, proposal: Proposal, mask: Masks, progress: Progress
-) -> tuple[Standing, Comparison, tuple[str, ...]]:
-    """Refit and compare after an admission, letting go of effects it has made superfluous."""
-    latest = proposal.admitted
-    assert latest is not None
-    assert proposal.evidence is not None
-    comparison = _judge(assembly, latest.standing, mask, progress)
-    gone = superfluous(assembly, latest, comparison.model, mask, proposal.evidence.block)
-    if not gone:
-        return latest.standing, comparison, ()
-    standing = let_go(latest.standing, gone)
-    comparison = _judge(assembly, standing, mask, progress)
-    return standing, comparison, tuple(assembly.variant(x).original.label for x in gone)
-
-
-def _judge(
-    assembly: Assembly,
-    standing: Standing,
-    mask: Masks,
-    progress: Progress,
-) -> Comparison:
-    """Refit on the half that did not select, and compare."""
-    progress("refitting on the half that did not select")
-    stage = last_stage(assembly, standing, mask)
-    refitted = replace(standing, values=stage.fitted.point.values)
-    return judged(assembly, refitted, stage, progress)
-
-
-def _why_stopped(proposal: Proposal, comparison: Comparison, level: float) -> Stopped:
-    if proposal.diverged:
-        return "diverged"
-    return "whiteness" if comparison.whiteness_p >= level else "no_candidate"
-
-
-def _round(
-    number: int, proposal: Proposal, comparison: Comparison, rounds: list[Round], seconds: float
-) -> Round:
-    assert proposal.admitted is not None
-    effect = proposal.admitted.variant.original
-    mediated = any("gyroscopic" in r.admitted for r in rounds)
-    return Round(
-        number=number,
-        admitted=(effect.label,),
-        aliases={effect.label: proposal.aliases},
-        rejected={},
-        suggestions=(),
-        comparison=comparison,
-        seconds=seconds,
-        second_order=mediated and effect.plugin_name() in SECOND_ORDER,
-        meaning=effect.meaning(),
-    )
-
-
-def _refusal(assembly: Assembly, standing: Standing, first: Round, tangle: Entanglement) -> Run:
-    model = to_model(assembly, standing.labels, standing.values, {})
+def _refusal(begun: Begun, first: Round) -> Run:
+    standing = begun.standing
+    model = to_model(begun.assembly, standing.labels, standing.values, {})
     verdict: Verdict = "not_identifiable"
     return Run(
         verdict, "not_identifiable", (first,), model,
-        advice_for(verdict, "not_identifiable", [first], tangle.groups), tangle.groups,
+        advice_for(verdict, "not_identifiable", [first], begun.groups), begun.groups,
     )  # fmt: skip
 
 

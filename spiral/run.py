@@ -137,7 +137,11 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Round:
-    """One turn of the loop; round 0 is the seed. ``rejected``: what the gates refused, and why."""
+    """One turn of the loop; round 0 is the seed. ``rejected``: what the gates refused, and why.
+
+    ``details`` log, as plain data, how the strategy came from this round's model to the next
+    proposal.
+    """
 
     number: int
     admitted: tuple[str, ...]
@@ -149,6 +153,7 @@ class Round:
     second_order: bool = False
     meaning: str = ""
     retired: tuple[str, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -169,6 +174,7 @@ class Round:
             "second_order": self.second_order,
             "meaning": self.meaning,
             "suggestions": [s.as_dict() for s in self.suggestions],
+            "details": dict(self.details),
         }
 
 

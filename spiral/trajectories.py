@@ -1,0 +1,95 @@
+"""``strategy=shooting``: evidence from trajectories, fitted on windows.
+
+Every round fits on one half of the blocks, scores all candidates, passes them through the gates
+on the other half, and reports estimates refitted on that other half.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from spiral.assembly import Assembly
+from spiral.compare import judged, last_stage, prepared
+from spiral.evidence import Masks, Standing, half_masks
+from spiral.identifiability import entangled
+from spiral.problem import Problem, Progress
+from spiral.retire import let_go, superfluous
+from spiral.run import Comparison, Stopped
+from spiral.strategy import Begun, Settled, Step, Strategy
+from spiral.suggest import Proposal, propose
+
+SECOND_ORDER = ("cross_damping", "speed_stiffness")
+"""Effects that a hidden tilt leaves beyond leading order (design, fact 3)."""
+
+
+def _begin(problem: Problem, progress: Progress) -> Begun:
+    progress("compiling the model and all candidates")
+    assembly, standing = prepared(problem)
+    tangle = entangled(assembly, standing)
+    comparison = _judge(assembly, standing, half_masks(assembly)[1], progress)
+    groups = () if tangle is None else tangle.groups
+    return Begun(assembly, standing, comparison, refused=tangle is not None, groups=groups)
+
+
+def _propose(
+    assembly: Assembly,
+    standing: Standing,
+    comparison: Comparison,
+    number: int,
+    progress: Progress,
+) -> Step:
+    proposal = propose(assembly, standing, half_masks(assembly), number, progress)
+    level = assembly.problem.settings.whiteness_level
+    if proposal.admitted is None:
+        stopped = _why_stopped(proposal, comparison, level)
+        return Step(proposal.suggestions, proposal.rejected, stopped=stopped, found=proposal)
+    effect = proposal.admitted.variant.original
+    mediated = any(x.split("#")[0] == "gyroscopic" for x in standing.labels)
+    return Step(
+        proposal.suggestions,
+        proposal.rejected,
+        admitted=(effect.label,),
+        aliases={effect.label: proposal.aliases},
+        second_order=mediated and effect.plugin_name() in SECOND_ORDER,
+        meaning=effect.meaning(),
+        found=proposal,
+    )
+
+
+def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
+    """Refit and compare after an admission, letting go of effects it has made superfluous."""
+    proposal: Proposal = step.found
+    mask = half_masks(assembly)[1]
+    latest = proposal.admitted
+    assert latest is not None
+    assert proposal.evidence is not None
+    comparison = _judge(assembly, latest.standing, mask, progress)
+    gone = superfluous(assembly, latest, comparison.model, mask, proposal.evidence.block)
+    if not gone:
+        return Settled(latest.standing, comparison)
+    standing = let_go(latest.standing, gone)
+    comparison = _judge(assembly, standing, mask, progress)
+    retired = tuple(assembly.variant(x).original.label for x in gone)
+    return Settled(standing, comparison, retired)
+
+
+def _judge(
+    assembly: Assembly,
+    standing: Standing,
+    mask: Masks,
+    progress: Progress,
+) -> Comparison:
+    """Refit on the half that did not select, and compare."""
+    progress("refitting on the half that did not select")
+    stage = last_stage(assembly, standing, mask)
+    refitted = replace(standing, values=stage.fitted.point.values)
+    return judged(assembly, refitted, stage, progress)
+
+
+def _why_stopped(proposal: Proposal, comparison: Comparison, level: float) -> Stopped:
+    if proposal.diverged:
+        return "diverged"
+    return "whiteness" if comparison.whiteness_p >= level else "no_candidate"
+
+
+SHOOTING = Strategy("shooting", _begin, _propose, _settle)
