@@ -102,14 +102,36 @@ class Table:
             )
         return next(iter(lengths.values()), 0)
 
-    def column(self, name: str, option: str, start: int, stop: int) -> Array:
-        """Numbers of one column, rows [start, stop).
+    def column(self, name: str, option: str, start: int, stop: int, missing: bool = False) -> Array:
+        """Numbers of one column, rows [start, stop); NaN for empty cells where they are allowed.
 
         Raises
         ------
         InputError : no such column, text among the numbers, or empty cells.
         """
-        return self._numbers(name, self._found(name, option)[start:stop], start)
+        values = self._found(name, option)[start:stop]
+        numbers, bad = _parsed(values, self.decimal)
+        if not len(bad):
+            return numbers
+        cells = [str(cell).strip() for cell in _at(values, bad)]
+        texts = [i for i, c in enumerate(cells) if c.lower() not in MISSING]
+        if missing and not texts:
+            numbers[bad] = np.nan
+            return numbers
+        worst = texts[0] if texts else 0
+        row, cell = start + int(bad[worst]), cells[worst]
+        line = f" (line {row + self.first_line})" if self.first_line is not None else ""
+        place = f"column {name!r} of {self.name}, row {row}{line}"
+        if texts:
+            raise InputError(f"{place}: text {cell!r}", "a number", _text_hint(cell))
+        cut = f"cut the gap out with record.rows, for instance rows [{start}, {row}]"
+        if option != "record.time":
+            cut = f"record.fill_gaps={_longest_run(bad)} interpolates so many in a row; or {cut}"
+        raise InputError(
+            f"{place}: {cell or 'an empty cell'}, one of {len(bad)} missing values",
+            "a number in every row",
+            cut,
+        )
 
     def _found(self, name: str, option: str) -> Any:
         if name in self.values:
@@ -126,36 +148,34 @@ class Table:
             else "name one of these columns",
         )
 
-    def _numbers(self, name: str, values: Any, start: int) -> Array:
-        import pandas as pd
 
-        series = pd.Series(values)
-        if pd.api.types.is_datetime64_any_dtype(series):
-            parsed: Any = (series - series.iloc[0]).dt.total_seconds()
-        elif pd.api.types.is_numeric_dtype(series):
-            parsed = series
-        else:
-            text = series.astype(str).str.strip()
-            if self.decimal != ".":
-                text = text.str.replace(self.decimal, ".", regex=False)
-            parsed = pd.to_numeric(text, errors="coerce")
-        numbers = np.array(parsed, dtype=float)
-        bad = np.flatnonzero(~np.isfinite(numbers))
-        cells = [str(c).strip() for c in series.iloc[bad]]
-        texts = [i for i, c in enumerate(cells) if c.lower() not in MISSING]
-        if not len(bad):
-            return numbers
-        worst = texts[0] if texts else 0
-        row, cell = start + int(bad[worst]), cells[worst]
-        line = f" (line {row + self.first_line})" if self.first_line is not None else ""
-        place = f"column {name!r} of {self.name}, row {row}{line}"
-        if texts:
-            raise InputError(f"{place}: text {cell!r}", "a number", _text_hint(cell))
-        raise InputError(
-            f"{place}: {cell or 'an empty cell'}, one of {len(bad)} missing values",
-            "a number in every row",
-            f"cut the gap out with record.rows, for instance rows [{start}, {row}]",
-        )
+def _parsed(values: Any, decimal: str) -> tuple[Array, Array]:
+    """Numbers, NaN where there is none, and the positions of what is not finite."""
+    import pandas as pd
+
+    series = pd.Series(values)
+    if pd.api.types.is_datetime64_any_dtype(series):
+        parsed: Any = (series - series.iloc[0]).dt.total_seconds()
+    elif pd.api.types.is_numeric_dtype(series):
+        parsed = series
+    else:
+        text = series.astype(str).str.strip()
+        if decimal != ".":
+            text = text.str.replace(decimal, ".", regex=False)
+        parsed = pd.to_numeric(text, errors="coerce")
+    numbers = np.array(parsed, dtype=float)
+    return numbers, np.flatnonzero(~np.isfinite(numbers))
+
+
+def _at(values: Any, rows: Array) -> list[Any]:
+    import pandas as pd
+
+    return list(pd.Series(values).iloc[rows])
+
+
+def _longest_run(rows: Array) -> int:
+    """Length of the longest run of neighbouring rows."""
+    return max(len(part) for part in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1))
 
 
 def first_line_of(error: Exception) -> str:

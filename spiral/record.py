@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 MINIMUM_SAMPLES = 64
-_JITTER = 0.02  # largest deviation of a time step from the mean one, as a share of it
+JITTER = 0.02  # largest deviation of a time step from the mean one, as a share of it
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,8 @@ def make_record(
     _check_time(name, time)
     for kind, group in (("channel", given), ("input", known)):
         for key, values in group.items():
-            _check_values(name, kind, key, values, len(time))
-    extra = tuple(_clipping(k, v) for k, v in given.items())
+            check_values(name, kind, key, values, len(time))
+    extra = tuple(clipping(k, v) for k, v in given.items())
     measured = tuple(known)
     known = _derived(system, time, known)
     step = (time[-1] - time[0]) / (len(time) - 1)
@@ -118,7 +118,7 @@ def make_record(
         time=time[0] + step * np.arange(len(time)),
         channels={k: given[k] for k in system.observed},
         inputs={i.name: known[i.name] for i in system.inputs},
-        noise=_check_noise(dict(noise or {}), given),
+        noise=check_noise(dict(noise or {}), given),
         truth=dict(truth or {}),
         measured=measured,
         notes=(*notes, *(note for note in extra if note)),
@@ -183,7 +183,8 @@ def _check_names(system: System, channels: dict[str, Array], inputs: dict[str, A
             )
 
 
-def _check_time(name: str, time: Array) -> None:
+def check_increasing(name: str, time: Array) -> None:
+    """Refuse too few samples, and time that is not a number or does not increase."""
     if len(time) < MINIMUM_SAMPLES:
         raise InputError(
             f"{name}: {len(time)} samples", f"at least {MINIMUM_SAMPLES}", "use a longer record"
@@ -199,18 +200,37 @@ def _check_time(name: str, time: Array) -> None:
             "time that increases in every row",
             "sort the file, drop repeated rows, or give record.rate instead of a time column",
         )
+
+
+def _check_time(name: str, time: Array) -> None:
+    check_increasing(name, time)
+    steps = np.diff(time)
     mean = (time[-1] - time[0]) / (len(time) - 1)
     worst = int(np.argmax(np.abs(steps - mean)))
-    if abs(steps[worst] - mean) > _JITTER * mean:
+    if abs(steps[worst] - mean) > JITTER * mean:
         raise InputError(
             f"{name}: steps of time differ ({steps.min():.6g} to {steps.max():.6g} s, "
             f"worst after row {worst})",
-            f"a uniform step (here {mean:.6g} s within {_JITTER:.0%})",
-            "resample the record, cut it at the gap with record.rows, or give record.rate",
+            f"a uniform step (here {mean:.6g} s within {JITTER:.0%})",
+            _even_steps(steps, mean),
         )
 
 
-def _check_values(name: str, kind: str, key: str, values: Array, samples: int) -> None:
+def _even_steps(steps: Array, mean: float) -> str:
+    """What to try where steps of time differ: gaps are bridged, uneven steps resampled."""
+    longest = float(steps.max() / np.median(steps))
+    if longest > 1.5:
+        return (
+            f"record.fill_gaps={round(longest) - 1} bridges gaps of so many samples, record.rows "
+            "cuts the record there, record.resample makes uneven steps even"
+        )
+    return (
+        f"record.resample={1 / mean:.4g} makes the steps even, record.rate={1 / mean:.4g} says so"
+    )
+
+
+def check_values(name: str, kind: str, key: str, values: Array, samples: int) -> None:
+    """Refuse a series of another length, with missing values, or a channel that never moves."""
     if len(values) != samples:
         raise InputError(
             f"{name}: {kind} {key!r} with {len(values)} values", f"{samples}, as many as times"
@@ -230,7 +250,7 @@ def _check_values(name: str, kind: str, key: str, values: Array, samples: int) -
         )
 
 
-def _clipping(key: str, values: Array) -> str:
+def clipping(key: str, values: Array) -> str:
     """A note where a channel rests at its extremes for many samples in a row."""
     span = np.ptp(values)
     share = 0.0
@@ -243,7 +263,8 @@ def _clipping(key: str, values: Array) -> str:
     return ""
 
 
-def _check_noise(noise: dict[str, float], channels: dict[str, Array]) -> dict[str, float]:
+def check_noise(noise: Mapping[str, float], channels: Mapping[str, Array]) -> dict[str, float]:
+    """Declared noise of known channels, positive."""
     for key, value in noise.items():
         if key not in channels:
             raise InputError(
