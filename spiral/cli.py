@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 from spiral import __version__
 from spiral.errors import ConfigError, SpiralError, did_you_mean
-from spiral.verbs import BAD_INPUT, Outcome, Request, in_worker, perform
+from spiral.verbs import BAD_INPUT, Request, in_worker, perform
 
 VERBS = {
     "discover": "find what the model is missing, add it, and repeat: the main job",
@@ -175,33 +175,21 @@ def _single(request: Request, target: str | None) -> int:
 
 
 def _multirun(request: Request, target: str | None) -> int:
-    from spiral import terminal
-    from spiral.overrides import expand
+    from spiral import multirun
+    from spiral.jobs import planned
+    from spiral.registry import load_registry
     from spiral.sweep import run_sweep
 
-    jobs = expand(request.overrides)
-    with terminal.progress() as tell:
-        tell(f"{len(jobs)} runs")
-        rows = run_sweep(
-            in_worker, request.verb, request.names, jobs, request.plugins, _processes(jobs), tell
-        )
-    result = {"runs": [row.as_dict() for row in rows]}
-    code = max((row.exit for row in rows), default=0)
-    _write_json(result, target)
+    registry = load_registry(request.plugins)
+    plan = planned(request.verb, request.names, request.overrides, request.plugins, registry)
+    with multirun.progress() as (tell, watch):
+        sweep = run_sweep(in_worker, plan, tell, watch)
+    _write_json(sweep.as_dict(), target)
     if target != "-":
-        terminal.show("multirun", Outcome(code, result, {"rows": rows}))
-    return 130 if len(rows) < len(jobs) else code
-
-
-def _processes(jobs: Sequence[tuple[str, ...]]) -> int:
-    """``n_jobs`` of the first job; the usual -1 is one process for each processor."""
-    for text in reversed(jobs[0]):
-        if text.startswith("n_jobs="):
-            try:
-                return int(text.partition("=")[2]) or -1
-            except ValueError as error:
-                raise ConfigError(text, "n_jobs=NUMBER of processes, -1 for all") from error
-    return -1
+        multirun.show(sweep)
+    elif sweep.error:
+        print("\n".join(f"{k + ':':<10}{v}" for k, v in sweep.error.items()), file=sys.stderr)
+    return sweep.exit
 
 
 def _write_json(result: dict[str, Any], target: str | None) -> None:

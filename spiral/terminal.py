@@ -52,7 +52,7 @@ def round_line(found: Round, tell: Tell) -> None:
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
     console = Console(highlight=False)
-    drawn = (_discover, _compare, _diagnose, _add, _simulate, _multirun)
+    drawn = (_discover, _compare, _diagnose, _add, _simulate)
     {f.__name__.removeprefix("_"): f for f in drawn}[verb](console, outcome)
 
 
@@ -355,36 +355,3 @@ def _simulate(console: Console, outcome: Outcome) -> None:
         console.print(Text(f"{written.file}: {written.rows} rows; {units}"), soft_wrap=True)
     back = " ".join(["spiral discover", *(shlex.quote(w) for w in outcome.result["read_back"])])
     _next(console, (back, "read it back and find what its model is made of"))
-
-
-def _multirun(console: Console, outcome: Outcome) -> None:
-    if not (rows := outcome.parts["rows"]):
-        return
-    common = set.intersection(*(set(row.overrides) for row in rows)) if len(rows) > 1 else set()
-    _heading(console, " ".join(["Runs", *(w for w in rows[0].overrides if w in common)]))
-    table = _table("overrides", "outcome", "test error", "exit", right=["test error", "exit"])
-    for row in rows:
-        what, error = _summary(row.result)
-        table.add_row(
-            Text(" ".join(w for w in row.overrides if w not in common)),
-            Text(what),
-            percent(error),
-            str(row.exit),
-        )
-    console.print(table)
-
-
-def _summary(result: dict[str, Any]) -> tuple[str, float | None]:
-    """What a job of a sweep came to, and its last test error."""
-    rounds = result.get("rounds")
-    if rounds:
-        found = [label for r in rounds for label in r["admitted"]]
-        return ", ".join(found) or result["verdict"], rounds[-1]["test_error"]
-    if "after" in result:
-        return "added", result["after"]["test_error"]
-    if "suggestions" in result:
-        best = result["suggestions"][0]["effect"] if result["suggestions"] else ""
-        return f"{result['verdict']} {best}".strip(), result["comparison"]["test_error"]
-    if "test_error" in result:
-        return "compared", result["test_error"]
-    return result.get("error", {}).get("given", ""), None
