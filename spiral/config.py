@@ -21,7 +21,7 @@ from spiral.registry import Registry
 Config = dict[str, Any]
 
 GROUPS = {"system": "system", "record": "source", "test": "source", "derivative": "derivative"}
-USUAL = {"derivative": "savitzky_golay"}  # of groups that runs saved before them lack
+USUAL = {"derivative": "total_variation"}  # of groups that runs saved before them lack
 STRATEGIES = ("shooting",)
 PACKAGE = "spiral_conf"
 _TEST_SEED_FIELDS = ("name", "settle")

@@ -230,8 +230,13 @@ def _on_systems(effect: Effect, systems: Sequence[System]) -> list[Check]:
 
 def _fields(plugin: Plugin) -> str:
     """Fields become plain values and come back as they were."""
-    given = {k: plain(getattr(plugin, k)) for k in field_names(type(plugin))}
-    if construct(type(plugin), given, plugin.plugin_name()) != plugin:
+    own = {k: getattr(plugin, k) for k in field_names(type(plugin))}
+    given = {k: plain(v) for k, v in own.items()}
+
+    def nested(kind: type, value: Any, where: str) -> Any:  # a plugin inside a field
+        return next(v for v in own.values() if isinstance(v, kind) and plain(v) == value)
+
+    if construct(type(plugin), given, plugin.plugin_name(), nested) != plugin:
         raise PluginError("fields that do not come back from plain values", "the same fields")
     return ", ".join(given) or "none"
 

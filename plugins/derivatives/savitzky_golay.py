@@ -19,8 +19,8 @@ class SavitzkyGolay(Derivative):
     order : degree of the polynomial, at least 2 and less than the window.
     """
 
-    window: int = 41
-    order: int = 4
+    window: int = 31
+    order: int = 6
 
     def estimate(self, y: Array, dt: float, speed: Array | None = None) -> Derivatives:
         """y, y', y'' of the polynomials; (N, C) each."""

@@ -2,6 +2,7 @@
 
 import pytest
 from spiral_plugins.derivatives.savitzky_golay import SavitzkyGolay
+from spiral_plugins.derivatives.total_variation import TotalVariation
 
 from spiral.config import build_derivative, compose
 from spiral.errors import ConfigError
@@ -20,10 +21,16 @@ def test_unknown_names_and_fields_are_refused_with_near_misses():
     with pytest.raises(ConfigError, match="savitzky_golay"):
         compose(["derivative=savitzky"], REGISTRY)
     with pytest.raises(ConfigError, match="window"):
-        compose(["derivative.windw=61"], REGISTRY)
+        compose(["derivative=savitzky_golay", "derivative.windw=61"], REGISTRY)
 
 
 def test_a_configuration_saved_before_there_was_a_group_gets_the_usual_one():
     old = compose(["experiment=rotor_coastdown"], REGISTRY)
     del old["derivative"]
-    assert build_derivative(compose([], REGISTRY, old), REGISTRY) == SavitzkyGolay()
+    assert build_derivative(compose([], REGISTRY, old), REGISTRY) == TotalVariation()
+
+
+def test_an_estimator_inside_another_is_chosen_by_name_too():
+    given = ["derivative=shape_functions", "derivative.shapes=[[1, 0.1], [1, -0.2]]"]
+    config = compose([*given, "derivative.inner={name: savitzky_golay, window: 61}"], REGISTRY)
+    assert build_derivative(config, REGISTRY).inner == SavitzkyGolay(window=61)
