@@ -102,9 +102,10 @@ def set_value(tree: dict[str, Any], item: Assignment, is_open: tuple[str, ...]) 
 
 
 def _assign(node: dict[str, Any], word: str, item: Assignment, mapping: bool) -> None:
+    plugin = len(item.path) > 1 and isinstance(node[word], dict) and "name" in node[word]
     if item.delete:
         node[word] = {} if isinstance(node[word], dict) else None
-    elif isinstance(node[word], dict) and not mapping:
+    elif isinstance(node[word], dict) and not mapping and not plugin:
         raise ConfigError(
             f"{item.text!r}",
             f"a field of {word}: {', '.join(node[word])}",

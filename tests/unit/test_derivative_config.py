@@ -32,5 +32,7 @@ def test_a_configuration_saved_before_there_was_a_group_gets_the_usual_one():
 
 def test_an_estimator_inside_another_is_chosen_by_name_too():
     given = ["derivative=shape_functions", "derivative.shapes=[[1, 0.1], [1, -0.2]]"]
-    config = compose([*given, "derivative.inner={name: savitzky_golay, window: 61}"], REGISTRY)
-    assert build_derivative(config, REGISTRY).inner == SavitzkyGolay(window=61)
+    for chosen in ("{name: savitzky_golay, window: 61}", "savitzky_golay"):
+        config = compose([*given, f"derivative.inner={chosen}"], REGISTRY)
+        window = 61 if "61" in chosen else 31
+        assert build_derivative(config, REGISTRY).inner == SavitzkyGolay(window=window)
