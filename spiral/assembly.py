@@ -18,6 +18,7 @@ from spiral.effect import Effect
 from spiral.model import Model
 from spiral.problem import Problem
 from spiral.record import Array, Record
+from spiral.rest import check_rest
 from spiral.shooting.series import prepare
 from spiral.shooting.start import motion
 from spiral.shooting.study import Columns, Study, columns_for
@@ -68,6 +69,7 @@ def assemble(problem: Problem, substeps: int = 1) -> Assembly:
             effects.append(variant.companion)
             shifts.append(np.pi / 2)
     compiled = compile_model(trace(model.system, tuple(effects), tuple(shifts)))
+    check_rest(compiled, model.system, (*model.effects, *problem.candidates))
     knot = problem.settings.phase_knot
     series = tuple(prepare(model.system, r, substeps, knot) for r in problem.records)
     return Assembly(problem, Study(compiled, series), tuple(variants))

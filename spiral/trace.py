@@ -8,15 +8,19 @@ columns, exported code) is made from a ``Traced``.
 
 from __future__ import annotations
 
+import inspect
+import traceback
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import sympy as sp
 
 from spiral.effect import Effect, FlowEffect, ForceEffect, SensorEffect, expand
-from spiral.errors import ConfigError, PluginError, did_you_mean
+from spiral.errors import ConfigError, PluginError, SpiralError, did_you_mean
 from spiral.parameter import Parameter
 from spiral.port import At, Port
 from spiral.system import MechanicalSystem, System
@@ -127,7 +131,7 @@ def trace(
     placed = [_place(system, effect, x, p, states, symbols) for effect in effects]
     seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
     injected = _inject(system, placed, seen, x)
-    rates = system.rate(x, u, p, injected)
+    rates = _asked(system, "rate", system.rate, x, u, p, injected)
     for item, view in zip(placed, seen, strict=True):
         rates.update(_own_rates(item, view))
     output = _readings(system, placed, seen, x)
@@ -146,6 +150,27 @@ def trace(
         acceleration=acceleration,
         balance=balance,
     )
+
+
+def _asked(owner: Effect | System, what: str, function: Callable[..., Any], *given: Any) -> Any:
+    """What a plugin's equation gives for symbols; its own failure names it and the line."""
+    try:
+        return function(*given)
+    except SpiralError:
+        raise
+    except Exception as error:
+        place, frames = "", traceback.extract_tb(error.__traceback__)
+        own = inspect.getsourcefile(type(owner))
+        for frame in (f for f in frames if f.filename == own):
+            place = f" ({Path(frame.filename).name}, line {frame.lineno})"
+        name = owner.plugin_name()
+        raise PluginError(
+            f"{what}() of {owner.kind} {name!r}{place}: {type(error).__name__}: "
+            f"{(str(error).splitlines() or [''])[0]}",
+            "one expression for all states, numbers and symbols alike",
+            "spiral.math has where(condition, a, b) in place of if, and sin, cos, tanh, exp, sqrt, "
+            f"maximum; then spiral check {name}",
+        ) from error
 
 
 def _own_states(system: System, effects: tuple[Effect, ...]) -> tuple[str, ...]:
@@ -210,14 +235,14 @@ def _inject(
     for item, u in zip(placed, seen, strict=True):
         effect = item.effect
         if isinstance(effect, ForceEffect):
-            force = effect.force(item.at, u, item.p)
+            force = _asked(effect, "force", effect.force, item.at, u, item.p)
             _check_length(effect, "force", force, item.port)
             assert item.jacobian is not None
             generalised = item.jacobian.T * sp.Matrix(force)
             for name, value in zip(total, generalised, strict=True):
                 total[name] += value
         elif isinstance(effect, FlowEffect):
-            for name, value in effect.flow(x, u, item.p).items():
+            for name, value in _asked(effect, "flow", effect.flow, x, u, item.p).items():
                 if name not in total:
                     raise PluginError(
                         f"effect {effect.label!r} with a flow into {name!r}",
@@ -240,7 +265,7 @@ def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
     effect = item.effect
     if not effect.states:
         return {}
-    given = effect.rate(item.at, u, item.p)
+    given = _asked(effect, "rate", effect.rate, item.at, u, item.p)
     rates: dict[str, Any] = {}
     for state in effect.states:
         if state.name not in given:
@@ -261,7 +286,8 @@ def _readings(
     y: list[Any] = [getattr(x, name) for name in system.observed]
     for item, u in zip(placed, seen, strict=True):
         if isinstance(item.effect, SensorEffect):
-            y = list(item.effect.reading(y, item.at, u, item.p))
+            effect = item.effect
+            y = list(_asked(effect, "reading", effect.reading, y, item.at, u, item.p))
             if len(y) != len(system.observed):
                 raise PluginError(
                     f"reading of effect {item.effect.label!r} with {len(y)} values",

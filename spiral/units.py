@@ -147,6 +147,8 @@ def units_fit(system: System, effect: Effect) -> bool:
         check_units(system, effect)
     except PluginError:
         return False
+    except Exception:  # broken in itself, whatever the units: tracing it says so
+        return True
     return True
 
 

@@ -65,6 +65,8 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
         return list_plugins(request, registry)
     if request.verb == "check":
         return check(request, registry, tell)
+    for failure in registry.failures:
+        tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
     config = configured(request, registry)
     steps = {"discover": _discover, "compare": _compare, "diagnose": _diagnose, "add": _add}
     if request.verb == "simulate":
