@@ -9,11 +9,14 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from spiral import __version__
 from spiral.errors import ConfigError, SpiralError, did_you_mean
 from spiral.verbs import BAD_INPUT, Request, in_worker, perform
+
+if TYPE_CHECKING:
+    from spiral.tracking.track import Tracked
 
 VERBS = {
     "discover": "find what the model is missing, add it, and repeat: the main job",
@@ -171,7 +174,36 @@ def _single(request: Request, target: str | None) -> int:
 
         screen = listing if request.verb in listing.VERBS else terminal
         screen.show(request.verb, outcome)
+    _say_tracked(_tracked(outcome), target)
     return outcome.exit
+
+
+def _tracked(outcome: Outcome) -> Tracked | None:
+    """Tell MLflow about the run that was saved, where there is one."""
+    if "run_id" not in outcome.result:
+        return None
+    from spiral import terminal
+    from spiral.tracking.store import tracking_of
+    from spiral.tracking.track import track
+
+    config = outcome.parts["config"]
+    with terminal.progress() as tell:
+        tell("telling MLflow")
+        return track(tracking_of(config), config["out"], (outcome.result["run_id"],))
+
+
+def _say_tracked(tracked: Tracked | None, target: str | None) -> None:
+    """Where MLflow shows the run, or why it does not know of it."""
+    if tracked is None:
+        return
+    if tracked.failure is not None:
+        print(
+            f"spiral: saved, but not told to MLflow ({tracked.uri}): {tracked.failure}\n"
+            "the next start tells it; tracking.enabled=false does without",
+            file=sys.stderr,
+        )
+    elif tracked.page and target != "-":
+        print(f"  {tracked.page}\n      this run beside others, in MLflow's page")
 
 
 def _multirun(request: Request, target: str | None) -> int:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.assembly import Assembly, assemble, columns, to_model, with_records
+from spiral.assembly import Assembly, assemble, columns, first_row, to_model, with_records
 from spiral.effect import Effect
 from spiral.evidence import Masks, Standing, all_samples, begin, grown
 from spiral.judge import FreeRun, free_run, run_free, whole
@@ -127,6 +127,19 @@ def judged(
 
 def _whiteness(left: tuple[np.ndarray, ...], lags: int) -> Whiteness:
     return whiteness(left, min(lags, max(2, min(len(r) for r in left) // 5)))
+
+
+@one_blas_thread
+def predict(model: Model, records: tuple[Record, ...], settle: float | None = None) -> FreeRun:
+    """Free run of a fitted model on records it has not seen.
+
+    The first ``settle`` seconds (left out: a tenth of the shortest record) give each record's own
+    nuisances, its initial state among them; the parameters stay as they are.
+    """
+    assembly = assemble(Problem(model, records, records, settle))
+    run = test_run(assembly, model.labels, first_row(assembly))
+    assert run is not None
+    return run
 
 
 def test_run(assembly: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun | None:

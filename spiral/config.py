@@ -44,6 +44,7 @@ class Options:
     run: str | None = None
     out: str = "runs"
     n_jobs: int = -1
+    tracking: Any = field(default_factory=dict)
 
 
 def experiments() -> tuple[str, ...]:

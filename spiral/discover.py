@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from spiral.assembly import Assembly, to_model
 from spiral.compare import judged, last_stage, prepared
@@ -20,22 +20,52 @@ from spiral.verdict import advice_for, seed_verdict
 OnRound = Callable[[Round], None]
 
 
+@dataclass(frozen=True)
+class Checkpoint:
+    """All that the loop needs to go on: the rounds so far and where the study stands."""
+
+    rounds: tuple[Round, ...]
+    standing: Standing
+
+
+Keep = Callable[[Checkpoint], None]
+
+
 @one_blas_thread
-def discover(problem: Problem, progress: Progress = silent, on_round: OnRound | None = None) -> Run:
+def discover(
+    problem: Problem,
+    progress: Progress = silent,
+    on_round: OnRound | None = None,
+    keep: Keep | None = None,
+    resume: Checkpoint | None = None,
+) -> Run:
     """Find what the model is missing.
 
     The problem's strategy supplies the evidence; rounds, verdict and history are the same for all.
+
+    Parameters
+    ----------
+    problem : the question.
+    progress : told in words what is being done.
+    on_round : told of every round once its candidates are ranked.
+    keep : given a checkpoint before every search; ``resume`` with it goes on from there, to the
+        same result.
     """
-    tell = on_round or (lambda _: None)
+    tell, keep = on_round or (lambda _: None), keep or (lambda _: None)
     strategy = SHOOTING
     clock = time.perf_counter()
     begun = strategy.begin(problem, progress)
+    if resume is not None:
+        for found in resume.rounds[:-1]:
+            tell(found)
+        rounds = list(resume.rounds)
+        return _loop(strategy, begun.assembly, resume.standing, rounds, progress, tell, keep)
     seconds = time.perf_counter() - clock
     rounds = [Round(0, (), {}, {}, (), begun.comparison, seconds, details=begun.details)]
     if begun.refused:
         tell(rounds[0])
         return _refusal(begun, rounds[0])
-    return _loop(strategy, begun.assembly, begun.standing, rounds, progress, tell)
+    return _loop(strategy, begun.assembly, begun.standing, rounds, progress, tell, keep)
 
 
 def _loop(
@@ -45,10 +75,12 @@ def _loop(
     rounds: list[Round],
     progress: Progress,
     tell: OnRound,
+    keep: Keep,
 ) -> Run:
     settings = assembly.problem.settings
     stopped: Stopped = "max_rounds"
     while True:
+        keep(Checkpoint(tuple(rounds), standing))
         number = len(rounds)
         clock = time.perf_counter()
         if number > settings.max_rounds:

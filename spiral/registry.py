@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 GROUP = "spiral.plugins"
 FOLDER_VARIABLE = "SPIRAL_PLUGINS"
 DEFAULT_FOLDER = "plugins"
+LOCAL = "local"  # the origin of a plugin that comes from a folder
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ def load_registry(folder: str | os.PathLike[str] | None = None, local: bool = Tr
         modules += [(m, origin, version) for m in _walk(package, failures, seen)]
     place = _local_folder(folder) if local else None
     if place is not None:
-        modules += [(m, "local", _digest(m)) for m in _load_folder(place, failures, seen)]
+        modules += [(m, LOCAL, _digest(m)) for m in _load_folder(place, failures, seen)]
     return Registry(_entries(modules, failures), tuple(failures))
 
 

@@ -173,6 +173,7 @@ class Round:
             "seconds": self.seconds,
             "second_order": self.second_order,
             "meaning": self.meaning,
+            "model": estimates_dict(c.model),
             "suggestions": [s.as_dict() for s in self.suggestions],
             "details": dict(self.details),
         }

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from spiral.errors import ConfigError, InputError, did_you_mean
 from spiral.fields import plain
+from spiral.registry import LOCAL
 
 if TYPE_CHECKING:
     from spiral.model import Model
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 FILE = "run.json"
 LATEST = "latest"
+MAKE_A_MODEL = ("discover", "add")  # verbs whose runs are meant by ``latest``
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,11 @@ class SavedRun:
     run_id: str
     file: Path
     data: Mapping[str, Any]
+
+    @property
+    def verb(self) -> str:
+        """The verb that saved it."""
+        return str(self.data.get("verb", "discover"))
 
     @property
     def config(self) -> dict[str, Any]:
@@ -56,23 +63,7 @@ class SavedRun:
         ------
         ConfigError : a plugin it used is not known here.
         """
-        from spiral.model import Model
-
-        saved = self.data["model"]
-        fields = {k: v for k, v in saved["system"].items() if k != "name"}
-        system = registry.make("system", saved["system"]["name"], fields)
-        effects = tuple(
-            registry.effect_from_label(e["name"], {k: v for k, v in e.items() if k != "name"})
-            for e in saved["effects"]
-        )
-        return Model(
-            system,
-            effects,
-            values=_numbers(saved["values"]),
-            freed=tuple(saved["freed"]),
-            fixed=tuple(saved["fixed"]),
-            errors=_numbers(saved["errors"]),
-        )
+        return model_from(self.data["model"], registry)
 
     def as_config(self) -> dict[str, Any]:
         """A configuration whose model is this run's final one.
@@ -113,28 +104,54 @@ def save_run(
     InputError : the folder cannot be written.
     """
     named = replace(run, run_id=run.run_id or new_run_id())
+    save_result(verb, named.as_dict(), named.model, config, records, registry, folder)
+    return named
+
+
+def save_result(
+    verb: str,
+    result: Mapping[str, Any],
+    model: Model,
+    config: Mapping[str, Any],
+    records: Mapping[str, Sequence[Record]],
+    registry: Registry,
+    folder: str | os.PathLike[str],
+) -> str:
+    """Write what a verb found, with its model and all that it came from; returns the run's id.
+
+    Raises
+    ------
+    InputError : the folder cannot be written.
+    """
+    run_id = str(result.get("run_id") or new_run_id())
     content = {
         "format": FORMAT,
-        "run_id": named.run_id,
+        "run_id": run_id,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "verb": verb,
         "config": dict(config),
         "plugins": registry.versions(),
+        "local_plugins": _local_files(model, registry),
         "data": {k: [_data(r) for r in group] for k, group in records.items()},
-        "model": model_data(named.model),
-        "result": named.as_dict(),
+        "model": model_data(model),
+        "result": {**result, "run_id": run_id},
     }
-    target = Path(folder).expanduser() / named.run_id / FILE
+    target = Path(folder).expanduser() / run_id / FILE
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         write_whole(target, to_json(content))
     except OSError as error:
-        raise InputError(
-            f"folder of runs {str(folder)!r}: {error.strerror}",
-            "a folder that can be written",
-            "out=FOLDER, or free some space",
-        ) from error
-    return named
+        raise unwritable(folder, error) from error
+    return run_id
+
+
+def unwritable(folder: str | os.PathLike[str], error: OSError) -> InputError:
+    """The message for a folder of runs that takes nothing more."""
+    return InputError(
+        f"folder of runs {str(folder)!r}: {error.strerror or error}",
+        "a folder that can be written",
+        "out=FOLDER, or free some space; what was written before is kept",
+    )
 
 
 def model_data(model: Model) -> dict[str, Any]:
@@ -149,6 +166,31 @@ def model_data(model: Model) -> dict[str, Any]:
     }
 
 
+def model_from(saved: Mapping[str, Any], registry: Registry) -> Model:
+    """A model built again from what ``model_data`` gave.
+
+    Raises
+    ------
+    ConfigError : a plugin it used is not known here.
+    """
+    from spiral.model import Model
+
+    fields = {k: v for k, v in saved["system"].items() if k != "name"}
+    system = registry.make("system", saved["system"]["name"], fields)
+    effects = tuple(
+        registry.effect_from_label(e["name"], {k: v for k, v in e.items() if k != "name"})
+        for e in saved["effects"]
+    )
+    return Model(
+        system,
+        effects,
+        values=_numbers(saved["values"]),
+        freed=tuple(saved["freed"]),
+        fixed=tuple(saved["fixed"]),
+        errors=_numbers(saved["errors"]),
+    )
+
+
 def load_run(name: str, folder: str | os.PathLike[str]) -> SavedRun:
     """A saved run by ``latest``, its id, or the start of its id.
 
@@ -160,7 +202,7 @@ def load_run(name: str, folder: str | os.PathLike[str]) -> SavedRun:
     known = run_ids(folder)
     if not known:
         raise ConfigError(f"run={name}", f"a saved run in {str(folder)!r}", "run discover first")
-    found = [known[-1]] if name == LATEST else [i for i in known if i == name]
+    found = [_latest(known, folder)] if name == LATEST else [i for i in known if i == name]
     found = found or [i for i in known if i.startswith(name)]
     if len(found) > 1:
         raise ConfigError(
@@ -175,6 +217,14 @@ def load_run(name: str, folder: str | os.PathLike[str]) -> SavedRun:
             did_you_mean(name, known) if len(known) < 6 else f"the last is {known[-1]}",
         )
     return read_run(Path(folder).expanduser() / found[0] / FILE)
+
+
+def _latest(known: Sequence[str], folder: str | os.PathLike[str]) -> str:
+    """The last run that made a model; where none did, the last of all."""
+    for name in reversed(known):
+        if read_run(Path(folder).expanduser() / name / FILE).verb in MAKE_A_MODEL:
+            return name
+    return known[-1]
 
 
 def read_run(file: Path) -> SavedRun:
@@ -241,6 +291,13 @@ def _data(record: Record) -> dict[str, Any]:
         "sha256": record.sha256,
         "notes": list(record.notes),
     }
+
+
+def _local_files(model: Model, registry: Registry) -> list[str]:
+    """Files of local plugins that a model is made of."""
+    used = {(p.kind, p.plugin_name()) for p in (model.system, *model.effects)}
+    local = [e for e in registry.entries if e.origin == LOCAL]
+    return sorted({str(Path(e.file).resolve()) for e in local if (e.kind, e.name) in used})
 
 
 def _label(effect: Mapping[str, Any]) -> str:

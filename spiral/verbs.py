@@ -5,14 +5,15 @@ The same functions serve the terminal, ``--json`` and the workers of a sweep.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from spiral.errors import ConfigError, SpiralError, did_you_mean
 
 if TYPE_CHECKING:
     from spiral.config import Config
+    from spiral.model import Model
     from spiral.problem import Problem
     from spiral.registry import Entry, Registry
     from spiral.run import Comparison, Round, Run
@@ -97,10 +98,13 @@ def configured(request: Request, registry: Registry) -> Config:
     from spiral.config import compose
     from spiral.overrides import parse
     from spiral.storage import load_run
+    from spiral.tracking.store import tracking_of
 
     given = {".".join(i.path): i.value for i in parse(request.overrides)}
     if not given.get("run"):
-        return compose(request.overrides, registry)
+        config = compose(request.overrides, registry)
+        tracking_of(config)  # refused before anything is computed
+        return config
     saved = load_run(str(given["run"]), str(given.get("out") or "runs"))
     base = saved.as_config()
     if request.verb == "simulate":
@@ -127,11 +131,15 @@ class Study:
 
     def saved(self, run: Run, problem: Problem) -> Run:
         """The run with its id, written to the folder of runs."""
-        from spiral.storage import save_run
+        return replace(run, run_id=self.save(run.as_dict(), run.model, problem))
+
+    def save(self, result: Mapping[str, Any], model: Model, problem: Problem) -> str:
+        """Write a result with its model to the folder of runs; returns the run's id."""
+        from spiral.storage import save_result
 
         data = {"records": problem.records, "test": problem.test}
-        verb = self.request.verb
-        return save_run(run, self.config, data, self.registry, self.config["out"], verb)
+        verb, out = self.request.verb, self.config["out"]
+        return save_result(verb, result, model, self.config, data, self.registry, out)
 
     def parts(self, problem: Problem, **more: Any) -> dict[str, Any]:
         """What the terminal needs besides the result."""
@@ -139,15 +147,27 @@ class Study:
 
 
 def _discover(study: Study) -> Outcome:
-    from spiral.discover import discover
-
     problem = study.problem()
-    run = study.saved(discover(problem, study.tell, study.on_round), problem)
+    run = study.saved(_through_the_loop(study, problem), problem)
     result = run.as_dict()
     refused = run.stopped in ("not_identifiable", "diverged")
     if refused:
         result["error"] = _refusal(run.stopped, run.advice)
     return Outcome(REFUSED if refused else OK, result, study.parts(problem, run=run))
+
+
+def _through_the_loop(study: Study, problem: Problem) -> Run:
+    """The loop, its rounds kept on disk, from where an unfinished study stopped."""
+    from spiral.checkpoint import keeper
+    from spiral.discover import discover
+
+    with keeper(study.config, problem, study.registry, study.config["out"]) as kept:
+        last = kept.last()
+        if last is not None:
+            study.tell(f"taking up this study, left unfinished in round {len(last.rounds)}")
+        run = discover(problem, study.tell, study.on_round, kept.keep, last)
+        kept.done()
+    return run
 
 
 def _compare(study: Study) -> Outcome:
@@ -156,6 +176,7 @@ def _compare(study: Study) -> Outcome:
     problem = study.problem()
     comparison = compare(problem, study.tell)
     result = comparison.as_dict()
+    result["run_id"] = study.save(result, comparison.model, problem)
     if not comparison.converged:
         result["error"] = _not_converged(comparison)
     code = OK if comparison.converged else REFUSED
@@ -168,6 +189,7 @@ def _diagnose(study: Study) -> Outcome:
     problem = study.problem()
     diagnosis = diagnose(problem, study.tell)
     result = diagnosis.as_dict()
+    result["run_id"] = study.save(result, diagnosis.comparison.model, problem)
     refused = diagnosis.verdict == "not_identifiable" or diagnosis.diverged
     if refused:
         reason = "diverged" if diagnosis.diverged else diagnosis.verdict

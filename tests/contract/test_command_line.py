@@ -66,7 +66,7 @@ def steps(monkeypatch):
         found = comparison(problem.model)
         return Diagnosis("effect_missing", found, (SUGGESTION,), where, "Add it.", 64)
 
-    def discover(problem, progress, on_round=None):
+    def discover(problem, progress, on_round=None, *resumable):
         asked.append(problem)
         effect = next(e for e in problem.candidates if e.label == "cubic_stiffness")
         before, after = comparison(problem.model), comparison(problem.model.add(effect), 0.03)
@@ -147,7 +147,7 @@ def test_add_keys_and_a_run_taken_up(capsys, steps):
     assert set(steps[-1].model.labels) == {"linear_stiffness", "linear_damping", "cubic_stiffness"}
     assert steps[-1].model.values["cubic_stiffness.stiffness"] > 1
     assert steps[-1].records[0].sha256 == steps[0].records[0].sha256
-    code, _ = run_json(capsys, "add", "clearance", f"run={result['run_id'][:15]}")
+    code, _ = run_json(capsys, "add", "clearance", f"run={result['run_id']}")
     assert code == 0
     code, error = run_json(capsys, "add", "cubic_stiffness", "run=latest")
     assert code == 2
@@ -169,7 +169,7 @@ def test_json_to_a_file_beside_the_summary(capsys, steps, place):
 
 @pytest.mark.parametrize("stopped", ["not_identifiable", "diverged"])
 def test_an_honest_refusal_is_exit_3(capsys, steps, monkeypatch, stopped):
-    def discover(problem, progress, on_round=None):
+    def discover(problem, progress, on_round=None, *resumable):
         rounds = (Round(0, (), {}, {}, (), comparison(problem.model), 0.5),)
         return Run("not_identifiable", stopped, rounds, problem.model, "Sweep the speed.")
 

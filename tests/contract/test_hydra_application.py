@@ -14,7 +14,7 @@ FILE = Path(__file__).parents[2] / "experiments" / "run.py"
 def test_overrides_reach_the_study_and_a_run_is_saved(tmp_path, monkeypatch):
     asked = []
 
-    def discover(problem, progress, on_round=None):
+    def discover(problem, progress, on_round=None, *resumable):
         asked.append(problem)
         channels = {"x": ChannelError(1.0, 0.5)}
         found = Comparison(problem.model, 0.5, 0.5, channels, 0.02, 1.0, 0.5, 0.0, 64, True)

@@ -1,0 +1,226 @@
+"""What MLflow knows of a run: parent and rounds, figures by step, data, plugins, a model."""
+
+import json
+import os
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from spiral.cli import main
+from spiral.storage import FILE, load_run, read_run
+from spiral.tracking.content import metric_name, parameters
+from spiral.tracking.store import URI_VARIABLE, Store, Tracking, import_mlflow, in_force, opened
+from spiral.tracking.track import MARK, track
+
+STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2")
+BEFORE = os.environ.get(URI_VARIABLE)
+
+
+@pytest.fixture(autouse=True)
+def untracked():
+    """These tests are about MLflow: nothing is put in its place."""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """One real study, tracked in a fresh folder, an exported run id in the way."""
+    folder = tmp_path_factory.mktemp("tracked")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.delenv("MLFLOW_TRACKING_URI", raising=False)
+        patch.setenv("MLFLOW_RUN_ID", "0123456789abcdef0123456789abcdef")
+        assert main([*STUDY, "--json", "result.json"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(place):
+    return json.loads((place / "result.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def client(place):
+    import_mlflow()
+    from mlflow import MlflowClient
+
+    return MlflowClient(tracking_uri=f"sqlite:///{place / 'runs' / 'mlflow.db'}")
+
+
+@pytest.fixture(scope="module")
+def parent(client, result):
+    return only(client, f"tags.`spiral.run_id` = '{result['run_id']}'")
+
+
+def only(client, query):
+    (run,) = client.search_runs([client.get_experiment_by_name("spiral").experiment_id], query)
+    return run
+
+
+def children(client, parent):
+    query = f"tags.`mlflow.parentRunId` = '{parent.info.run_id}'"
+    return client.search_runs([parent.info.experiment_id], query, order_by=["start_time"])
+
+
+def test_the_error_of_every_round_is_a_metric_with_the_round_as_step(client, parent, result):
+    history = client.get_metric_history(parent.info.run_id, "test_error")
+    seen = {m.step: m.value for m in history}
+    assert seen == {r["round"]: r["test_error"] for r in result["rounds"]}
+    assert len(seen) == 3
+    assert seen[2] < seen[1] < seen[0]
+
+
+def test_every_round_is_a_child_that_says_what_it_admitted(client, parent, result):
+    found = children(client, parent)
+    assert [r.data.tags["spiral.admitted"] for r in found] == [
+        ", ".join(r["admitted"]) for r in result["rounds"]
+    ]
+    assert [r.data.metrics["chi2_per_dof"] for r in found] == [
+        r["chi2_per_dof"] for r in result["rounds"]
+    ]
+    assert all(r.info.status == "FINISHED" for r in found)
+    assert "round.json" in {f.path for f in client.list_artifacts(found[1].info.run_id)}
+
+
+def test_terms_come_with_t_and_standard_error(client, parent, result):
+    stiffness = result["model"]["effects"]["cross_stiffness"]["stiffness"]
+    for kind in ("t", "estimate", "se"):
+        name = f"{kind}/cross_stiffness.stiffness"
+        assert parent.data.metrics[name] == pytest.approx(stiffness[kind], rel=1e-12)
+    table = pd.read_parquet(client.download_artifacts(parent.info.run_id, "terms.parquet"))
+    row = table[table["effect"] == "cross_stiffness"].iloc[0]
+    assert (row["estimate"], row["se"], row["unit"]) == (
+        stiffness["estimate"], stiffness["se"], stiffness["unit"],
+    )  # fmt: skip
+
+
+def test_configuration_data_and_plugins_are_kept(client, parent, place, result):
+    assert parent.data.params["record.duration"] == "4"
+    assert parent.data.params["settings.max_rounds"] == "2"
+    saved = read_run(place / "runs" / result["run_id"] / FILE)
+    hashes = [r["sha256"] for group in saved.data["data"].values() for r in group]
+    assert parent.data.tags["spiral.data"] == ", ".join(hashes)
+    digests = {i.dataset.digest for i in client.get_run(parent.info.run_id).inputs.dataset_inputs}
+    assert digests == {h[:36] for h in hashes}
+    names = {f.path for f in client.list_artifacts(parent.info.run_id)}
+    assert {"config.yaml", "plugins.json", "run.json", "terms.json", "suggestions.json"} <= names
+    file = client.download_artifacts(parent.info.run_id, "plugins.json")
+    plugins = json.loads(Path(file).read_text(encoding="utf-8"))
+    assert plugins["system/planar_rotor"].startswith("spiral-po")
+
+
+def test_the_served_model_predicts_a_new_record(client, parent, place, result):
+    import mlflow
+
+    from spiral.config import build_problem
+    from spiral.registry import load_registry
+
+    saved = load_run(result["run_id"], place / "runs")
+    problem = build_problem(saved.config, load_registry())
+    test = problem.test[0]
+    table = pd.DataFrame({"t": test.time, **test.channels, **test.inputs})
+    uri = f"sqlite:///{place / 'runs' / 'mlflow.db'}"
+    with in_force(Store(client, parent.info.experiment_id, uri)):
+        model = mlflow.pyfunc.load_model(f"runs:/{parent.info.run_id}/model")
+    predicted = model.predict(table, params={"settle": 0.4})
+    first = round(0.4 / test.dt)
+    for channel in ("x", "y"):
+        missed = (predicted[channel] - table[channel]).to_numpy()[first:]
+        spread = np.std(table[channel].to_numpy()[first:])
+        assert np.sqrt(np.mean(missed**2)) / spread == pytest.approx(
+            result["test"][channel]["relative"],
+            rel=1e-3,  # its noise is estimated here
+        )
+
+
+def test_a_run_is_logged_once(client, parent, place, result):
+    again = track(Tracking(), place / "runs", (result["run_id"],))
+    assert again.runs == {result["run_id"]: parent.info.run_id}
+    assert only(client, f"tags.`spiral.run_id` = '{result['run_id']}'")
+
+
+def test_half_a_run_left_by_a_killed_process_is_replaced(client, place, result, parent):
+    folder = place / "runs" / result["run_id"]
+    kept = (folder / MARK).read_text()
+    (folder / MARK).unlink()
+    found = track(Tracking(model=False), place / "runs")  # the next start catches up
+    assert found.failure is None
+    new = only(client, f"tags.`spiral.run_id` = '{result['run_id']}'")
+    assert new.info.run_id != parent.info.run_id
+    assert len(children(client, new)) == 3
+    assert not children(client, parent)
+    client.delete_run(new.info.run_id)
+    client.restore_run(parent.info.run_id)
+    (folder / MARK).write_text(kept)
+
+
+def test_the_environment_is_as_it_was_after_a_model_is_logged(place, result):
+    assert os.environ.get(URI_VARIABLE) == BEFORE
+
+
+def copy_of(place, result, folder):
+    """The saved run in a folder with no store yet."""
+    target = folder / "runs" / result["run_id"]
+    target.mkdir(parents=True)
+    (target / FILE).write_bytes((place / "runs" / result["run_id"] / FILE).read_bytes())
+    return folder / "runs"
+
+
+def test_a_locked_database_is_said_and_caught_up_by_the_next_start(place, result, tmp_path):
+    out = copy_of(place, result, tmp_path)
+    with opened(Tracking(model=False), out):
+        pass  # made and migrated
+    lock = sqlite3.connect(out / "mlflow.db", isolation_level=None)
+    lock.execute("BEGIN EXCLUSIVE")
+    said = track(Tracking(model=False), out, (result["run_id"],))
+    assert "locked" in str(said.failure)
+    assert not (out / result["run_id"] / MARK).exists()
+    assert read_run(out / result["run_id"] / FILE).run_id == result["run_id"]
+    lock.execute("ROLLBACK")
+    lock.close()
+    assert track(Tracking(model=False), out).failure is None
+    assert (out / result["run_id"] / MARK).exists()
+
+
+def test_the_uri_of_the_environment_is_honoured(place, result, tmp_path, monkeypatch):
+    out = copy_of(place, result, tmp_path)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path / 'elsewhere.db'}")
+    assert track(Tracking(model=False), out, (result["run_id"],)).failure is None
+    assert (tmp_path / "elsewhere.db").exists()
+    assert not (out / "mlflow.db").exists()
+
+
+def test_an_unreachable_server_loses_nothing(place, result, tmp_path, monkeypatch):
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
+    out = copy_of(place, result, tmp_path)
+    said = track(Tracking(uri="http://127.0.0.1:9"), out, (result["run_id"],))
+    assert said.failure
+    assert read_run(out / result["run_id"] / FILE)
+
+
+def test_a_failed_job_is_a_failed_run(tmp_path):
+    failed = [("holdout=2", {"given": "holdout=2", "expected": "a share", "try": ""})]
+    assert track(Tracking(), tmp_path, failed=failed, sweep="s1").failure is None
+    import_mlflow()
+    from mlflow import MlflowClient
+
+    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path / 'mlflow.db'}")
+    run = only(client, "tags.`spiral.sweep` = 's1'")
+    assert run.info.status == "FAILED"
+    assert "holdout=2" in run.data.tags["spiral.error"]
+
+
+def test_names_and_values_fit_every_store():
+    assert metric_name("t/cubic_stiffness@bearing_2.k") == "t/cubic_stiffness:bearing_2.k"
+    flat = parameters({"a": {"b": [1, 2], "c": None}, "d": "x" * 9000})
+    assert flat["a.b"] == "[1, 2]"
+    assert set(flat) == {"a.b", "d"}
+    assert len(flat["d"]) == 5000
+
+
+def test_a_bad_tracking_field_is_refused_before_anything_is_computed(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", "experiment=rotor_coastdown", "tracking.enabeld=false"]) == 2
+    assert "enabled" in capsys.readouterr().err

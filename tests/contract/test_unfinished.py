@@ -1,0 +1,151 @@
+"""A study killed at any moment loses at most the round under way."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+
+from spiral import checkpoint, storage
+from spiral.checkpoint import FILE, FOLDER, Keeper, fingerprint, keeper
+from spiral.cli import main
+from spiral.config import build_problem, compose
+from spiral.discover import Checkpoint, discover
+from spiral.errors import InputError
+from spiral.registry import load_registry
+
+REGISTRY = load_registry()
+GIVEN = ("experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=3")
+UNTIMED = {"seconds"}
+
+
+@pytest.fixture(scope="module")
+def study():
+    """A study with the checkpoints that it kept on its way."""
+    config = compose(GIVEN, REGISTRY)
+    problem = build_problem(config, REGISTRY)
+    kept: list[Checkpoint] = []
+    return config, problem, discover(problem, keep=kept.append), kept
+
+
+def untimed(value):
+    if isinstance(value, dict):
+        return {k: untimed(v) for k, v in value.items() if k not in UNTIMED | {"run_id"}}
+    return [untimed(v) for v in value] if isinstance(value, list) else value
+
+
+def as_json(run):
+    return untimed(json.loads(storage.to_json(run.as_dict())))
+
+
+def test_a_study_taken_up_ends_as_if_it_had_never_stopped(study, tmp_path):
+    _, problem, run, kept = study
+    assert [len(c.rounds) for c in kept] == [1, 2, 3, 4]
+    for number in (1, 2):
+        other = Keeper(tmp_path / str(number), REGISTRY)
+        other.keep(kept[number])
+        taken_up = other.last()
+        assert taken_up is not None
+        assert as_json(discover(problem, resume=taken_up)) == as_json(run)
+
+
+def test_only_the_same_study_is_taken_up(study):
+    config, problem, _, _ = study
+    own = fingerprint(config, problem, REGISTRY)
+    assert fingerprint({**config, "out": "elsewhere", "n_jobs": 1}, problem, REGISTRY) == own
+    settings = {**config["settings"], "level": 0.02}
+    assert fingerprint({**config, "settings": settings}, problem, REGISTRY) != own
+    shorter = replace(problem, records=(problem.records[0].part(0, 3000, "shorter"),))
+    assert fingerprint(config, shorter, REGISTRY) != own
+
+
+def test_a_damaged_checkpoint_is_no_checkpoint(study, tmp_path):
+    other = Keeper(tmp_path, REGISTRY)
+    other.keep(study[3][0])
+    text = (tmp_path / FILE).read_text()
+    (tmp_path / FILE).write_text(text[: len(text) // 2])
+    assert other.last() is None
+
+
+def test_a_twin_that_runs_at_the_same_time_keeps_nothing(study, tmp_path):
+    config, problem, _, kept = study
+    with keeper(config, problem, REGISTRY, tmp_path) as first:
+        first.keep(kept[0])
+        with keeper(config, problem, REGISTRY, tmp_path) as second:
+            assert second.last() is None
+            second.keep(kept[1])
+        assert len(first.last().rounds) == 1
+        first.done()
+    assert not (tmp_path / FOLDER).exists()
+
+
+def test_a_full_disk_is_said_and_what_was_written_stays(study, tmp_path, monkeypatch):
+    def full(file, text):
+        raise OSError(28, "No space left on device")
+
+    other = Keeper(tmp_path, REGISTRY)
+    other.keep(study[3][0])
+    monkeypatch.setattr(checkpoint, "write_whole", full)
+    with pytest.raises(InputError, match="No space left"):
+        other.keep(study[3][1])
+    assert len(other.last().rounds) == 1
+
+
+def test_killed_in_the_middle_and_started_again(study, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = [*GIVEN, "tracking.enabled=false"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "spiral", "discover", *words],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    _wait(lambda: _rounds_kept(tmp_path) >= 2, process)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not storage.run_ids("runs")  # nothing half-written
+    assert main(["discover", *words, "--json", "-"]) == 0
+    out, said = capsys.readouterr()
+    assert "taking up this study" in said
+    assert untimed(json.loads(out)) == as_json(study[2])
+    assert not (tmp_path / "runs" / FOLDER).exists()
+
+
+def _rounds_kept(folder):
+    for file in (folder / "runs" / FOLDER).glob(f"*/{FILE}"):
+        return len(json.loads(file.read_text())["rounds"])
+    return 0
+
+
+def _wait(reached, process, seconds=120.0):
+    end = time.monotonic() + seconds
+    while not reached():
+        assert process.poll() is None, "the study ended before it could be killed"
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@pytest.mark.skipif(
+    os.geteuid() != 0 or shutil.which("mount") is None, reason="needs root to mount a small disk"
+)
+def test_a_disk_that_is_really_full(tmp_path, monkeypatch, capsys):
+    small = tmp_path / "small"
+    small.mkdir()
+    made = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", str(small)], capture_output=True
+    )
+    if made.returncode:
+        pytest.skip("no small disk can be mounted here")
+    try:
+        (small / "filler").write_bytes(b"x" * 12_000)
+        code = main(["compare", *GIVEN[:2], f"out={small}"])
+        assert code == 2
+        assert "No space left" in capsys.readouterr().err
+        assert not list(small.rglob("*.tmp"))
+        assert (small / "filler").stat().st_size == 12_000
+    finally:
+        subprocess.run(["umount", str(small)], check=True)
