@@ -12,7 +12,7 @@ from spiral.effect import Effect
 from spiral.evidence import Standing, all_samples
 from spiral.problem import Problem, Progress, silent
 from spiral.run import Comparison, Round, Run, Stopped, Verdict
-from spiral.strategy import Begun, Strategy
+from spiral.strategy import Begun, Settled, Step, Strategy
 from spiral.threads import one_blas_thread
 from spiral.trajectories import SHOOTING
 from spiral.verdict import advice_for, seed_verdict
@@ -99,25 +99,27 @@ def _loop(
             break
         settled = strategy.settle(assembly, step, progress)
         standing = settled.standing
-        rounds.append(
-            Round(
-                number=number,
-                admitted=step.admitted,
-                aliases=dict(step.aliases),
-                rejected={},
-                suggestions=(),
-                comparison=settled.comparison,
-                seconds=time.perf_counter() - clock,
-                second_order=step.second_order,
-                meaning=step.meaning,
-                retired=settled.retired,
-            )
-        )
+        rounds.append(_round(number, step, settled, time.perf_counter() - clock))
     verdict = seed_verdict(rounds, stopped, settings.whiteness_level)
     return Run(
         verdict, stopped, tuple(rounds), rounds[-1].comparison.model,
         advice_for(verdict, stopped, rounds, ()),
     )  # fmt: skip
+
+
+def _round(number: int, step: Step, settled: Settled, seconds: float) -> Round:
+    return Round(
+        number=number,
+        admitted=step.admitted,
+        aliases=dict(step.aliases),
+        rejected={},
+        suggestions=(),
+        comparison=settled.comparison,
+        seconds=seconds,
+        second_order=step.second_order,
+        meaning=step.meaning,
+        retired=settled.retired,
+    )
 
 
 def _refusal(begun: Begun, first: Round) -> Run:
