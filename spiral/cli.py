@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from spiral import __version__
 from spiral.errors import ConfigError, SpiralError, did_you_mean
-from spiral.verbs import BAD_INPUT, Request, in_worker, perform
+from spiral.verbs import BAD_INPUT, Outcome, Request, in_worker, perform
 
 if TYPE_CHECKING:
     from spiral.tracking.track import Tracked
@@ -211,16 +211,21 @@ def _multirun(request: Request, target: str | None) -> int:
     from spiral.jobs import planned
     from spiral.registry import load_registry
     from spiral.sweep import run_sweep
+    from spiral.tracking.store import tracking_of
+    from spiral.tracking.sweeps import SweepTracker
 
     registry = load_registry(request.plugins)
     plan = planned(request.verb, request.names, request.overrides, request.plugins, registry)
     with multirun.progress() as (tell, watch):
-        sweep = run_sweep(in_worker, plan, tell, watch)
+        tracker = SweepTracker(tracking_of(plan.config), plan.out, tell)
+        sweep = run_sweep(in_worker, plan, tell, watch, tracker.on_row)
+        tracked = tracker.finish()
     _write_json(sweep.as_dict(), target)
     if target != "-":
         multirun.show(sweep)
     elif sweep.error:
         print("\n".join(f"{k + ':':<10}{v}" for k, v in sweep.error.items()), file=sys.stderr)
+    _say_tracked(tracked, target)
     return sweep.exit
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from spiral.registry import Registry
 
 _ABOUT_FILES = ("experiment", "run", "out", "record", "test", "record.path", "test.path")
+_OF_ALL = ("sweep", "tracking")
 
 
 @dataclass(frozen=True)
@@ -34,17 +35,23 @@ class SweepOptions:
     address : the Dask scheduler's, ``tcp://HOST:PORT``.
     timeout : s to wait for the scheduler and its first worker.
     resume : take up the last sweep of the same jobs where it is not done.
+    id : the sweep that a job belongs to; the sweep itself says so to its jobs.
     """
 
     backend: Literal["loky", "dask"] = "loky"
     address: str | None = None
     timeout: float = 10.0
     resume: bool = True
+    id: str | None = None
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A sweep before it starts; ``calls`` are the jobs as workers are sent them."""
+    """A sweep before it starts.
+
+    ``calls`` are the jobs as workers are sent them; ``config`` is what holds for all of them:
+    where they run, where they are kept, how they are tracked.
+    """
 
     verb: str
     names: tuple[str, ...]
@@ -55,6 +62,7 @@ class Plan:
     options: SweepOptions
     backend: Backend
     fingerprint: str
+    config: Mapping[str, Any]
 
 
 def planned(
@@ -85,7 +93,7 @@ def planned(
     calls = tuple(_settled(job) for job in jobs)
     out = str(config["out"])
     found = _fingerprint(verb, names, calls, registry)
-    return Plan(verb, names, jobs, calls, plugins, out, chosen, backend, found)
+    return Plan(verb, names, jobs, calls, plugins, out, chosen, backend, found, config)
 
 
 def key_of(text: str) -> str:
@@ -97,7 +105,7 @@ def _about_the_sweep(job: Job, registry: Registry) -> Config:
     """The configuration as far as it says where jobs run and rows are kept."""
     from spiral.config import compose
 
-    own = [t for t in job if key_of(t) in ("n_jobs", "out") or key_of(t).startswith("sweep")]
+    own = [t for t in job if key_of(t) in ("n_jobs", "out") or key_of(t).startswith(_OF_ALL)]
     preset = [t for t in job if key_of(t) == "experiment"]
     try:
         return compose([*preset, *own], registry)

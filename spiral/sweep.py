@@ -177,8 +177,9 @@ class _Desk:
                 self._hook(index, row)
 
     def _work(self, execute: Execute) -> None:
+        mine = f"sweep.id={self.ledger.sweep_id}"
         calls = {
-            i: call_for(self.plan.verb, self.plan.names, job, self.plan.plugins)
+            i: call_for(self.plan.verb, self.plan.names, (*job, mine), self.plan.plugins)
             for i, job in enumerate(self.plan.calls)
             if i not in self.rows
         }

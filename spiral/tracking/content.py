@@ -123,7 +123,7 @@ def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-def tags(saved: Saved, sweep: str | None = None) -> dict[str, str]:
+def tags(saved: Saved) -> dict[str, str]:
     """What a run is found by."""
     result = saved["result"]
     effects = ((result.get("model") or {}).get("effects")) or {}
@@ -131,7 +131,7 @@ def tags(saved: Saved, sweep: str | None = None) -> dict[str, str]:
     found = {
         "spiral.run_id": saved["run_id"],
         "spiral.verb": saved["verb"],
-        "spiral.sweep": sweep,
+        "spiral.sweep": (saved["config"].get("sweep") or {}).get("id"),
         "spiral.verdict": result.get("verdict"),
         "spiral.stopped": result.get("stopped"),
         "spiral.effects": ", ".join(effects),

@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,12 +36,22 @@ class Tracked:
     failure: str | None = None
 
 
+@dataclass(frozen=True)
+class Failed:
+    """A job of a sweep that left no saved run: which, with what, and why."""
+
+    sweep: str
+    number: int
+    overrides: tuple[str, ...]
+    error: Mapping[str, Any]
+
+
 def track(
     tracking: Tracking,
     out: str | os.PathLike[str],
     wanted: Sequence[str] = (),
-    sweep: str | None = None,
-    failed: Iterable[tuple[str, Mapping[str, Any]]] = (),
+    failed: Sequence[Failed] = (),
+    catch_up: bool = True,
 ) -> Tracked:
     """Log saved runs, and those that an earlier start could not log.
 
@@ -49,8 +59,8 @@ def track(
     ----------
     tracking : how; nothing happens where it is not enabled.
     out : folder of saved runs. wanted : ids of runs to log.
-    sweep : id of the sweep they belong to.
-    failed : (overrides, error) of jobs that left no saved run; each becomes a failed run.
+    failed : jobs of a sweep that left no saved run.
+    catch_up : whether to log saved runs that an earlier start could not log.
 
     A failure of the store never raises: the saved runs stay, and the next start catches up.
     """
@@ -61,10 +71,10 @@ def track(
     try:
         with opened(tracking, out) as store:
             for run_id in wanted:
-                runs[run_id] = _once(store, tracking, Path(out).expanduser() / run_id, sweep)
-            for overrides, error in failed:
-                log_failure(store, overrides, error, sweep)
-            if sweep is None:
+                runs[run_id] = _once(store, tracking, Path(out).expanduser() / run_id)
+            for job in failed:
+                _log_failure(store, job)
+            if catch_up:
                 _catch_up(store, tracking, out)
     except Exception as error:  # of whatever store: the result is saved and must not be lost
         return Tracked(runs, uri, page, told(error))
@@ -77,20 +87,17 @@ def _catch_up(store: Store, tracking: Tracking, out: str | os.PathLike[str]) -> 
     for run_id in left[-_CAUGHT_UP:]:
         saved = read_run(folder / run_id / FILE)
         if (saved.config.get("tracking") or {}).get("enabled"):
-            _once(store, tracking, folder / run_id, None)
+            _once(store, tracking, folder / run_id)
 
 
-def _once(store: Store, tracking: Tracking, folder: Path, sweep: str | None) -> str:
+def _once(store: Store, tracking: Tracking, folder: Path) -> str:
     """Log a saved run unless that is done; half of one, left by a killed process, goes first."""
     mark = folder / MARK
     if mark.is_file():
-        number = json.loads(mark.read_text(encoding="utf-8"))["mlflow_run_id"]
-        if sweep is not None:
-            store.client.set_tag(number, "spiral.sweep", sweep)
-        return str(number)
+        return str(json.loads(mark.read_text(encoding="utf-8"))["mlflow_run_id"])
     _remove_halves(store, folder.name)
     saved = read_run(folder / FILE)
-    number = log_study(store, saved, sweep, tracking.model)
+    number = _log_study(store, saved, tracking.model)
     write_whole(mark, to_json({"mlflow_run_id": number, "uri": store.uri}))
     return number
 
@@ -105,12 +112,12 @@ def _remove_halves(store: Store, run_id: str) -> None:
         store.client.delete_run(number)
 
 
-def log_study(store: Store, saved: SavedRun, sweep: str | None, model: bool) -> str:
+def _log_study(store: Store, saved: SavedRun, model: bool) -> str:
     """One saved run as a parent with its rounds; returns MLflow's id."""
     data = saved.data
     started, ended = _times(data)
     run = store.client.create_run(
-        store.experiment, started, content.tags(data, sweep), content.run_name(data)
+        store.experiment, started, content.tags(data), content.run_name(data)
     )
     number = run.info.run_id
     config = {k: v for k, v in saved.config.items() if k not in _NO_PARAMETER}
@@ -127,15 +134,17 @@ def log_study(store: Store, saved: SavedRun, sweep: str | None, model: bool) -> 
     return number
 
 
-def log_failure(store: Store, overrides: str, error: Mapping[str, Any], sweep: str | None) -> str:
-    """A job that left no saved run, as a failed run that says why."""
-    message = "; ".join(f"{k}: {v}" for k, v in error.items() if v)
-    tags = {"spiral.overrides": overrides, "spiral.error": message, "mlflow.note.content": message}
-    if sweep is not None:
-        tags["spiral.sweep"] = sweep
-    run = store.client.create_run(store.experiment, tags=tags, run_name=f"failed: {overrides}")
+def _log_failure(store: Store, job: Failed) -> None:
+    """A job as a failed run that says why; one logged before by the same sweep is replaced."""
+    where = {"spiral.sweep": job.sweep, "spiral.job": str(job.number)}
+    query = " and ".join(f"tags.`{k}` = '{v}'" for k, v in where.items())
+    for before in store.client.search_runs([store.experiment], query):
+        store.client.delete_run(before.info.run_id)
+    message = "; ".join(f"{k}: {v}" for k, v in job.error.items() if v)
+    tags = {**where, "spiral.error": message, "mlflow.note.content": message}
+    name = f"failed: {' '.join(job.overrides)}"[:250]
+    run = store.client.create_run(store.experiment, tags=tags, run_name=name)
     store.client.set_terminated(run.info.run_id, "FAILED")
-    return str(run.info.run_id)
 
 
 def _log_round(store: Store, parent: str, found: Mapping[str, Any], clock: int, count: int) -> int:

@@ -13,7 +13,7 @@ from spiral.cli import main
 from spiral.storage import FILE, load_run, read_run
 from spiral.tracking.content import metric_name, parameters
 from spiral.tracking.store import URI_VARIABLE, Store, Tracking, import_mlflow, in_force, opened
-from spiral.tracking.track import MARK, track
+from spiral.tracking.track import MARK, Failed, track
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2")
 BEFORE = os.environ.get(URI_VARIABLE)
@@ -200,9 +200,10 @@ def test_an_unreachable_server_loses_nothing(place, result, tmp_path, monkeypatc
     assert read_run(out / result["run_id"] / FILE)
 
 
-def test_a_failed_job_is_a_failed_run(tmp_path):
-    failed = [("holdout=2", {"given": "holdout=2", "expected": "a share", "try": ""})]
-    assert track(Tracking(), tmp_path, failed=failed, sweep="s1").failure is None
+def test_a_failed_job_is_a_failed_run_and_told_again_is_still_one(tmp_path):
+    job = Failed("s1", 3, ("holdout=2",), {"given": "holdout=2", "expected": "a share"})
+    for _ in range(2):
+        assert track(Tracking(), tmp_path, failed=(job,)).failure is None
     import_mlflow()
     from mlflow import MlflowClient
 
@@ -224,3 +225,25 @@ def test_a_bad_tracking_field_is_refused_before_anything_is_computed(capsys, tmp
     monkeypatch.chdir(tmp_path)
     assert main(["compare", "experiment=rotor_coastdown", "tracking.enabeld=false"]) == 2
     assert "enabled" in capsys.readouterr().err
+
+
+def test_a_sweep_is_tracked_by_the_parent_alone_and_failed_jobs_with_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["compare", "experiment=rotor_coastdown", "record.duration=2"]
+    swept = ["record.seed=1,2", "holdout=0.2,2", "n_jobs=2", "-m", "--json", "rows.json"]
+    assert main([*words, *swept]) == 2
+    rows = json.loads((tmp_path / "rows.json").read_text())
+    import_mlflow()
+    from mlflow import MlflowClient
+
+    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path / 'runs' / 'mlflow.db'}")
+    number = client.get_experiment_by_name("spiral").experiment_id
+    sweep = rows["sweep"]["id"]
+    found = client.search_runs([number], f"tags.`spiral.sweep` = '{sweep}'")
+    done = {r.data.tags["spiral.run_id"]: r for r in found if r.info.status == "FINISHED"}
+    assert len(found) == 4
+    assert sum(r.info.status == "FAILED" for r in found) == 2
+    for row in (r for r in rows["runs"] if r["exit"] == 0):
+        run = done[row["result"]["run_id"]]
+        assert f"record.seed={run.data.params['record.seed']}" in row["overrides"]
+        assert run.data.metrics["test_error"] == row["result"]["test_error"]
