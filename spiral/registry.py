@@ -130,7 +130,7 @@ class Registry:
         return self.make("effect", name, given)
 
     def candidates(self, system: System) -> tuple[Effect, ...]:
-        """Every effect that fits the system's first port: its axes, inputs and units."""
+        """Every effect with a physical name that fits the system's first port."""
         from spiral.effect import ForceEffect, SensorEffect
         from spiral.trace import check_effect
         from spiral.units import units_fit
@@ -138,7 +138,7 @@ class Registry:
         found: list[Effect] = []
         for name in self.names("effect"):
             plugin = self.entry("effect", name).plugin
-            if not issubclass(plugin, ForceEffect | SensorEffect):
+            if not issubclass(plugin, ForceEffect | SensorEffect) or plugin.bare:
                 continue
             effect = plugin()
             try:
