@@ -29,6 +29,8 @@ VERBS = {
     "new": "write a working skeleton of a plugin and its test: new KIND NAME",
 }
 
+_SWEPT = ("discover", "compare", "diagnose", "add", "simulate")  # those that take a configuration
+
 _EPILOG = """\
 first steps:
   spiral discover experiment=rotor_coastdown
@@ -67,6 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.verb is None:
             parser().print_help()
             return 0
+        if getattr(options, "help", False):
+            return _verb_help(options)
         request = _request(options)
         if options.multirun:
             return _multirun(request, options.json)
@@ -103,13 +107,18 @@ def parser() -> argparse.ArgumentParser:
             description=meaning[0].upper() + meaning[1:] + ".",
             epilog=_EPILOG,
             formatter_class=argparse.RawDescriptionHelpFormatter,
+            add_help=name not in _SWEPT,
         )
+        if name in _SWEPT:
+            verb.set_defaults(parser=verb)
+            words = "this help with the options of each group; with GROUP or NAME, its fields"
+            verb.add_argument("-h", "--help", action="store_true", help=words)
         verb.add_argument("words", nargs="*", metavar="NAME|KEY=VALUE", help="names and overrides")
         verb.add_argument("--json", metavar="FILE", help="write the result as JSON; - is stdout")
         verb.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
         if name == "simulate":
             verb.add_argument("--out", metavar="FILE", help="the table to write: .csv or .parquet")
-        if name not in ("plugins", "check", "new", "simulate"):
+        if name in _SWEPT and name != "simulate":
             verb.add_argument(
                 "-m", "--multirun", action="store_true", help="run once for each swept value"
             )
@@ -134,6 +143,18 @@ def _parsed(given: list[str]) -> argparse.Namespace:
         options.words = [*options.words, *rest]
         options.multirun = getattr(options, "multirun", False)
     return options
+
+
+def _verb_help(options: argparse.Namespace) -> int:
+    """The verb's own help with the options of each group, or what is in the groups named."""
+    from spiral.grouphelp import groups_help
+
+    found = groups_help(options.plugins, options.words)
+    if not options.words:
+        options.parser.epilog = f"{found}\n\n{_EPILOG}"
+        found = options.parser.format_help()
+    print(found.rstrip())
+    return 0
 
 
 def _json_target(given: list[str]) -> str | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
@@ -34,7 +35,7 @@ Started = Callable[[int], object]
 DEFECT = 1
 _INNER = ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM", "NUMEXPR", "BLIS")
 _IDLE = 60  # s after which a process without a job ends
-_TELL_VARIABLES = ("SPIRAL_DATA", "SPIRAL_PLUGINS")
+_VARIABLES = ("SPIRAL_DATA", "SPIRAL_PLUGINS")
 _one_at_a_time = threading.Lock()  # of this process: Hydra and the compiler are not for threads
 
 
@@ -75,7 +76,7 @@ class ClusterError(SpiralError):
 
 def call_for(verb: str, names: tuple[str, ...], overrides: Job, plugins: str | None) -> Call:
     """A job as it is seen from here: relative paths and variables mean the same to a worker."""
-    variables = {k: os.environ[k] for k in _TELL_VARIABLES if k in os.environ}
+    variables = {k: os.environ[k] for k in _VARIABLES if k in os.environ}
     return Call(verb, names, overrides, plugins, os.getcwd(), variables)
 
 
@@ -109,13 +110,15 @@ def answers(
     ClusterError : the scheduler went away.
     """
     if backend.name == "dask":
-        yield from _on_dask(execute, calls, backend, started)
+        with _client(backend) as client:
+            yield from _shared(calls, _Dask(execute, started, client, backend))
     elif processes(backend.n_jobs) == 1 or len(calls) == 1:
         for index, call in calls.items():
             started(index)
             yield index, run_call(execute, call)
     else:
-        yield from _in_processes(execute, calls, processes(backend.n_jobs), started)
+        width = min(processes(backend.n_jobs), len(calls))
+        yield from _shared(calls, _Loky(execute, started, width))
 
 
 def processes(n_jobs: int) -> int:
@@ -125,20 +128,17 @@ def processes(n_jobs: int) -> int:
     return n_jobs if n_jobs > 0 else max(1, cpu_count() + 1 + n_jobs)
 
 
-def _in_processes(
-    execute: Execute, calls: Mapping[int, Call], n_jobs: int, started: Started
-) -> Iterator[tuple[int, Answer]]:
-    """On loky: where a process dies all of them end, and the jobs that were under way are suspects.
+def _shared(calls: Mapping[int, Call], workers: _Loky | _Dask) -> Iterator[tuple[int, Answer]]:
+    """All jobs; where a process dies, those it may have been working on are suspects.
 
     Those run alone, after the others; one whose process dies again is the culprit.
     """
     waiting, suspects = dict(calls), dict[int, Call]()
     while waiting:
-        width = min(n_jobs, len(waiting))
-        yield from _until_broken(execute, waiting, suspects, width, started)
+        yield from workers.run(waiting, suspects, alone=False)
     for index, call in suspects.items():
         again: dict[int, Call] = {}
-        yield from _until_broken(execute, {index: call}, again, 1, started)
+        yield from workers.run({index: call}, again, alone=True)
         if again:
             yield index, _ended()
 
@@ -149,42 +149,109 @@ def _ended() -> Answer:
     return Answer(DEFECT, failure(given, "a process that runs to its end", try_), 0.0)
 
 
-def _until_broken(
-    execute: Execute,
-    waiting: dict[int, Call],
-    suspects: dict[int, Call],
-    width: int,
-    started: Started,
-) -> Iterator[tuple[int, Answer]]:
-    """Take jobs from ``waiting`` until none is left or a process dies."""
-    from joblib.externals.loky import get_reusable_executor
+@dataclass(frozen=True)
+class _Loky:
+    """Processes of this machine; where one dies, loky ends them all."""
 
-    executor = get_reusable_executor(
-        width,
-        timeout=_IDLE,
-        initializer=_as_worker,
-        initargs=(os.getpid(),),
-        env={f"{name}_NUM_THREADS": "1" for name in _INNER},
-    )
-    try:
-        for index, call, future in _ended_futures(executor, execute, waiting, width, started):
-            try:
-                yield index, future.result()
-            except BrokenExecutor:
-                suspects[index] = call
-    except BaseException:
-        executor.shutdown(wait=True, kill_workers=True)
-        raise
+    execute: Execute
+    started: Started
+    width: int
+
+    def run(
+        self, waiting: dict[int, Call], suspects: dict[int, Call], alone: bool
+    ) -> Iterator[tuple[int, Answer]]:
+        """Take jobs from ``waiting`` until none is left or a process dies."""
+        from joblib.externals.loky import get_reusable_executor
+
+        width = 1 if alone else self.width
+        executor = get_reusable_executor(
+            width,
+            timeout=_IDLE,
+            initializer=_as_worker,
+            initargs=(os.getpid(),),
+            env={f"{name}_NUM_THREADS": "1" for name in _INNER},
+        )
+        ended = _ended_futures(executor, self.execute, waiting, lambda: width, self.started)
+        try:
+            for index, call, future in ended:
+                try:
+                    yield index, future.result()
+                except BrokenExecutor:
+                    suspects[index] = call
+        except BaseException:
+            executor.shutdown(wait=True, kill_workers=True)
+            raise
+
+
+@dataclass(frozen=True)
+class _Dask:
+    """The workers of a cluster: as many jobs at a time as it has threads, which may change."""
+
+    execute: Execute
+    started: Started
+    client: Any
+    backend: Backend
+
+    def run(
+        self, waiting: dict[int, Call], suspects: dict[int, Call], alone: bool
+    ) -> Iterator[tuple[int, Answer]]:
+        """Take all jobs from ``waiting``."""
+        from distributed.scheduler import KilledWorker
+
+        executor = self.client.get_executor(pure=False)
+        width = (lambda: 1) if alone else self._width
+        ended = _ended_futures(executor, self.execute, waiting, width, self.started)
+        try:
+            for index, call, future in ended:
+                try:
+                    yield index, self._answer(future)
+                except KilledWorker:
+                    suspects[index] = call
+        finally:
+            executor.shutdown(wait=False)
+
+    def _width(self) -> int:
+        most = self.backend.n_jobs if self.backend.n_jobs > 0 else sys.maxsize
+        try:
+            return max(1, min(most, sum(self.client.ncores().values())))
+        except OSError as error:
+            raise self._lost() from error
+
+    def _answer(self, future: Future[Answer]) -> Answer:
+        from distributed.scheduler import KilledWorker
+
+        try:
+            return future.result()
+        except KilledWorker:
+            raise
+        except CancelledError as error:
+            raise self._lost() from error
+        except Exception as error:  # the job did not reach the worker, or its answer not us
+            text = f"{type(error).__name__}: {error}"
+            try_ = "the same versions of Python and of this program on every worker"
+            return Answer(DEFECT, failure(text, "a worker that can run the job", try_), 0.0)
+
+    def _lost(self) -> ClusterError:
+        return ClusterError(
+            f"the Dask scheduler at {self.backend.address} went away",
+            "a scheduler that stays until the sweep is done",
+            "start it and the same sweep again: what is done is taken up",
+        )
 
 
 def _ended_futures(
-    executor: Executor, execute: Execute, waiting: dict[int, Call], width: int, started: Started
+    executor: Executor,
+    execute: Execute,
+    waiting: dict[int, Call],
+    width: Callable[[], int],
+    started: Started,
 ) -> Iterator[tuple[int, Call, Future[Answer]]]:
-    """At most ``width`` jobs at a time, so that those under way are known."""
+    """At most ``width()`` jobs at a time, so that those under way are known."""
     under_way: dict[Future[Answer], tuple[int, Call]] = {}
 
     def fill() -> bool:
-        while waiting and len(under_way) < width:
+        room = (width() if waiting else 0) - len(under_way)
+        for _ in range(min(room, len(waiting))):
             index = next(iter(waiting))
             try:
                 future = executor.submit(run_call, execute, waiting[index])
@@ -220,39 +287,6 @@ def _as_worker(parent: int) -> None:
         os._exit(DEFECT)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def _on_dask(
-    execute: Execute, calls: Mapping[int, Call], backend: Backend, started: Started
-) -> Iterator[tuple[int, Answer]]:
-    with _client(backend) as client:
-        executor = client.get_executor(pure=False)
-        width = backend.n_jobs if backend.n_jobs > 0 else len(calls)
-        ended = _ended_futures(executor, execute, dict(calls), width, started)
-        try:
-            for index, _, future in ended:
-                yield index, _from_dask(future, backend)
-        finally:
-            executor.shutdown(wait=False)
-
-
-def _from_dask(future: Future[Answer], backend: Backend) -> Answer:
-    from distributed.scheduler import KilledWorker
-
-    try:
-        return future.result()
-    except CancelledError as error:
-        raise ClusterError(
-            f"the Dask scheduler at {backend.address} went away",
-            "a scheduler that stays until the sweep is done",
-            "start it and the same sweep again: what is done is taken up",
-        ) from error
-    except KilledWorker:
-        return _ended()
-    except Exception as error:  # the job did not reach the worker, or its answer not us
-        text = f"{type(error).__name__}: {error}"
-        try_ = "the same versions of Python and of this program on every worker"
-        return Answer(DEFECT, failure(text, "a worker that can run the job", try_), 0.0)
 
 
 @contextlib.contextmanager

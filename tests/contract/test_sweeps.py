@@ -11,15 +11,9 @@ from pathlib import Path
 import pytest
 
 from spiral.cli import main
-from spiral.jobs import planned
 from spiral.registry import load_registry
 from spiral.sweep import run_sweep
-
-RECORD = (
-    "system=oscillator", "record=simulation", "record.duration=1", "record.rate=500",
-    "record.inputs={force: {noise: 1.0, band: [2, 30]}}",
-    "record.values={system.mass: 1, linear_stiffness.stiffness: 4e3, linear_damping.damping: 4}",
-)  # fmt: skip
+from tests.sweep_jobs import RECORD, echo, plan_of
 
 
 @pytest.fixture(autouse=True)
@@ -32,30 +26,6 @@ def place(tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def registry():
     return load_registry(local=False)
-
-
-def value_of(overrides, key="holdout"):
-    return next(t.partition("=")[2] for t in overrides if t.startswith(f"{key}="))
-
-
-def echo(verb, names, overrides, plugins):
-    """A job that says what it was given, or does as its ``out`` says."""
-    value = value_of(overrides)
-    what = value_of(overrides, "out")
-    if what == "broken" and value == "0.3":
-        raise ZeroDivisionError("a defect")
-    if what == "killed" and value == "0.3":
-        os.kill(os.getpid(), signal.SIGKILL)
-    if what == "once" and value == "0.3" and not Path("died").exists():
-        Path("died").touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    if what == "slow":
-        time.sleep(0.0 if value == "0.2" else 60)
-    return 0, {"value": value, "run_id": f"run-{value}", "process": os.getpid()}
-
-
-def plan_of(registry, *words, verb="compare"):
-    return planned(verb, (), ["holdout=0.2,0.3,0.4,0.5", *words], None, registry)
 
 
 def interrupted_after(count):
@@ -184,7 +154,7 @@ import signal; signal.signal(signal.SIGINT, signal.default_int_handler)
 import sys
 from spiral.registry import load_registry
 from spiral.sweep import run_sweep
-from tests.contract.test_sweeps import echo, plan_of
+from tests.sweep_jobs import echo, plan_of
 def on_row(sweep, index, row):
     print("row", row.result["process"], flush=True)
 plan = plan_of(load_registry(local=False), "out=slow", "n_jobs=2")

@@ -1,0 +1,95 @@
+"""The same sweep on a Dask cluster: a real scheduler and workers, each a process of its own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from spiral.cli import main
+from spiral.registry import load_registry
+from spiral.sweep import run_sweep
+from tests.sweep_jobs import RECORD, echo, lost, plan_of
+
+pytest.importorskip("distributed")
+LOCAL = {k: v for k, v in os.environ.items() if k != "SPIRAL_PLUGINS"}
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """The address of a scheduler with two workers that run elsewhere."""
+    place = tmp_path_factory.mktemp("cluster")
+    file = place / "scheduler.json"
+    module = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file]
+    root = str(Path(__file__).parents[2])
+    failures = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+    environment = {**LOCAL, **failures, "PYTHONPATH": root}
+    running = [_start([*module, *options], place, environment)]
+    until = time.monotonic() + 60
+    while not (file.exists() and file.read_text()):
+        assert time.monotonic() < until
+        time.sleep(0.1)
+    address = json.loads(file.read_text())["address"]
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1",
+              "--no-dashboard", "--local-directory", place, "--host", "127.0.0.1"]  # fmt: skip
+    running.append(_start([*worker, "--nworkers", "2"], place, environment))
+    yield address, running
+    for process in running:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait(30)
+
+
+def _start(command, place, environment):
+    with open(place / "log", "a") as log:
+        return subprocess.Popen(
+            command, cwd=place, env=environment, stdout=log, stderr=log, start_new_session=True
+        )
+
+
+def run_json(capsys, *words):
+    code = main([*words, "--json", "-"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_a_sweep_on_dask_equals_the_serial_one(capsys, tmp_path, monkeypatch, cluster):
+    """Also relative files: a worker in another folder sees those of the one who asked."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", *RECORD, "--out", "made.csv"]) == 0
+    capsys.readouterr()
+    words = ["compare", "system=oscillator", "record=csv", "record.path=made.csv",
+             "record.time=time", "holdout=0.2,0.3,0.4", "-m"]  # fmt: skip
+    code, serial = run_json(capsys, *words, "n_jobs=1")
+    assert code == 0
+    options = ["sweep.backend=dask", f"sweep.address={cluster[0]}"]
+    code, on_dask = run_json(capsys, *words, *options)
+    assert code == 0
+    assert [r["result"] for r in on_dask["runs"]] == [r["result"] for r in serial["runs"]]
+    assert len({r["result"]["test_error"] for r in on_dask["runs"]}) == 3
+
+
+def test_jobs_run_in_the_workers_and_a_killed_one_is_a_row(tmp_path, monkeypatch, cluster):
+    monkeypatch.chdir(tmp_path)
+    options = ["out=killed", "sweep.backend=dask", f"sweep.address={cluster[0]}"]
+    sweep = run_sweep(echo, plan_of(load_registry(), *options))
+    assert [row.exit for row in sweep.rows] == [0, 1, 0, 0]
+    assert "out of memory" in sweep.rows[1].result["error"]["given"]
+    processes = {row.result["process"] for row in sweep.rows if not row.exit}
+    assert os.getpid() not in processes
+
+
+def test_a_scheduler_that_goes_away_keeps_the_rows(tmp_path, monkeypatch, cluster):
+    monkeypatch.chdir(tmp_path)
+    address, running = cluster
+    registry, fixed = load_registry(), f"fixed={running[0].pid}"
+    options = ["n_jobs=1", "sweep.backend=dask", f"sweep.address={address}"]
+    sweep = run_sweep(lost, plan_of(registry, fixed, *options))
+    assert sweep.exit == 2
+    assert "went away" in sweep.error["given"]
+    assert len(sweep.rows) == 2
+    here = run_sweep(lambda *_: (0, {}), plan_of(registry, fixed, "n_jobs=1"))
+    assert (here.taken_up, here.exit) == (2, 0)
