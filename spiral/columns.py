@@ -60,16 +60,18 @@ class Columns(Source):
     Fields
     ------
     path : a file, or a list of files of one machine; also looked for under ``SPIRAL_DATA``.
-    time : the column of time in s; or rate : samples per s where there is none.
+    time : the column of time in s.
+    rate : samples per s, where the file has no column of time.
     channels, inputs : the system's name -> the file's column; names that agree may be left out.
     units : name of a channel or input (or ``time``) -> its unit; else the unit that the file names.
     rows : [start, stop], zero-based data rows, stop excluded.
     noise : channel -> standard deviation in the system's unit, where it is known.
     offset : name -> what the instrument reads at rest, in the file's unit; it is subtracted.
-    separator, decimal : how a text file writes columns and fractions, where that is not found.
+    separator : what stands between a text file's columns, where that is not found.
+    decimal : its decimal mark, where that is not found.
     pulse : the column of a once-per-turn pulse, taken as phase, and as speed where there is none.
-    pulse_level, pulse_edge : its threshold in the file's unit and its edge (rising, falling), where
-        half its height and the edge into the shorter of its two levels are not right.
+    pulse_level : its threshold in the file's unit, where half its height is not right.
+    pulse_edge : rising or falling; left out, the edge into the shorter of its two levels.
     rotation : sense of rotation with the first axis to the right and the second one up;
         ``clockwise`` makes speed and phase negative.
     probe_angles : channel -> direction of its probe in degrees, from the first axis towards the

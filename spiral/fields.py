@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
+import re
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -11,6 +13,7 @@ from typing import Any
 from spiral.errors import ConfigError, SpiralError, did_you_mean
 from spiral.plugin import Plugin
 
+_SECTION = "Fields\n------\n"
 Resolve = Callable[[type, Any, str], Any]
 """(kind of plugin, its name or label or mapping, where it was given) -> the plugin."""
 
@@ -18,6 +21,22 @@ Resolve = Callable[[type, Any, str], Any]
 def field_names(cls: type) -> tuple[str, ...]:
     """Names of the fields in order."""
     return tuple(f.name for f in dataclasses.fields(cls))
+
+
+def field_meanings(cls: type) -> dict[str, str]:
+    """Field -> what its class, or one that it is made from, says of it under ``Fields``."""
+    found: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        _, _, section = inspect.cleandoc(base.__dict__.get("__doc__") or "").partition(_SECTION)
+        names: list[str] = []
+        for line in section.split("\n\n")[0].splitlines():
+            start = re.match(r"(\w+(?:, \w+)*) : (.*)", line)
+            if start:
+                names = start[1].split(", ")
+                found.update(dict.fromkeys(names, start[2]))
+            elif names:
+                found.update({n: f"{found[n]} {line.strip()}" for n in names})
+    return {n: found[n].replace("``", "") for n in field_names(cls) if n in found}
 
 
 def is_open(cls: type, name: str) -> bool:

@@ -33,9 +33,27 @@ def _plugins(console: Console, outcome: Outcome) -> None:
             origin = entry.origin if entry.origin == "local" else f"{entry.origin} {entry.version}"
             table.add_row(Text(entry.name, style="bold"), Text(entry.plugin.meaning()), origin)
         console.print(table)
+    for entry in (e for e in entries if e.name in outcome.parts["asked"]):
+        _fields(console, entry.plugin)
     for failure in outcome.parts["failures"]:
         console.print(Text(f"not usable: {failure.name} in {failure.file}", style="bold red"))
         console.print(Text(f"    {failure.message}"))
+
+
+def _fields(console: Console, plugin: type) -> None:
+    """A plugin's fields with their defaults and meanings."""
+    from spiral.fields import defaults_of, field_meanings
+
+    fields = {k: v for k, v in defaults_of(plugin).items() if k != "variant"}
+    if not fields:
+        return
+    console.print()
+    meanings = field_meanings(plugin)
+    table = _table("field", "default", "meaning")
+    for name, default in fields.items():
+        shown = "" if default is None else str(default)
+        table.add_row(Text(name, style="bold"), Text(shown), Text(meanings.get(name, "")))
+    console.print(table)
 
 
 def _check(console: Console, outcome: Outcome) -> None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 Tell = Callable[[str], None]
 
 _WIDE, _MEDIUM = 110, 88
+_PREVIEWED = 4  # records whose numbers are shown
 
 
 @contextmanager
@@ -129,16 +130,31 @@ def _discover(console: Console, outcome: Outcome) -> None:
         _next(console, *_after_discover(run, outcome.parts["config"]))
 
 
-def _about(console: Console, outcome: Outcome) -> None:
-    problem = outcome.parts["problem"]
-    for kind, records in (("fit", problem.records), ("test", problem.test)):
-        for record in records:
-            length = record.samples * record.dt
-            console.print(
-                Text(f"{kind:<5}{record.name}: {record.samples} samples, {length:.4g} s", "dim")
-            )
-            for note in record.notes:
-                console.print(Text(f"     note: {note}", style="yellow"))
+def _about(console: Console, outcome: Outcome, numbers: bool = False) -> None:
+    """The records and what was done to them, each note once; with numbers, their series too."""
+    from spiral.preview import described
+
+    told: set[str] = set()
+    for shown, record in enumerate(described(outcome.parts["problem"])):
+        length = record["samples"] / record["rate"]
+        words = f"{record['samples']} samples, {length:.4g} s, {record['rate']:.6g} Hz"
+        console.print(Text(f"{record['part']:<5}{record['name']}: {words}", "dim"))
+        for note in (n for n in record["notes"] if n not in told):
+            console.print(Text(f"     note: {note}", style="yellow"))
+        told.update(record["notes"])
+        if numbers and shown < _PREVIEWED:
+            console.print(_series(record["series"]))
+
+
+def _series(rows: list[dict[str, Any]]) -> Table:
+    columns = ["", "lowest", "highest", "deviation", "noise"]
+    table = _table(*columns, "unit", right=columns[1:])
+    for row in rows:
+        name = row["name"] + (" (derived)" if row["kind"] == "derived" else "")
+        noise = number(row.get("noise"), 3) + (" declared" if row.get("noise_declared") else "")
+        extent = (number(row[c]) for c in columns[1:4])
+        table.add_row(name, *extent, noise, row["unit"] or "1")
+    return table
 
 
 def _rounds(run: Run, width: int) -> Table:
@@ -283,7 +299,7 @@ def _warn_unconverged(console: Console, outcome: Outcome) -> None:
 
 def _compare(console: Console, outcome: Outcome) -> None:
     comparison: Comparison = outcome.parts["comparison"]
-    _about(console, outcome)
+    _about(console, outcome, numbers=True)
     _heading(console, "Comparison")
     console.print(_errors({"model": comparison}))
     console.print()

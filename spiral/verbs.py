@@ -172,10 +172,11 @@ def _through_the_loop(study: Study, problem: Problem) -> Run:
 
 def _compare(study: Study) -> Outcome:
     from spiral.compare import compare
+    from spiral.preview import described
 
     problem = study.problem()
     comparison = compare(problem, study.tell)
-    result = comparison.as_dict()
+    result = {**comparison.as_dict(), "records": described(problem)}
     result["run_id"] = study.save(result, comparison.model, problem)
     if not comparison.converged:
         result["error"] = _not_converged(comparison)
@@ -302,7 +303,7 @@ def list_plugins(request: Request, registry: Registry) -> Outcome:
             {"name": f.name, "file": f.file, "message": f.message} for f in registry.failures
         ],
     }
-    return Outcome(OK, result, {"entries": entries, "failures": registry.failures})
+    return Outcome(OK, result, {"entries": entries, "failures": registry.failures, "asked": asked})
 
 
 def check(request: Request, registry: Registry, tell: Tell) -> Outcome:
@@ -375,7 +376,7 @@ def _only_names(request: Request, expected: str, try_: str) -> None:
 
 
 def _described(entry: Any) -> dict[str, Any]:
-    from spiral.fields import defaults_of
+    from spiral.fields import defaults_of, field_meanings
 
     fields = {k: v for k, v in defaults_of(entry.plugin).items() if k != "variant"}
     parameters = getattr(entry.plugin, "parameters", ())
@@ -384,6 +385,7 @@ def _described(entry: Any) -> dict[str, Any]:
         "name": entry.name,
         "meaning": entry.plugin.meaning(),
         "fields": fields,
+        "field_meanings": field_meanings(entry.plugin),
         "parameters": {p.name: p.unit for p in parameters} if isinstance(parameters, tuple) else {},
         "origin": entry.origin,
         "version": entry.version,

@@ -110,6 +110,25 @@ def test_compare_keys(capsys, steps):
     assert result["chi2_per_dof"] is None  # NaN
 
 
+def test_compare_shows_what_was_understood(capsys, steps, place):
+    """Each series with its extent, unit and noise; units, columns and conversions in words."""
+    values = np.loadtxt(place / "a.csv", delimiter=",", skiprows=1)
+    words = (*OWN, "record.units={x: um}", "record.noise={x: 1e-8}")
+    _, result = run_json(capsys, "compare", *words)
+    fit, test = result["records"]
+    assert (fit["part"], fit["samples"], test["part"], test["samples"]) == ("fit", 240, "test", 60)
+    assert fit["rate"] == pytest.approx(100.0)
+    x, force = fit["series"]
+    assert (x["name"], x["unit"], x["noise"], x["noise_declared"]) == ("x", "m", 1e-8, True)
+    assert x["highest"] == pytest.approx(1e-6 * values[:240, 1].max())
+    assert force["deviation"] == pytest.approx(values[:240, 2].std())
+    assert main(["compare", *words]) == 0
+    out = capsys.readouterr().out
+    for told in ("x from 'a' in um", "100 Hz", "declared", "lowest"):
+        assert told in out
+    assert out.count("x from 'a' in um") == 1
+
+
 def test_diagnose_keys(capsys, steps):
     code, result = run_json(capsys, "diagnose", *OWN)
     assert code == 0
@@ -356,6 +375,17 @@ def test_plugins_list(capsys):
     assert result["plugins"][0]["parameters"] == {"stiffness": "force/position^3"}
     assert main(["plugins"]) == 0
     assert "planar_rotor" in capsys.readouterr().out
+
+
+def test_a_plugin_asked_for_shows_its_fields(capsys):
+    _, result = run_json(capsys, "plugins", "csv")
+    (found,) = result["plugins"]
+    assert set(found["field_meanings"]) == set(found["fields"])
+    assert found["field_meanings"]["rate"].startswith("samples per s")
+    assert main(["plugins", "file"]) == 0
+    out = capsys.readouterr().out
+    assert "probe_angles" in out
+    assert "counterclockwise" in out
 
 
 def test_a_broken_plugin_is_reported(capsys, place):

@@ -33,3 +33,18 @@ def test_every_block_runs(page, tmp_path):
                 command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
             )
             assert done.returncode == 0, f"{text}\n{done.stdout}\n{done.stderr}"
+
+
+def test_fields_of_a_record_that_pages_name_are_there():
+    """In the README and the how-to pages; ``test.settle`` and the group itself are no fields."""
+    from spiral.fields import field_names
+    from spiral.registry import load_registry
+
+    registry = load_registry(local=False)
+    sources = (registry.entry("source", n).plugin for n in registry.names("source"))
+    known = {name for plugin in sources for name in field_names(plugin)}
+    for page in (*PAGES.glob("*.md"), PAGES.parents[1] / "README.md"):
+        named = set(re.findall(r"\brecord\.(\w+)", page.read_text(encoding="utf-8")))
+        assert named <= known, f"{page.name}: {named - known}"
+    told = set(re.findall(r"\brecord\.(\w+)", (PAGES / "own-data.md").read_text("utf-8")))
+    assert set(field_names(registry.entry("source", "csv").plugin)) <= told | {"time", "path"}

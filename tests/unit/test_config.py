@@ -265,3 +265,33 @@ def test_values_arrive_as_given(seed, level, columns):
     text = ", ".join(f"{k}: '{v}'" for k, v in columns.items())
     own = composed("system=planar_rotor", "record=csv", f"record.channels={{{text}}}")
     assert own["record"]["channels"] == columns
+
+
+NUMBERS = st.floats(-1e6, 1e6, allow_nan=False)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    angles=st.fixed_dictionaries({"x": NUMBERS, "y": NUMBERS}),
+    low=st.floats(0, 1e3),
+    width=st.floats(1, 1e3),
+    gap=st.integers(1, 10**6),
+    rotation=st.sampled_from(["clockwise", "counterclockwise"]),
+    column=st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True),
+)
+def test_a_rotors_options_arrive_as_given(angles, low, width, gap, rotation, column):
+    """From words on a command line to the typed fields of the source."""
+    from spiral.config import build_sources
+
+    config = composed(
+        "system=planar_rotor", "record=csv", f"record.pulse='{column}'",
+        f"record.probe_angles={{x: {angles['x']!r}, y: {angles['y']!r}}}",
+        f"record.slow_roll={{speed: [{low!r}, {low + width!r}]}}",
+        f"record.fill_gaps={gap}", f"record.rotation={rotation}",
+        "test.slow_roll={rows: [0, 9]}", "test.path=b.csv",
+    )  # fmt: skip
+    source, test = build_sources(config, REGISTRY)
+    assert source.probe_angles == test.probe_angles == angles
+    assert source.slow_roll == {"speed": [low, low + width]}
+    assert test.slow_roll == {"rows": [0, 9]}
+    assert (source.fill_gaps, source.rotation, source.pulse) == (gap, rotation, column)
