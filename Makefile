@@ -57,7 +57,7 @@ demo: setup ## Find what the rotor's model is missing, on the embedded record
 .PHONY: warm
 warm: setup
 	@echo "test: compiled kernels"
-	@$(BIN)/python -c 'import spiral.shooting.kernel'
+	@$(BIN)/python -c 'import spiral.shooting.kernel, spiral.filtering.kernel, spiral.filtering.smoother'
 
 test: warm ## Run the tests (without the slow ones)
 	@echo "test: pytest with $(WORKERS) workers, slow tests left out"

@@ -23,6 +23,7 @@ VERBS = {
     "compare": "fit the model as configured and compare it with data it has not seen",
     "diagnose": "say where the model fails and rank what may be missing; changes nothing",
     "add": "fit the model, then the model plus EFFECT...; before and after side by side",
+    "estimate": "reconstruct all states, hidden ones too, with an observer",
     "simulate": "make a record from a model and write it to a file",
     "plugins": "list systems, effects and sources",
     "check": "verify a plugin: units, derivatives, behaviour at rest",
@@ -116,7 +117,7 @@ def parser() -> argparse.ArgumentParser:
         verb.add_argument("words", nargs="*", metavar="NAME|KEY=VALUE", help="names and overrides")
         verb.add_argument("--json", metavar="FILE", help="write the result as JSON; - is stdout")
         verb.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
-        if name == "simulate":
+        if name in ("simulate", "estimate"):
             verb.add_argument("--out", metavar="FILE", help="the table to write: .csv or .parquet")
         if name in _SWEPT and name != "simulate":
             verb.add_argument(
@@ -191,10 +192,10 @@ def _single(request: Request, target: str | None) -> int:
         outcome = perform(request, tell, on_round)
     _write_json(outcome.result, target)
     if target != "-":
-        from spiral import listing
+        from spiral import estimate_screen, listing
 
-        screen = listing if request.verb in listing.VERBS else terminal
-        screen.show(request.verb, outcome)
+        screens = {v: s for s in (listing, estimate_screen) for v in s.VERBS}
+        screens.get(request.verb, terminal).show(request.verb, outcome)
     _say_tracked(_tracked(outcome), target)
     return outcome.exit
 

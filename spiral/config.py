@@ -20,8 +20,15 @@ from spiral.registry import Registry
 
 Config = dict[str, Any]
 
-GROUPS = {"system": "system", "record": "source", "test": "source", "derivative": "derivative"}
-USUAL = {"derivative": "total_variation"}  # of groups that runs saved before them lack
+GROUPS = {
+    "system": "system",
+    "record": "source",
+    "test": "source",
+    "derivative": "derivative",
+    "observer": "observer",
+}
+# Of groups that runs saved before them lack.
+USUAL = {"derivative": "total_variation", "observer": "ekf"}
 STRATEGIES = ("shooting",)
 PACKAGE = "spiral_conf"
 _TEST_SEED_FIELDS = ("name", "settle")
@@ -39,6 +46,7 @@ class Options:
     values: Mapping[str, float] | None = None
     free: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
+    calibrate: bool | None = None
     holdout: float = 0.2
     settings: Any = field(default_factory=dict)
     run: str | None = None
@@ -120,6 +128,11 @@ def build_system(config: Config, registry: Registry) -> Any:
 def build_derivative(config: Config, registry: Registry) -> Any:
     """The estimator of derivatives of a configuration."""
     return _plugin("derivative", config, registry)
+
+
+def build_observer(config: Config, registry: Registry) -> Any:
+    """The state estimator of a configuration."""
+    return _plugin("observer", config, registry)
 
 
 def build_sources(config: Config, registry: Registry) -> tuple[Any, Any | None]:

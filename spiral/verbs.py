@@ -69,7 +69,13 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     for failure in registry.failures:
         tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
     config = configured(request, registry)
-    steps = {"discover": _discover, "compare": _compare, "diagnose": _diagnose, "add": _add}
+    steps = {
+        "discover": _discover,
+        "compare": _compare,
+        "diagnose": _diagnose,
+        "add": _add,
+        "estimate": _estimate,
+    }
     if request.verb == "simulate":
         return _simulate(request, config, registry)
     if request.names and request.verb != "add":
@@ -225,6 +231,12 @@ def _add(study: Study) -> Outcome:
         result["error"] = _not_converged(after)
     parts = study.parts(problem, before=before, after=after, run=run)
     return Outcome(OK if after.converged else REFUSED, result, parts)
+
+
+def _estimate(study: Study) -> Outcome:
+    from spiral.reconstruct import reconstruct
+
+    return reconstruct(study)
 
 
 def _refusal(verdict: str, advice: str) -> dict[str, str]:

@@ -1,0 +1,113 @@
+"""Kalman filters and the smoother, on any model, with its exact Jacobian."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from spiral.filtering.extended import Pass, Settings, as_reconstruction, filtered
+from spiral.filtering.setup import chosen_levels, prepared, with_level
+from spiral.observer import Observer, Reconstruction
+
+if TYPE_CHECKING:
+    from spiral.filtering.task import Task
+
+
+class Tuned(Observer):
+    """A filter whose covariances are shares of the model's own settled motion.
+
+    Units and amplitude then do not matter.
+
+    Fields
+    ------
+    process_noise : share of the rates that the model does not know, one number or by group
+        (``observed``, ``hidden``); left out, by maximum likelihood of the innovations.
+    track : parameters estimated as states; left out, the record's own (a rotor's phase origin).
+    doubt : their first standard deviations by name.
+    spread : initial standard deviation of the states as a share of the settled one.
+    """
+
+    process_noise: Mapping[str, float] | float | None = None
+    track: tuple[str, ...] | None = None
+    doubt: Mapping[str, float] | None = None
+    spread: float = 1.0
+
+    def reconstruct(self, task: Task) -> Reconstruction:
+        """Choose the process noise, then run once."""
+        clock = time.perf_counter()
+        task, settings = prepared(task, self.track, self.doubt, self.spread)
+        levels = chosen_levels(task, settings, self.process_noise)
+        tuned = time.perf_counter()
+        settings = with_level(task, settings, levels)
+        found = self.run(task, settings)
+        seconds = time.perf_counter() - tuned
+        return as_reconstruction(task, settings, found, levels, seconds, tuned - clock)
+
+    @abstractmethod
+    def run(self, task: Task, settings: Settings) -> Pass:
+        """One run over the record with these numbers."""
+
+
+class Ekf(Tuned):
+    """Extended Kalman filter: mean by RK4, covariance by the Jacobian of that very step.
+
+    Update in Joseph form; process noise by exact discretisation.
+
+    Fields
+    ------
+    transition : ``exact``, or the paper's ``second_order`` (eq. ekf_Phi).
+    """
+
+    transition: Literal["exact", "second_order"] = "exact"
+
+    def run(self, task: Task, settings: Settings) -> Pass:
+        """Filter the record."""
+        settings = replace(settings, second_order=self.transition == "second_order")
+        return filtered(task, settings, keep=bool(task.series.record.truth))
+
+
+class Rts(Tuned):
+    """Rauch-Tung-Striebel smoother over the extended filter: each sample judged by all.
+
+    Computed in the Bryson-Frazier form (``spiral.filtering.smoother``).
+    """
+
+    def run(self, task: Task, settings: Settings) -> Pass:
+        """Filter, then go back from the record's end; innovations stay those of the filter."""
+        from spiral.filtering.smoother import smooth
+
+        found = filtered(task, settings, keep=True)
+        if found.done < task.series.samples:
+            return found
+        smooth(
+            found.means, found.covariances, found.innovations, found.spreads, found.transitions,
+            found.gains, found.slopes,
+        )  # fmt: skip
+        return replace(found, variances=np.diagonal(found.covariances, axis1=1, axis2=2).copy())
+
+
+class Ukf(Tuned):
+    """Unscented Kalman filter: 2 N + 1 points in place of Jacobians.
+
+    Its process noise is tuned with the extended filter's likelihood, which costs less.
+
+    Fields
+    ------
+    alpha, beta, kappa : of the points (van der Merwe 2004); as given, the cubature filter.
+    """
+
+    alpha: float = 1.0
+    beta: float = 0.0
+    kappa: float = 0.0
+
+    def run(self, task: Task, settings: Settings) -> Pass:
+        """Filter the record."""
+        from spiral.filtering.sigma_points import sigma_filtered
+
+        shape = (self.alpha, self.beta, self.kappa)
+        return sigma_filtered(task, settings, shape, keep=bool(task.series.record.truth))

@@ -1,0 +1,1 @@
+"""Filtering: hidden states and their uncertainty from a known model and measured channels."""
