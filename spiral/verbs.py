@@ -69,13 +69,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     for failure in registry.failures:
         tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
     config = configured(request, registry)
-    steps = {
-        "discover": _discover,
-        "compare": _compare,
-        "diagnose": _diagnose,
-        "add": _add,
-        "estimate": _estimate,
-    }
+    steps = {"discover": _discover, "compare": _compare, "diagnose": _diagnose, "add": _add}
     if request.verb == "simulate":
         return _simulate(request, config, registry)
     if request.names and request.verb != "add":
@@ -85,7 +79,12 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
             f"spiral add {request.names[0]}, or effect=[{request.names[0]}]",
         )
     tell("reading the records")
-    return steps[request.verb](Study(request, config, registry, tell, on_round))
+    study = Study(request, config, registry, tell, on_round)
+    if request.verb == "estimate":
+        from spiral.reconstruct import reconstruct
+
+        return reconstruct(study)
+    return steps[request.verb](study)
 
 
 def in_worker(
@@ -231,12 +230,6 @@ def _add(study: Study) -> Outcome:
         result["error"] = _not_converged(after)
     parts = study.parts(problem, before=before, after=after, run=run)
     return Outcome(OK if after.converged else REFUSED, result, parts)
-
-
-def _estimate(study: Study) -> Outcome:
-    from spiral.reconstruct import reconstruct
-
-    return reconstruct(study)
 
 
 def _refusal(verdict: str, advice: str) -> dict[str, str]:
