@@ -116,6 +116,7 @@ def save_result(
     records: Mapping[str, Sequence[Record]],
     registry: Registry,
     folder: str | os.PathLike[str],
+    overrides: Sequence[str] = (),
 ) -> str:
     """Write what a verb found, with its model and all that it came from; returns the run's id.
 
@@ -129,6 +130,7 @@ def save_result(
         "run_id": run_id,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "verb": verb,
+        "overrides": list(overrides),
         "config": dict(config),
         "plugins": registry.versions(),
         "local_plugins": _local_files(model, registry),

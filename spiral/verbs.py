@@ -143,8 +143,8 @@ class Study:
         from spiral.storage import save_result
 
         data = {"records": problem.records, "test": problem.test}
-        verb, out = self.request.verb, self.config["out"]
-        return save_result(verb, result, model, self.config, data, self.registry, out)
+        verb, out, given = self.request.verb, self.config["out"], self.request.overrides
+        return save_result(verb, result, model, self.config, data, self.registry, out, given)
 
     def parts(self, problem: Problem, **more: Any) -> dict[str, Any]:
         """What the terminal needs besides the result."""

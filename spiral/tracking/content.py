@@ -17,6 +17,8 @@ TIME = "t"
 RUN, PLUGINS = "run", "plugins"  # artifacts of a served model
 
 _LONGEST = 5000  # characters of a parameter or tag that every store takes
+_LONGEST_NAME = 200
+_NO_NAME = ("experiment=", "out=", "n_jobs=", "sweep.", "tracking.", "run=")
 _REFUSED = re.compile(r"[^\w./ :-]")  # characters that MLflow takes in no name
 
 Saved = Mapping[str, Any]
@@ -44,24 +46,28 @@ def metrics(saved: Saved) -> list[Metric]:
     done = rounds(saved)
     listed = [m for r in done for m in round_metrics(r)]
     last = max((step for _, _, step in listed), default=0)
-    for name, value in _final(saved["result"]):
+    for name, value in _final(saved["result"], _added(saved)):
         number = _finite(value)
         if number is not None:
             listed.append((metric_name(name), number, last))
     return listed
 
 
-def _final(result: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _added(saved: Saved) -> set[str]:
+    """Effects beyond the seed: admitted by the loop, added by hand, or configured."""
+    found = {label for r in rounds(saved) for label in r.get("admitted", ())}
+    config = saved["config"]
+    return found | set(config.get("effect") or ()) | set(config.get("seed") or ())
+
+
+def _final(result: Mapping[str, Any], added: set[str]) -> Iterator[tuple[str, Any]]:
     for row in terms(result):
-        owner = f"{row['effect']}.{row['parameter']}"
-        yield f"t/{owner}", row["t"]
-        yield f"estimate/{owner}", row["estimate"]
-        yield f"se/{owner}", row["se"]
+        if row["effect"] in added:  # whole terms are a table: metrics are for what is compared
+            yield f"t.{row['effect']}.{row['parameter']}", row["t"]
     for channel, errors in (result.get("test") or result.get("channels") or {}).items():
         for kind, value in errors.items():
-            yield f"test_{kind}/{channel}", value
+            yield f"test_{kind}.{channel}", value
     if result.get("rounds"):
-        yield "rounds", len(result["rounds"]) - 1
         yield "admitted", sum(len(r["admitted"]) for r in result["rounds"])
     for kind in ("before", "after"):
         if kind in result:
@@ -76,7 +82,7 @@ def _states(result: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     for state, errors in (result.get("states") or {}).items():
         if isinstance(errors, Mapping):
             for kind, value in errors.items():
-                yield f"{kind}/{state}", value
+                yield f"{kind}.{state}", value
     for name in ("nis_mean", "mu", "condition", "rank", "samples_needed", "seconds"):
         if isinstance(result.get(name), int | float) and not isinstance(result.get(name), bool):
             yield name, result[name]
@@ -143,10 +149,12 @@ def tags(saved: Saved) -> dict[str, str]:
 
 
 def run_name(saved: Saved) -> str:
-    """``discover rotor_coastdown 20250131-142501-3fa9c2``."""
+    """What tells a run from others, first: ``seed=3 noise_level=0.05 discover rotor_coastdown``."""
     config = saved["config"]
     what = config.get("experiment") or (config.get("system") or {}).get("name") or ""
-    return f"{saved['verb']} {what} {saved['run_id']}".replace("  ", " ")
+    given = [t for t in saved.get("overrides", ()) if not t.lstrip("+~").startswith(_NO_NAME)]
+    own = [t.partition("=")[0].rpartition(".")[2] + "=" + t.partition("=")[2] for t in given]
+    return " ".join([*own, saved["verb"], what]).strip()[:_LONGEST_NAME]
 
 
 def round_name(found: Mapping[str, Any]) -> str:
