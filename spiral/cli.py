@@ -24,6 +24,7 @@ VERBS = {
     "diagnose": "say where the model fails and rank what may be missing; changes nothing",
     "add": "fit the model, then the model plus EFFECT...; before and after side by side",
     "estimate": "reconstruct all states, hidden ones too, with an observer",
+    "identify": "before any fit: can the record tell the terms apart? rank, aliases, samples",
     "simulate": "make a record from a model and write it to a file",
     "plugins": "list systems, effects and sources",
     "check": "verify a plugin: units, derivatives, behaviour at rest",

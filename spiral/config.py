@@ -112,7 +112,7 @@ def options(config: Config) -> Options:
 def settings(config: Config) -> Settings:
     """Levels and sizes of the statistics."""
     found = construct(Settings, config["settings"], "settings")
-    for name in ("level", "alias_level", "whiteness_level"):
+    for name in ("level", "alias_level", "whiteness_level", "share", "miss"):
         if not 0 < getattr(found, name) < 1:
             raise ConfigError(
                 f"settings.{name}={getattr(found, name):g}", "a probability between 0 and 1"

@@ -1,4 +1,4 @@
-"""What a person sees of plugins: the list, the checks of one, the files of a new one."""
+"""What a person sees of plugins (a list, checks, files of a new one) and of ``identify``."""
 
 from __future__ import annotations
 
@@ -9,19 +9,31 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from spiral.terminal import _heading, _next, _table, _warn_unconverged
+from spiral.terminal import (
+    _about,
+    _heading,
+    _next,
+    _table,
+    _warn_unconverged,
+    command,
+    number,
+    percent,
+)
 
 if TYPE_CHECKING:
+    from spiral.identify import Identification
     from spiral.testing import Check
     from spiral.verbs import Outcome
 
-VERBS = ("plugins", "check", "new")
+VERBS = ("plugins", "check", "new", "identify")
 
 
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
     console = Console(highlight=False)
-    {"plugins": _plugins, "check": _check, "new": _new}[verb](console, outcome)
+    {"plugins": _plugins, "check": _check, "new": _new, "identify": _identify}[verb](
+        console, outcome
+    )
 
 
 def _plugins(console: Console, outcome: Outcome) -> None:
@@ -91,3 +103,48 @@ def _new(console: Console, outcome: Outcome) -> None:
         (f"spiral check {parts['name']}{where}", "after each change of the first file"),
         (f"pytest {shlex.quote(str(parts['files'][1]))}", "its own test"),
     )
+
+
+def _identify(console: Console, outcome: Outcome) -> None:
+    found: Identification = outcome.parts["found"]
+    _about(console, outcome)
+    apart = found.verdict == "identifiable"
+    _heading(
+        console,
+        "The terms can be told apart."
+        if apart
+        else "This record cannot tell all terms apart, however long it is.",
+    )
+    console.print(_figures(found))
+    if found.left_out:
+        console.print()
+        for effect, reason in found.left_out.items():
+            console.print(Text(f"left out {effect}: {reason}", style="dim"))
+    if found.aliases:
+        _heading(console, "Not told apart")
+        for group in found.aliases:
+            console.print(Text(f"  {', '.join(group)}", style="yellow"))
+    console.print()
+    console.print(Text(found.advice), soft_wrap=True)
+    if apart:
+        request = outcome.parts["request"]
+        _next(console, (command("discover", request), "find and add what is missing"))
+
+
+def _figures(found: Identification) -> Table:
+    table = _table("", "", "meaning", right=[""])
+    rich = found.found
+    rows = {
+        "rank": (f"{rich.rank} of {rich.columns}", "terms whose signatures are independent"),
+        "mu": (number(rich.mu), "smallest eigenvalue of the normalised Gram matrix"),
+        "condition": (number(rich.condition), "largest over smallest eigenvalue"),
+        "coherence": (number(rich.coherence), "largest cosine of two signatures"),
+        "eps_0": (percent(found.epsilon), "of the acceleration is outside the terms"),
+        "SNR": (number(found.snr), f"needed: {number(found.snr_min)}"),
+        "samples": (str(rich.samples), f"needed: {number(found.samples_needed)}"),
+        "bias": (percent(found.bias_bound), "at most, of the acceleration's rms (Theorem 1)"),
+        "spread": (percent(found.spread_bound), "at most, rms over noises (Theorem 1)"),
+    }
+    for name, (value, meaning) in rows.items():
+        table.add_row(name, value, meaning)
+    return table

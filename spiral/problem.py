@@ -29,6 +29,8 @@ class Settings:
     alias_level : significance at which two candidates' prediction errors are told apart.
     whiteness_level : significance at which residuals are called coloured.
     lags : lags of the Ljung-Box statistic.
+    share : smallest contribution of a term that a test is planned for, of the acceleration's rms.
+    miss : probability of missing such a term.
     phase_knot : seconds between knots of the smooth phase correction that a fitted record gets
         where its phase is integrated from a measured speed; 0 switches it off.
     """
@@ -39,6 +41,8 @@ class Settings:
     alias_level: float = 0.01
     whiteness_level: float = 0.001
     lags: int = 40
+    share: float = 0.1
+    miss: float = 0.05
     phase_knot: float = 1.0
 
 

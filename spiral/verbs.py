@@ -57,6 +57,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     ------
     SpiralError : bad input; the caller makes it exit 2.
     """
+    from spiral import foresight, reconstruct
     from spiral.registry import load_registry
 
     if request.verb == "new":
@@ -69,7 +70,10 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     for failure in registry.failures:
         tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
     config = configured(request, registry)
-    steps = {"discover": _discover, "compare": _compare, "diagnose": _diagnose, "add": _add}
+    steps = {
+        "discover": _discover, "compare": _compare, "diagnose": _diagnose, "add": _add,
+        "estimate": reconstruct.reconstruct, "identify": foresight.identify,
+    }  # fmt: skip
     if request.verb == "simulate":
         return _simulate(request, config, registry)
     if request.names and request.verb != "add":
@@ -79,12 +83,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
             f"spiral add {request.names[0]}, or effect=[{request.names[0]}]",
         )
     tell("reading the records")
-    study = Study(request, config, registry, tell, on_round)
-    if request.verb == "estimate":
-        from spiral.reconstruct import reconstruct
-
-        return reconstruct(study)
-    return steps[request.verb](study)
+    return steps[request.verb](Study(request, config, registry, tell, on_round))
 
 
 def in_worker(
