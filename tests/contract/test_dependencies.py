@@ -25,17 +25,36 @@ def _declared() -> set[str]:
     return {_plain(re.split(r"[^\w.-]", item, maxsplit=1)[0]) for item in listed}
 
 
+def _extras() -> set[str]:
+    """What the extras for users bring; imported inside functions alone, so lazily."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        extras = tomllib.load(file)["project"]["optional-dependencies"]
+    listed = [item for name, items in extras.items() if name != "dev" for item in items]
+    return {_plain(re.split(r"[^\w.-]", item, maxsplit=1)[0]) for item in listed}
+
+
+def _lazy(tree: ast.Module) -> set[ast.AST]:
+    """Nodes inside functions."""
+    functions = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef))
+    return {inner for function in functions for inner in ast.walk(function)}
+
+
 def _imported() -> dict[str, str]:
     """Top-level names that the shipped trees import, each with a file that does."""
     found: dict[str, str] = {}
-    for tree in ("spiral", "plugins", "conf"):
-        for path in sorted((ROOT / tree).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    providers, extras = packages_distributions(), _extras()
+    for place in ("spiral", "plugins", "conf"):
+        for path in sorted((ROOT / place).rglob("*.py")):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            lazy = _lazy(tree)
+            for node in ast.walk(tree):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
                 if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
                     names = [node.module]
-                for name in names:
-                    found.setdefault(name.split(".")[0], path.relative_to(ROOT).as_posix())
+                for name in (n.split(".")[0] for n in names):
+                    if node in lazy and extras & {_plain(d) for d in providers.get(name, [name])}:
+                        continue
+                    found.setdefault(name, path.relative_to(ROOT).as_posix())
     return {n: f for n, f in found.items() if n not in OWN and n not in sys.stdlib_module_names}
 
 
