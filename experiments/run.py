@@ -5,7 +5,8 @@
 
 It returns the test error of the final model, so a sweeper can minimise it. Hydra composes first
 and is stricter than ``spiral discover``: a field of a test record that no preset chose is
-written ``+test.FIELD=VALUE``.
+written ``+test.FIELD=VALUE``, and beside a swept preset (``experiment=a,b``) a field of the record
+``++record.FIELD=VALUE``: Hydra checks overrides once before it looks at the presets.
 """
 
 from __future__ import annotations

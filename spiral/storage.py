@@ -86,7 +86,7 @@ class SavedRun:
 def new_run_id(now: datetime | None = None) -> str:
     """Sorts by time, and ends in a few random characters: ``20250131-142501-3fa9c2``."""
     moment = now or datetime.now(UTC)
-    return f"{moment:%Y%m%d-%H%M%S}-{moment.microsecond // 1000:03d}{secrets.token_hex(2)}"
+    return f"{moment:%Y%m%d-%H%M%S}-{moment.microsecond // 1000:03d}{secrets.token_hex(4)}"
 
 
 def save_run(

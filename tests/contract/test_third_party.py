@@ -61,6 +61,18 @@ def test_it_is_listed_with_its_package_and_version_and_passes_its_check(spiral):
     assert spiral("check", EFFECT)[0] == 0
 
 
+def test_it_is_in_the_help_of_its_group(installed, tmp_path):
+    environment = {**os.environ, "PYTHONPATH": str(installed), "COLUMNS": "100"}
+    for words, seen in ((("discover", "--help"), EFFECT), (("discover", "--help", "effect"),
+                        "[spiral-fifth-power 0.3.0]"), (("compare", "--help", EFFECT),
+                        "stiffness (force/position^5)")):  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-m", "spiral", *words],
+            capture_output=True, text=True, check=True, cwd=tmp_path, env=environment,
+        )  # fmt: skip
+        assert seen in done.stdout
+
+
 def test_it_is_fitted_and_swept(spiral):
     words = ("compare", *RECORD, "record.seed=1,2", "-m", "n_jobs=2")
     code, result = spiral(*words, f"effect=[{EFFECT}]")

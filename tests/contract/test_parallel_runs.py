@@ -1,0 +1,57 @@
+"""Eight runs at once, again and again: none lost, none mixed up, the same as one after another."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from spiral.jobs import planned
+from spiral.registry import load_registry
+from spiral.sweep import run_sweep
+from spiral.verbs import in_worker
+from tests.sweep_jobs import RECORD
+
+SEEDS = range(8)
+REPEATS = 20
+
+
+def swept(registry, out, n_jobs, told):
+    words = [*RECORD, f"record.seed=range(0,{len(SEEDS)})", "candidates=[cubic_stiffness]"]
+    plan = planned("discover", (), [*words, f"out={out}", f"n_jobs={n_jobs}"], None, registry)
+    return run_sweep(in_worker, plan, on_row=lambda *row: told.append(row))
+
+
+def without_clock(value):
+    """A result less what differs between two runs of one job: times and ids."""
+    if isinstance(value, dict):
+        own = {k: v for k, v in value.items() if k not in ("seconds", "run_id", "created")}
+        return {k: without_clock(v) for k, v in own.items()}
+    return [without_clock(v) for v in value] if isinstance(value, list) else value
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n_jobs", [2, 8])
+def test_no_run_is_lost_or_mixed_up(tmp_path, monkeypatch, n_jobs):
+    monkeypatch.chdir(tmp_path)
+    registry = load_registry(local=False)
+    serial = swept(registry, "serial", 1, [])
+    assert serial.exit == 0
+    expected = [without_clock(row.result) for row in serial.rows]
+    assert len({json.dumps(result) for result in expected}) == len(SEEDS)
+    seen = {row.run_id for row in serial.rows}
+    for repeat in range(REPEATS):
+        told = []
+        sweep = swept(registry, f"repeat-{repeat}", n_jobs, told)
+        assert [without_clock(row.result) for row in sweep.rows] == expected
+        files = Path(f"repeat-{repeat}").glob("*/run.json")
+        saved = {file.parent.name: json.loads(file.read_text()) for file in files}
+        assert {row.run_id for row in sweep.rows} == set(saved)
+        assert len(saved) == len(SEEDS)
+        assert not seen & set(saved)
+        seen |= set(saved)
+        for seed, row in zip(SEEDS, sweep.rows, strict=True):
+            assert saved[row.run_id]["config"]["record"]["seed"] == seed
+            assert without_clock(saved[row.run_id]["result"]) == expected[seed]
+        assert sorted((i, row.run_id) for _, i, row in told) == [
+            (i, row.run_id) for i, row in enumerate(sweep.rows)
+        ]
