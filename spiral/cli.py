@@ -31,7 +31,7 @@ VERBS = {
     "new": "write a working skeleton of a plugin and its test: new KIND NAME",
 }
 
-_SWEPT = ("discover", "compare", "diagnose", "add", "simulate")  # those that take a configuration
+_PLAIN = ("plugins", "check", "new")  # verbs without a configuration
 
 _EPILOG = """\
 first steps:
@@ -109,9 +109,9 @@ def parser() -> argparse.ArgumentParser:
             description=meaning[0].upper() + meaning[1:] + ".",
             epilog=_EPILOG,
             formatter_class=argparse.RawDescriptionHelpFormatter,
-            add_help=name not in _SWEPT,
+            add_help=name in _PLAIN,
         )
-        if name in _SWEPT:
+        if name not in _PLAIN:
             verb.set_defaults(parser=verb)
             words = "this help with the options of each group; with GROUP or NAME, its fields"
             verb.add_argument("-h", "--help", action="store_true", help=words)
@@ -120,7 +120,7 @@ def parser() -> argparse.ArgumentParser:
         verb.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
         if name in ("simulate", "estimate"):
             verb.add_argument("--out", metavar="FILE", help="the table to write: .csv or .parquet")
-        if name in _SWEPT and name != "simulate":
+        if name not in (*_PLAIN, "simulate"):
             verb.add_argument(
                 "-m", "--multirun", action="store_true", help="run once for each swept value"
             )
