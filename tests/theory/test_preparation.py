@@ -467,3 +467,24 @@ def test_any_options_give_a_record_or_one_clear_message(fields, holes, dropped):
         return
     values = (found.time, *found.channels.values(), *found.inputs.values())
     assert all(np.all(np.isfinite(v)) for v in values)
+
+
+@pytest.mark.slow
+def test_a_study_of_pulses_turning_clockwise():
+    """The embedded run-down seen from behind: the same effects, cross stiffness turned."""
+    from dataclasses import replace
+
+    from spiral.discover import discover
+    from tests.scenes import admitted, coastdown_problem
+
+    problem = coastdown_problem(11)
+    seen = []
+    for record, stop in ((problem.records[0], 13_200), (problem.test[0], 13_100)):
+        table = {**with_key(record), "b": -record.channels["y"]}
+        seen.append(load(table, pulse="key", rotation="clockwise", rows=[0, stop]))
+    run = discover(replace(problem, records=(seen[0],), test=(seen[1],)))
+    assert admitted(run)[:3] == ["cross_stiffness", "cubic_stiffness", "gyroscopic"]
+    values = run.model.values
+    assert values["gyroscopic.coefficient"] == pytest.approx(4.80e-3, rel=0.05)
+    assert values["cross_stiffness.stiffness"] == pytest.approx(-1105, rel=0.01)
+    assert run.final.chi2_per_dof < 1.15
