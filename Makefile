@@ -70,6 +70,8 @@ test-slow: warm ## Run the slow statistical tests
 bench: warm ## Measure speed (benchmarks/)
 	@echo "bench: benchmarks/run.py"
 	@$(BIN)/python benchmarks/run.py
+	@echo "bench: benchmarks/sweep.py"
+	@$(BIN)/python benchmarks/sweep.py
 
 # All four run even where an earlier one fails; the last line says which did.
 lint: setup ## Check format, rules, types and layers

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from spiral.sweep import Row, Status, Sweep
 
 _WIDE = 100
-_LONGEST = 60
+_LONGEST, _LONGEST_ERROR = 60, 200
 Watch = Callable[["Status"], None]
 
 
@@ -77,7 +77,8 @@ def show(sweep: Sweep) -> None:
     words += [f"{sweep.taken_up} of them before"] if sweep.taken_up else []
     words += [f"{failed} failed or refused"] if failed else []
     console.print()
-    console.print(Text(f"{', '.join(words)}; {duration(sweep.seconds)}; rows in {sweep.folder}"))
+    console.print(Text(f"{', '.join(words)}; {duration(sweep.seconds)}"))
+    console.print(Text(f"rows in {sweep.folder}", "dim"), soft_wrap=True)
     for word in ("given", "expected", "try") if sweep.error else ():
         console.print(Text(f"{word + ':':<10}{sweep.error[word]}", style="yellow"))  # type: ignore[index]
 
@@ -115,8 +116,8 @@ def _runs(rows: Sequence[Row], swept: Sequence[str], width: int) -> Any:
     return table
 
 
-def _short(value: str) -> str:
-    return value if len(value) <= _LONGEST else f"{value[: _LONGEST - 3]}..."
+def _short(value: str, longest: int = _LONGEST) -> str:
+    return value if len(value) <= longest else f"{value[: longest - 3]}..."
 
 
 def _style(row: Row, name: str) -> str:
@@ -144,5 +145,5 @@ def _cells(row: Row) -> dict[str, str]:
     elif "test_error" in result:
         found["test error"] = percent(result["test_error"])
     if error and not found["verdict"]:
-        found["verdict"] = _short(error["given"])
+        found["verdict"] = _short(error["given"], _LONGEST_ERROR)
     return found

@@ -9,7 +9,7 @@ from spiral.jobs import planned
 from spiral.registry import load_registry
 from spiral.sweep import run_sweep
 from spiral.verbs import in_worker
-from tests.sweep_jobs import RECORD
+from tests.sweep_jobs import RECORD, without_clock
 
 SEEDS = range(8)
 REPEATS = 20
@@ -19,14 +19,6 @@ def swept(registry, out, n_jobs, told):
     words = [*RECORD, f"record.seed=range(0,{len(SEEDS)})", "candidates=[cubic_stiffness]"]
     plan = planned("discover", (), [*words, f"out={out}", f"n_jobs={n_jobs}"], None, registry)
     return run_sweep(in_worker, plan, on_row=lambda *row: told.append(row))
-
-
-def without_clock(value):
-    """A result less what differs between two runs of one job: times and ids."""
-    if isinstance(value, dict):
-        own = {k: v for k, v in value.items() if k not in ("seconds", "run_id", "created")}
-        return {k: without_clock(v) for k, v in own.items()}
-    return [without_clock(v) for v in value] if isinstance(value, list) else value
 
 
 @pytest.mark.slow
