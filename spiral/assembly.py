@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -44,11 +45,15 @@ class Variant:
 
 @dataclass(frozen=True)
 class Assembly:
-    """One compiled study with what it was made from."""
+    """One compiled study with what it was made from.
+
+    ``regression`` is what ``strategy=paper`` keeps with it: differentiated samples and equations.
+    """
 
     problem: Problem
     study: Study
     variants: tuple[Variant, ...]
+    regression: Any = None
 
     def variant(self, label: str) -> Variant:
         """A variant by its compiled label."""

@@ -41,14 +41,19 @@ def prepared(
         problem = replace(problem, candidates=candidates)
     assembly = assemble(problem)
     standing = begin(assembly, problem.model.labels)
-    substeps = _substeps(assembly, standing.values[0])
-    if substeps > 1:
-        knot = problem.settings.phase_knot
-        assembly = with_records(assembly, problem.records, substeps, knot)
-    return assembly, standing
+    return refined(assembly, standing), standing
 
 
-def _substeps(assembly: Assembly, row: np.ndarray) -> int:
+def refined(assembly: Assembly, standing: Standing) -> Assembly:
+    """The same study with steps fine enough for the fastest mode of a standing."""
+    substeps = substeps_for(assembly, standing.values[0])
+    if substeps <= 1:
+        return assembly
+    problem = assembly.problem
+    return with_records(assembly, problem.records, substeps, problem.settings.phase_knot)
+
+
+def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
     """Steps per sample that keep |eigenvalue| dt below 0.3 at rest, at the largest inputs."""
     study = assembly.study
     n, count = study.state_count, len(study.keys)
@@ -95,13 +100,29 @@ def judged(
     assembly: Assembly, standing: Standing, stage: Stage, progress: Progress = silent
 ) -> Comparison:
     """The comparison of a fitted standing: free runs, chi2 and whiteness on all samples."""
+    values = stage.fitted.point.values
+    errors = standard_errors(assembly, standing, stage)
+    model = to_model(assembly, standing.labels, values, errors, standing.freed)
+    fitted = replace(standing, values=values)
+    return compared(assembly, fitted, model, stage.length, stage.fitted.converged, progress)
+
+
+def compared(
+    assembly: Assembly,
+    standing: Standing,
+    model: Model,
+    longest: int | None,
+    converged: bool,
+    progress: Progress = silent,
+) -> Comparison:
+    """The comparison of a model whose parameters stand: only records' own nuisances are fitted.
+
+    ``longest`` limits the windows on which chi2 and whiteness are taken.
+    """
     problem, study = assembly.problem, assembly.study
-    labels, values = standing.labels, stage.fitted.point.values
-    model = to_model(
-        assembly, labels, values, standard_errors(assembly, standing, stage), standing.freed
-    )
+    labels, values = standing.labels, standing.values
     progress("free run on the test record")
-    full = whole(assembly, labels, values, stage.length)
+    full = whole(assembly, labels, values, longest)
     left = residuals(study, full.layouts, full.fitted.point)
     names = problem.model.system.observed
     records = tuple(0 for _ in problem.records)
@@ -120,7 +141,7 @@ def judged(
         whiteness_p=white.p,
         whiteness_effect=white.effect,
         horizon=int(full.length),
-        converged=stage.fitted.converged,
+        converged=converged,
         notes=tuple(n for r in problem.records for n in r.notes),
     )
 
@@ -148,7 +169,7 @@ def test_run(assembly: Assembly, labels: tuple[str, ...], values: np.ndarray) ->
     if not problem.test:
         return None
     other = with_records(assembly, problem.test, 1)
-    substeps = max(_substeps(other, values[0]), assembly.study.series[0].substeps)
+    substeps = max(substeps_for(other, values[0]), assembly.study.series[0].substeps)
     if substeps > 1:
         other = with_records(assembly, problem.test, substeps)
     settle = problem.settle

@@ -11,6 +11,7 @@ from spiral.compare import judged, last_stage, prepared
 from spiral.effect import Effect
 from spiral.evidence import Standing, all_samples
 from spiral.problem import Problem, Progress, silent
+from spiral.published import PAPER
 from spiral.run import Comparison, Round, Run, Stopped, Verdict
 from spiral.strategy import Begun, Settled, Step, Strategy
 from spiral.threads import one_blas_thread
@@ -52,7 +53,7 @@ def discover(
         same result.
     """
     tell, keep = on_round or (lambda _: None), keep or (lambda _: None)
-    strategy = SHOOTING
+    strategy = SHOOTING if problem.published is None else PAPER
     clock = time.perf_counter()
     begun = strategy.begin(problem, progress)
     if resume is not None:
@@ -119,6 +120,7 @@ def _round(number: int, step: Step, settled: Settled, seconds: float) -> Round:
         second_order=step.second_order,
         meaning=step.meaning,
         retired=settled.retired,
+        details=settled.details,
     )
 
 

@@ -39,16 +39,21 @@ _WORTH = 10.0  # fall of the sum of squares (sigma^2) for which a shape is set f
 
 @dataclass(frozen=True)
 class Standing:
-    """Where a study stands: active effects (compiled labels), values, shapes set free."""
+    """Where a study stands: active effects (compiled labels), values, shapes set free.
+
+    ``held`` are amplitudes of active effects that stay at zero, not admitted themselves.
+    """
 
     labels: tuple[str, ...]
     values: Array
     freed: tuple[str, ...] = ()
     corrected: bool = True
+    held: tuple[str, ...] = ()
 
     def keys(self, assembly: Assembly) -> tuple[str, ...]:
         """Parameters that a fit of this standing moves."""
-        return active_keys(assembly, self.labels, self.freed, self.corrected)
+        found = active_keys(assembly, self.labels, self.freed, self.corrected)
+        return tuple(k for k in found if k not in self.held)
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
+from spiral.derivative import Derivative
 from spiral.effect import Effect
+from spiral.gate import Gate
+from spiral.learner import Learner
+from spiral.library import Library
 from spiral.model import Model
 from spiral.record import Record
 
@@ -47,11 +52,44 @@ class Settings:
 
 
 @dataclass(frozen=True)
+class Sampling:
+    """How ``strategy=paper`` splits and samples.
+
+    Parameters
+    ----------
+    train : share of the samples that is fitted; the others validate.
+    split : ``blocks`` of 256 samples spread over the record, or its ``tail`` for validation.
+    sampling : where the learned residual is evaluated: a Halton ``box``, the ``trajectory``, or
+        ``samples``, which regresses the residual itself and learns nothing.
+    points : of the Halton sequence.
+    seed : of the learner, the scrambling of the sequence, and resampling.
+    """
+
+    train: float = 0.7
+    split: Literal["blocks", "tail"] = "blocks"
+    sampling: Literal["box", "trajectory", "samples"] = "box"
+    points: int = 100_000
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Published:
+    """The plugins and choices that make up ``strategy=paper``; ``gates`` in the order asked."""
+
+    derivative: Derivative
+    learner: Learner
+    library: Library
+    gates: tuple[Gate, ...]
+    sampling: Sampling = field(default_factory=Sampling)
+
+
+@dataclass(frozen=True)
 class Problem:
     """One study's question.
 
     ``records`` are fitted; ``test`` is seen neither by fit nor by selection, its first ``settle``
     seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
+    ``published`` chooses the paper's evidence; left out, it comes from trajectories.
     """
 
     model: Model
@@ -60,3 +98,4 @@ class Problem:
     settle: float | None = None
     candidates: tuple[Effect, ...] = ()
     settings: Settings = field(default_factory=Settings)
+    published: Published | None = None

@@ -57,6 +57,7 @@ class Settled:
     standing: Standing
     comparison: Comparison
     retired: tuple[str, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,7 @@ def first_values(study: Study, equations: Balance, values: Array, window: int) -
     ]
     target = np.concatenate([t for _, t in parts])
     turning = equations.turning
-    group = _angle_groups(study)
+    group = angle_groups(study)
     matrix = np.concatenate([m for m, _ in parts])
     if turning is not None:
         pairs = max(group) + 1
@@ -142,7 +142,7 @@ def first_values(study: Study, equations: Balance, values: Array, window: int) -
     return new
 
 
-def _angle_groups(study: Study) -> list[int]:
+def angle_groups(study: Study) -> list[int]:
     """Records that share a phase origin have the same number: those with measured phase."""
     groups: list[int] = []
     own = 0
