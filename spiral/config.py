@@ -15,7 +15,8 @@ from typing import Any
 from spiral.errors import ConfigError, did_you_mean
 from spiral.fields import construct, defaults_of, field_names, is_open, plain
 from spiral.overrides import Assignment, parse, set_value
-from spiral.problem import Problem, Settings
+from spiral.paperconfig import gate_fields, with_published
+from spiral.problem import Problem, Sampling, Settings
 from spiral.registry import Registry
 
 Config = dict[str, Any]
@@ -26,10 +27,17 @@ GROUPS = {
     "test": "source",
     "derivative": "derivative",
     "observer": "observer",
+    "learner": "learner",
+    "library": "library",
 }
 # Of groups that runs saved before them lack.
-USUAL = {"derivative": "total_variation", "observer": "ekf"}
-STRATEGIES = ("shooting",)
+USUAL = {
+    "derivative": "total_variation",
+    "observer": "ekf",
+    "learner": "tanh_network",
+    "library": "paper",
+}
+STRATEGIES = ("shooting", "paper")
 PACKAGE = "spiral_conf"
 _TEST_SEED_FIELDS = ("name", "settle")
 
@@ -49,6 +57,8 @@ class Options:
     calibrate: bool | None = None
     holdout: float = 0.2
     settings: Any = field(default_factory=dict)
+    gate: Any = None
+    paper: Any = field(default_factory=dict)
     run: str | None = None
     out: str = "runs"
     n_jobs: int = -1
@@ -102,7 +112,9 @@ def options(config: Config) -> Options:
     found = construct(Options, given, "")
     if found.strategy not in STRATEGIES:
         raise ConfigError(
-            f"strategy={found.strategy}", f"one of {', '.join(STRATEGIES)}", "strategy=shooting"
+            f"strategy={found.strategy}",
+            f"one of {', '.join(STRATEGIES)}",
+            did_you_mean(found.strategy, STRATEGIES),
         )
     if not 0.02 <= found.holdout <= 0.9:
         raise ConfigError(f"holdout={found.holdout:g}", "a share between 0.02 and 0.9")
@@ -215,7 +227,8 @@ def build_problem(config: Config, registry: Registry) -> Problem:
     if settle is not None and not (isinstance(settle, int | float) and settle >= 0):
         raise ConfigError(f"test.settle={settle!r}", "seconds, zero or above")
     model = build_model(config, registry)
-    candidates = build_candidates(config, registry, model)
+    shooting = options(config).strategy != "paper"
+    candidates = build_candidates(config, registry, model) if shooting else ()
     record, test_source = build_sources(config, registry)
     records = record.load(model.system)
     if test_source is not None:
@@ -223,7 +236,12 @@ def build_problem(config: Config, registry: Registry) -> Problem:
     else:
         pairs = [split_off_test(r, options(config).holdout) for r in records]
         records, test = tuple(f for f, _ in pairs), tuple(t for _, t in pairs)
-    return Problem(model, records, test, settle, candidates, levels)
+    problem = Problem(model, records, test, settle, candidates, levels)
+    if shooting:
+        return problem
+    parts = {g: _plugin(g, config, registry) for g in ("derivative", "learner", "library")}
+    named = options(config).candidates
+    return with_published(problem, parts, config["gate"], config["paper"], named, registry)
 
 
 def _preset(items: Iterable[Assignment]) -> str | None:
@@ -280,6 +298,8 @@ def _normalise(config: Config, registry: Registry) -> None:
         test = _test_like_record(config, registry, test)
     config["test"] = {"name": None, "settle": None, **test}
     config["effect"] = _effect_fields(config["effect"], registry)
+    config["gate"] = gate_fields(config.get("gate"), registry)
+    config.setdefault("paper", plain(defaults_of(Sampling)))
 
 
 def _test_like_record(config: Config, registry: Registry, test: Config) -> Config:
@@ -317,12 +337,15 @@ def _apply(config: Config, item: Assignment, registry: Registry) -> None:
     if item.path == ("effect",):
         config["effect"] = _effect_fields(None if item.delete else item.value, registry)
         return
+    if item.path == ("gate",):
+        config["gate"] = gate_fields([] if item.delete else item.value, registry)
+        return
     if first == "test" and item.path[1:] != ("settle",) and not config["test"]["name"]:
         config["test"] = {"settle": None, **_test_like_record(config, registry, config["test"])}
     if item.path[-1] == "name" and first in GROUPS:
         raise ConfigError(f"{item.text!r}", f"{first}=NAME", f"{first}={item.value}")
-    if first == "effect" and len(item.path) == 2 and item.delete:
-        config["effect"].pop(item.path[-1], None)
+    if first in ("effect", "gate") and len(item.path) == 2 and item.delete:
+        config[first].pop(item.path[-1], None)
         return
     set_value(config, item, _open_keys(config, registry))
 
