@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit, urlunsplit
 
 from spiral.fields import construct
 
@@ -47,11 +48,20 @@ class Tracking:
         """What opens MLflow's page on this store: a command, or the server's own address."""
         uri = self.where(out)
         if not uri.startswith("sqlite:"):
-            return uri if uri.startswith("http") else f"mlflow ui --backend-store-uri {uri}"
+            shown = without_password(uri)
+            return shown if uri.startswith("http") else f"mlflow ui --backend-store-uri {shown}"
         file = Path(uri.removeprefix("sqlite:///"))
         with contextlib.suppress(ValueError):
             file = file.relative_to(Path.cwd())
         return f"mlflow ui --backend-store-uri sqlite:///{file}"
+
+
+def without_password(uri: str) -> str:
+    """A URI as it may be shown: ``postgresql://me:***@host/db``."""
+    parts = urlsplit(uri)
+    if not parts.password:
+        return uri
+    return urlunsplit(parts._replace(netloc=parts.netloc.replace(f":{parts.password}@", ":***@")))
 
 
 def tracking_of(config: Mapping[str, Any]) -> Tracking:
@@ -102,6 +112,7 @@ def opened(tracking: Tracking, out: str | os.PathLike[str]) -> Iterator[Store]:
 def import_mlflow() -> None:
     """Import MLflow, which takes a second or two, without its reports to its makers."""
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+    os.environ.setdefault("MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT", "true")  # where JSON may go
     os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
     os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
     import mlflow  # noqa: F401
@@ -128,7 +139,7 @@ def in_force(store: Store) -> Iterator[None]:
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Without the remarks of MLflow, and those of its migrations on a new database."""
-    names = ("mlflow", "alembic")
+    names = ("mlflow", "alembic", "psycopg")
     levels = [logging.getLogger(n).level for n in names]
     for name in names:
         logging.getLogger(name).setLevel(logging.ERROR)

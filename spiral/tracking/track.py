@@ -18,7 +18,7 @@ from typing import Any
 from spiral.registry import told
 from spiral.storage import FILE, SavedRun, read_run, run_ids, to_json, write_whole
 from spiral.tracking import content
-from spiral.tracking.store import Store, Tracking, in_force, opened
+from spiral.tracking.store import Store, Tracking, in_force, opened, without_password
 
 MARK = "tracked.json"
 _BATCH = 100  # parameters or metrics in one call
@@ -66,7 +66,7 @@ def track(
     """
     if not tracking.enabled:
         return Tracked({})
-    uri, page = tracking.where(out), tracking.page(out)
+    uri, page = without_password(tracking.where(out)), tracking.page(out)
     runs: dict[str, str] = {}
     try:
         with opened(tracking, out) as store:
@@ -98,7 +98,7 @@ def _once(store: Store, tracking: Tracking, folder: Path) -> str:
     _remove_halves(store, folder.name)
     saved = read_run(folder / FILE)
     number = _log_study(store, saved, tracking.model)
-    write_whole(mark, to_json({"mlflow_run_id": number, "uri": store.uri}))
+    write_whole(mark, to_json({"mlflow_run_id": number, "uri": without_password(store.uri)}))
     return number
 
 

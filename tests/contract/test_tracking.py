@@ -213,6 +213,13 @@ def test_a_failed_job_is_a_failed_run_and_told_again_is_still_one(tmp_path):
     assert "holdout=2" in run.data.tags["spiral.error"]
 
 
+def test_a_password_is_never_shown():
+    store = Tracking(uri="postgresql+psycopg://me:secret@db.example:5432/mlflow")
+    assert "secret" not in store.page("runs")
+    assert store.where("runs").count("secret") == 1
+    assert "me:***@db.example:5432/mlflow" in store.page("runs")
+
+
 def test_names_and_values_fit_every_store():
     assert metric_name("t.cubic_stiffness@bearing_2.k") == "t.cubic_stiffness:bearing_2.k"
     flat = parameters({"a": {"b": [1, 2], "c": None}, "d": "x" * 9000})
