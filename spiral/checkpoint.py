@@ -94,6 +94,7 @@ def keeper(
         lock.release()
         Path(f"{place}.lock").unlink(missing_ok=True)
         _remove_empty(place.parent)
+        _remove_empty(place.parent.parent)  # made here, and nothing was saved
 
 
 def fingerprint(config: Mapping[str, Any], problem: Problem, registry: Registry) -> str:
