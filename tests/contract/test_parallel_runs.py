@@ -8,6 +8,8 @@ import pytest
 from spiral.jobs import planned
 from spiral.registry import load_registry
 from spiral.sweep import run_sweep
+from spiral.tracking.store import Tracking, opened
+from spiral.tracking.sweeps import SweepTracker
 from spiral.verbs import in_worker
 from tests.sweep_jobs import RECORD, without_clock
 
@@ -15,10 +17,44 @@ SEEDS = range(8)
 REPEATS = 20
 
 
+TRACKING = Tracking(model=False)
+
+
+@pytest.fixture(autouse=True)
+def untracked():
+    """These runs are tracked for real."""
+
+
 def swept(registry, out, n_jobs, told):
+    """The sweep, told to a database that is made by its first row."""
     words = [*RECORD, f"record.seed=range(0,{len(SEEDS)})", "candidates=[cubic_stiffness]"]
     plan = planned("discover", (), [*words, f"out={out}", f"n_jobs={n_jobs}"], None, registry)
-    return run_sweep(in_worker, plan, on_row=lambda *row: told.append(row))
+    tracker = SweepTracker(TRACKING, out, lambda message: None)
+
+    def on_row(*row):
+        told.append(row)
+        tracker.on_row(*row)
+
+    sweep = run_sweep(in_worker, plan, on_row=on_row)
+    assert tracker.finish().failure is None
+    return sweep
+
+
+def in_mlflow(out, sweep):
+    """Seed -> (saved run, test error, rounds) of every study that MLflow knows."""
+    with opened(TRACKING, out) as store:
+        found = store.client.search_runs([store.experiment], max_results=1000)
+        parents = {r.info.run_id: r for r in found if "spiral.run_id" in r.data.tags}
+        rounds = [r.data.tags.get("mlflow.parentRunId") for r in found]
+        assert {r.data.tags["spiral.sweep"] for r in parents.values()} == {sweep.sweep_id}
+        assert all(r.info.status == "FINISHED" for r in found)
+        assert len(found) == len(parents) + sum(rounds.count(p) for p in parents)
+    return {
+        int(r.data.params["record.seed"]): (
+            r.data.tags["spiral.run_id"], r.data.metrics["test_error"], rounds.count(number)
+        )
+        for number, r in parents.items()
+    }  # fmt: skip
 
 
 @pytest.mark.slow
@@ -47,3 +83,7 @@ def test_no_run_is_lost_or_mixed_up(tmp_path, monkeypatch, n_jobs):
         assert sorted((i, row.run_id) for _, i, row in told) == [
             (i, row.run_id) for i, row in enumerate(sweep.rows)
         ]
+        assert in_mlflow(f"repeat-{repeat}", sweep) == {
+            seed: (row.run_id, row.result["rounds"][-1]["test_error"], len(row.result["rounds"]))
+            for seed, row in zip(SEEDS, sweep.rows, strict=True)
+        }
