@@ -72,6 +72,8 @@ bench: warm ## Measure speed (benchmarks/)
 	@$(BIN)/python benchmarks/run.py
 	@echo "bench: benchmarks/sweep.py"
 	@$(BIN)/python benchmarks/sweep.py
+	@echo "bench: benchmarks/scaling.py"
+	@$(BIN)/python benchmarks/scaling.py
 
 # All four run even where an earlier one fails; the last line says which did.
 lint: setup ## Check format, rules, types and layers
