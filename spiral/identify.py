@@ -105,7 +105,6 @@ class Identification:
             "rank": found.rank,
             "columns": found.columns,
             "mu": found.mu,
-            "mu_raw": found.mu_raw,
             "coherence": found.coherence,
             "condition": found.condition,
             "aliases": [list(g) for g in self.aliases],

@@ -142,6 +142,8 @@ def _cells(row: Row) -> dict[str, str]:
         found["verdict"] = result["verdict"]
         found["effects"] = result["suggestions"][0]["effect"] if result["suggestions"] else ""
         found["test error"] = percent(result["comparison"]["test_error"])
+    elif "rank" in result:
+        found["verdict"] = f"{result['verdict']}: rank {result['rank']} of {result['columns']}"
     elif "test_error" in result:
         found["test error"] = percent(result["test_error"])
     if error and not found["verdict"]:

@@ -28,7 +28,6 @@ class Richness:
     samples : N, rows of the matrix. columns : p.
     gram : (p, p) normalised Gram matrix, unit-rms columns.
     mu : its smallest eigenvalue, the paper's mu_Phi of condition (C2); 0 where that is rounding.
-    mu_raw : the same of columns in their own units.
     condition : largest over smallest eigenvalue of the Gram matrix; infinite where mu is 0.
     coherence : largest entry of the Gram matrix off its diagonal, the mutual coherence.
     singular : (p,) singular values of unit-norm columns, largest first.
@@ -40,7 +39,6 @@ class Richness:
     samples: int
     gram: Array
     mu: float
-    mu_raw: float
     condition: float
     coherence: float
     singular: Array
@@ -87,13 +85,11 @@ def richness(phi: Array, disturbed: Array | None = None, least: float = 0.0) -> 
     kept: Array = np.sqrt(seen) > threshold
     gram = unit.T @ unit
     mu = _eigenvalue(singular)
-    raw = np.linalg.svd(np.linalg.qr(phi, mode="r"))[1]
     off = np.abs(gram - np.diag(np.diag(gram)))
     return Richness(
         samples=count,
         gram=gram,
         mu=mu,
-        mu_raw=_eigenvalue(raw) / count,
         condition=float(singular[0] ** 2 / mu) if mu > 0 else float("inf"),
         coherence=float(off.max()) if columns > 1 else 0.0,
         singular=singular,
