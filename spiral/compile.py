@@ -1,4 +1,4 @@
-"""Traced physics to compiled functions, cached on disk by the hash of their source.
+"""Traced physics to compiled functions, cached on disk by the hash of their equations.
 
 The generated module holds, with their Jacobians and without,
 
@@ -6,7 +6,9 @@ The generated module holds, with their Jacobians and without,
     output(x, u, p, y, C, D)    y = h,  C = h_x, D = h_p        output_value(x, u, p, y)
 
 with common subexpressions shared. It is written atomically under the user's cache folder, so
-processes started together do not disturb each other.
+processes started together do not disturb each other. Its name is the hash of f and h, from which
+all else follows, so that a known model is not differentiated again; its first line is the hash of
+the rest, so that a damaged file is written anew.
 """
 
 from __future__ import annotations
@@ -60,8 +62,7 @@ def cache_folder() -> Path:
 
 def compile_model(traced: Traced) -> Compiled:
     """Compile, or load from the cache."""
-    source = generate(traced)
-    module = _load(source)
+    module = _load(traced)
     return Compiled(traced, module.rate, module.output, module.rate_value, module.output_value)
 
 
@@ -110,12 +111,11 @@ def _function(name: str, traced: Traced, value: tuple[sp.Expr, ...], by_x: Any, 
     return "\n".join(lines)
 
 
-def _load(source: str) -> ModuleType:
-    digest = hashlib.sha256(source.encode()).hexdigest()[:24]
-    name = f"spiral_model_{digest}"
+def _load(traced: Traced) -> ModuleType:
+    name = f"spiral_model_{_digest(traced)}"
     if name in sys.modules:
         return sys.modules[name]
-    path = _written(name, source)
+    path = _kept(name) or _written(name, generate(traced))
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
@@ -129,17 +129,42 @@ def _load(source: str) -> ModuleType:
     return module
 
 
+def _digest(traced: Traced) -> str:
+    """Of everything that the generated code depends on."""
+    groups = (traced.x, traced.u, traced.p, traced.rate, traced.output)
+    words = [_VERSION, sp.__version__, *(sp.srepr(e) for group in groups for e in (*group, 0))]
+    return hashlib.sha256("\n".join(words).encode()).hexdigest()[:24]
+
+
+def _folders() -> tuple[Path, ...]:
+    return cache_folder(), Path(tempfile.gettempdir()) / f"spiral-{os.getuid()}"
+
+
+def _seal(source: str) -> str:
+    return f"# {hashlib.sha256(source.encode()).hexdigest()}\n"
+
+
+def _kept(name: str) -> Path | None:
+    """The module's file where an earlier study wrote it, whole."""
+    for folder in _folders():
+        try:
+            first, rest = (folder / f"{name}.py").read_text().split("\n", 1)
+        except (OSError, ValueError):
+            continue
+        if f"{first}\n" == _seal(rest):
+            return folder / f"{name}.py"
+    return None
+
+
 def _written(name: str, source: str) -> Path:
     """The module's file, written to a temporary name first and moved into place."""
-    for folder in (cache_folder(), Path(tempfile.gettempdir()) / f"spiral-{os.getuid()}"):
+    for folder in _folders():
         path = folder / f"{name}.py"
-        if path.exists() and path.read_text() == source:
-            return path
         try:
             folder.mkdir(parents=True, exist_ok=True)
             handle, temporary = tempfile.mkstemp(dir=folder, suffix=".tmp")
             with os.fdopen(handle, "w") as file:
-                file.write(source)
+                file.write(_seal(source) + source)
             os.replace(temporary, path)
         except OSError:
             continue
