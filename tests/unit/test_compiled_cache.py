@@ -16,6 +16,7 @@ def generated(tmp_path, monkeypatch):
     original = compiler.generate
     monkeypatch.setenv("SPIRAL_CACHE", str(tmp_path))
     monkeypatch.setattr(compiler, "generate", lambda t: count.append(1) or original(t))
+    forget(monkeypatch)
     return count
 
 
