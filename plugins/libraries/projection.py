@@ -24,13 +24,13 @@ class Projection(Library):
     Each term carries the coefficient that elimination predicts for it, and its formula. To order 1
     the paper's rotor gives stiffness, damping, cross-stiffness, the cubic spring, the unbalance and
     the gyroscopic term 1.778 I_p/m; to order 2 ``speed_stiffness`` joins, and the stiffnesses fall
-    by the hidden inertia.
+    by the hidden inertia; order 3 corrects the gyroscopic and the damping terms.
 
     Fields
     ------
     system : the whole machine, with its seed and nominal values.
     values : parameters that differ from its nominal ones, by full name.
-    order : time derivatives kept in the hidden states' dynamics, 0 to 2.
+    order : time derivatives kept in the hidden states' dynamics, 0 to 3.
     """
 
     system: System = TiltingRotor()

@@ -121,11 +121,30 @@ def test_the_second_order_is_the_hidden_inertia():
     assert second["speed_stiffness.coefficient"] < 0
 
 
+def test_the_third_order_is_the_low_frequency_limit_of_the_tilt():
+    """Gyroscopic: W T^T G T (1 + 2 w^2 I_d/K_hh) per unit of m + T^T I_d T, w^2 the stiffness/m.
+
+    For a rotor of one stiffness in both axes, where T = (4/3) J and everything is a number.
+    """
+    values, k, inertia, polar, m = {}, 2e4, 1.5532e-3, 3.1063e-3, 1.15
+    for i in (1, 2):
+        values |= {f"linear_stiffness@bearing_{i}.stiffness_{a}": k for a in "xy"}
+        values |= {f"linear_damping@bearing_{i}.damping_{a}": 0.0 for a in "xy"}
+        values[f"cross_stiffness@bearing_{i}.stiffness"] = 0.0
+        values[f"cross_damping@bearing_{i}.damping"] = 0.0
+    found = {t.key: t.predicted for t in Projection(values=values, order=3).terms(PlanarRotor())}
+    hidden = 2 * k * 0.1875**2  # K_hh; K_oo - K_oh T = k/2 (both bearings move by half of x)
+    square = 0.5 * k / m
+    leading = 16 / 9 * polar / m
+    expected = leading * (1 + 2 * square * inertia / hidden - 16 / 9 * inertia / m)
+    assert found["gyroscopic.coefficient"] == pytest.approx(expected, rel=1e-9)
+
+
 def test_a_projection_needs_something_hidden():
     with pytest.raises(ConfigError, match="some left to hide"):
         Projection(system=PlanarRotor()).terms(PlanarRotor())
     with pytest.raises(ConfigError, match="order"):
-        Projection(order=3).terms(PlanarRotor())
+        Projection(order=4).terms(PlanarRotor())
     assert Projection(system=TiltingRotor()).order == 1
 
 
