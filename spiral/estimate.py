@@ -240,7 +240,7 @@ def _baseline(parts: Sequence[Reconstructed], name: str) -> float | None:
 
 
 def _reached(part: Reconstructed, name: str) -> float | None:
-    """Seconds until the rms error over a tenth of a second first falls under 2 %."""
+    """Seconds until the rms error over the last tenth of a second first falls under 2 %."""
     truth, dt = part.record.truth[name], part.record.dt
     width = max(1, round(_WINDOW / dt))
     error = (part.found.state(name)[0] - truth) ** 2
@@ -250,7 +250,7 @@ def _reached(part: Reconstructed, name: str) -> float | None:
     with np.errstate(invalid="ignore"):
         rms = np.sqrt((sums[width:] - sums[:-width]) / width) / np.std(truth)
     below = np.flatnonzero(rms < _REACHED)
-    return float(below[0] * dt) if len(below) else None
+    return float((below[0] + width) * dt) if len(below) else None
 
 
 def _nees(task: Task, found: Reconstruction, first: int) -> Bounded | None:

@@ -11,7 +11,10 @@ knows no dynamics: the baseline that every observer is printed beside.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -53,10 +56,14 @@ def static_map(traced: Traced, values: Array) -> StaticMap | None:
 
 def _stiffness(traced: Traced, names: tuple[str, ...], values: Array) -> Array:
     """d balance / d q at rest, with all rates, accelerations and inputs at zero."""
+    with np.errstate(all="ignore"):
+        at_rest = _stiffness_function(traced, names)(*np.zeros(len(traced.x)), *values)
+    return np.array(at_rest, dtype=float)
+
+
+@lru_cache(maxsize=32)
+def _stiffness_function(traced: Traced, names: tuple[str, ...]) -> Callable[..., Any]:
     coordinates = [traced.x[traced.states.index(n)] for n in names]
     jacobian = sp.Matrix(traced.balance).jacobian(coordinates)
     still = dict.fromkeys((*traced.u, *traced.acceleration), 0)
-    function = sp.lambdify([*traced.x, *traced.p], jacobian.subs(still), "numpy")
-    with np.errstate(all="ignore"):
-        at_rest = function(*np.zeros(len(traced.x)), *values)
-    return np.array(at_rest, dtype=float)
+    return sp.lambdify([*traced.x, *traced.p], jacobian.subs(still), "numpy")

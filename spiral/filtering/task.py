@@ -89,20 +89,18 @@ def prepare_task(
     """
     compiled = compile_model(trace(model.system, model.effects))
     values = parameter_row(model)
-    mapping = static_map(compiled.traced, values)
-    return _task(model, compiled, values, mapping, record, start, inputs, substeps)
+    return _task(model, compiled, values, record, start, inputs, substeps)
 
 
 def with_record(task: Task, record: Record, start: Array | None = None) -> Task:
-    """The same model and values on another record; nothing is compiled again."""
-    return _task(task.model, task.compiled, task.values, task.static, record, start, None, None)
+    """The same model and values on another record, scales found anew; nothing is compiled again."""
+    return _task(task.model, task.compiled, task.values, record, start, None, None)
 
 
 def _task(
     model: Model,
     compiled: Compiled,
     values: Array,
-    mapping: StaticMap | None,
     record: Record,
     start: Array | None,
     inputs: Array | None,
@@ -111,6 +109,7 @@ def _task(
     if substeps is None:
         substeps = enough_substeps(compiled, values, prepare(model.system, record, 1))
     series = prepare(model.system, record, substeps)
+    mapping = static_map(compiled.traced, values)
     grid = series.inputs if inputs is None else inputs
     scales, rates = _scales(compiled, series, grid, values, mapping)
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)

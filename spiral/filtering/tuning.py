@@ -15,8 +15,8 @@ import numpy as np
 from spiral.record import Array
 
 LOWEST, HIGHEST = 1e-5, 10.0
-_GRID = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
-_EVALUATIONS = 24
+_GRID = (1e-4, 1e-2, 1e-1, 1.0)
+_EVALUATIONS = 20
 _ENOUGH = 0.5  # log-likelihood that is not worth another step
 _RUNAWAY = 1e6  # log-likelihood that a sample not reached costs
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from spiral.record import estimate_noise
-from spiral.statistics import paired_errors, spent, whiteness
+from spiral.statistics import ljung_box, paired_errors, spent, whiteness
 
 
 def test_whiteness_p_values_are_uniform_on_white_noise():
@@ -82,3 +82,12 @@ def test_noise_is_estimated_without_a_model(sigma):
     signal = 50 * sigma * np.sin(2 * np.pi * 15 * time)
     found = estimate_noise(signal + sigma * rng.normal(size=len(time)))
     assert found == pytest.approx(sigma, rel=0.05)
+
+
+def test_ljung_box_is_that_of_statsmodels():
+    from statsmodels.stats.diagnostic import acorr_ljungbox
+
+    values = np.cumsum(np.random.default_rng(2).normal(size=300)) * 0.1 + 3.0
+    for lags in (1, 7, 40):
+        expected = acorr_ljungbox(values, lags=[lags])["lb_stat"].iloc[0]
+        assert ljung_box(values, lags) == pytest.approx(expected, rel=1e-10)
