@@ -106,7 +106,7 @@ def _base(kind: str) -> Task:
 
 
 def task(case: Case, seed: int) -> Task:
-    """What the observer is given: a wrong model where the case says so, a start from N(truth, P0)."""
+    """What the observer is given: the model, wrong where asked, and a start from N(truth, P0)."""
     base = _base("soft" if case.kind == "soft" else "coastdown")
     rng = np.random.default_rng([seed, 77])
     if case.kind == "disturbed":

@@ -81,7 +81,7 @@ def main() -> None:
 
 def print_table(cases: list[Case], rows: list[dict[str, Any]]) -> None:
     """Median over seeds with the middle 80 %; errors of alpha / beta in %."""
-    print(f"\n{'':<28}{'observer':<11}{'alpha':>22}{'beta':>22}{'x':>7}{'static':>12}{'paper':>13}"
+    print(f"\n{'':<28}{'observer':<11}{'alpha':>25}{'beta':>25}{'x':>7}{'static':>14}{'paper':>13}"
           f"{'in 95 %':>9}{'NIS':>7}{'2 % after':>10}")  # fmt: skip
     for case in cases:
         for name in case.observers:
@@ -95,14 +95,16 @@ def _line(case: Case, mine: list[dict[str, Any]]) -> str:
 
     cells = [_spread(100 * over("relative", s)) for s in STATES]
     covered = np.mean([over("coverage_95", s) for s in STATES])
-    reached = np.nanmax([np.nanmedian(over("reached_2_percent_s", s)) for s in STATES] + [-1.0])
+    times = np.concatenate([over("reached_2_percent_s", s) for s in STATES])
+    reached = np.median(np.where(np.isfinite(times), times, np.inf))
     static = "/".join(f"{100 * np.median(over('static', s)):.2f}" for s in STATES)
     paper = "/".join(f"{100 * v:.1f}" for v in case.paper) if case.paper else "-"
     lost = sum(r["diverged"] for r in mine)
     return (
-        f"{cells[0]:>22}{cells[1]:>22}{100 * np.median(over('relative', 'x')):>7.2f}{static:>12}"
+        f"{cells[0]:>25}{cells[1]:>25}{100 * np.median(over('relative', 'x')):>7.2f}{static:>14}"
         f"{paper:>13}{100 * covered:>9.1f}{np.median([r['nis'] for r in mine]):>7.3f}"
-        f"{(f'{reached:.2f} s' if reached >= 0 else '-'):>10}" + (f"  {lost} lost" if lost else "")
+        f"{(f'{reached:.2f} s' if np.isfinite(reached) else '-'):>10}"
+        + (f"  {lost} lost" if lost else "")
     )
 
 
