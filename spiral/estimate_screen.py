@@ -39,6 +39,8 @@ def show(verb: str, outcome: Outcome) -> None:
     if fitted is not None:
         _heading(console, f"Model, fitted on windows of {fitted.horizon} samples")
         console.print(_parameters(fitted.model))
+        if fitted.untold:
+            console.print(Text(f"not told by these records: {', '.join(fitted.untold)}", "yellow"))
     _heading(console, f"States by {found.observer}, after the first second")
     console.print(_states(found))
     for part in found.parts:

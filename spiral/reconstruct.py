@@ -61,6 +61,7 @@ def _calibration_dict(fitted: Calibration) -> dict[str, Any]:
         "horizon": fitted.horizon,
         "chi2_per_dof": fitted.chi2_per_dof,
         "model": estimates_dict(fitted.model),
+        "not_identifiable": list(fitted.untold),
     }
 
 

@@ -102,6 +102,21 @@ def chosen_levels(
     return {k: float(v) for k, v in levels.items()}
 
 
+def smoothed(task: Task) -> Array:
+    """Smoothed states and tracked parameters (samples, N), the process noise tuned."""
+    from spiral.filtering.smoother import smooth
+
+    task, settings = prepared(task)
+    levels = chosen_levels(task, settings, None)
+    found = filtered(task, with_level(task, settings, levels), keep=True)
+    if found.done == task.series.samples:
+        smooth(
+            found.means, found.covariances, found.innovations, found.spreads, found.transitions,
+            found.gains, found.slopes,
+        )  # fmt: skip
+    return np.nan_to_num(found.means)
+
+
 def _doubts(task: Task, tracked: tuple[str, ...], given: Mapping[str, float]) -> Array:
     """First standard deviation of tracked parameters: an eighth turn, or a fifth of the value."""
     for name in given:

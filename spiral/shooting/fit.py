@@ -64,7 +64,7 @@ def fit(
         worth = max(_ENOUGH, _RELATIVE * cost)
         better, trial, promised = None, point, np.inf
         for _ in range(8):
-            step, promised = _step(reduction, columns, point, bounds, damping)
+            step, promised = damped_step(reduction, columns, point, bounds, damping)
             if promised < worth:
                 return Fitted.of(point, reduction, True, iteration)
             trial = _move(point, columns, reduction, step)
@@ -82,7 +82,7 @@ def fit(
     return Fitted.of(point, reduction, False, iterations)
 
 
-def _step(
+def damped_step(
     reduction: Reduction,
     columns: Columns,
     point: Point,

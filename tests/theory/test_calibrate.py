@@ -1,0 +1,65 @@
+"""Calibration on whole records, hidden states free: unbiased, with errors that mean something."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
+from spiral_plugins.systems.tilting_rotor import TiltingRotor
+
+from spiral.calibrate import calibrate, cramer_rao
+from spiral.model import seed_model
+from spiral.problem import Problem
+from spiral.simulate import with_defaults
+
+SYSTEM = TiltingRotor()
+TRUE = with_defaults(seed_model(SYSTEM))
+BEARINGS = tuple(k for k in TRUE.values if "@bearing" in k)
+
+
+def records(count=1, duration=14.0, **fields):
+    source = RotorCoastdown(duration=duration, **fields)
+    return tuple(replace(source, seed=s).load(SYSTEM)[0] for s in range(1, count + 1))
+
+
+def calibrated(share, seed, given, together=()):
+    """From a model whose bearing parameters are each wrong by the share, with random signs."""
+    signs = np.random.default_rng(seed).choice((-1.0, 1.0), len(BEARINGS))
+    if together:
+        signs[:] = 1.0
+    wrong = {k: TRUE.values[k] * (1 + share * s) for k, s in zip(BEARINGS, signs, strict=True)}
+    model = replace(TRUE, values={**TRUE.values, **wrong})
+    return calibrate(Problem(model, given, ()), together=together)
+
+
+def test_every_bearing_parameter_comes_back_from_ten_percent_off():
+    found = calibrated(0.1, 1, records())
+    assert found.converged
+    assert found.horizon == 14_000
+    bound = cramer_rao(Problem(TRUE, records(), ()))
+    z = {k: (found.model.values[k] - TRUE.values[k]) / bound[k] for k in found.model.errors}
+    assert set(BEARINGS) < set(z)
+    assert max(map(abs, z.values())) < 3
+    assert np.sqrt(np.mean(np.square(list(z.values())))) < 1.5
+    untold = {"cross_damping@bearing_1.damping", "cross_damping@bearing_2.damping"}
+    assert untold <= set(found.untold)  # what the record does not tell is said
+    assert "linear_stiffness@bearing_1.stiffness_x" not in found.untold
+
+
+def test_one_common_factor_is_found_a_hundred_times_better():
+    found = calibrated(0.2, 1, records(), together=BEARINGS)
+    factors = np.array([found.model.values[k] / TRUE.values[k] for k in BEARINGS])
+    assert np.ptp(factors) < 1e-12  # ratios kept
+    assert abs(factors[0] - 1) < 2e-3
+
+
+def test_bound_is_that_of_the_design_and_falls_with_records():
+    """Design, fact 7; four records of equal length halve every standard error."""
+    one, four = (cramer_rao(Problem(TRUE, records(n), ())) for n in (1, 4))
+    share = {k: one[k] / TRUE.values[k] for k in BEARINGS}
+    assert share["linear_stiffness@bearing_1.stiffness_x"] == pytest.approx(0.0126, rel=0.05)
+    assert share["cross_stiffness@bearing_1.stiffness"] == pytest.approx(0.08, rel=0.05)
+    assert share["cubic_stiffness@bearing_1.stiffness"] == pytest.approx(0.035, rel=0.05)
+    assert 0.17 < share["linear_damping@bearing_1.damping_x"] < 0.36
+    assert share["cross_damping@bearing_1.damping"] > 5
+    assert all(one[k] / four[k] == pytest.approx(2.0, rel=0.01) for k in BEARINGS)
