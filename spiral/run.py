@@ -94,7 +94,11 @@ class Suggestion:
 
 @dataclass(frozen=True)
 class Where:
-    """Where a model fails: ranges that hold most of the residual, and one sentence."""
+    """Where a model fails: ranges that hold most of the error, and one sentence.
+
+    The missing force follows ``state`` to the ``power`` (an angle: so many times per turn), which
+    explains the share ``follows`` of it; no state where none explains enough.
+    """
 
     channel: str | None = None
     sentence: str = ""
@@ -103,12 +107,18 @@ class Where:
     speed_rad_s: tuple[float, float] | None = None
     order: tuple[float, float] | None = None
     amplitude: tuple[float, float] | None = None
+    state: str | None = None
+    power: int | None = None
+    follows: float | None = None
+    channels: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
         ranges = ("time_s", "frequency_hz", "speed_rad_s", "order", "amplitude")
         found = {r: list(v) if (v := getattr(self, r)) else None for r in ranges}
-        return {**found, "channel": self.channel, "sentence": self.sentence}
+        what = {"state": self.state, "power": self.power, "follows": self.follows}
+        said = {"channel": self.channel, "channels": list(self.channels)}
+        return {**found, **what, **said, "sentence": self.sentence}
 
 
 @dataclass(frozen=True)

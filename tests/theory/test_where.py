@@ -1,0 +1,199 @@
+"""The sentence that says where a model fails, on machines whose fault is known."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from spiral_plugins.effects.dissipative import CoulombFriction
+from spiral_plugins.effects.restoring import ConstantLoad, CrossCoupledStiffness, CubicStiffness
+from spiral_plugins.effects.rotating import Crack
+from spiral_plugins.systems.oscillator import Oscillator
+from spiral_plugins.systems.planar_rotor import PlanarRotor
+
+from spiral.compare import last_stage, prepared
+from spiral.effect import Effect
+from spiral.evidence import all_samples
+from spiral.latent import latent_keys, missing_force, with_latent
+from spiral.model import seed_model
+from spiral.orders import first_order, full_spectrum, order_map
+from spiral.problem import Problem
+from spiral.simulate import simulate
+from spiral.where import where
+from tests.scenes import planar_record
+
+CRITICAL = 60 * np.sqrt([8085.0, 9672.0]) / (2 * np.pi)  # rpm, of x and of y
+
+
+@dataclass(frozen=True)
+class Case:
+    """A fault: effects of the truth and their values, or what is added to the channels.
+
+    ``rpm`` are the speeds that the named range must lie about; None where all speeds fail.
+    """
+
+    rpm: tuple[float, float] | None
+    order: int | None
+    state: str | None
+    power: int | None
+    words: tuple[str, ...]
+    effects: tuple[Effect, ...] = ()
+    values: dict | None = None
+    known: tuple[Effect, ...] = ()
+    sensor: dict | None = None
+    hertz: tuple[float, float] = (27.0, 5.0)
+
+
+CASES = {
+    "cubic_stiffness": Case(
+        tuple(CRITICAL), 1, "x|y", 3, ("order 1", "amplitude cubed", "both channels"),
+        (CubicStiffness(),), {"cubic_stiffness.stiffness": 3e10},
+    ),
+    "crack": Case(
+        tuple(CRITICAL / 2), 2, "phase", 2, ("order 2", "twice per turn"),
+        (ConstantLoad(), Crack()),
+        {"constant_load.force_x": 0.0, "constant_load.force_y": -9.81, "crack.cosine": 300.0,
+         "crack.sine": 0.0},
+        (ConstantLoad(),), hertz=(12.0, 5.0),
+    ),
+    "coulomb_friction": Case(
+        tuple(CRITICAL), 1, "x_rate|y_rate", 0,
+        ("order 1", "direction of velocity", "both channels"),
+        (CoulombFriction(),),
+        {"coulomb_friction.level_x": 0.02, "coulomb_friction.level_y": 0.02,
+         "coulomb_friction.width": 1e-4},
+    ),
+    "mains_hum": Case(
+        None, None, None, None, ("all speeds", "at 50 Hz", "no single state", "channel x"),
+        sensor={"x": lambda t, a: 4e-6 * np.cos(2 * np.pi * 50 * t)},
+    ),
+    "runout": Case(
+        None, 1, "phase", 1, ("all speeds", "order 1", "once per turn", "both channels"),
+        sensor={"x": lambda t, a: 1e-5 * np.cos(a + 1), "y": lambda t, a: 1e-5 * np.sin(a + 1)},
+    ),
+    "cross_coupled_stiffness": Case(
+        tuple(CRITICAL), 1, "x|y", 1, ("order 1", "the force on", "following the displacement"),
+        (CrossCoupledStiffness(),), {"cross_coupled_stiffness.stiffness": 120.0},
+    ),
+}  # fmt: skip
+
+
+def faulty(case):
+    record = planar_record(1, case.effects, case.values, duration=12.0, hertz=case.hertz)
+    added = {k: v(record.time, record.inputs["phase"]) for k, v in (case.sensor or {}).items()}
+    return replace(record, channels={k: v + added.get(k, 0) for k, v in record.channels.items()})
+
+
+QUICK = ("cubic_stiffness", "mains_hum")
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in CASES]
+)
+def test_the_sentence_names_speed_order_and_state(name):
+    case = CASES[name]
+    model = seed_model(PlanarRotor(), case.known)
+    assembly, standing = prepared(Problem(model, (faulty(case),), ()), ())
+    found = where(assembly, last_stage(assembly, standing, all_samples(assembly)))
+    if case.rpm is None:
+        assert found.speed_rad_s is None
+    else:
+        low, high = np.array(found.speed_rad_s) * 30 / np.pi
+        assert low < max(case.rpm)
+        assert high > min(case.rpm)
+        assert np.mean((low, high)) == pytest.approx(np.mean(case.rpm), rel=0.2)
+        assert high - low < 0.5 * np.mean(case.rpm)
+    order = None if found.order is None else round(np.mean(found.order))
+    assert order == case.order
+    assert found.state is None if case.state is None else found.state in case.state.split("|")
+    assert found.power == case.power
+    assert [w for w in case.words if w not in found.sentence] == []
+
+
+def test_noise_alone_has_no_sentence_about_speed():
+    record = planar_record(3, duration=4.0)
+    assembly, standing = prepared(Problem(seed_model(PlanarRotor()), (record,), ()), ())
+    found = where(assembly, last_stage(assembly, standing, all_samples(assembly)))
+    assert found.sentence == "The residual is at the level of the noise everywhere."
+    assert found.speed_rad_s is found.order is found.state is None
+
+
+OSCILLATOR = {"system.mass": 2.0, "linear_stiffness.stiffness": 800.0,
+              "linear_damping.damping": 1.6}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """An oscillator on which a random walk acts that its model does not know, in N."""
+    model = seed_model(Oscillator(), values=OSCILLATOR)
+    rng = np.random.default_rng(4)
+    time = 0.005 * np.arange(6000)
+    force = np.cumsum(rng.normal(0.0, 0.1, len(time)))
+    record = simulate(model, time, {"force": force}, 0.02, rng)
+    return model, replace(record, inputs={"force": np.zeros(len(time))}), force
+
+
+def test_the_missing_force_lies_in_its_band_as_often_as_the_band_says(walked):
+    model, record, force = walked
+    found = missing_force(model, record)
+    inner = slice(100, -100)
+    error = (found.force[:, 0] - force)[inner]
+    inside = np.mean(np.abs(error) < 1.96 * found.deviation[inner, 0])
+    assert 0.92 < inside < 0.98
+    assert np.sqrt(np.mean(error**2)) < 0.1 * np.std(force)
+    assert found.unit == "N"
+    assert found.axes == ("x",)
+
+
+def test_a_right_model_lacks_no_force(walked):
+    model, record, force = walked
+    found = missing_force(model, replace(record, inputs={"force": force}))
+    assert np.mean(np.abs(found.force)) < 0.01 * np.std(force)
+
+
+def test_the_force_of_a_known_load_is_found_in_its_unit():
+    """m x'' + c x' + k x = 0 pulled aside by 5 N: the smoothed force is 5 N all along."""
+    model = seed_model(Oscillator(), values=OSCILLATOR)
+    time = 0.005 * np.arange(2000)
+    record = simulate(model, time, {"force": np.full(len(time), 5.0)}, 0.01)
+    found = missing_force(model, replace(record, inputs={"force": np.zeros(len(time))}))
+    assert found.force[200:-200, 0] == pytest.approx(5.0, rel=0.02)
+
+
+def test_a_model_with_the_unknown_force_keeps_its_own_parameters():
+    model = seed_model(Oscillator(), values=OSCILLATOR)
+    wide = with_latent(model)
+    assert latent_keys(wide) == ("latent_force.force",)
+    assert {k: wide.values[k] for k in OSCILLATOR} == OSCILLATOR
+
+
+def test_an_order_stays_one_line_while_the_speed_moves():
+    """cos 2 theta over a sweep: all of its power in order 2, half the amplitude's square."""
+    time = 1e-3 * np.arange(8000)
+    speed = 2 * np.pi * (30.0 - 2.5 * time)
+    phase = 2 * np.pi * (30.0 * time - 1.25 * time**2)
+    found = order_map(3.0 * np.cos(2 * phase)[:, None], phase, speed, 1e-3)
+    peak = found.axis[np.argmax(found.power, axis=1)]
+    assert np.all(peak == 2.0)
+    assert found.power.max(axis=1) == pytest.approx(4.5, rel=0.02)
+    assert found.at[0] > found.at[-1]
+
+
+def test_first_order_gives_amplitude_and_lag():
+    """A cos(theta - lag) has amplitude A and that lag, in degrees behind the mark."""
+    time = 1e-3 * np.arange(6000)
+    phase = 2 * np.pi * 20.0 * time
+    y = np.column_stack([2.0 * np.cos(phase - 0.5), 1.0 + np.sin(phase)])
+    found = first_order(y, phase, np.full(6000, 40 * np.pi), turns=6)
+    assert np.abs(found.amplitude) == pytest.approx(np.tile([2.0, 1.0], (len(found.speed), 1)))
+    assert found.lag[:, 0] == pytest.approx(np.degrees(0.5))
+    assert found.lag[:, 1] == pytest.approx(90.0)
+
+
+@pytest.mark.parametrize("backward", [False, True])
+def test_forward_whirl_stands_at_positive_frequency(backward):
+    turn = -1.0 if backward else 1.0
+    time = 1e-3 * np.arange(4096)
+    angle = turn * 2 * np.pi * 125.0 * time
+    frequency, amplitude = full_spectrum(np.cos(angle), np.sin(angle), 1e-3, backward)
+    assert frequency[np.argmax(amplitude)] == pytest.approx(125.0)
+    assert amplitude.max() == pytest.approx(1.0, rel=1e-2)
