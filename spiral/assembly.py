@@ -10,20 +10,24 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import sympy as sp
 
 from spiral.compile import compile_model
 from spiral.effect import Effect
 from spiral.model import Model
+from spiral.port import Port
 from spiral.problem import Problem
 from spiral.record import Array, Record
 from spiral.rest import check_rest
 from spiral.shooting.series import prepare
 from spiral.shooting.start import motion
 from spiral.shooting.study import Columns, Study, columns_for
-from spiral.trace import trace
+from spiral.system import MechanicalSystem, System
+from spiral.trace import Traced, trace
 
 ORIGIN = "system.phase_origin"
 
@@ -110,37 +114,34 @@ def _variants(model: Model, effect: Effect, extremes: Mapping[str, float]) -> li
 
 def _extremes(model: Model, records: tuple[Record, ...]) -> dict[str, float]:
     """Largest position and velocity seen at every port, from smoothed measurements."""
-    import sympy as sp
-
-    from spiral.system import MechanicalSystem
-
     system = model.system
-    if not isinstance(system, MechanicalSystem):
-        return {}
     compiled = compile_model(trace(system, ()))
     series = tuple(prepare(system, r, 1) for r in records)
     study = Study(compiled, series)
     states = np.concatenate([motion(study, s, 11).states for s in series])
-    traced = compiled.traced
-    from types import SimpleNamespace
-
-    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    p = SimpleNamespace(
-        **{k.split(".", 1)[1]: sp.Float(v.start or 1.0) for k, v in
-           zip(traced.keys, traced.parameters, strict=True)}
-    )  # fmt: skip
-    q, v = system.split(x)
     found = {}
     for port in system.ports:
-        position = sp.Matrix(port.coordinates(q, p))
-        jacobian = position.jacobian([getattr(q, c.name) for c in system.coordinates])
-        velocity = jacobian * sp.Matrix([getattr(v, c.name) for c in system.coordinates])
-        for kind, vector in (("position", position), ("velocity", velocity)):
-            values = sp.lambdify(traced.x, list(sp.flatten(vector)), "numpy")(*states.T)
+        for kind, expressions in _at_port(system, port, compiled.traced):
+            values = sp.lambdify(compiled.traced.x, expressions, "numpy")(*states.T)
             found[f"{port.name}.{kind}"] = max(
                 float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
             )
     return found
+
+
+def _at_port(system: System, port: Port, traced: Traced) -> list[tuple[str, list[Any]]]:
+    """A port's position, and in a mechanical system its velocity, as expressions of the states."""
+    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
+    own = zip(traced.keys, traced.parameters, strict=True)
+    p = SimpleNamespace(**{k.split(".", 1)[1]: sp.Float(v.start or 1.0) for k, v in own})
+    if not isinstance(system, MechanicalSystem):
+        return [("position", list(port.coordinates(x, p)))]
+    q, v = system.split(x)
+    position = sp.Matrix(port.coordinates(q, p))
+    names = [c.name for c in system.coordinates]
+    velocity = position.jacobian([getattr(q, n) for n in names])
+    velocity = velocity * sp.Matrix([getattr(v, n) for n in names])
+    return [("position", sp.flatten(position)), ("velocity", sp.flatten(velocity))]
 
 
 # --- columns -------------------------------------------------------------------------------------

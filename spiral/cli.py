@@ -210,9 +210,12 @@ def _tracked(outcome: Outcome) -> Tracked | None:
     from spiral.tracking.track import track
 
     config = outcome.parts["config"]
+    tracking = tracking_of(config)
+    if not tracking.enabled:
+        return None
     with terminal.progress() as tell:
         tell("telling MLflow")
-        return track(tracking_of(config), config["out"], (outcome.result["run_id"],))
+        return track(tracking, config["out"], (outcome.result["run_id"],))
 
 
 def _say_tracked(tracked: Tracked | None, target: str | None) -> None:

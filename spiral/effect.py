@@ -20,6 +20,7 @@ class Effect(Plugin):
     states : states of its own (a lag, a hidden mode); their rates come from ``rate``.
     axes : how many axes its port must have; ``None`` takes any number.
     inputs : inputs it reads from ``u`` (``speed``, ``phase``).
+    channels : states that the system must have, by name; none where any system will do.
     bare : a monomial of a library without a physical name; no candidate unless it is asked for.
 
     Fields
@@ -33,6 +34,7 @@ class Effect(Plugin):
     states: ClassVar[tuple[State, ...]] = ()
     axes: ClassVar[int | None] = None
     inputs: ClassVar[tuple[str, ...]] = ()
+    channels: ClassVar[tuple[str, ...]] = ()
     bare: ClassVar[bool] = False
 
     port: str = ""

@@ -61,11 +61,16 @@ class Parameter:
 
 @dataclass(frozen=True)
 class State:
-    """A state of a system, or of an effect that brings its own (``per_axis`` then counts axes)."""
+    """A state of a system, or of an effect that brings its own (``per_axis`` then counts axes).
+
+    ``like`` names a measured state whose values are a first guess for this hidden one; without it
+    a fit begins at zero.
+    """
 
     name: str
     unit: str
     per_axis: bool = False
+    like: str = ""
 
     def __post_init__(self) -> None:
         _check_name("state", self.name)

@@ -114,6 +114,9 @@ def read_text(
             "as many cells in every row",
             f"it was read as: {found.in_words()}; correct with record.separator and record.decimal",
         ) from error
+    filled = frame.notna().any(axis=1).to_numpy()
+    if filled.any():  # blank lines at the end are no rows
+        frame = frame.iloc[: len(filled) - int(filled[::-1].argmax())]
     words = found.in_words() + {"utf-16": ", UTF-16", "cp1252": ", Latin-1"}.get(encoding, "")
     if head.startswith(codecs.BOM_UTF8):
         words += ", byte order mark left out"

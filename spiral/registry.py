@@ -131,14 +131,14 @@ class Registry:
 
     def candidates(self, system: System) -> tuple[Effect, ...]:
         """Every effect with a physical name that fits the system's first port."""
-        from spiral.effect import ForceEffect, SensorEffect
+        from spiral.effect import FlowEffect, ForceEffect, SensorEffect
         from spiral.trace import check_effect
         from spiral.units import units_fit
 
         found: list[Effect] = []
         for name in self.names("effect"):
             plugin = self.entry("effect", name).plugin
-            if not issubclass(plugin, ForceEffect | SensorEffect) or plugin.bare:
+            if not issubclass(plugin, ForceEffect | SensorEffect | FlowEffect) or plugin.bare:
                 continue
             effect = plugin()
             try:

@@ -42,26 +42,33 @@ class Traced:
     output: tuple[sp.Expr, ...]
     balance: tuple[sp.Expr, ...]
     acceleration: tuple[sp.Symbol, ...]
+    like: tuple[tuple[str, str], ...] = ()
 
     @cached_property
     def rate_x(self) -> sp.Matrix:
         """f_x, n x n."""
-        return sp.Matrix(self.rate).jacobian(list(self.x))
+        return _jacobian(self.rate, self.x)
 
     @cached_property
     def rate_p(self) -> sp.Matrix:
         """f_p, n x number of parameters."""
-        return sp.Matrix(self.rate).jacobian(list(self.p))
+        return _jacobian(self.rate, self.p)
 
     @cached_property
     def output_x(self) -> sp.Matrix:
         """h_x, channels x n."""
-        return sp.Matrix(self.output).jacobian(list(self.x))
+        return _jacobian(self.output, self.x)
 
     @cached_property
     def output_p(self) -> sp.Matrix:
         """h_p, channels x number of parameters."""
-        return sp.Matrix(self.output).jacobian(list(self.p))
+        return _jacobian(self.output, self.p)
+
+
+def _jacobian(values: tuple[sp.Expr, ...], symbols: tuple[sp.Symbol, ...]) -> sp.Matrix:
+    if not symbols:
+        return sp.zeros(len(values), 0)
+    return sp.Matrix(values).jacobian(list(symbols))
 
 
 @dataclass(frozen=True)
@@ -92,6 +99,13 @@ def check_effect(system: System, effect: Effect) -> Port:
             f"a port with {effect.axes} axes",
             "choose an effect for one axis, or a system with two",
         )
+    if isinstance(effect, ForceEffect) and not isinstance(system, MechanicalSystem):
+        raise ConfigError(
+            f"effect {effect.label!r}, a force, with system {system.plugin_name()!r}",
+            "a mechanical system, or an effect that is a flow",
+            "spiral plugins effect lists them",
+        )
+    _check_channels(system, effect)
     have = [i.name for i in system.inputs]
     for name in effect.inputs:
         if name not in have and name.removesuffix("_rate") not in have:
@@ -101,6 +115,17 @@ def check_effect(system: System, effect: Effect) -> Port:
                 did_you_mean(name, have),
             )
     return port
+
+
+def _check_channels(system: System, effect: Effect) -> None:
+    have = [s.name for s in system.states]
+    for name in effect.channels:
+        if name not in have:
+            raise ConfigError(
+                f"effect {effect.label!r} with system {system.plugin_name()!r}",
+                f"a system with the state {name!r}; this one has: {', '.join(have)}",
+                did_you_mean(name, have),
+            )
 
 
 def trace(
@@ -149,6 +174,7 @@ def trace(
         output=tuple(output),
         acceleration=acceleration,
         balance=balance,
+        like=tuple((s.name, s.like) for s in system.states if s.like),
     )
 
 

@@ -34,7 +34,8 @@ class Motion:
 def motion(study: Study, series: Series, window: int) -> Motion:
     """Local polynomials of degree 3 (Savitzky-Golay) through the measured coordinates.
 
-    A state that is not measured, nor the rate of one that is, is taken as zero.
+    A state that is not measured, nor the rate of one that is, is taken as zero, or as the measured
+    one that it is said to be like.
     """
     from scipy.signal import savgol_filter
 
@@ -51,6 +52,8 @@ def motion(study: Study, series: Series, window: int) -> Motion:
         if f"{name}_rate" in traced.states:
             states[:, traced.states.index(f"{name}_rate")] = smooth[1]
             acceleration[:, traced.states.index(name)] = smooth[2]
+    for name, measured in traced.like:
+        states[:, traced.states.index(name)] = states[:, traced.states.index(measured)]
     return Motion(states, acceleration)
 
 

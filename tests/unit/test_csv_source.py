@@ -78,6 +78,16 @@ def test_rate_rows_and_trailing_comma(tmp_path):
     np.testing.assert_allclose(record.time, 0.01 * np.arange(100))
 
 
+def test_blank_lines_at_the_end_are_no_rows(tmp_path):
+    path = write(tmp_path / "a.csv", columns())
+    whole = load(path=path)[0]
+    with open(path, "a") as file:
+        file.write(",,\n\n\n")
+    blank = load(path=path)[0]
+    assert blank.samples == whole.samples == COUNT
+    assert blank.sha256 == whole.sha256
+
+
 def test_several_files_are_several_records(tmp_path):
     paths = [write(tmp_path / f"{n}.csv", columns(seed=n)) for n in (1, 2)]
     first, second = load(path=paths, noise={"x": 0.5})

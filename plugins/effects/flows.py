@@ -1,0 +1,91 @@
+"""Flows into, between and out of tanks, and a level sensor that clips.
+
+Levels are in the unit of the level sensor. After M. Schoukens, P. Mattsson, T. Wigren, J.-P. Noel,
+"Cascaded tanks benchmark combining soft and hard nonlinearities" (2016).
+"""
+
+from __future__ import annotations
+
+from spiral.effect import FlowEffect, SensorEffect
+from spiral.math import maximum, sqrt
+from spiral.parameter import Parameter
+
+
+class Pump(FlowEffect):
+    """A pump that fills the upper tank: x1' = k u."""
+
+    channels = ("upper",)
+    inputs = ("pump",)
+    parameters = (Parameter("gain", "1/s", lower=0.0, start=0.04),)
+
+    def flow(self, x, u, p):
+        """The flow k u into the upper tank."""
+        return {"upper": p.gain * u.pump}
+
+
+class Outlets(FlowEffect):
+    """Holes in the bottom of both tanks: x1' = -k1 sqrt(x1), x2' = k1 sqrt(x1) - k2 sqrt(x2).
+
+    Torricelli's law. The root is rounded off near an empty tank, x/(x^2 + w^2)^(1/4), so that a
+    level may touch zero.
+    """
+
+    channels = ("upper", "lower")
+    parameters = (
+        Parameter("upper", "position^0.5/s", lower=0.0, start=0.05),
+        Parameter("lower", "position^0.5/s", lower=0.0, start=0.05),
+        Parameter("width", "position", lower=0.0, start=0.1, role="shape"),
+    )
+
+    def flow(self, x, u, p):
+        """What leaves the upper tank enters the lower one."""
+        down = p.upper * _root(x.upper, p.width)
+        return {"upper": -down, "lower": down - p.lower * _root(x.lower, p.width)}
+
+
+def _root(level, width):
+    return level / sqrt(sqrt(level * level + width * width))
+
+
+class Overflow(FlowEffect):
+    """Above its rim the upper tank spills, and part of that falls into the lower one.
+
+    x1' = ... - spilled (x1 - r)_+ and x2' = ... + caught (x1 - r)_+, with the rim at r.
+    """
+
+    channels = ("upper", "lower")
+    parameters = (
+        Parameter("spilled", "1/s", lower=0.0),
+        Parameter("caught", "1/s", lower=0.0),
+        Parameter("rim", "position", lower=0.0, role="shape", grid=(0.5, 0.6, 0.7, 0.8, 0.9, 1.0)),
+    )
+
+    def flow(self, x, u, p):
+        """-spilled (x1 - r)_+ and +caught (x1 - r)_+."""
+        above = maximum(x.upper - p.rim, 0 * p.rim)
+        return {"upper": -p.spilled * above, "lower": p.caught * above}
+
+
+class LinearLoss(FlowEffect):
+    """A seepage in proportion to the level of each tank: x' = ... - c x."""
+
+    channels = ("upper", "lower")
+    parameters = (Parameter("upper", "1/s", lower=0.0), Parameter("lower", "1/s", lower=0.0))
+
+    def flow(self, x, u, p):
+        """-c1 x1 and -c2 x2."""
+        return {"upper": -p.upper * x.upper, "lower": -p.lower * x.lower}
+
+
+class SensorSaturation(SensorEffect):
+    """A level sensor that follows less above its limit: y - s (y - l)_+, s = 1 a hard stop."""
+
+    channels = ("lower",)
+    parameters = (
+        Parameter("share", "", lower=0.0, upper=1.0),
+        Parameter("limit", "position", lower=0.0, role="shape", grid=(0.9, 0.95, 0.98)),
+    )
+
+    def reading(self, y, at, u, p):
+        """The reading y - s (y - l)_+."""
+        return [value - p.share * maximum(value - p.limit, 0 * p.limit) for value in y]
