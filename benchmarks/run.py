@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 
 def best(work: Callable[[], object], repeats: int = 5) -> float:
@@ -145,7 +146,9 @@ def main() -> None:
     """Print the table."""
     unit = reference()
     print(f"{'reference: QR of 28 000 x 49':<58}{unit:>9.3f} s{1.0:>9.2f}")
-    for name, seconds, target in (*passes(), *commands()):
+    from benchmarks.filters import filters, sweeps
+
+    for name, seconds, target in (*passes(), *filters(best), *commands(), *sweeps()):
         print(f"{name:<58}{seconds:>9.3f} s{seconds / unit:>9.2f}  {target}")
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from spiral.errors import ConfigError, did_you_mean
-from spiral.filtering.task import Task
+from spiral.filtering.task import Task, compiled_for
 from spiral.observer import Reconstruction
 from spiral.record import Array
 
@@ -71,6 +71,9 @@ def filtered(
     from spiral.filtering.kernel import EXACT, SECOND_ORDER, extended
 
     tracked = tracked_indices(task, settings.tracked)
+    known = dict(task.model.pairs)
+    own = all(known[k].scope == "record" for k in settings.tracked)
+    compiled = task.compiled if own else compiled_for(task.compiled.traced)
     y = task.series.y if samples is None else task.series.y[:samples]
     count, m = y.shape
     size = len(settings.start) + len(tracked)
@@ -82,7 +85,7 @@ def filtered(
         np.empty((kept, size, m)), np.empty((kept, m, size)),
     )  # fmt: skip
     likelihood, done = extended(
-        task.compiled.rate, task.compiled.output,
+        compiled.rate, compiled.output,
         np.concatenate([settings.start, task.values[tracked]]),
         block_diagonal(settings.covariance, settings.doubt**2),
         task.values.copy(), tracked, task.inputs, task.series.substeps, task.series.dt,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from spiral.shooting.kernel import trajectories
 from spiral.shooting.series import Series, prepare
 from spiral.shooting.start import motion
 from spiral.shooting.study import Study
-from spiral.trace import trace
+from spiral.trace import Traced, trace
 
 _STEP = 0.7  # largest phase advance per Runge-Kutta step, rad
 _QUIET = 1e-9  # share of the measured deviation under which a free run says nothing
@@ -32,6 +33,7 @@ _QUIET = 1e-9  # share of the measured deviation under which a free run says not
 class Task:
     """One record to be reconstructed.
 
+    ``compiled`` has derivatives for the record's own parameters only (see ``compiled_for``);
     ``values`` (parameters,); ``inputs`` on the half-step grid; ``start`` and ``spread`` (n,) mean
     and standard deviation before the first sample; ``scales`` and ``rates`` (n,) the settled
     standard deviations of states and of their rates; ``static`` the static map, where there is one.
@@ -87,9 +89,17 @@ def prepare_task(
     ------
     ConfigError : a parameter without a value.
     """
-    compiled = compile_model(trace(model.system, model.effects))
+    traced = trace(model.system, model.effects)
+    own = tuple(k for k, p in model.pairs if p.scope == "record")
+    compiled = compiled_for(traced, own)
     values = parameter_row(model)
     return _task(model, compiled, values, record, start, inputs, substeps)
+
+
+@lru_cache(maxsize=16)
+def compiled_for(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled:
+    """A model with derivatives for some parameters or all, compiled once in a process."""
+    return compile_model(traced, by)
 
 
 def with_record(task: Task, record: Record, start: Array | None = None) -> Task:
