@@ -9,7 +9,7 @@ come from the traced physics, never from a second copy of an equation.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,12 +33,14 @@ class Signatures:
     columns : (n, N, p) values of the columns at the samples, in the unit of a row's rate per
         that of the coefficient.
     left_out : effect -> why it has no column here.
+    shapes : the shapes (gaps, widths) at which columns were taken, by full name.
     """
 
     keys: tuple[str, ...]
     rows: tuple[str, ...]
     columns: Array
     left_out: Mapping[str, str]
+    shapes: Mapping[str, float]
 
     @property
     def stacked(self) -> Array:
@@ -53,7 +55,7 @@ class Signatures:
     def only(self, keys: tuple[str, ...]) -> Signatures:
         """These columns alone, in this order."""
         index = [self.keys.index(k) for k in keys]
-        return Signatures(keys, self.rows, self.columns[:, :, index], self.left_out)
+        return replace(self, keys=keys, columns=self.columns[:, :, index])
 
 
 def owner_of(key: str) -> str:
@@ -102,12 +104,13 @@ def signatures(
             kept.append(effect)
     traced = trace(system, tuple(kept))
     rows = equation_rows(system)
-    values = {**_shapes(traced, system, states), **model.values}
+    shapes = _shapes(traced, system, states)
+    values = {**shapes, **model.values}
     keys, columns = _columns(traced, rows, values, states, _inputs(system, record))
     for effect in kept:
         if not any(owner_of(k) == effect.label for k in keys):
             left_out[effect.label] = "no force anywhere along the record"
-    return Signatures(keys, rows, columns, left_out)
+    return Signatures(keys, rows, columns, left_out, shapes)
 
 
 def _unseen(system: System, effect: Effect, states: Mapping[str, Array]) -> str:
