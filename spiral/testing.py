@@ -12,11 +12,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from spiral import conformance as look
-from spiral import probe
+from spiral import probe, rehearsal
 from spiral.derivative import Derivative
 from spiral.effect import Effect, FlowEffect, ForceEffect
 from spiral.errors import ConfigError, InputError, PluginError, SpiralError
 from spiral.fields import construct, field_names, plain
+from spiral.gate import Gate
+from spiral.learner import Learner
+from spiral.library import Library
 from spiral.plugin import Plugin
 from spiral.record import Record
 from spiral.registry import told
@@ -152,10 +155,30 @@ def check_derivative(derivative: Derivative) -> list[Check]:
     )
 
 
+def check_evidence(plugin: Plugin, registry: Registry) -> list[Check]:
+    """A learner, a library or a gate: what it is for, and that it repeats itself."""
+    steps: list[Step] = [
+        ("docstring", lambda: look.docstring(plugin), _SAY),
+        ("fields", lambda: _fields(plugin), "fields of plain values, each with a default"),
+    ]
+    if isinstance(plugin, Learner):
+        steps.append(("learns", lambda: rehearsal.learns(plugin), "scaled inputs and outputs"))
+        steps.append(("repeatable", lambda: rehearsal.learns_again(plugin), "use the seed given"))
+    elif isinstance(plugin, Library):
+        systems = [registry.make("system", name) for name in registry.names("system")]
+        steps.append(("terms", lambda: rehearsal.terms_fit(plugin, systems), _UNITS))
+    elif isinstance(plugin, Gate):
+        steps.append(("judges", lambda: rehearsal.judges(plugin), "indices of trial.kept"))
+        steps.append(("log", lambda: rehearsal.logs_plainly(plugin), "float(...) of NumPy numbers"))
+    return _run(plugin.plugin_name(), steps)
+
+
 def check_plugin(entry: Entry, registry: Registry) -> list[Check]:
     """A registered plugin: an effect on every system that it fits, a source for every system."""
     if entry.kind == "derivative":
         return check_derivative(registry.make("derivative", entry.name))
+    if entry.kind in ("learner", "gate", "library"):
+        return check_evidence(registry.make(entry.kind, entry.name), registry)
     if entry.kind == "system":
         return check_system(registry.make("system", entry.name))
     systems = [registry.make("system", name) for name in registry.names("system")]

@@ -40,9 +40,9 @@ class PartialF(Gate):
 
 
 class ValidationRollback(Gate):
-    """The batch is discarded where the RMSE on the validation samples does not fall.
+    """The batch is discarded where RMSE = sqrt(mean (z - X b)^2) rises on the validation samples.
 
-    RMSE of z less each model, both fitted to the training samples.
+    Both models are fitted to the training samples.
     """
 
     def judge(self, trial: Trial) -> Judgement:
@@ -58,7 +58,7 @@ class ValidationRollback(Gate):
 
 
 class KfoldMajority(Gate):
-    """Refinement 2: a term passes where partial F and validation RMSE agree in most of K folds.
+    """Refinement 2: K = 7 folds; a term passes where partial F and RMSE agree in most of them.
 
     In each fold the batch is fitted to the other folds' training samples, with and without the
     term: its partial F must be significant there and the RMSE on the fold must not rise. Folds

@@ -53,7 +53,7 @@ class BonferroniT(Gate):
 
 
 class CorrelationCluster(Gate):
-    """Refinement 1: of terms with |rho| > 0.7 only the strongest is carried on.
+    """Refinement 1: of terms with |rho| > 0.7 only the strongest, m = argmax gain, is carried on.
 
     rho is the correlation of two columns on the training samples; clusters are its connected
     components. The strongest is the term that alone lowers the training sum of squares most,
@@ -112,7 +112,7 @@ def _alone(trial: Trial) -> dict[int, float]:
 
 
 class Contribution(Gate):
-    """Refinement 3: a term whose |theta| RMS(phi) is negligible against RMS(r) is refused.
+    """Refinement 3: a term is refused where s = |theta| RMS(phi) / RMS(r) is negligible.
 
     theta from the joint fit with the current model on the training samples, r the current residual
     there; scale-invariant.

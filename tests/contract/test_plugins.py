@@ -26,6 +26,16 @@ def test_every_shipped_system_and_effect_passes(entry):
     assert not failed(checks)
 
 
+KINDS = ("learner", "library", "gate")
+EVIDENCE = [e for e in REGISTRY.entries if e.kind in KINDS]
+
+
+@pytest.mark.parametrize("entry", EVIDENCE, ids=[f"{e.kind}-{e.name}" for e in EVIDENCE])
+def test_every_shipped_learner_library_and_gate_passes(entry):
+    assert len(check_plugin(entry, REGISTRY)) >= 3
+    assert not failed(check_plugin(entry, REGISTRY))
+
+
 @pytest.mark.parametrize("name", REGISTRY.names("source"))
 def test_every_shipped_source_passes(name):
     source = REGISTRY.make("source", name)

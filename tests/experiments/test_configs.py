@@ -29,8 +29,16 @@ def _needs_data(preset: str) -> bool:
     return "SPIRAL_DATA" in (ROOT / "conf" / "experiment" / f"{preset}.yaml").read_text()
 
 
+NOTHING = ("rotor_nothing_hidden",)
+
+
+def test_nothing_is_missing_where_nothing_is_hidden(tmp_path):
+    found = _discover(NOTHING[0], tmp_path, "candidates=[cross_stiffness,cubic_stiffness]")
+    assert found["verdict"] == "nothing_missing"
+
+
 @pytest.mark.parametrize(
-    "preset", [p for p in PRESETS if not _needs_data(p) and p not in ESTIMATES]
+    "preset", [p for p in PRESETS if not _needs_data(p) and p not in (*ESTIMATES, *NOTHING)]
 )
 def test_a_preset_runs_in_a_fast_mode(preset, tmp_path):
     found = _discover(preset, tmp_path, "settings.max_rounds=1", "candidates=[cross_stiffness]")
