@@ -43,6 +43,8 @@ def show(verb: str, outcome: Outcome) -> None:
             console.print(Text(f"not told by these records: {', '.join(fitted.untold)}", "yellow"))
     _heading(console, f"States by {found.observer}, after the first second")
     console.print(_states(found))
+    for line in _tracked(found):
+        console.print(Text(line))
     for part in found.parts:
         _trust(console, part, len(found.parts) > 1)
     seen = found.observability
@@ -77,15 +79,17 @@ def _states(found: Estimation):
             "1 sigma": number(score.deviation, 3),
         }
         table.add_row(*(cells[c] for c in shown), score.unit)
-    first = found.parts[0]
-    for name in first.found.names[len(first.task.states) :]:
-        mean, deviation = first.found.state(name)
-        at = max(first.found.done - 1, 0)
-        console_name = f"{name} (last value)"
-        cells = [console_name, *["" for _ in shown[1:]]]
-        cells[-1] = plus_minus(float(mean[at]), float(deviation[at]))
-        table.add_row(*cells, first.unit(name))
     return table
+
+
+def _tracked(found: Estimation) -> list[str]:
+    """Parameters followed beside the states, with the value they ended with."""
+    first, lines = found.parts[0], []
+    at = max(first.found.done - 1, 0)
+    for name in first.found.names[len(first.task.states) :]:
+        mean, deviation = (float(v[at]) for v in first.found.state(name))
+        lines.append(f"{name} {plus_minus(mean, deviation)} {first.unit(name)} at the end")
+    return lines
 
 
 def _trust(console: Console, part: Reconstructed, named: bool) -> None:

@@ -13,6 +13,7 @@ def identify(study: Study) -> Outcome:
     problem = study.problem()
     found = judge(problem, build_derivative(study.config, study.registry), study.tell)
     result = found.as_dict()
+    result["run_id"] = study.save(result, problem.model, problem)
     refused = found.verdict == "not_identifiable"
     if refused:
         groups = "; ".join(", ".join(g) for g in found.aliases)

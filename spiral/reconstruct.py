@@ -32,10 +32,11 @@ def reconstruct(study: Study) -> Outcome:
     result: dict[str, Any] = found.as_dict()
     result["calibration"] = _calibration_dict(fitted) if fitted else None
     result["files"] = [w.as_dict() for w in written]
+    result["run_id"] = study.save(result, fitted.model if fitted else model, records)
     if found.diverged:
         result["error"] = _refusal(found)
     parts = {"estimation": found, "calibration": fitted, "written": written, "records": records,
-             "request": study.request}  # fmt: skip
+             "request": study.request, "config": config}  # fmt: skip
     return Outcome(REFUSED if found.diverged else OK, result, parts)
 
 

@@ -15,9 +15,12 @@ if TYPE_CHECKING:
     from spiral.config import Config
     from spiral.model import Model
     from spiral.problem import Problem
+    from spiral.record import Record
     from spiral.registry import Entry, Registry
     from spiral.run import Comparison, Round, Run
     from spiral.testing import Check
+
+    Records = tuple[Record, ...]
 
 OK, BAD_INPUT, REFUSED = 0, 2, 3
 
@@ -117,6 +120,10 @@ def configured(request: Request, registry: Registry) -> Config:
     return {**compose(kept, registry, base), "run": saved.run_id}
 
 
+def _records_of(problem: Problem) -> dict[str, Records]:
+    return {"records": problem.records, "test": problem.test}
+
+
 @dataclass(frozen=True)
 class Study:
     """A request with its composed configuration; the problem is built when a verb asks."""
@@ -137,11 +144,11 @@ class Study:
         """The run with its id, written to the folder of runs."""
         return replace(run, run_id=self.save(run.as_dict(), run.model, problem))
 
-    def save(self, result: Mapping[str, Any], model: Model, problem: Problem) -> str:
+    def save(self, result: Mapping[str, Any], model: Model, of: Problem | Records) -> str:
         """Write a result with its model to the folder of runs; returns the run's id."""
         from spiral.storage import save_result
 
-        data = {"records": problem.records, "test": problem.test}
+        data = {"records": of} if isinstance(of, tuple) else _records_of(of)
         verb, out, given = self.request.verb, self.config["out"], self.request.overrides
         return save_result(verb, result, model, self.config, data, self.registry, out, given)
 

@@ -79,10 +79,10 @@ def _final(result: Mapping[str, Any], added: set[str]) -> Iterator[tuple[str, An
 
 def _states(result: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Figures of a reconstruction: the errors of every state, and the filter's own."""
-    for state, errors in (result.get("states") or {}).items():
-        if isinstance(errors, Mapping):
-            for kind, value in errors.items():
-                yield f"{kind}.{state}", value
+    for prefix, part in (("", "states"), ("static_", "static_baseline")):
+        for state, errors in (result.get(part) or {}).items():
+            for kind, value in errors.items() if isinstance(errors, Mapping) else ():
+                yield f"{prefix}{kind}.{state}", value
     for name in ("nis_mean", "mu", "condition", "rank", "samples_needed", "seconds"):
         if isinstance(result.get(name), int | float) and not isinstance(result.get(name), bool):
             yield name, result[name]
@@ -170,8 +170,10 @@ def story(saved: Saved) -> str:
     lines = [f"`spiral {saved['verb']}`, saved as `{saved['run_id']}`", ""]
     outcome = [str(result[k]) for k in ("verdict", "stopped", "advice") if result.get(k)]
     lines += [". ".join(outcome), ""] if outcome else []
-    lines += ["| round | admitted | test error | chi2/dof |", "|---|---|---|---|"]
-    for r in rounds(saved):
+    done = rounds(saved)
+    if done:
+        lines += ["| round | admitted | test error | chi2/dof |", "|---|---|---|---|"]
+    for r in done:
         name = round_name(r).partition(": ")[2]
         figures = f"{_text(r.get('test_error'))} | {_text(r.get('chi2_per_dof'))}"
         lines.append(f"| {r.get('round', 0)} | {name} | {figures} |")

@@ -21,6 +21,7 @@ from spiral.tracking import content
 from spiral.tracking.store import Store, Tracking, in_force, opened, without_password
 
 MARK = "tracked.json"
+BEFORE_ANY_FIT = ("identify",)  # verbs whose model has no values to predict with
 _BATCH = 100  # parameters or metrics in one call
 _NO_PARAMETER = ("run", "out", "n_jobs", "tracking", "sweep")
 _CAUGHT_UP = 50  # saved runs that one start logs after the fact, at most
@@ -224,7 +225,7 @@ def _log_model(store: Store, number: str, saved: SavedRun) -> None:
     from spiral import __version__
     from spiral.registry import load_registry
 
-    if not saved.data["model"]["values"]:
+    if saved.verb in BEFORE_ANY_FIT or not saved.data["model"]["values"]:
         return
     with tempfile.TemporaryDirectory() as place:
         artifacts = {content.RUN: str(saved.file)}
@@ -249,6 +250,7 @@ def _times(data: Mapping[str, Any]) -> tuple[int, int]:
 
     ended = round(1000 * datetime.fromisoformat(data["created"]).timestamp())
     taken = sum(r.get("seconds") or 0.0 for r in content.rounds(data))
+    taken = taken or data["result"].get("seconds") or 0.0
     return ended - round(1000 * taken), ended
 
 

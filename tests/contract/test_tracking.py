@@ -234,6 +234,21 @@ def test_a_bad_tracking_field_is_refused_before_anything_is_computed(capsys, tmp
     assert "enabled" in capsys.readouterr().err
 
 
+def test_figures_of_a_filter_are_metrics_beside_the_static_map(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["estimate", "experiment=rotor_coastdown", "system=tilting_rotor", "record.duration=2"]
+    assert main([*words, "tracking.model=false", "--json", "found.json"]) == 0
+    found = json.loads((tmp_path / "found.json").read_text())
+    with opened(Tracking(), tmp_path / "runs") as store:
+        run = only(store.client, f"tags.`spiral.run_id` = '{found['run_id']}'")
+    for name in ("alpha", "beta"):
+        assert run.data.metrics[f"relative.{name}"] == found["states"][name]["relative"]
+        static = found["static_baseline"][name]["relative"]
+        assert run.data.metrics[f"static_relative.{name}"] == static
+        assert found["states"][name]["relative"] < static
+    assert run.data.metrics["nis_mean"] == found["nis_mean"]
+
+
 def test_a_sweep_is_tracked_by_the_parent_alone_and_failed_jobs_with_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["compare", "experiment=rotor_coastdown", "record.duration=2"]
