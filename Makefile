@@ -52,6 +52,7 @@ $(VENV)/.installed: $(VENV)/.locked pyproject.toml setup.py
 
 demo: setup ## Find what the rotor's model is missing, on the embedded record
 	@$(BIN)/spiral discover experiment=rotor_coastdown
+	@$(BIN)/python -m experiments.side_by_side runs
 
 # Compiled once here, so that the workers find the cache instead of compiling side by side.
 .PHONY: warm

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from experiments.evidence import TRUTH, gates_told, load, row, summary, table
+from experiments.side_by_side import lines
 from spiral.verbs import Request, perform
 
 SHORT = ("record.duration=3", "record.start_hz=25", "record.stop_hz=10", "library=core",
@@ -31,8 +32,11 @@ def test_a_table_is_made_of_saved_runs(tmp_path):
             value = results[name]["model"]["effects"][owner][parameter]["estimate"]
             assert coupling["ratio"] == pytest.approx(value / TRUTH[key])
     assert rows["shooting"]["couplings"]["cross_stiffness.stiffness"]["ratio"] > 0
-    lines = table(list(rows.values()), ["strategy"])
-    assert [line.split("|")[1].strip() for line in lines[2:]] == ["paper", "shooting"]
+    beside = lines(rows["shooting"], rows["paper"])
+    assert beside[0].split() == ["trajectories", "published"]
+    assert sum("not found" in line or "t = " in line for line in beside) == len(TRUTH)
+    text = table(list(rows.values()), ["strategy"])
+    assert [line.split("|")[1].strip() for line in text[2:]] == ["paper", "shooting"]
     assert summary([rows["paper"], rows["paper"]])["runs"] == 2
 
 
