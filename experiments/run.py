@@ -3,9 +3,10 @@
     python experiments/run.py experiment=rotor_coastdown
     python experiments/run.py -m experiment=rotor_coastdown record.seed=0,1,2,3
 
-It returns the test error of the final model, so a sweeper can minimise it. Hydra composes first
-and is stricter than ``spiral discover``: a field of a test record that no preset chose is
-written ``+test.FIELD=VALUE``, and beside a swept preset (``experiment=a,b``) a field of the record
+It returns the test error of the final model, so a sweeper can minimise it, and tells MLflow; jobs
+of a launcher that runs them side by side wait for one another there. Hydra composes first and is
+stricter than ``spiral discover``: a field of a test record that no preset chose is written
+``+test.FIELD=VALUE``, and beside a swept preset (``experiment=a,b``) a field of the record
 ``++record.FIELD=VALUE``: Hydra checks overrides once before it looks at the presets.
 """
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 import hydra
 from omegaconf import DictConfig
 
-from spiral.config import build_problem, compose, register
+from spiral.config import register
 from spiral.registry import load_registry
 
 REGISTRY = load_registry()
@@ -26,16 +27,20 @@ def main(_: DictConfig) -> float:
     """Discover what is missing; the relative free-run error on the test record."""
     from hydra.core.hydra_config import HydraConfig
 
-    from spiral.discover import discover
-    from spiral.storage import save_run
+    from spiral.tracking.store import tracking_of
+    from spiral.tracking.track import track
+    from spiral.verbs import Request, perform
 
-    config = compose(list(HydraConfig.get().overrides.task), REGISTRY)
-    problem = build_problem(config, REGISTRY)
-    run = discover(problem, print)
-    data = {"records": problem.records, "test": problem.test}
-    named = save_run(run, config, data, REGISTRY, config["out"])
-    print(f"{named.run_id}: {', '.join(run.model.labels)}, test error {run.final.test_error:.4f}")
-    return run.final.test_error
+    given = tuple(HydraConfig.get().overrides.task)
+    outcome = perform(Request("discover", overrides=given), print)
+    config, result = outcome.parts["config"], outcome.result
+    tracked = track(tracking_of(config), config["out"], (result["run_id"],), catch_up=False)
+    if tracked.failure is not None:
+        print(f"saved, but not told to MLflow: {tracked.failure}")
+    error = result["rounds"][-1]["test_error"]
+    found = ", ".join(result["model"]["effects"])
+    print(f"{result['run_id']}: {found}, test error {error:.4f}")
+    return error
 
 
 if __name__ == "__main__":
