@@ -26,12 +26,13 @@ VERBS = {
     "estimate": "reconstruct all states, hidden ones too, with an observer",
     "identify": "before any fit: can the record tell the terms apart? rank, aliases, samples",
     "simulate": "make a record from a model and write it to a file",
+    "report": "one HTML file of a saved run (run=ID, by default the latest), figures and all",
     "plugins": "list systems, effects and sources",
     "check": "verify a plugin: units, derivatives, behaviour at rest",
     "new": "write a working skeleton of a plugin and its test: new KIND NAME",
 }
 
-_PLAIN = ("plugins", "check", "new")  # verbs without a configuration
+_PLAIN = ("report", "plugins", "check", "new")  # verbs without a configuration
 
 _EPILOG = """\
 first steps:
@@ -118,6 +119,8 @@ def parser() -> argparse.ArgumentParser:
         verb.add_argument("words", nargs="*", metavar="NAME|KEY=VALUE", help="names and overrides")
         verb.add_argument("--json", metavar="FILE", help="write the result as JSON; - is stdout")
         verb.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
+        if name == "report":
+            verb.add_argument("--out", metavar="FILE", help="the page to write: .html")
         if name in ("simulate", "estimate"):
             verb.add_argument("--out", metavar="FILE", help="the table to write: .csv or .parquet")
         if name not in (*_PLAIN, "simulate"):

@@ -61,6 +61,7 @@ class Options:
     paper: Any = field(default_factory=dict)
     run: str | None = None
     out: str = "runs"
+    curves: bool = True
     n_jobs: int = -1
     tracking: Any = field(default_factory=dict)
 

@@ -11,6 +11,7 @@ is found by maximum likelihood of the innovations. (Jazwinski 1970; Kennedy and 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +103,8 @@ def missing_force(
         if inputs is not None and substeps is not None:
             inputs = inputs[2 * substeps * start : 2 * substeps * (stop - 1) + 1]
     wide = model if LatentForce().label in model.labels else with_latent(model)
-    task, settings = prepared(prepare_task(wide, record, inputs=inputs, substeps=substeps), ())
+    whole = prepare_task(wide, record, inputs=inputs, substeps=substeps, every=True)
+    task, settings = prepared(whole, ())
     keys = latent_keys(wide)
     sizes, rates = _scales(task, keys)
     settings = replace(settings, tracked=keys, doubt=sizes)
@@ -145,7 +147,7 @@ def _most_likely(task: Task, walking) -> float | None:
     if not np.isfinite(costs[best]):
         return None
     low, high = _LEVELS[max(best - 1, 0)], _LEVELS[min(best + 1, len(_LEVELS) - 1)]
-    found = minimize_scalar(
+    found: Any = minimize_scalar(
         cost, bounds=(low, high), method="bounded", options={"xatol": _TOLERANCE, "maxiter": 6}
     )
     return float(found.x) if found.fun < costs[best] else _LEVELS[best]

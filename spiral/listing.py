@@ -25,15 +25,22 @@ if TYPE_CHECKING:
     from spiral.testing import Check
     from spiral.verbs import Outcome
 
-VERBS = ("plugins", "check", "new", "identify")
+VERBS = ("plugins", "check", "new", "identify", "report")
 
 
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
     console = Console(highlight=False)
-    {"plugins": _plugins, "check": _check, "new": _new, "identify": _identify}[verb](
-        console, outcome
-    )
+    drawn = {"plugins": _plugins, "check": _check, "new": _new, "identify": _identify,
+             "report": _report}  # fmt: skip
+    drawn[verb](console, outcome)
+
+
+def _report(console: Console, outcome: Outcome) -> None:
+    found = outcome.result
+    size = f"{found['bytes'] / 1e6:.1f} MB, {len(found['figures'])} figures"
+    console.print(Text(f"{found['file']}: run {found['run']}, {size}"), soft_wrap=True)
+    console.print(Text("open it in any browser; it needs no network", "dim"))
 
 
 def _plugins(console: Console, outcome: Outcome) -> None:

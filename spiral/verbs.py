@@ -59,11 +59,13 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     ------
     SpiralError : bad input; the caller makes it exit 2.
     """
-    from spiral import foresight, plugin_verbs, reconstruct
+    from spiral import foresight, plugin_verbs, reconstruct, reporting
     from spiral.registry import load_registry
 
     if request.verb == "new":
         return plugin_verbs.new(request)
+    if request.verb == "report":
+        return reporting.report(request, tell)
     registry = load_registry(request.plugins)
     if request.verb == "plugins":
         return plugin_verbs.list_plugins(request, registry)
@@ -85,7 +87,8 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
             f"spiral add {request.names[0]}, or effect=[{request.names[0]}]",
         )
     tell("reading the records")
-    return steps[request.verb](Study(request, config, registry, tell, on_round))
+    study = Study(request, config, registry, tell, on_round)
+    return reporting.with_curves(study, steps[request.verb])
 
 
 def in_worker(

@@ -6,13 +6,14 @@ the missing force (``spiral.latent``), in which the machine's own resonance no l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spiral.assembly import Assembly, active_keys, to_model
 from spiral.judge import run_free
 from spiral.latent import MissingForce, missing_force
+from spiral.model import Model
 from spiral.orders import order_map, time_map
 from spiral.record import Array, Record
 from spiral.run import Where
@@ -33,9 +34,15 @@ _SLICE = 1024  # samples of a slice in which a frequency is looked for
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """One record's error (samples, channels) in its units and in noise, with what is missing."""
+class Seen:
+    """What a model misses on its worst record.
 
+    ``number`` is that record's; ``error`` (samples, channels) measured minus free run;
+    ``excess`` (samples,) its squares in noise variances, above what noise makes; ``channels`` those
+    that fail; ``missing`` the force, where there is one.
+    """
+
+    number: int
     record: Record
     error: Array
     excess: Array
@@ -43,11 +50,11 @@ class _Seen:
     missing: MissingForce | None
 
 
-def where(assembly: Assembly, stage: Stage) -> Where:
+def where(assembly: Assembly, stage: Stage, what: Seen | None = None) -> Where:
     """The smallest ranges that hold 80 % of the error's energy in excess of noise, in one sentence.
 
     Errors are those of the free run with the stage's values on the worst record; where that run is
-    not finite, those of the stage's windows.
+    not finite, those of the stage's windows. ``what`` is seen anew where it is not given.
     """
     names = assembly.problem.model.system.observed
     left = residuals(assembly.study, stage.layouts, stage.fitted.point)
@@ -56,10 +63,16 @@ def where(assembly: Assembly, stage: Stage) -> Where:
     worst = int(np.argmax(energy))
     if energy[worst] < _QUIET * max(counted, 1):
         return Where(names[worst], "The residual is at the level of the noise everywhere.")
-    return _told(assembly, _seen(assembly, stage, left))
+    return told(assembly, what if what is not None else seen(assembly, stage))
 
 
-def _seen(assembly: Assembly, stage: Stage, left: tuple[Array, ...]) -> _Seen:
+def seen(assembly: Assembly, stage: Stage, wide: Model | None = None) -> Seen:
+    """The free-run error and the missing force on the worst record.
+
+    ``wide``: a model that holds the stage's effects and an unknown force, zero where the stage has
+    none of them, so that several models share one compilation.
+    """
+    left = residuals(assembly.study, stage.layouts, stage.fitted.point)
     study, names = assembly.study, assembly.problem.model.system.observed
     number = int(np.argmax([np.sum(r**2) / max(np.any(r != 0, axis=1).sum(), 1) for r in left]))
     series = study.series[number]
@@ -72,17 +85,26 @@ def _seen(assembly: Assembly, stage: Stage, left: tuple[Array, ...]) -> _Seen:
     excess = np.where(shown, np.sum(noises**2, axis=1) - len(names), 0.0)
     energy = np.sum(noises**2, axis=0)
     channels = tuple(n for n, e in zip(names, energy, strict=True) if e > _BOTH * energy.max())
-    values = stage.fitted.point.values
-    missing = None
-    if np.isfinite(values).all():
-        model = to_model(assembly, assembly.problem.model.labels, values[number : number + 1], {})
-        first = int(np.argmax(excess))
-        grid = study.inputs(number, values[number])
-        missing = missing_force(model, series.record, grid, series.substeps, first)
-    return _Seen(series.record, error, excess, channels, missing)
+    missing = _missing(assembly, stage, number, int(np.argmax(excess)), wide)
+    return Seen(number, series.record, error, excess, channels, missing)
 
 
-def _told(assembly: Assembly, seen: _Seen) -> Where:
+def _missing(
+    assembly: Assembly, stage: Stage, number: int, first: int, wide: Model | None
+) -> MissingForce | None:
+    study, values = assembly.study, stage.fitted.point.values
+    if not np.isfinite(values).all():
+        return None
+    model = to_model(assembly, assembly.problem.model.labels, values[number : number + 1], {})
+    if wide is not None:
+        model = replace(wide, values={**wide.values, **model.values})
+    series = study.series[number]
+    grid = study.inputs(number, values[number])
+    return missing_force(model, series.record, grid, series.substeps, first)
+
+
+def told(assembly: Assembly, seen: Seen) -> Where:
+    """The ranges, and the sentence."""
     record, system = seen.record, assembly.problem.model.system
     time = _range(record.time, seen.excess)
     speed = _range(record.inputs["speed"], seen.excess) if "speed" in record.inputs else None
@@ -99,7 +121,7 @@ def _told(assembly: Assembly, seen: _Seen) -> Where:
     return Where(**{**vars(found), "sentence": _sentence(found, state, seen, system)})
 
 
-def _state(assembly: Assembly, seen: _Seen) -> tuple[Shape | None, float | None]:
+def _state(assembly: Assembly, seen: Seen) -> tuple[Shape | None, float | None]:
     """The state that the missing force follows, and the share that this explains."""
     if seen.missing is None:
         return None, None
@@ -170,7 +192,7 @@ def _frequency(error: Array, dt: float) -> tuple[float, float] | None:
     return _band(found.axis, found.power.sum(axis=0))
 
 
-def _order(seen: _Seen) -> tuple[float, float] | None:
+def _order(seen: Seen) -> tuple[float, float] | None:
     """The orders of the missing force, where they are one line; else those of nothing."""
     record = seen.record
     if "phase" not in record.inputs or "speed" not in record.inputs:
@@ -194,7 +216,7 @@ def _line(order: tuple[float, float]) -> int:
     return round(float(np.mean(order)))
 
 
-def _sentence(found: Where, state: Shape | None, seen: _Seen, system) -> str:
+def _sentence(found: Where, state: Shape | None, seen: Seen, system) -> str:
     parts = []
     turning = np.ptp(seen.record.inputs["speed"]) > 0 if "speed" in seen.record.inputs else False
     if found.speed_rad_s is not None:

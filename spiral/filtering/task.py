@@ -74,6 +74,7 @@ def prepare_task(
     start: Array | None = None,
     inputs: Array | None = None,
     substeps: int | None = None,
+    every: bool = False,
 ) -> Task:
     """Compile the model, put the record on the integrator's grid, and find the scales.
 
@@ -84,6 +85,7 @@ def prepare_task(
         hidden coordinates, and rates of zero.
     inputs : on the half-step grid where a fit has corrected them (needs ``substeps`` as there).
     substeps : Runge-Kutta steps per sample; left out, enough for the fastest mode.
+    every : derivatives for all parameters, not the record's own alone.
 
     Raises
     ------
@@ -91,7 +93,7 @@ def prepare_task(
     """
     traced = trace(model.system, model.effects)
     own = tuple(k for k, p in model.pairs if p.scope == "record")
-    compiled = compiled_for(traced, own)
+    compiled = compiled_for(traced, None if every else own)
     values = parameter_row(model)
     return _task(model, compiled, values, record, start, inputs, substeps)
 

@@ -215,7 +215,18 @@ def _artifacts(store: Store, number: str, saved: SavedRun) -> None:
         text = yaml.safe_dump(json.loads(to_json(saved.config)), sort_keys=False)
         (folder / "config.yaml").write_text(text, encoding="utf-8")
         (folder / FILE).write_bytes(saved.file.read_bytes())
+        _report(folder, saved)
         store.client.log_artifacts(number, str(folder))
+
+
+def _report(folder: Path, saved: SavedRun) -> None:
+    """The report of a run that kept its curves; a sweep's jobs keep none."""
+    from spiral.curves import read_curves
+    from spiral.report.page import page
+
+    curves = read_curves(saved.file.parent)
+    if curves is not None:
+        (folder / "report.html").write_text(page(saved.data, curves)[0], encoding="utf-8")
 
 
 def _log_model(store: Store, number: str, saved: SavedRun) -> None:

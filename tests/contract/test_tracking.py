@@ -105,7 +105,8 @@ def test_configuration_data_and_plugins_are_kept(client, parent, place, result):
     digests = {i.dataset.digest for i in client.get_run(parent.info.run_id).inputs.dataset_inputs}
     assert digests == {h[:36] for h in hashes}
     names = {f.path for f in client.list_artifacts(parent.info.run_id)}
-    assert {"config.yaml", "plugins.json", "run.json", "terms.json", "suggestions.json"} <= names
+    assert {"config.yaml", "plugins.json", "run.json", "terms.json", "suggestions.json",
+            "report.html"} <= names  # fmt: skip
     file = client.download_artifacts(parent.info.run_id, "plugins.json")
     plugins = json.loads(Path(file).read_text(encoding="utf-8"))
     assert plugins["system/planar_rotor"].startswith("spiral-po")

@@ -1,0 +1,169 @@
+"""Figures of a run's history: the error falling, evidence per candidate, coefficients."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from spiral.report.style import AFTER, BEFORE, BLUE, GREY, ORANGE, SKY, VERMILION, blank
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+_LEAST = 1e-3  # percent, where an error of zero is drawn
+
+
+def rounds(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The rounds of a saved result; ``add`` has two, ``compare`` and ``diagnose`` one."""
+    if result.get("rounds"):
+        return list(result["rounds"])
+    only = result.get("comparison") or result
+    return [{"round": 0, "admitted": [], **only}] if "test_error" in only else []
+
+
+def error_falling(result: Mapping[str, Any]) -> go.Figure | None:
+    """Fit and test error by round, the noise floor below them, the effect admitted at each step."""
+    found = rounds(result)
+    if len(found) < 2:
+        return None
+    figure = blank(height=430)
+    numbers = [r["round"] for r in found]
+    names = [_admitted(r) for r in found]
+    for key, name, colour, dash in (
+        ("fit_error", "fit error", SKY, "dot"),
+        ("test_error", "test error", BLUE, "solid"),
+    ):
+        values = [_percent(r.get(key)) for r in found]
+        figure.add_scatter(
+            x=numbers, y=values, name=name, mode="lines+markers", customdata=names,
+            line={"color": colour, "width": 3, "shape": "hv", "dash": dash}, marker={"size": 10},
+            hovertemplate="%{customdata}<br>%{y:.3g} %",
+        )  # fmt: skip
+    for number, name, r in zip(numbers, names, found, strict=True):
+        value = _percent(r.get("test_error"))
+        if value is None:
+            continue
+        figure.add_annotation(
+            x=number, y=math.log10(value), text=f"<b>{value:.3g} %</b><br>{name}", ax=0, ay=-44,
+            showarrow=True, arrowcolor=GREY, font={"size": 13}, bgcolor="rgba(255,255,255,0.85)",
+        )  # fmt: skip
+    floor = _percent(result.get("noise_floor"))
+    if floor:
+        figure.add_hline(floor, line={"color": GREY, "dash": "dash", "width": 2})
+        figure.add_annotation(
+            x=0,
+            xref="paper",
+            xanchor="left",
+            y=math.log10(floor),
+            yanchor="top",
+            showarrow=False,
+            text=f" noise floor {floor:.3g} %",
+            font={"size": 13, "color": "#555"},
+        )
+    figure.update_xaxes(title_text="round", tickmode="array", tickvals=numbers,
+                        range=[-0.35, numbers[-1] + 0.5])  # fmt: skip
+    values = [v for r in found for k in ("fit_error", "test_error") if (v := _percent(r.get(k)))]
+    low, high = min([*values, floor or math.inf]), max(values)
+    figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
+                        range=[math.log10(low) - 0.25, math.log10(high) + 0.45], dtick=1,
+                        minor={"showgrid": True, "gridcolor": "#F3F3F3"})  # fmt: skip
+    return figure
+
+
+def _admitted(found: Mapping[str, Any]) -> str:
+    return "+ " + ", ".join(found["admitted"]) if found.get("admitted") else "the seed"
+
+
+def _percent(value: Any) -> float | None:
+    return None if value is None else max(100 * float(value), _LEAST)
+
+
+def candidates(result: Mapping[str, Any]) -> go.Figure | None:
+    """What each candidate explains of the residual, round by round, alias groups marked."""
+    groups = [r for r in rounds(result) if r.get("suggestions")]
+    if not groups and result.get("suggestions"):
+        groups = [{"round": 0, "suggestions": result["suggestions"]}]
+    if not groups:
+        return None
+    count = len(groups)
+    rows = max(len(g["suggestions"]) for g in groups)
+    titles = [f"round {g['round']}" for g in groups]
+    width = min(count, 2)
+    lines = math.ceil(count / width)
+    figure = blank(lines, width, 110 + lines * (70 + 34 * rows), subplot_titles=titles,
+                   horizontal_spacing=0.22, vertical_spacing=0.3 / lines)  # fmt: skip
+    for index, group in enumerate(groups):
+        admitted = _next_admitted(result, group)
+        _bars(figure, group["suggestions"], admitted, index // width + 1, index % width + 1)
+    figure.update_layout(margin={"l": 190, "t": 78}, showlegend=True, barmode="overlay",
+                         legend={"y": 1 + 34 / figure.layout.height})  # fmt: skip
+    figure.update_xaxes(range=[0, 118], ticksuffix=" %")
+    for column in range(1, width + 1):
+        figure.update_xaxes(title_text="share of the residual explained", row=lines, col=column)
+    return figure
+
+
+def _next_admitted(result: Mapping[str, Any], group: Mapping[str, Any]) -> set[str]:
+    for other in rounds(result):
+        if other["round"] == group["round"] + 1:
+            return set(other.get("admitted", ()))
+    return set()
+
+
+def _bars(
+    figure: Any, suggestions: Sequence[Mapping[str, Any]], admitted: set[str], row: int,
+    column: int,
+) -> None:  # fmt: skip
+    aliases = {a for s in suggestions if s["effect"] in admitted for a in s.get("aliases", ())}
+    kinds = (
+        ("admitted", AFTER, lambda name: name in admitted),
+        ("cannot be told from it", ORANGE, lambda name: name in aliases),
+        ("other candidates", GREY, lambda name: name not in admitted | aliases),
+    )
+    names = [s["effect"] for s in suggestions][::-1]
+    for name, colour, belongs in kinds:
+        chosen = [s for s in suggestions if belongs(s["effect"])]
+        if not chosen:
+            continue
+        figure.add_bar(
+            y=[s["effect"] for s in chosen], x=[100 * s["explains"] for s in chosen],
+            orientation="h", marker_color=colour, name=name, legendgroup=name,
+            showlegend=name not in {t.name for t in figure.data},
+            text=[f"p {_p(s['p_value'])}" for s in chosen], textposition="outside",
+            hovertext=[s["meaning"] for s in chosen], cliponaxis=False, row=row, col=column,
+        )  # fmt: skip
+    figure.update_yaxes(categoryorder="array", categoryarray=names, showgrid=False, row=row,
+                        col=column)  # fmt: skip
+
+
+def _p(value: float) -> str:
+    if value < 1e-99:
+        return "< 1e-99"
+    return f"= {value:.2f}" if value >= 0.01 else f"= {value:.0e}"
+
+
+def coefficients(table: Sequence[Mapping[str, Any]]) -> go.Figure | None:
+    """Every fitted coefficient over its own estimate, with its 95 % interval."""
+    known = [r for r in table if r.get("se") and r.get("estimate")]
+    if not known:
+        return None
+    names = [f"{r['effect']}.{r['parameter']}" for r in known][::-1]
+    spans = [196 * abs(r["se"] / r["estimate"]) for r in known][::-1]
+    clear = [span < 100 for span in spans]
+    figure = blank(height=110 + 30 * len(known))
+    for keep, colour, name in ((True, BLUE, "95 % interval"), (False, VERMILION, "holds zero")):
+        at = [i for i, c in enumerate(clear) if c is keep]
+        if at:
+            figure.add_scatter(
+                x=[0.0] * len(at), y=[names[i] for i in at], mode="markers", name=name,
+                error_x={"array": [min(spans[i], 400) for i in at], "thickness": 2.5, "width": 5},
+                marker={"color": colour, "size": 9},
+            )  # fmt: skip
+    figure.add_vline(-100, line={"color": BEFORE, "dash": "dot", "width": 1})
+    wide = min(max(spans) * 1.15, 420)
+    figure.update_xaxes(title_text="deviation from the estimate (%); zero lies at -100 %",
+                        range=[-wide, wide])  # fmt: skip
+    figure.update_yaxes(categoryorder="array", categoryarray=names)
+    figure.update_layout(margin={"l": 260})
+    return figure

@@ -1,0 +1,148 @@
+"""One look for all figures: colours that the colour-blind tell apart, units, thinning.
+
+The palette is that of Okabe and Ito (2008).
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray
+
+BLACK, ORANGE, SKY, GREEN = "#222222", "#E69F00", "#56B4E9", "#009E73"
+BLUE, VERMILION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#8A8A8A"
+CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+MEASURED, BEFORE, AFTER = BLACK, VERMILION, BLUE
+MAP = "Cividis"
+RPM = 30 / np.pi
+POINTS = 3000  # of a curve that is drawn
+FONT = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
+
+_PREFIXES = ((1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"), (1e6, "M"))
+_PREFIXED = ("m", "N", "V", "A", "Pa", "rad", "g", "W")
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def scaled(unit: str, *values: Array) -> tuple[float, str]:
+    """A factor and the unit that goes with it, so that numbers are neither tiny nor huge.
+
+    A length of 5e-5 m is drawn as 50 µm: (1e6, "µm"). Units that take no prefix stay.
+    """
+    finite = [v[np.isfinite(v)] for v in map(np.asarray, values)]
+    largest = max((float(np.abs(v).max()) for v in finite if v.size), default=0.0)
+    first, rest = re.match(r"([A-Za-zµ]*)(.*)", unit).groups()  # type: ignore[union-attr]
+    if first not in _PREFIXED or not largest:
+        return 1.0, pretty(unit)
+    size, prefix = next((p for p in reversed(_PREFIXES) if largest >= p[0]), _PREFIXES[0])
+    return 1.0 / size, pretty(f"{prefix}{first}{rest}")
+
+
+def pretty(unit: str) -> str:
+    """``m/s^2`` as ``m/s²``; nothing for a pure number."""
+    text = re.sub(r"\^(-?\d+)", lambda m: m.group(1).translate(_SUPERSCRIPT), unit)
+    return "" if text == "1" else text.replace("*", "·")
+
+
+def titled(name: str, unit: str) -> str:
+    """An axis title: ``x (µm)``."""
+    return f"{name} ({unit})" if unit else name
+
+
+def thinned(x: Array, y: Array, points: int = POINTS) -> tuple[Array, Array]:
+    """At most ``points`` points that draw as all do: lowest and highest of each stretch, in order.
+
+    x and y are (samples,). Peaks survive, whatever the length.
+    """
+    count = points // 2
+    if len(y) <= points:
+        return x, y
+    edges = np.linspace(0, len(y), count + 1).astype(int)
+    size = int(np.diff(edges).max())
+    at = np.minimum(edges[:-1, None] + np.arange(size), edges[1:, None] - 1)
+    block = np.where(np.isfinite(y), y, 0.0)[at]
+    both = np.stack([at[np.arange(count), np.argmin(block, 1)],
+                     at[np.arange(count), np.argmax(block, 1)]], 1)  # fmt: skip
+    chosen = np.unique(np.concatenate([[0], both.ravel(), [len(y) - 1]]))
+    return x[chosen], y[chosen]
+
+
+def blank(rows: int = 1, columns: int = 1, height: int = 420, **options: Any) -> Any:
+    """An empty figure in the house look; ``options`` as of Plotly's ``make_subplots``."""
+    from plotly.subplots import make_subplots
+
+    figure = make_subplots(rows, columns, **options)
+    axis = {
+        "showgrid": True, "gridcolor": "#E7E7E7", "zeroline": False, "linecolor": "#555",
+        "showline": True, "ticks": "outside", "tickcolor": "#555", "automargin": True,
+        "title": {"standoff": 8},
+    }  # fmt: skip
+    figure.update_layout(
+        font={"family": FONT, "size": 14, "color": "#222"}, height=height, colorway=CYCLE,
+        paper_bgcolor="white", plot_bgcolor="white", hovermode="closest",
+        margin={"l": 70, "r": 24, "t": 46, "b": 56},
+        legend={"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom", "font": {"size": 13}},
+    )  # fmt: skip
+    figure.update_xaxes(**axis)
+    figure.update_yaxes(**axis)
+    figure.update_annotations(font={"size": 14})
+    return figure
+
+
+def line(
+    figure: Any, x: Array, y: Array, name: str, colour: str, row: int = 1, column: int = 1,
+    **more: Any,
+) -> None:  # fmt: skip
+    """A curve, thinned; its name appears once in the legend."""
+    import plotly.graph_objects as go
+
+    thin_x, thin_y = thinned(np.asarray(x), np.asarray(y))
+    style = {"color": colour, "width": more.pop("width", 1.4), "dash": more.pop("dash", None)}
+    shown = more.pop("showlegend", name not in {t.name for t in figure.data})
+    trace = go.Scatter(
+        x=thin_x.astype(np.float32), y=thin_y.astype(np.float32), name=name, mode="lines",
+        line=style, legendgroup=name, showlegend=shown, **more,
+    )  # fmt: skip
+    figure.add_trace(trace, row=row, col=column)
+
+
+def band(
+    figure: Any, x: Array, middle: Array, spread: Array, name: str, colour: str,
+    row: int = 1, column: int = 1,
+) -> None:  # fmt: skip
+    """A curve with its 95 % band of 1.96 standard deviations."""
+    import plotly.graph_objects as go
+
+    step = max(1, len(x) // POINTS)
+    part = slice(None, None, step)
+    low, high = (middle - 1.96 * spread)[part], (middle + 1.96 * spread)[part]
+    outline = np.concatenate([x[part], x[part][::-1]])
+    figure.add_trace(
+        go.Scatter(
+            x=outline.astype(np.float32), y=np.concatenate([high, low[::-1]]).astype(np.float32),
+            fill="toself", fillcolor=faint(colour), line={"width": 0}, hoverinfo="skip",
+            name=f"{name}, 95 %", legendgroup=name, mode="lines",
+            showlegend=f"{name}, 95 %" not in {t.name for t in figure.data},
+        ), row=row, col=column,
+    )  # fmt: skip
+    line(figure, x, middle, name, colour, row, column)
+
+
+def faint(colour: str, alpha: float = 0.28) -> str:
+    """A colour let through."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{alpha})"
+
+
+def heat(x: Array, y: Array, z: Array, title: str, place: dict[str, Any]) -> Any:
+    """A map in decibels below its own maximum, 40 dB deep; z is (y, x)."""
+    import plotly.graph_objects as go
+
+    level = 10 * np.log10(np.maximum(z, 1e-300) / max(float(z.max()), 1e-300))
+    return go.Heatmap(
+        x=x.astype(np.float32), y=y.astype(np.float32), z=np.maximum(level, -40).astype(np.float32),
+        zmin=-40, zmax=0, colorscale=MAP,
+        colorbar={"title": {"text": title, "side": "right"}, "thickness": 14, **place},
+    )  # fmt: skip

@@ -1,0 +1,162 @@
+"""The report of a saved run: one file, every figure, no network, from what was saved alone."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from spiral.cli import main
+from spiral.curves import FILE, read_curves
+from spiral.report.pictures import browser, picture
+from spiral.report.style import scaled, thinned
+from spiral.storage import load_run, read_run
+
+STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
+         "tracking.enabled=false")  # fmt: skip
+FIGURES = {
+    "before", "where", "amplitude", "missing_force", "surface", "error_falling", "evidence",
+    "coefficients", "free_run", "orbit", "bode", "waterfall", "whirl", "correlation", "hidden",
+    "campbell",
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def without_curves():
+    """These tests are about curves: nothing is put in their place."""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """One real study and its report."""
+    folder = tmp_path_factory.mktemp("reported")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert main(list(STUDY)) == 0
+        assert main(["report", "run=latest", "--out", "a.html", "--json", "report.json"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def saved(place):
+    return load_run("latest", place / "runs")
+
+
+@pytest.fixture(scope="module")
+def html(place):
+    return (place / "a.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def curves(saved):
+    return read_curves(saved.file.parent)
+
+
+class Fetches(HTMLParser):
+    """Addresses that a browser would fetch, and ids."""
+
+    def __init__(self):
+        super().__init__()
+        self.addresses, self.ids = [], set()
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.addresses += [v for k, v in attrs if k in ("src", "href", "data") and v]
+        self.ids.add(found.get("id"))
+
+
+def test_every_figure_is_there_and_nothing_is_fetched(html, place):
+    seen = Fetches()
+    seen.feed(html)
+    assert seen.addresses == []
+    assert "@import" not in html.split("<script>")[0]
+    assert seen.ids >= FIGURES
+    assert set(json.loads((place / "report.json").read_text())["figures"]) == FIGURES
+    assert html.count("plotly.js v") == 1
+
+
+def test_the_story_says_what_was_found_and_how_to_do_it_again(html, saved):
+    text = re.sub(r"<script.*?</script>", "", html, flags=re.S)
+    result = saved.result
+    for effect in (e for r in result["rounds"] for e in r["admitted"]):
+        assert effect in text
+    assert "record.duration=4" in text
+    assert all(r["sha256"] in text for group in saved.data["data"].values() for r in group)
+    assert "is short (4000 samples)" in text
+    assert "<math" in text
+    assert "The model fails between" in text
+
+
+def test_curves_agree_with_the_run_they_belong_to(curves, saved):
+    """The free run that is drawn has the test error that was reported."""
+    test = [r["part"] for r in curves.meta["records"]].index("test")
+    y, first = curves.get(test, "y"), curves.meta["records"][test]["settled"]
+    for model, found in (
+        ("seed", saved.result["rounds"][0]),
+        ("final", saved.result["rounds"][-1]),
+    ):
+        left = (y - curves.get(test, model, "free"))[first:]
+        relative = np.sqrt(np.mean(left**2, axis=0)) / y[first:].std(axis=0)
+        assert np.mean(relative) == pytest.approx(found["test_error"], rel=1e-3)
+
+
+def test_the_missing_force_shrinks_when_the_effects_are_added(curves):
+    before, after = (curves.get(0, m, "force") for m in ("seed", "final"))
+    assert after.std() < 0.2 * before.std()
+
+
+def test_it_needs_nothing_but_the_saved_run(place, tmp_path, monkeypatch, saved):
+    """Neither the record nor the plugins: the folder of one run, anywhere."""
+    import shutil
+
+    from spiral.report.page import page
+
+    shutil.copytree(saved.file.parent, tmp_path / "elsewhere")
+    monkeypatch.chdir(tmp_path)
+    other = read_run(tmp_path / "elsewhere" / "run.json")
+    names = page(other.data, read_curves(tmp_path / "elsewhere"))[1]
+    assert set(names) == FIGURES
+    (tmp_path / "elsewhere" / FILE).unlink()
+    html, names = page(other.data, read_curves(tmp_path / "elsewhere"))
+    assert set(names) == {"error_falling", "evidence", "coefficients"}
+    assert "kept no curves" in html
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["run=nosuch"], "run=nosuch"), (["speed=3"], "report speed"), (["x"], "report x"),
+     (["--out", "no/such/folder/a.html"], "a file that can be written")],
+)  # fmt: skip
+def test_bad_input_is_told_in_one_message(place, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(place)
+    assert main(["report", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_thinning_keeps_every_peak_of_a_million_samples():
+    rng = np.random.default_rng(0)
+    x, y = np.arange(1_000_000) * 1e-3, rng.normal(size=1_000_000)
+    y[[0, 123_456, 777_777]] = 0.0, 40.0, -50.0
+    thin_x, thin_y = thinned(x, y, 3000)
+    assert len(thin_x) <= 3002
+    assert np.all(np.diff(thin_x) > 0)
+    assert (thin_y.max(), thin_y.min()) == (40.0, -50.0)
+    assert thin_x[np.argmax(thin_y)] == x[123_456]
+
+
+@pytest.mark.parametrize(
+    ("unit", "largest", "expected"),
+    [("m", 5e-5, (1e6, "µm")), ("m/s^2", 0.3, (1e3, "mm/s²")), ("V", 2.0, (1.0, "V")),
+     ("1/s^2", 8e3, (1.0, "1/s²")), ("1", 3.0, (1.0, ""))],
+)  # fmt: skip
+def test_units_are_scaled_to_be_read(unit, largest, expected):
+    factor, text = scaled(unit, np.array([-largest, 0.0, np.nan]))
+    assert (factor, text) == (pytest.approx(expected[0]), expected[1])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(browser() is None, reason="no browser that runs without a window")
+def test_a_browser_draws_it(html, tmp_path):
+    file = picture(html, tmp_path / "report.png", 1000, 2400)
+    assert file.stat().st_size > 50_000
