@@ -48,7 +48,11 @@ def error_falling(result: Mapping[str, Any]) -> go.Figure | None:
             x=number, y=math.log10(value), text=f"<b>{value:.3g} %</b><br>{name}", ax=0, ay=-44,
             showarrow=True, arrowcolor=GREY, font={"size": 13}, bgcolor="rgba(255,255,255,0.85)",
         )  # fmt: skip
-    floor = _percent(result.get("noise_floor"))
+    _floor_and_axes(figure, found, _percent(result.get("noise_floor")))
+    return figure
+
+
+def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], floor: float | None) -> None:
     if floor:
         figure.add_hline(floor, line={"color": GREY, "dash": "dash", "width": 2})
         figure.add_annotation(
@@ -61,6 +65,7 @@ def error_falling(result: Mapping[str, Any]) -> go.Figure | None:
             text=f" noise floor {floor:.3g} %",
             font={"size": 13, "color": "#555"},
         )
+    numbers = [r["round"] for r in found]
     figure.update_xaxes(title_text="round", tickmode="array", tickvals=numbers,
                         range=[-0.35, numbers[-1] + 0.5])  # fmt: skip
     values = [v for r in found for k in ("fit_error", "test_error") if (v := _percent(r.get(k)))]
@@ -68,7 +73,6 @@ def error_falling(result: Mapping[str, Any]) -> go.Figure | None:
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
                         range=[math.log10(low) - 0.25, math.log10(high) + 0.45], dtick=1,
                         minor={"showgrid": True, "gridcolor": "#F3F3F3"})  # fmt: skip
-    return figure
 
 
 def _admitted(found: Mapping[str, Any]) -> str:
