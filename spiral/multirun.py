@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -98,15 +98,15 @@ def _parted(text: str) -> tuple[str, str]:
 
 
 def _runs(rows: Sequence[Row], swept: Sequence[str], width: int) -> Any:
-    kept = ["verdict", "effects", "test error", "s", "exit"]
+    kept = ["verdict", "effects", "test error", "hidden states", "s", "exit"]
     cells = [_cells(row) for row in rows]
     shown = [name for name in kept if any(cell[name] for cell in cells)]
     if width < _WIDE and "effects" in shown and "verdict" in shown:
         shown.remove("verdict")
         for cell in cells:
             cell["effects"] = cell["effects"] or cell["verdict"]
-    headings = [*swept, *("outcome" if n == "verdict" else n for n in shown)]
-    table = _table(*headings, right=("test error", "s", "exit"))
+    headings = [*swept, *(_HEADINGS.get(n, n) for n in shown)]
+    table = _table(*headings, right=("test error", _HEADINGS["hidden states"], "s", "exit"))
     for row, cell in zip(rows, cells, strict=True):
         values = dict(_parted(text) for text in row.overrides)
         table.add_row(
@@ -129,7 +129,8 @@ def _style(row: Row, name: str) -> str:
 def _cells(row: Row) -> dict[str, str]:
     result = row.result
     seconds = number(row.seconds, 3) if row.seconds < 1000 else f"{row.seconds:.0f}"
-    found = {"verdict": "", "effects": "", "test error": "", "s": seconds, "exit": str(row.exit)}
+    found = {"verdict": "", "effects": "", "test error": "", "hidden states": ""}
+    found |= {"s": seconds, "exit": str(row.exit)}
     error = result.get("error")
     if result.get("rounds"):
         found["verdict"] = result["verdict"]
@@ -142,6 +143,8 @@ def _cells(row: Row) -> dict[str, str]:
         found["verdict"] = result["verdict"]
         found["effects"] = result["suggestions"][0]["effect"] if result["suggestions"] else ""
         found["test error"] = percent(result["comparison"]["test_error"])
+    elif "states" in result:
+        found["hidden states"] = _hidden(result)
     elif "rank" in result:
         found["verdict"] = f"{result['verdict']}: rank {result['rank']} of {result['columns']}"
     elif "test_error" in result:
@@ -149,3 +152,10 @@ def _cells(row: Row) -> dict[str, str]:
     if error and not found["verdict"]:
         found["verdict"] = _short(error["given"], _LONGEST_ERROR)
     return found
+
+
+def _hidden(result: Mapping[str, Any]) -> str:
+    """Error of the states that the static map reconstructs as well, with that map's in brackets."""
+    static = {k: v["relative"] for k, v in result.get("static_baseline", {}).items()}
+    pairs = [(result["states"][k].get("relative"), v) for k, v in static.items()]
+    return ", ".join(f"{percent(found)} ({percent(other)})" for found, other in pairs)
