@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from spiral.sweep import Row, Status, Sweep
 
 _WIDE = 100
+_HEADINGS = {"verdict": "outcome", "hidden states": "hidden states (static map)"}
 _LONGEST, _LONGEST_ERROR = 60, 200
 Watch = Callable[["Status"], None]
 
