@@ -67,10 +67,11 @@ def project(
         raise ConfigError(f"library.order={order}", "0, 1, 2 or 3", "library.order=1")
     observed = [c.name for c in study.coordinates]
     names = [c.name for c in full.coordinates]
-    if not set(observed) < set(names):
+    driven = {i.name for i in study.inputs} <= {i.name for i in full.inputs}
+    if not (set(observed) < set(names) and driven):
         raise ConfigError(
             f"a projection of {full.plugin_name()!r} onto {', '.join(observed)}",
-            f"coordinates of it, some left to hide: {', '.join(names)}",
+            f"its inputs, and coordinates of it, some left to hide: {', '.join(names)}",
             "library.system=tilting_rotor with system=planar_rotor",
         )
     rows = rows_of(full, values, observed)
