@@ -28,7 +28,7 @@ FIND_PYTHON = for python in python3.11 python3 /usr/bin/python3.11 /usr/bin/pyth
 		>/dev/null 2>&1; then echo "$$python"; exit; fi; done; \
 	echo 'needed: Python 3.11 or newer with venv (Debian: apt install python3.11-venv)' >&2; exit 1
 
-.PHONY: help setup demo test test-slow bench lint format lock clean
+.PHONY: help setup demo test test-slow pictures bench lint format lock clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -67,6 +67,9 @@ test: warm ## Run the tests (without the slow ones)
 test-slow: warm ## Run the slow statistical tests
 	@echo "test: pytest with $(WORKERS) workers, slow tests only"
 	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist worksteal $(PYTEST)
+
+pictures: setup ## Draw the README's pictures anew (needs a Chromium)
+	@$(BIN)/python docs/pictures/make.py
 
 bench: warm ## Measure speed (benchmarks/)
 	@echo "bench: benchmarks/run.py"

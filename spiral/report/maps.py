@@ -166,6 +166,7 @@ def force_surface(curves: Curves, model: str) -> go.Figure | None:
             _surface(figure, size * values, factor * force[:, at], row, column)
         title = titled(name.replace("_rate", "'"), said)
         figure.update_xaxes(title_text=title, row=len(axes), col=column)
+    figure.update_xaxes(tickangle=0, nticks=5)
     for row, axis in enumerate(axes, 1):
         figure.update_yaxes(title_text=titled(f"force on {axis}", unit), row=row, col=1)
     return figure
