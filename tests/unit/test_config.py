@@ -47,6 +47,8 @@ def test_every_preset_composes_and_names_what_is_there(name):
     config = composed(f"experiment={name}")
     for group, kind in (("system", "system"), ("record", "source"), ("test", "source")):
         section = config[group]
+        if group == "test" and section["name"] is None:
+            continue  # a preset for estimate, or one whose record's end is the test
         known = REGISTRY.entry(kind, section["name"]).plugin.__dataclass_fields__
         assert set(section) - {"name", "settle"} <= set(known)
 
