@@ -33,7 +33,7 @@ Execute = Callable[[str, tuple[str, ...], Job, str | None], tuple[int, dict[str,
 Started = Callable[[int], object]
 
 DEFECT = 1
-_INNER = ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM", "NUMEXPR", "BLIS")
+_INNER = ("NUMBA", "OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM", "NUMEXPR", "BLIS")
 _IDLE = 60  # s after which a process without a job ends
 _VARIABLES = ("SPIRAL_DATA", "SPIRAL_PLUGINS")
 _one_at_a_time = threading.Lock()  # of this process: Hydra and the compiler are not for threads

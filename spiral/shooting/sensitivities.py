@@ -7,6 +7,7 @@ a rank-revealing step (a direction of the state that the window does not show is
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ from spiral.shooting.study import Columns, Layouts, Point, Study
 from spiral.shooting.windows import Layout
 
 _PIECE = 4096  # samples in memory at a time
-_THREADS = 2
+_THREADS = min(2, int(os.environ.get("NUMBA_NUM_THREADS", "2")))  # that share the windows
 _CURVATURE = 0.05  # rad per knot^2: expected second difference of a phase correction
 
 

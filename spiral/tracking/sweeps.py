@@ -7,8 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from spiral.tracking import track as studies
 from spiral.tracking.store import Tracking
-from spiral.tracking.track import Failed, Tracked, track
+from spiral.tracking.track import Failed, Tracked
 
 if TYPE_CHECKING:
     from spiral.sweep import Row
@@ -32,7 +33,7 @@ class SweepTracker:
         failed = Failed(sweep_id, number, row.overrides, row.result.get("error") or {})
         jobs = (failed,) if row.exit and not wanted else ()
         if self.failures < _WAITS:
-            found = track(self.tracking, self.out, wanted, jobs, catch_up=False)
+            found = studies.track(self.tracking, self.out, wanted, jobs, catch_up=False)
             if found.failure is None:
                 return
             self.failures += 1
@@ -41,4 +42,4 @@ class SweepTracker:
 
     def finish(self) -> Tracked:
         """Log what is left: once more, at the end."""
-        return track(self.tracking, self.out, (), tuple(self.left))
+        return studies.track(self.tracking, self.out, (), tuple(self.left))
