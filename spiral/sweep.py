@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,7 +15,7 @@ from typing import Any
 from spiral.errors import SpiralError
 from spiral.jobs import Plan
 from spiral.ledger import Ledger, open_ledger
-from spiral.pool import Answer, ClusterError, Execute, Job, answers, call_for, processes
+from spiral.pool import Answer, ClusterError, Execute, Job, answers, call_for
 from spiral.problem import Progress, silent
 from spiral.signals import Signals, Stopped
 
@@ -49,8 +48,7 @@ class Row:
 
 
 OnRow = Callable[[str, int, Row], None]
-"""(sweep's id, job's number from zero, row): told once for each job as it ends, in this process,
-one after another; beside jobs of other processes, in a thread of their own.
+"""(sweep's id, job's number from zero, row): told once for each job as it ends, in this process.
 
 Told again where a failed job is tried again, or where the process ended before the call came back;
 what it writes should therefore be found by sweep and number, and replaced.
@@ -137,7 +135,6 @@ class _Desk:
     under_way: set[int] = field(default_factory=set)
     taken_up: int = 0
     clock: float = field(default_factory=time.perf_counter)
-    hooks: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1))
 
     def run(self, execute: Execute) -> Sweep:
         """All jobs, and the sweep as it ended."""
@@ -177,7 +174,7 @@ class _Desk:
         self.tell(f"taking up sweep {self.ledger.sweep_id}: {there}")
         for index, row in self.rows.items():
             if not self.ledger.told(index):
-                self._call(index, row)
+                self._hook(index, row)
 
     def _work(self, execute: Execute) -> None:
         mine = f"sweep.id={self.ledger.sweep_id}"
@@ -204,14 +201,7 @@ class _Desk:
             self.under_way.discard(index)
             self.ledger.write(index, row.as_dict())
         self._report()
-        self._call(index, row)
-
-    def _call(self, index: int, row: Row) -> None:
-        """The hook beside the jobs of other processes, which then never wait for it."""
-        if self.plan.backend.name == "loky" and processes(self.plan.backend.n_jobs) == 1:
-            self._hook(index, row)
-        else:
-            self.hooks.submit(self._hook, index, row)
+        self._hook(index, row)
 
     def _hook(self, index: int, row: Row) -> None:
         """Whatever goes wrong in it costs no row."""
@@ -240,7 +230,6 @@ class _Desk:
         return f"stopped: {kept}{under_way}{again}"
 
     def _finished(self, code: int, error: dict[str, str] | None) -> Sweep:
-        self.hooks.shutdown()  # waits for the last of them
         sweep = Sweep(
             self.ledger.sweep_id,
             str(self.ledger.folder),

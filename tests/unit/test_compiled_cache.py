@@ -15,7 +15,7 @@ def generated(tmp_path, monkeypatch):
     count = []
     original = compiler.generate
     monkeypatch.setenv("SPIRAL_CACHE", str(tmp_path))
-    monkeypatch.setattr(compiler, "generate", lambda t: count.append(1) or original(t))
+    monkeypatch.setattr(compiler, "generate", lambda *given: count.append(1) or original(*given))
     forget(monkeypatch)
     return count
 
@@ -53,7 +53,10 @@ def test_a_damaged_file_is_written_anew(generated, tmp_path, monkeypatch):
     assert len(generated) == 2
 
 
-def test_the_name_follows_the_equations():
-    one, other = model("coulomb_friction"), model("clearance")
-    assert compiler._digest(one) != compiler._digest(other)
-    assert compiler._digest(one) == compiler._digest(model("coulomb_friction"))
+def test_the_name_follows_the_equations_and_the_derivatives():
+    def name(label, by=None):
+        return compiler._digest(model(label), by)
+
+    assert name("coulomb_friction") != name("clearance")
+    assert name("coulomb_friction") == name("coulomb_friction")
+    assert name("coulomb_friction") != name("coulomb_friction", ("system.mass",))
