@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 Array = np.ndarray
 
@@ -82,6 +81,8 @@ def triangle(rows: Iterable[Array]) -> tuple[Array, int]:
 
 def solve_triangle(upper: Array, rows: int, columns: tuple[int, ...] | None = None) -> Fit:
     """Regress the last column of [X y] on others, from its R; ``columns`` of X, or all."""
+    from scipy import linalg
+
     chosen = list(range(upper.shape[1] - 1)) if columns is None else list(columns)
     inner: Any = np.linalg.qr(upper[:, [*chosen, upper.shape[1] - 1]], mode="r")
     k = len(chosen)

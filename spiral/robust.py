@@ -11,11 +11,12 @@ import numpy as np
 from spiral.gate import Trial
 from spiral.leastsquares import Fit
 from spiral.record import Array
-from spiral.shooting.score import correlation_samples
 
 
 def automatic_lags(trial: Trial) -> int:
     """Correlation time of the training residual in samples, at least 4 (N/100)^(2/9)."""
+    from spiral.shooting.score import correlation_samples
+
     left = trial.residual[trial.train]
     usual = int(np.ceil(4 * (len(left) / 100) ** (2 / 9)))
     return int(np.clip(correlation_samples((left,)), usual, max(len(left) // 20, usual)))

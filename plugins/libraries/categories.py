@@ -10,7 +10,6 @@ from spiral.effect import Effect
 from spiral.errors import ConfigError
 from spiral.library import Term
 from spiral.system import System
-from spiral.trace import check_effect
 from spiral.units import units_fit
 
 
@@ -102,6 +101,8 @@ def expanded(categories: tuple[Category, ...], system: System) -> tuple[Term, ..
 
 def fits(system: System, effect: Effect) -> bool:
     """Whether the system has the axes, inputs and units that an effect needs."""
+    from spiral.trace import check_effect
+
     try:
         check_effect(system, effect)
     except ConfigError:

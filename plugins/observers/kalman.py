@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from spiral.filtering.extended import Pass, Settings, as_reconstruction, filtered
-from spiral.filtering.setup import chosen_levels, prepared, with_level
 from spiral.observer import Observer, Reconstruction
 
 if TYPE_CHECKING:
+    from spiral.filtering.extended import Pass, Settings
     from spiral.filtering.task import Task
 
 
@@ -39,6 +38,9 @@ class Tuned(Observer):
 
     def reconstruct(self, task: Task) -> Reconstruction:
         """Choose the process noise, then run once."""
+        from spiral.filtering.extended import as_reconstruction
+        from spiral.filtering.setup import chosen_levels, prepared, with_level
+
         clock = time.perf_counter()
         task, settings = prepared(task, self.track, self.doubt, self.spread)
         levels = chosen_levels(task, settings, self.process_noise)
@@ -67,6 +69,8 @@ class Ekf(Tuned):
 
     def run(self, task: Task, settings: Settings) -> Pass:
         """Filter the record."""
+        from spiral.filtering.extended import filtered
+
         settings = replace(settings, second_order=self.transition == "second_order")
         return filtered(task, settings, keep=bool(task.series.record.truth))
 
@@ -79,6 +83,7 @@ class Rts(Tuned):
 
     def run(self, task: Task, settings: Settings) -> Pass:
         """Filter, then go back from the record's end; innovations stay those of the filter."""
+        from spiral.filtering.extended import filtered
         from spiral.filtering.smoother import smooth
 
         found = filtered(task, settings, keep=True)

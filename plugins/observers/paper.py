@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spiral.filtering.extended import Settings, as_reconstruction, filtered
 from spiral.observer import Observer, Reconstruction
 
 if TYPE_CHECKING:
@@ -32,6 +31,8 @@ class EkfPaper(Observer):
 
     def reconstruct(self, task: Task) -> Reconstruction:
         """Filter the record with the paper's numbers."""
+        from spiral.filtering.extended import Settings, as_reconstruction, filtered
+
         names, channels = task.states, task.compiled.traced.channels
         rate = np.array([f"{n}_rate" not in names for n in names])
         seen = np.array([n.removesuffix("_rate") in channels for n in names])

@@ -2,6 +2,9 @@
 
 import textwrap
 
+import subprocess
+import sys
+
 import pytest
 
 from spiral.errors import ConfigError, PluginError
@@ -38,6 +41,17 @@ def test_shipped_plugins_are_found_everywhere(tmp_path, monkeypatch):
     assert {"oscillator", "planar_rotor", "tilting_rotor"} <= set(registry.names("system"))
     assert {"csv", "simulation", "rotor_coastdown"} <= set(registry.names("source"))
     assert registry.failures == ()
+
+
+def test_finding_plugins_imports_no_numerics():
+    code = (
+        "import sys; from spiral.registry import load_registry\n"
+        "load_registry()\n"
+        "heavy = {'scipy','sympy','numba','torch','sklearn','statsmodels','pandas','mlflow'}\n"
+        "sys.exit(', '.join(heavy & set(sys.modules)) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_shipped_folder_is_not_read_twice(monkeypatch):
