@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from spiral import custom
 from spiral.errors import ConfigError, did_you_mean
 from spiral.fields import construct, defaults_of, field_names, is_open, plain
 from spiral.overrides import Assignment, parse, set_value
@@ -48,6 +49,7 @@ class Options:
 
     strategy: str = "shooting"
     effect: Any = None
+    expressions: Any = None
     seed: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()
     candidates: tuple[str, ...] | None = None
@@ -97,6 +99,7 @@ def compose(overrides: Sequence[str], registry: Registry, base: Config | None = 
         raise ConfigError(
             f"experiment={_preset(items)} together with run=", "one of them", "leave one out"
         )
+    items, registry = custom.routed(config, items, registry)
     _normalise(config, registry)
     rest = [i for i in items if i.path != ("experiment",)]
     for item in [i for i in rest if len(i.path) == 1]:
@@ -153,6 +156,7 @@ def build_sources(config: Config, registry: Registry) -> tuple[Any, Any | None]:
 
     A field of the test that is left out is as in the record where both have one source.
     """
+    registry = custom.bound(config, registry)
     record = _plugin("record", config, registry)
     section = config["test"]
     if not section.get("name"):
@@ -166,6 +170,7 @@ def build_sources(config: Config, registry: Registry) -> tuple[Any, Any | None]:
 
 def build_effects(config: Config, registry: Registry, system: Any) -> tuple[Any, ...]:
     """The effects of the model: its seed and those added, less those left out."""
+    registry = custom.bound(config, registry)
     chosen = options(config)
     if chosen.seed is None:
         effects = list(system.seed)
@@ -188,6 +193,7 @@ def build_model(config: Config, registry: Registry) -> Any:
     from spiral.model import Model
     from spiral.simulate import with_defaults
 
+    registry = custom.bound(config, registry)
     system = build_system(config, registry)
     chosen = options(config)
     effects = build_effects(config, registry, system)
@@ -209,7 +215,7 @@ def build_candidates(config: Config, registry: Registry, model: Any) -> tuple[An
     """Effects that may be missing: those named, or all that fit, less those of the model."""
     from spiral.trace import check_effect
 
-    named = options(config).candidates
+    registry, named = custom.bound(config, registry), options(config).candidates
     if named is None:
         found = registry.candidates(model.system)
     else:
@@ -366,7 +372,7 @@ def _choose(config: Config, group: str, name: Any, registry: Registry) -> None:
 
 
 def _open_keys(config: Config, registry: Registry) -> tuple[str, ...]:
-    found = ["values"]
+    found = ["values", *custom.open_keys(config)]
     for group, kind in GROUPS.items():
         if config[group] and config[group].get("name"):
             plugin = registry.entry(kind, config[group]["name"]).plugin

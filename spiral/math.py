@@ -37,6 +37,7 @@ sin = _elementary("sin")
 cos = _elementary("cos")
 tanh = _elementary("tanh")
 exp = _elementary("exp")
+log = _elementary("log")
 
 
 def sqrt(value: Any) -> Any:

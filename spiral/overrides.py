@@ -59,7 +59,7 @@ def _parsed(texts: Sequence[str]) -> list[Any]:
     found = []
     for text in texts:
         try:
-            found.append(parser.parse_override(text))
+            found.append(parser.parse_override(_formula_quoted(text)))
         except HydraException as error:
             raise ConfigError(
                 f"{text!r}: {str(error).splitlines()[0]}",
@@ -67,6 +67,25 @@ def _parsed(texts: Sequence[str]) -> list[Any]:
                 "quote values with special characters: KEY='\"...\"'",
             ) from error
     return found
+
+
+def _formula_quoted(text: str) -> str:
+    """A formula in quotes, so that its brackets are not the grammar's: effect.NAME.expression=f(x).
+
+    Commas outside brackets still part the values of a sweep.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or "expression" not in key.split(".")[2:] or value[:1] in ("", *"'\"[{"):
+        return text
+    parts, depth = [""], 0
+    for letter in value:
+        depth += {"(": 1, ")": -1}.get(letter, 0)
+        if letter == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    quoted = ['"' + p.strip().replace('"', '\\"') + '"' for p in parts]
+    return f"{key}={','.join(quoted)}"
 
 
 def _key(override: Any) -> str:

@@ -79,6 +79,8 @@ class SavedRun:
         config["without"] = []
         config["values"] = _numbers(saved["values"])
         config["free"], config["fixed"] = list(saved["freed"]), list(saved["fixed"])
+        defined = {**(config.get("expressions") or {}), **saved.get("expressions", {})}
+        config["expressions"] = defined or None
         config["run"] = self.run_id
         return config
 
@@ -157,7 +159,9 @@ def unwritable(folder: str | os.PathLike[str], error: OSError) -> InputError:
 
 
 def model_data(model: Model) -> dict[str, Any]:
-    """Enough to build a model again: plugin names, fields, values, errors."""
+    """Enough to build a model again: plugin names, fields, values, errors, formulas."""
+    from spiral.expression import definitions_of
+
     return {
         "system": plain(model.system),
         "effects": [plain(e) for e in model.effects],
@@ -165,6 +169,7 @@ def model_data(model: Model) -> dict[str, Any]:
         "errors": dict(model.errors),
         "freed": list(model.freed),
         "fixed": list(model.fixed),
+        "expressions": definitions_of(model.effects),
     }
 
 
@@ -175,10 +180,12 @@ def model_from(saved: Mapping[str, Any], registry: Registry) -> Model:
     ------
     ConfigError : a plugin it used is not known here.
     """
+    from spiral.custom import defining
     from spiral.model import Model
 
     fields = {k: v for k, v in saved["system"].items() if k != "name"}
     system = registry.make("system", saved["system"]["name"], fields)
+    registry = defining(registry, saved.get("expressions", {}), system)
     effects = tuple(
         registry.effect_from_label(e["name"], {k: v for k, v in e.items() if k != "name"})
         for e in saved["effects"]

@@ -60,6 +60,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     SpiralError : bad input; the caller makes it exit 2.
     """
     from spiral import foresight, plugin_verbs, reconstruct, reporting
+    from spiral.custom import bound
     from spiral.registry import load_registry
 
     if request.verb == "new":
@@ -74,6 +75,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     for failure in registry.failures:
         tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
     config = configured(request, registry)
+    registry = bound(config, registry)
     steps = {
         "discover": _discover, "compare": _compare, "diagnose": _diagnose, "add": _add,
         "estimate": reconstruct.reconstruct, "identify": foresight.identify,
