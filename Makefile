@@ -28,7 +28,7 @@ FIND_PYTHON = for python in python3.11 python3 /usr/bin/python3.11 /usr/bin/pyth
 		>/dev/null 2>&1; then echo "$$python"; exit; fi; done; \
 	echo 'needed: Python 3.11 or newer with venv (Debian: apt install python3.11-venv)' >&2; exit 1
 
-.PHONY: help setup demo test test-slow pictures bench lint format lock clean
+.PHONY: help setup demo app test test-slow pictures bench lint format lock clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -53,6 +53,9 @@ $(VENV)/.installed: $(VENV)/.locked pyproject.toml setup.py
 demo: setup ## Find what the rotor's model is missing, on the embedded record
 	@$(BIN)/spiral discover experiment=rotor_coastdown
 	@$(BIN)/python -m experiments.side_by_side runs
+
+app: setup ## Open the page: see where the model fails, click Add, watch the error fall
+	@$(BIN)/spiral app
 
 # Compiled once here, so that the workers find the cache instead of compiling side by side.
 .PHONY: warm

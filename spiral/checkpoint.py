@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spiral.discover import Checkpoint
 from spiral.storage import model_data, model_from, unwritable, write_whole
+from spiral.turn import Checkpoint
 
 if TYPE_CHECKING:
     from cattrs import Converter
@@ -49,9 +49,7 @@ class Keeper:
             return
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            plain = _converter(self.registry).unstructure(checkpoint)
-            text = json.dumps(plain, default=_number)
-            write_whole(self.folder / FILE, text)
+            write_checkpoint(checkpoint, self.folder / FILE, self.registry)
         except OSError as error:
             raise unwritable(self.folder.parent.parent, error) from error
 
@@ -60,8 +58,7 @@ class Keeper:
         if self.folder is None or not (self.folder / FILE).is_file():
             return None
         try:
-            text = (self.folder / FILE).read_text(encoding="utf-8")
-            return _converter(self.registry).structure(json.loads(text), Checkpoint)
+            return read_checkpoint(self.folder / FILE, self.registry)
         except Exception:  # damaged, or written by another version: the study starts anew
             return None
 
@@ -69,6 +66,18 @@ class Keeper:
         """The study is saved; its checkpoint goes."""
         if self.folder is not None:
             shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def write_checkpoint(checkpoint: Checkpoint, file: Path, registry: Registry) -> None:
+    """Write a checkpoint over the last one, whole or not at all."""
+    plain = _converter(registry).unstructure(checkpoint)
+    write_whole(file, json.dumps(plain, default=_number))
+
+
+def read_checkpoint(file: Path, registry: Registry) -> Checkpoint:
+    """A checkpoint from its file; whatever is wrong with it raises."""
+    text = file.read_text(encoding="utf-8")
+    return _converter(registry).structure(json.loads(text), Checkpoint)
 
 
 @contextmanager

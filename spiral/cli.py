@@ -26,13 +26,14 @@ VERBS = {
     "estimate": "reconstruct all states, hidden ones too, with an observer",
     "identify": "before any fit: can the record tell the terms apart? rank, aliases, samples",
     "simulate": "make a record from a model and write it to a file",
+    "app": "the page on 127.0.0.1: see where the model fails, click Add, watch the error fall",
     "report": "one HTML file of a saved run (run=ID, by default the latest), figures and all",
     "plugins": "list systems, effects and sources",
     "check": "verify a plugin: units, derivatives, behaviour at rest",
     "new": "write a working skeleton of a plugin and its test: new KIND NAME",
 }
 
-_PLAIN = ("report", "plugins", "check", "new")  # verbs without a configuration
+_PLAIN = ("app", "report", "plugins", "check", "new")  # verbs without a configuration
 
 _EPILOG = """\
 first steps:
@@ -75,6 +76,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if getattr(options, "help", False):
             return _verb_help(options)
         request = _request(options)
+        if options.verb == "app":
+            return _app(request, options.port, not options.no_browser)
         if options.multirun:
             return _multirun(request, options.json)
         return _single(request, options.json)
@@ -119,6 +122,9 @@ def parser() -> argparse.ArgumentParser:
         verb.add_argument("words", nargs="*", metavar="NAME|KEY=VALUE", help="names and overrides")
         verb.add_argument("--json", metavar="FILE", help="write the result as JSON; - is stdout")
         verb.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
+        if name == "app":
+            verb.add_argument("--port", metavar="N", help="port to listen on; usually 8765")
+            verb.add_argument("--no-browser", action="store_true", help="open no browser")
         if name == "report":
             verb.add_argument("--out", metavar="FILE", help="the page to write: .html")
         if name in ("simulate", "estimate"):
@@ -183,6 +189,12 @@ def _request(options: argparse.Namespace) -> Request:
         plugins=options.plugins,
         out=getattr(options, "out", None),
     )
+
+
+def _app(request: Request, port: str | None, browser: bool) -> int:
+    from spiral.app.serve import begin
+
+    return begin(request.names, request.overrides, port, browser, request.plugins)
 
 
 def _single(request: Request, target: str | None) -> int:

@@ -108,15 +108,57 @@ def gather(
         narrow = replace(assembly, problem=replace(whole, model=comparison.model))
         values = _zeroed(narrow, first_row(narrow), comparison.model)
         narrow = refined(narrow, Standing(comparison.model.labels, values))
-        stage = _settled(narrow, values, comparison.horizon)
-        about[name] = _model_curves(kept, narrow, stage, name, wide)
+        stage = _settled(
+            narrow, comparison.model.labels, comparison.model, values, comparison.horizon
+        )
+        about[name] = _free_curves(kept, narrow, comparison.model.labels, stage, name)
+        about[name] |= _where_curves(kept, narrow, stage, name, wide)
         if name == final:
             about["modes"] = _modes(kept, narrow, stage)
+    return _whole(kept, about, problem, comparisons[final].model)
+
+
+@one_blas_thread
+def free_curves(
+    assembly: Assembly, name: str, standing: Standing, comparison: Comparison
+) -> Curves:
+    """The curves of one model that need no missing force, with a study's own compilation.
+
+    Free runs, residuals and modes: all there is to draw at once, before ``gather`` does the rest.
+    """
+    kept: dict[str, Array] = {}
+    stage = _settled(
+        assembly, standing.labels, comparison.model, standing.values, comparison.horizon
+    )
+    about: dict[str, Any] = {name: _free_curves(kept, assembly, standing.labels, stage, name)}
+    about["modes"] = _modes(kept, assembly, stage)
+    return _whole(kept, about, assembly.problem, comparison.model, equation=False)
+
+
+def beside(first: Curves, last: Curves) -> Curves:
+    """The curves of the model that a study began with, beside those of a later one."""
+    arrays = {k.replace(f".{FINAL}.", f".{SEED}."): v for k, v in first.arrays.items()
+              if f".{FINAL}." in k}  # fmt: skip
+    models = {SEED: first.meta["models"][FINAL], **last.meta["models"]}
+    return Curves({**last.meta, "models": models}, {**arrays, **last.arrays})
+
+
+def alone(curves: Curves) -> Curves:
+    """The curves without the model that a study began with."""
+    models = {k: v for k, v in curves.meta["models"].items() if k != SEED}
+    return Curves({**curves.meta, "models": models}, curves.arrays)
+
+
+def _whole(
+    kept: dict[str, Array], about: dict[str, Any], problem: Problem, model: Model,
+    equation: bool = True,
+) -> Curves:  # fmt: skip
+    """Curves with their records and all that is said of them."""
     records = _records(kept, problem)
     tests = [a.pop("settled") for a in about.values() if isinstance(a, dict) and "settled" in a]
     for record in records:
         record["settled"] = tests[0] if record["part"] == "test" and tests else 0
-    return Curves(_meta(problem, records, about, comparisons[final].model), kept)
+    return Curves(_meta(problem, records, about, model, equation), kept)
 
 
 def _wide(model: Model, models: list[Model]) -> Model:
@@ -142,10 +184,12 @@ def _zeroed(assembly: Assembly, row: Array, model: Model) -> Array:
     return row
 
 
-def _settled(assembly: Assembly, values: Array, longest: int) -> Stage:
+def _settled(
+    assembly: Assembly, labels: tuple[str, ...], model: Model, values: Array, longest: int
+) -> Stage:
     """Initial states, phase origins and phase corrections of the fitted records."""
-    study, labels = assembly.study, assembly.problem.model.labels
-    turning = any("phase" in e.inputs for e in assembly.problem.model.effects)
+    study = assembly.study
+    turning = any("phase" in e.inputs for e in model.effects)
     keys = (*nuisance_keys(assembly, labels), *(study.correction_keys if turning else ()))
     moving, bounds = columns(assembly, keys)
     block = min(64, min(s.samples for s in study.series))
@@ -159,10 +203,10 @@ def _settled(assembly: Assembly, values: Array, longest: int) -> Stage:
     return last
 
 
-def _model_curves(
-    kept: dict[str, Array], assembly: Assembly, stage: Stage, name: str, wide: Model
+def _free_curves(
+    kept: dict[str, Array], assembly: Assembly, labels: tuple[str, ...], stage: Stage, name: str
 ) -> dict[str, Any]:
-    """Free runs, residuals and the missing force of one model; what they say in words."""
+    """Free runs and residuals of one model."""
     study = assembly.study
     free = run_free(assembly, stage, (0,) * len(study.series))
     left = residuals(study, stage.layouts, stage.fitted.point)
@@ -170,13 +214,21 @@ def _model_curves(
         kept[f"{number}.{name}.free"] = free.predicted[number].astype(np.float32)
         kept[f"{number}.{name}.left"] = left[number].astype(np.float32)
     values = stage.fitted.point.values
-    run = test_run(assembly, assembly.problem.model.labels, values)
+    run = test_run(assembly, labels, values)
     shown = min(len(study.series), _RECORDS)
     about: dict[str, Any] = {"horizon": int(stage.length)}
     if run is not None:
         about["settled"] = int(run.settled[0])
         for number, predicted in enumerate(run.predicted[:_RECORDS]):
             kept[f"{shown + number}.{name}.free"] = predicted.astype(np.float32)
+    return about
+
+
+def _where_curves(
+    kept: dict[str, Array], assembly: Assembly, stage: Stage, name: str, wide: Model
+) -> dict[str, Any]:
+    """The missing force of one model; where it fails, in words."""
+    about: dict[str, Any] = {}
     found = seen(assembly, stage, wide)
     about["where"] = where(assembly, stage, found).as_dict()
     if found.missing is not None and found.number < _RECORDS:
@@ -247,9 +299,13 @@ def _about(part: str, record: Record) -> dict[str, Any]:
 
 
 def _meta(
-    problem: Problem, records: list[dict[str, Any]], about: dict[str, Any], final: Model
+    problem: Problem,
+    records: list[dict[str, Any]],
+    about: dict[str, Any],
+    final: Model,
+    equation: bool,
 ) -> dict[str, Any]:
-    from spiral.export import equation
+    from spiral import export
     from spiral.mathml import mathml
 
     system = problem.model.system
@@ -266,7 +322,7 @@ def _meta(
         "states": states,
         "records": records,
         "models": about,
-        "equation": equation(final),
-        "mathml": mathml(final),
+        "equation": export.equation(final) if equation else "",
+        "mathml": mathml(final) if equation else [],
         "latent": LatentForce.meaning(),
     }

@@ -4,29 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from spiral.assembly import Assembly, to_model
+from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared
 from spiral.effect import Effect
 from spiral.evidence import Standing, all_samples
 from spiral.problem import Problem, Progress, silent
-from spiral.published import PAPER
-from spiral.run import Comparison, Round, Run, Stopped, Verdict
-from spiral.strategy import Begun, Settled, Step, Strategy
+from spiral.run import Comparison, Round, Run, Stopped
+from spiral.strategy import Strategy
 from spiral.threads import one_blas_thread
-from spiral.trajectories import SHOOTING
-from spiral.verdict import advice_for, seed_verdict
+from spiral.turn import Checkpoint, concluded, looked, refused, started, strategy_for, turned
 
 OnRound = Callable[[Round], None]
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """All that the loop needs to go on: the rounds so far and where the study stands."""
-
-    rounds: tuple[Round, ...]
-    standing: Standing
 
 
 Keep = Callable[[Checkpoint], None]
@@ -53,27 +43,24 @@ def discover(
         same result.
     """
     tell, keep = on_round or (lambda _: None), keep or (lambda _: None)
-    strategy = SHOOTING if problem.published is None else PAPER
+    strategy = strategy_for(problem)
     clock = time.perf_counter()
     begun = strategy.begin(problem, progress)
     if resume is not None:
         for found in resume.rounds[:-1]:
             tell(found)
-        rounds = list(resume.rounds)
-        return _loop(strategy, begun.assembly, resume.standing, rounds, progress, tell, keep)
-    seconds = time.perf_counter() - clock
-    rounds = [Round(0, (), {}, {}, (), begun.comparison, seconds, details=begun.details)]
+        return _loop(strategy, begun.assembly, resume, progress, tell, keep)
+    at = started(begun, time.perf_counter() - clock)
     if begun.refused:
-        tell(rounds[0])
-        return _refusal(begun, rounds[0])
-    return _loop(strategy, begun.assembly, begun.standing, rounds, progress, tell, keep)
+        tell(at.rounds[0])
+        return refused(begun, at.rounds[0])
+    return _loop(strategy, begun.assembly, at, progress, tell, keep)
 
 
 def _loop(
     strategy: Strategy,
     assembly: Assembly,
-    standing: Standing,
-    rounds: list[Round],
+    at: Checkpoint,
     progress: Progress,
     tell: OnRound,
     keep: Keep,
@@ -81,57 +68,18 @@ def _loop(
     settings = assembly.problem.settings
     stopped: Stopped = "max_rounds"
     while True:
-        keep(Checkpoint(tuple(rounds), standing))
-        number = len(rounds)
+        keep(at)
         clock = time.perf_counter()
-        if number > settings.max_rounds:
-            tell(rounds[-1])
+        if len(at.rounds) > settings.max_rounds:
+            tell(at.rounds[-1])
             break
-        step = strategy.propose(assembly, standing, rounds[-1].comparison, number, progress)
-        rounds[-1] = replace(
-            rounds[-1],
-            suggestions=step.suggestions,
-            rejected=dict(step.rejected),
-            details={**rounds[-1].details, **step.details},
-        )
-        tell(rounds[-1])
+        at, step = looked(strategy, assembly, at, progress)
+        tell(at.rounds[-1])
         if not step.admitted:
             stopped = step.stopped
             break
-        settled = strategy.settle(assembly, step, progress)
-        standing = settled.standing
-        rounds.append(_round(number, step, settled, time.perf_counter() - clock))
-    verdict = seed_verdict(rounds, stopped, settings.whiteness_level)
-    return Run(
-        verdict, stopped, tuple(rounds), rounds[-1].comparison.model,
-        advice_for(verdict, stopped, rounds, ()),
-    )  # fmt: skip
-
-
-def _round(number: int, step: Step, settled: Settled, seconds: float) -> Round:
-    return Round(
-        number=number,
-        admitted=step.admitted,
-        aliases=dict(step.aliases),
-        rejected={},
-        suggestions=(),
-        comparison=settled.comparison,
-        seconds=seconds,
-        second_order=step.second_order,
-        meaning=step.meaning,
-        retired=settled.retired,
-        details=settled.details,
-    )
-
-
-def _refusal(begun: Begun, first: Round) -> Run:
-    standing = begun.standing
-    model = to_model(begun.assembly, standing.labels, standing.values, {})
-    verdict: Verdict = "not_identifiable"
-    return Run(
-        verdict, "not_identifiable", (first,), model,
-        advice_for(verdict, "not_identifiable", [first], begun.groups), begun.groups,
-    )  # fmt: skip
+        at = turned(strategy, assembly, at, step, progress, time.perf_counter() - clock)
+    return concluded(at, stopped, settings.whiteness_level)
 
 
 @one_blas_thread

@@ -67,9 +67,14 @@ class Strategy:
     ``begin(problem, progress)`` fits the seed; ``propose(assembly, standing, comparison, number,
     progress)`` finds what round ``number`` (from 1) admits; ``settle(assembly, step, progress)``
     refits with it.
+
+    Where any candidate may be admitted by hand, ``ranked(step)`` lists all that a step scored, and
+    ``choose(assembly, standing, step, label)`` puts one in place of its own proposal.
     """
 
     name: str
     begin: Callable[[Problem, Progress], Begun]
     propose: Callable[[Assembly, Standing, Comparison, int, Progress], Step]
     settle: Callable[[Assembly, Step, Progress], Settled]
+    ranked: Callable[[Step], tuple[Suggestion, ...]] | None = None
+    choose: Callable[[Assembly, Standing, Step, str], Step] | None = None

@@ -82,8 +82,8 @@ def propose(
             chosen = first
             break
         rejected[first.variant.original.label] = reason
-    listed = _listed(evidence, chosen, aliases)
-    return Proposal(evidence, stages, chosen, aliases, listed, rejected)
+    shown = listed(evidence, chosen, aliases)
+    return Proposal(evidence, stages, chosen, aliases, shown, rejected)
 
 
 def _longest_that_agrees(
@@ -205,17 +205,20 @@ def _refused(
     return ""
 
 
-def _listed(
-    evidence: Evidence, chosen: Admitted | None, aliases: tuple[str, ...]
+def listed(
+    evidence: Evidence,
+    chosen: Admitted | None,
+    aliases: tuple[str, ...],
+    count: int | None = _LISTED,
 ) -> tuple[Suggestion, ...]:
-    """The best candidates as suggestions; the admitted one first."""
+    """The best candidates (all, where no count is given) as suggestions; the admitted one first."""
     order = list(evidence.ranked)
     if chosen is not None:
         label = chosen.variant.original.label
         order.sort(key=lambda r: (r.variant.original.label != label, r.rank))
     lead = order[0] if order else None
     found = []
-    for ranked in order[:_LISTED]:
+    for ranked in order[:count]:
         hint = tuple(
             r.variant.original.label
             for r in order[:_LISTED]

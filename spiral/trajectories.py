@@ -10,13 +10,13 @@ from dataclasses import replace
 
 from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared
-from spiral.evidence import Masks, Standing, half_masks
+from spiral.evidence import Admitted, Masks, Standing, admit, half_masks
 from spiral.identifiability import entangled
 from spiral.problem import Problem, Progress
 from spiral.retire import let_go, superfluous
-from spiral.run import Comparison, Stopped
+from spiral.run import Comparison, Stopped, Suggestion
 from spiral.strategy import Begun, Settled, Step, Strategy
-from spiral.suggest import Proposal, propose
+from spiral.suggest import Proposal, listed, propose
 
 SECOND_ORDER = ("cross_damping", "speed_stiffness")
 """Effects that a hidden tilt leaves beyond leading order (design, fact 3)."""
@@ -43,7 +43,11 @@ def _propose(
     if proposal.admitted is None:
         stopped = _why_stopped(proposal, comparison, level)
         return Step(proposal.suggestions, proposal.rejected, stopped=stopped, found=proposal)
-    effect = proposal.admitted.variant.original
+    return _step(standing, proposal, proposal.admitted)
+
+
+def _step(standing: Standing, proposal: Proposal, admitted: Admitted) -> Step:
+    effect = admitted.variant.original
     mediated = any(x.split("#")[0] == "gyroscopic" for x in standing.labels)
     return Step(
         proposal.suggestions,
@@ -54,6 +58,25 @@ def _propose(
         meaning=effect.meaning(),
         found=proposal,
     )
+
+
+def _ranked(step: Step) -> tuple[Suggestion, ...]:
+    proposal: Proposal = step.found
+    if proposal.evidence is None:
+        return proposal.suggestions
+    return listed(proposal.evidence, proposal.admitted, proposal.aliases, None)
+
+
+def _choose(assembly: Assembly, standing: Standing, step: Step, label: str) -> Step:
+    """Another candidate at the windows on which all were scored; no gate is asked."""
+    proposal: Proposal = step.found
+    evidence = proposal.evidence
+    assert evidence is not None
+    wanted = next(r for r in evidence.ranked if r.variant.original.label == label)
+    admitted = admit(assembly, standing, evidence.stage, wanted)
+    others = (*step.admitted, *proposal.aliases)
+    aliases = tuple(o for o in others if o != label) if label in others else ()
+    return _step(standing, replace(proposal, admitted=admitted, aliases=aliases), admitted)
 
 
 def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
@@ -92,4 +115,4 @@ def _why_stopped(proposal: Proposal, comparison: Comparison, level: float) -> St
     return "whiteness" if comparison.whiteness_p >= level else "no_candidate"
 
 
-SHOOTING = Strategy("shooting", _begin, _propose, _settle)
+SHOOTING = Strategy("shooting", _begin, _propose, _settle, _ranked, _choose)

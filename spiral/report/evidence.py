@@ -22,10 +22,13 @@ def rounds(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [{"round": 0, "admitted": [], **only}] if "test_error" in only else []
 
 
-def error_falling(result: Mapping[str, Any]) -> go.Figure | None:
-    """Fit and test error by round, the noise floor below them, the effect admitted at each step."""
+def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None:
+    """Fit and test error by round, the noise floor below them, the effect admitted at each step.
+
+    Nothing for a history shorter than ``least`` rounds.
+    """
     found = rounds(result)
-    if len(found) < 2:
+    if len(found) < least:
         return None
     figure = blank(height=430)
     numbers = [r["round"] for r in found]

@@ -5,7 +5,7 @@ Plotly's script is written into the file once; the equation is MathML; nothing e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -27,8 +27,13 @@ class Shown:
     figure: Figure
 
 
-def figures(saved: Mapping[str, Any], curves: Curves | None) -> list[Shown]:
-    """All figures that a saved run has what it takes for, in the order of the story."""
+def figures(
+    saved: Mapping[str, Any], curves: Curves | None, wanted: Container[str] | None = None
+) -> list[Shown]:
+    """All figures that a saved run has what it takes for, in the order of the story.
+
+    ``wanted`` names those to draw; left out, all.
+    """
     result = saved["result"]
     table = text.terms(result)
     makers: list[tuple[str, str, str, Callable[[], Figure | None]]] = [
@@ -43,7 +48,7 @@ def figures(saved: Mapping[str, Any], curves: Curves | None) -> list[Shown]:
         makers = [*_before(curves), *makers, *_after(curves)]
     found = []
     for name, heading, caption, make in makers:
-        figure = make()
+        figure = make() if wanted is None or name in wanted else None
         if figure is not None:
             found.append(Shown(name, heading, caption, figure))
     return found

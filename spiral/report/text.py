@@ -167,13 +167,18 @@ def suggested(saved: Saved) -> str:
 
 def model(saved: Saved, curves: Curves | None) -> str:
     """The equation and the table of its parameters."""
+    return coefficients_table(saved["result"], () if curves is None else curves.meta["mathml"])
+
+
+def coefficients_table(result: Mapping[str, Any], mathml: Sequence[Mapping[str, Any]] = ()) -> str:
+    """Every parameter with its standard error, under the equation where there is one."""
     rows = [
         (r["effect"], r["parameter"], plus_minus(r["estimate"], r.get("se")),
          number(r.get("t"), 3) if r.get("t") is not None else "given", r["unit"] or "1")
-        for r in terms(saved["result"])
+        for r in terms(result)
     ]  # fmt: skip
     columns = ("effect", "parameter", "estimate ± se", "t", "unit")
-    shown = "" if curves is None else _equation(curves.meta["mathml"])
+    shown = _equation(mathml) if mathml else ""
     return shown + (table(columns, rows, columns[2:4]) if rows else "")
 
 

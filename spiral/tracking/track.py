@@ -29,12 +29,13 @@ _CAUGHT_UP = 50  # saved runs that one start logs after the fact, at most
 
 @dataclass(frozen=True)
 class Tracked:
-    """What became of it: MLflow's id for every run logged, or why nothing was."""
+    """What became of it: MLflow's ids of the experiment and every run, or why there are none."""
 
     runs: Mapping[str, str]
     uri: str = ""
     page: str = ""
     failure: str | None = None
+    experiment: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,10 @@ def track(
         return Tracked({})
     uri, page = without_password(tracking.where(out)), tracking.page(out)
     runs: dict[str, str] = {}
+    experiment = ""
     try:
         with opened(tracking, out) as store:
+            experiment = str(store.experiment)
             for run_id in wanted:
                 runs[run_id] = _once(store, tracking, Path(out).expanduser() / run_id)
             for job in failed:
@@ -79,7 +82,7 @@ def track(
                 _catch_up(store, tracking, out)
     except Exception as error:  # of whatever store: the result is saved and must not be lost
         return Tracked(runs, uri, page, told(error))
-    return Tracked(runs, uri, page)
+    return Tracked(runs, uri, page, experiment=experiment)
 
 
 def _catch_up(store: Store, tracking: Tracking, out: str | os.PathLike[str]) -> None:

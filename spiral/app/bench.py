@@ -1,0 +1,259 @@
+"""The steps of a study with everything in memory: fit the seed, rank, admit, refit.
+
+Runs in a process of its own. The steps are the loop's (``spiral.turn``); between them the compiled
+study and the last ranking are kept, so that adding an effect compiles nothing. What a turn comes to
+is written into its folder first and told afterwards.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from spiral.app.study import turn_place
+from spiral.assembly import Assembly
+from spiral.checkpoint import read_checkpoint, write_checkpoint
+from spiral.curves import FINAL, Curves, beside, free_curves, read_curves, write_curves
+from spiral.discover import Checkpoint
+from spiral.problem import Problem
+from spiral.registry import Registry
+from spiral.run import Round, Run
+from spiral.storage import finite, write_whole
+from spiral.strategy import Begun, Step, Strategy
+from spiral.threads import one_blas_thread
+from spiral.turn import (
+    candidates,
+    chosen,
+    concluded,
+    looked,
+    refused,
+    started,
+    strategy_for,
+    turned,
+)
+
+Tell = Callable[[str, Mapping[str, Any]], None]
+"""Told what happened: a kind (``progress``, ``turn``, ``ranked``, ``figures``) and plain data."""
+
+Order = Mapping[str, Any]
+"""What to do, in plain data: study, overrides, plugins, serial, and what the step needs."""
+
+STATE, FREE, FIGURES = "checkpoint.json", "free", "figures"
+
+
+@dataclass
+class Bench:
+    """What one process keeps between two orders: the study last worked on."""
+
+    out: Path
+    tell: Tell
+    ident: str = ""
+    problem: Problem | None = None
+    registry: Registry | None = None
+    strategy: Strategy | None = None
+    begun: Begun | None = None
+    standing: dict[int, tuple[Checkpoint, Step]] = field(default_factory=dict)
+
+    @one_blas_thread
+    def start(self, order: Order) -> None:
+        """Fit the seed, and rank what it lacks."""
+        began = time.perf_counter()
+        self._open(order)
+        begun = self._begun()
+        at = started(begun, time.perf_counter() - began)
+        self._arrived(order, at, "")
+        if begun.refused:
+            run = refused(begun, at.rounds[0])
+            groups = [list(g) for g in begun.groups]
+            self.tell("ranked", {**_ranked(run, None, ()), "groups": groups})
+            return
+        self._look(order["serial"], at)
+
+    @one_blas_thread
+    def add(self, order: Order) -> None:
+        """Admit an effect to a turn, refit, and rank what is missing then."""
+        self._open(order)
+        base = order["base"]
+        at, step = self._ready(base)
+        began = time.perf_counter()
+        self._progress(f"refitting with {order['effect']}")
+        step = chosen(self._strategy(), self._assembly(), at, step, order["effect"])
+        at = turned(self._strategy(), self._assembly(), at, step, self._progress,
+                    time.perf_counter() - began)  # fmt: skip
+        self._arrived(order, at, order["effect"])
+        self._look(order["serial"], at)
+
+    @one_blas_thread
+    def contrast(self, order: Order) -> None:
+        """Refit with each of several candidates, and tell their errors side by side."""
+        self._open(order)
+        at, step = self._ready(order["base"])
+        rows = []
+        for effect in order["effects"]:
+            self._progress(f"refitting with {effect}")
+            one = chosen(self._strategy(), self._assembly(), at, step, effect)
+            after = turned(self._strategy(), self._assembly(), at, one, self._progress)
+            rows.append({"effect": effect, **_figures_of(after.rounds[-1])})
+        self.tell("contrast", {"rows": rows})
+
+    def _open(self, order: Order) -> None:
+        """Read the records and compile, unless this study is at hand."""
+        from spiral.config import build_problem, compose, options
+        from spiral.custom import bound
+        from spiral.errors import ConfigError
+        from spiral.preview import described
+        from spiral.registry import load_registry
+
+        if self.ident == order["study"]:
+            return
+        self.ident, self.begun, self.standing = "", None, {}
+        self._progress("reading the record")
+        self.registry = load_registry(order.get("plugins"))
+        config = compose(order["overrides"], self.registry)
+        self.registry = bound(config, self.registry)
+        if options(config).strategy != "shooting":
+            raise ConfigError("strategy=paper on the page", "strategy=shooting", "spiral discover")
+        self.problem = build_problem(config, self.registry)
+        self.strategy = strategy_for(self.problem)
+        self.tell("records", {"records": finite(described(self.problem))})
+        self.ident = order["study"]
+
+    def _begun(self) -> Begun:
+        if self.begun is None:
+            assert self.problem is not None
+            self._progress("compiling the model and all candidates")
+            self.begun = self._strategy().begin(self.problem, self._progress)
+        return self.begun
+
+    def _ready(self, serial: int) -> tuple[Checkpoint, Step]:
+        """A turn with its candidates ranked: from memory, or from disk and ranked again."""
+        if serial not in self.standing:
+            assert self.registry is not None
+            self._begun()
+            folder = turn_place(self.out, self.ident, serial)
+            at = read_checkpoint(folder / STATE, self.registry)
+            self.standing[serial] = looked(self._strategy(), self._assembly(), at, self._progress)
+        return self.standing[serial]
+
+    def _arrived(self, order: Order, at: Checkpoint, effect: str) -> None:
+        """Keep a turn on disk, then tell its figures, then draw."""
+        assert self.registry is not None
+        serial = order["serial"]
+        folder = turn_place(self.out, self.ident, serial)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_checkpoint(at, folder / STATE, self.registry)
+        last = at.rounds[-1]
+        floor = last.comparison.noise_floor
+        self.tell("turn", {"added": effect, "result": _result(last), "noise_floor": finite(floor)})
+        self._progress("drawing")
+        alone, both = self._curves(order, at)
+        drawn = draw(at, alone, both, folder / FIGURES, lambda name: name in FIRST)
+        self.tell("figures", {"figures": drawn})
+        drawn += draw(at, alone, both, folder / FIGURES, lambda name: name not in FIRST)
+        self.tell("figures", {"figures": drawn})
+
+    def _curves(self, order: Order, at: Checkpoint) -> tuple[Curves | None, Curves | None]:
+        """Free runs of this turn, and the same beside those of the first."""
+        place = turn_place(self.out, self.ident, order["serial"]) / FREE
+        place.mkdir(exist_ok=True)
+        try:
+            found = free_curves(self._assembly(), FINAL, at.standing, at.rounds[-1].comparison)
+            write_curves(found, place)
+        except (ArithmeticError, ValueError) as error:  # LinAlgError is a ValueError
+            self._progress(f"no curves: {error}")
+            return None, None
+        if len(at.rounds) == 1:
+            return found, None
+        first = read_curves(turn_place(self.out, self.ident, order["first"]) / FREE)
+        return found, None if first is None else beside(first, found)
+
+    def _look(self, serial: int, at: Checkpoint) -> None:
+        self._progress("ranking what may be missing")
+        at, step = looked(self._strategy(), self._assembly(), at, self._progress)
+        self.standing[serial] = (at, step)
+        assert self.registry is not None
+        write_checkpoint(at, turn_place(self.out, self.ident, serial) / STATE, self.registry)
+        level = self._assembly().problem.settings.whiteness_level
+        stopped = "max_rounds" if step.admitted else step.stopped
+        run = concluded(at, stopped, level)
+        self.tell("ranked", _ranked(run, step, tuple(_candidates(self._strategy(), step))))
+
+    def _strategy(self) -> Strategy:
+        assert self.strategy is not None
+        return self.strategy
+
+    def _assembly(self) -> Assembly:
+        return self._begun().assembly
+
+    def _progress(self, words: str) -> None:
+        self.tell("progress", {"words": words})
+
+
+FIRST = ("free_run", "where", "amplitude")
+"""Figures that are drawn before all others."""
+
+
+def draw(
+    at: Checkpoint,
+    alone: Curves | None,
+    both: Curves | None,
+    folder: Path,
+    part: Callable[[str], bool] = lambda name: True,
+) -> list[tuple[str, str, str]]:
+    """Write figures of a turn as JSON; returns name, heading, caption of each.
+
+    ``alone`` are the curves of this turn's model; ``both`` with those of the first beside them.
+    """
+    from spiral.report.page import figures
+
+    folder.mkdir(parents=True, exist_ok=True)
+    run = concluded(at, "max_rounds", 0.0, "")
+    saved = {"result": finite({**run.as_dict(), "noise_floor": None})}
+    names = [n for n in _ORDER if part(n)]
+    compared = [n for n in names if n in _COMPARED]
+    now = ["before" if n == "free_run" else n for n in names if n not in _COMPARED]
+    shown = figures(saved, alone, now) + figures(saved, both or alone, compared)
+    found = {"free_run" if s.name == "before" else s.name: s for s in shown}
+    for name, one in found.items():
+        write_whole(folder / f"{name}.json", one.figure.to_json())
+    heads = {"free_run": "Measured against the model, on the test record"}
+    return [(n, heads.get(n, found[n].heading), found[n].caption) for n in names if n in found]
+
+
+_COMPARED = ("amplitude", "missing_force")
+_ORDER = (
+    *FIRST, "missing_force", "surface", "evidence", "coefficients", "orbit", "bode", "waterfall",
+    "whirl", "correlation", "hidden", "campbell",
+)  # fmt: skip
+
+
+def _result(found: Round) -> dict[str, Any]:
+    data = {k: v for k, v in found.as_dict().items() if k not in ("suggestions", "details")}
+    channels = {k: v.as_dict() for k, v in found.comparison.channels.items()}
+    return finite({**data, "channels": channels, "converged": found.comparison.converged})
+
+
+def _figures_of(found: Round) -> dict[str, Any]:
+    kept = ("fit_error", "test_error", "chi2_per_dof", "whiteness_p", "meaning")
+    return finite({k: v for k, v in found.as_dict().items() if k in kept})
+
+
+def _candidates(strategy: Strategy, step: Step) -> list[dict[str, Any]]:
+    rows = []
+    for found in candidates(strategy, step):
+        row = {**found.as_dict(), "hint": list(found.hint)}
+        rows.append(finite(row))
+    return rows
+
+
+def _ranked(run: Run, step: Step | None, found: tuple[Any, ...]) -> dict[str, Any]:
+    return {
+        "candidates": list(found),
+        "proposed": list(step.admitted) if step else [],
+        "rejected": dict(step.rejected) if step else {},
+        "verdict": run.verdict if step is None or step.admitted else step.stopped,
+        "advice": run.advice,
+    }

@@ -1,0 +1,173 @@
+"""The processes beside the page: one for fits, one that writes down. Started anew, never forked.
+
+An order goes in as plain data, events come back as plain data; cancelling ends the process, so that
+no fit can hold the page up, and the next one finds its study on disk.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from spiral.errors import SpiralError
+
+Event = Mapping[str, Any]
+OnEvent = Callable[[Mapping[str, Any], str, Event], None]
+"""Told of an order, the kind of event, and its data; the last kind is ``done``."""
+
+_ENDED = {
+    "given": "a process that ended in the middle of its work",
+    "expected": "a process that runs to its end",
+    "try": "the same again; if it happens again, a shorter record or more memory",
+}
+
+
+class Process:
+    """One process and its queue of orders, handled one after the other."""
+
+    def __init__(self, kind: str, out: Path, on_event: OnEvent) -> None:
+        self._kind, self._out, self._on_event = kind, out, on_event
+        self._lock = threading.Lock()
+        self._orders: list[Mapping[str, Any]] = []
+        self._under_way: Mapping[str, Any] | None = None
+        self._wake = threading.Event()
+        self._closed = False
+        self._process: Any = None
+        self._pipe: Connection | None = None
+        self._spawn()
+        threading.Thread(target=self._work, daemon=True).start()
+
+    def give(self, order: Mapping[str, Any]) -> None:
+        """Queue an order."""
+        with self._lock:
+            self._orders.append(order)
+        self._wake.set()
+
+    def cancel(self, study: str) -> bool:
+        """End what is under way for a study, and forget what waits; whether there was anything."""
+        with self._lock:
+            waiting = [o for o in self._orders if o["study"] == study]
+            self._orders = [o for o in self._orders if o["study"] != study]
+            current = self._under_way is not None and self._under_way["study"] == study
+            if current:
+                self._process.kill()
+        for order in waiting:
+            self._on_event(order, "cancelled", {})
+        return current or bool(waiting)
+
+    def close(self) -> None:
+        """End the process, whatever it does."""
+        self._closed = True
+        self._wake.set()
+        self._process.kill()
+
+    def _spawn(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(
+            target=serve, args=(self._kind, str(self._out), theirs, os.getpid()), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+
+    def _work(self) -> None:
+        while not self._closed:
+            self._wake.wait()
+            with self._lock:
+                self._under_way = self._orders.pop(0) if self._orders else None
+                if self._under_way is None:
+                    self._wake.clear()
+                    continue
+            self._one(self._under_way)
+            with self._lock:
+                self._under_way = None
+
+    def _one(self, order: Mapping[str, Any]) -> None:
+        """Send one order and pass its events on, until it is done or its process is gone."""
+        if not self._process.is_alive():
+            self._spawn()
+        assert self._pipe is not None
+        try:
+            self._pipe.send(dict(order))
+            while True:
+                kind, data = self._pipe.recv()
+                self._on_event(order, kind, data)
+                if kind in ("done", "failed"):
+                    return
+        except (EOFError, OSError):
+            self._process.join(5)
+            killed = self._process.exitcode == -9
+            if self._closed:
+                return
+            self._spawn()
+            self._on_event(order, "cancelled" if killed else "failed", {} if killed else _ENDED)
+
+
+def serve(kind: str, out: str, pipe: Connection, parent: int) -> None:
+    """The process: take orders until the pipe closes."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _leave_with(parent)
+
+    def tell(what: str, data: Event) -> None:
+        pipe.send((what, dict(data)))
+
+    worker = _worker(kind, Path(out), tell)
+    while True:
+        try:
+            order = pipe.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            getattr(worker, order["do"])(order)
+        except SpiralError as error:
+            tell("failed", error.as_dict())
+        except Exception as error:  # a defect costs one order, and says so
+            tell("failed", _defect(error))
+        else:
+            tell("done", {})
+
+
+def _worker(kind: str, out: Path, tell: Any) -> Any:
+    """The one who does the work, with all that it needs imported."""
+    from spiral.registry import load_registry
+
+    load_registry(None)
+    if kind == "scribe":
+        os.nice(10)  # the page waits for the other one
+        from spiral.app.scribe import Scribe
+
+        return Scribe(out, tell)
+    import spiral.shooting.kernel  # noqa: F401  (compiled, or read from the cache, before a click)
+    from spiral.app.bench import Bench
+
+    return Bench(out, tell)
+
+
+def _defect(error: Exception) -> dict[str, str]:
+    import logging
+
+    logging.getLogger("spiral.app").exception("an order failed")
+    return {
+        "given": f"{type(error).__name__}: {error}"[:400],
+        "expected": "a step that runs to its end",
+        "try": "another effect, or the same study on the command line: spiral diagnose",
+    }
+
+
+def _leave_with(parent: int) -> None:
+    """Do not outlive the page."""
+    import time
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(0)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -1,0 +1,224 @@
+"""What the page knows and may ask. One desk serves all tabs: what one changes, all see.
+
+The desk alone writes ``study.json``. Orders go to the processes of ``crew``; their events change
+the study here, and every change has a number by which a tab sees that it is behind.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from spiral.app import study as kept
+from spiral.app.crew import Event, Process
+from spiral.app.study import Study, Turn
+from spiral.errors import ConfigError
+
+_FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send
+
+
+@dataclass(frozen=True)
+class Busy:
+    """What is under way: in words, since when, and how many messages of about how many."""
+
+    what: str
+    serial: int
+    words: str = ""
+    began: float = field(default_factory=time.monotonic)
+    said: int = 0
+    expected: int = _FIRST
+    landed: bool = False
+
+    @property
+    def share(self) -> float:
+        """How much of it is done, by the number of messages that it usually takes."""
+        return min(self.said / self.expected, 0.97)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A study with what is under way; ``version`` grows with every change."""
+
+    study: Study
+    version: int = 0
+    busy: Busy | None = None
+    writing: tuple[int, ...] = ()
+    contrast: tuple[Mapping[str, Any], ...] = ()
+
+
+class Desk:
+    """All studies of one folder of runs, and the processes that work on them."""
+
+    def __init__(self, out: Path, plugins: str | None = None) -> None:
+        self.out, self.plugins = out, plugins
+        self._lock = threading.RLock()
+        self._scenes: dict[str, Scene] = {}
+        self._expected = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN}
+        self._bench = Process("bench", out, self._on_bench)
+        self._scribe = Process("scribe", out, self._on_scribe)
+
+    def close(self) -> None:
+        """End the processes."""
+        self._bench.close()
+        self._scribe.close()
+
+    # --- what is there ---------------------------------------------------------------------------
+
+    def studies(self) -> list[Study]:
+        """All studies on disk, the latest first."""
+        return kept.studies(self.out)
+
+    def scene(self, ident: str) -> Scene:
+        """A study as it is now.
+
+        Raises
+        ------
+        ConfigError, InputError : no such study, or one that cannot be read.
+        """
+        with self._lock:
+            if ident not in self._scenes:
+                self._scenes[ident] = Scene(kept.load(self.out, ident))
+            return self._scenes[ident]
+
+    # --- what may be asked -----------------------------------------------------------------------
+
+    def create(self, title: str, overrides: tuple[str, ...]) -> str:
+        """A new study, its first fit under way; returns its name."""
+        study = kept.new_study(self.out, title, overrides, self.plugins)
+        with self._lock:
+            self._scenes[study.ident] = Scene(study)
+        self.start(study.ident)
+        return study.ident
+
+    def start(self, ident: str) -> None:
+        """Fit the seed, where that has not been done."""
+        with self._lock:
+            scene = self.scene(ident)
+            if scene.busy or scene.study.turns:
+                return
+            self._ask(scene, "start", "Fitting the model as it is")
+
+    def add(self, ident: str, effect: str, serial: int) -> None:
+        """Add an effect to the turn that the asking tab shows.
+
+        Raises
+        ------
+        ConfigError : the study has moved on, or is busy.
+        """
+        with self._lock:
+            scene = self._free(ident, serial)
+            self._ask(scene, "add", f"Adding {effect}", effect=effect, base=serial,
+                      first=scene.study.turns[0].serial)  # fmt: skip
+
+    def contrast(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
+        """Refit with each of these, to see the difference; the study stays as it is."""
+        with self._lock:
+            scene = self._free(ident, serial)
+            self._ask(scene, "contrast", f"Comparing {' and '.join(effects)}",
+                      effects=list(effects), base=serial)  # fmt: skip
+
+    def move(self, ident: str, by: int, serial: int) -> None:
+        """Undo or do again; nothing is fitted, since every turn is kept."""
+        with self._lock:
+            scene = self._free(ident, serial)
+            self._put(replace(scene, study=kept.moved(scene.study, by), contrast=()))
+
+    def cancel(self, ident: str) -> None:
+        """End what is under way; the study stays as it was before."""
+        self._bench.cancel(ident)
+
+    # --- how it is done --------------------------------------------------------------------------
+
+    def _free(self, ident: str, serial: int) -> Scene:
+        scene = self.scene(ident)
+        if scene.busy:
+            raise ConfigError(f"a click while {scene.busy.what.lower()}", "a study at rest",
+                              "wait, or cancel it first")  # fmt: skip
+        if scene.study.turn is None or scene.study.turn.serial != serial:
+            raise ConfigError("a click on what another tab has changed meanwhile",
+                              "the study as it is now, shown here", "look again")  # fmt: skip
+        return scene
+
+    def _ask(self, scene: Scene, do: str, what: str, **more: Any) -> None:
+        serial = scene.study.serials
+        study = replace(scene.study, serials=serial + 1, trouble=None)
+        self._put(replace(scene, study=study, contrast=(),
+                          busy=Busy(what, serial, expected=self._expected[do])))  # fmt: skip
+        self._bench.give({**self._order(study, do, serial), **more})
+
+    def _order(self, study: Study, do: str, serial: int) -> dict[str, Any]:
+        return {"do": do, "study": study.ident, "serial": serial, "plugins": study.plugins,
+                "overrides": list(study.overrides)}  # fmt: skip
+
+    def _put(self, scene: Scene, save: bool = True) -> Scene:
+        scene = replace(scene, version=scene.version + 1)
+        self._scenes[scene.study.ident] = scene
+        if save:
+            kept.save(self.out, scene.study)
+        return scene
+
+    def _on_bench(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+        with self._lock:
+            scene = self.scene(order["study"])
+            if kind == "progress":
+                if scene.busy:
+                    busy = replace(scene.busy, words=data["words"], said=scene.busy.said + 1)
+                    self._put(replace(scene, busy=busy), save=False)
+                return
+            if kind in ("done", "failed", "cancelled"):
+                self._ended(order, kind, data, scene)
+                return
+            self._put(self._changed(order, kind, data, scene))
+            if kind == "ranked":
+                self._write(order)
+
+    def _changed(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> Scene:
+        """The scene after an event that brought something."""
+        study, serial = scene.study, order["serial"]
+        if kind == "records":
+            return replace(scene, study=replace(study, records=tuple(data["records"])))
+        if kind == "turn":
+            turn = Turn(serial, data["added"], data["result"])
+            study = replace(kept.added(study, turn), noise_floor=data["noise_floor"])
+            busy = replace(scene.busy, landed=True) if scene.busy else None
+            return replace(scene, study=study, busy=busy)
+        if kind == "contrast":
+            return replace(scene, contrast=tuple(data["rows"]))
+        values = {k: v for k, v in data.items() if k in Turn.__dataclass_fields__}
+        for name in ("candidates", "proposed", "equation"):
+            if name in values:
+                values[name] = tuple(values[name])
+        if "figures" in values:
+            values["figures"] = tuple((n, h, c) for n, h, c in values["figures"])
+        return replace(scene, study=kept.changed(study, serial, **values))
+
+    def _ended(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> None:
+        busy, study = scene.busy, scene.study
+        if kind == "done" and busy:
+            self._expected[order["do"]] = max(busy.said, 1)
+        if kind == "failed":
+            study = replace(study, trouble=dict(data))
+        if kind == "cancelled":
+            words = f"Cancelled: {busy.what.lower()}" if busy else "Cancelled"
+            study = replace(study, trouble={"given": words, "expected": "", "try": ""})
+        self._put(replace(scene, study=study, busy=None))
+
+    def _write(self, order: Mapping[str, Any]) -> None:
+        scene = self.scene(order["study"])
+        self._put(replace(scene, writing=(*scene.writing, order["serial"])), save=False)
+        self._scribe.give(self._order(scene.study, "write", order["serial"]))
+
+    def _on_scribe(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+        with self._lock:
+            scene = self.scene(order["study"])
+            serial = order["serial"]
+            if kind in ("done", "failed", "cancelled"):
+                left = tuple(s for s in scene.writing if s != serial)
+                study = kept.changed(scene.study, serial, complete=kind == "done")
+                self._put(replace(scene, study=study, writing=left))
+            elif kind != "progress":
+                self._put(self._changed(order, kind, data, scene))

@@ -1,0 +1,109 @@
+"""What all pages share: the bar at the top, figures, messages, the command line's equivalent."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from spiral.app import panels
+from spiral.app.desk import Desk, Scene
+from spiral.app.look import STYLE
+from spiral.app.study import Study
+from spiral.errors import SpiralError
+from spiral.report.style import BLUE
+
+_CONFIG = {
+    "displaylogo": False, "responsive": True, "displayModeBar": False,
+    "modeBarButtonsToRemove": ["lasso2d", "select2d"],
+}  # fmt: skip
+
+
+@contextmanager
+def bar(crumb: str) -> Iterator[None]:
+    """The bar at the top; what is built inside stands at its right."""
+    ui.add_css(STYLE)
+    ui.colors(primary=BLUE, negative="#B23A00", positive="#007A5A")
+    with ui.element("header").classes("bar"), ui.element("div").classes("bar-inner"):
+        ui.link("SPIRAL", "/").classes("mark")
+        ui.label(crumb).classes("crumb")
+        yield
+
+
+@contextmanager
+def progress_bar() -> Iterator[None]:
+    """A strip under the bar that stays in sight."""
+    strip = ui.element("div").classes("bar").style("top:57px;border:0;z-index:19")
+    with strip, ui.element("div").classes("bar-inner").style("min-height:0"):
+        yield
+
+
+def plot(data: Mapping[str, Any], name: str) -> None:
+    """A figure as wide as its place."""
+    layout = {**data["layout"], "autosize": True}
+    layout.pop("width", None)
+    drawn = ui.plotly({"data": data["data"], "layout": layout, "config": _CONFIG})
+    drawn.style(f"width:100%;height:{layout['height']}px").props(f'id="plot-{name}"')
+
+
+def figure(file: Path, name: str, heading: str, caption: str) -> None:
+    """A figure from its file, with what it says."""
+    ui.html(f"<div class='figure-head'>{escape(heading)}</div>", sanitize=False)
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        ui.html("<p class='soft'>This figure is not there any more.</p>", sanitize=False)
+        return
+    plot(data, name)
+    ui.html(f"<p class='caption'>{escape(caption)}</p>", sanitize=False)
+
+
+def refused(error: SpiralError) -> None:
+    """A message that passes."""
+    said = ". ".join(v for v in error.as_dict().values() if v)
+    ui.notify(said, type="warning", multi_line=True, position="top", close_button="Close")
+
+
+def nothing_here(error: SpiralError) -> None:
+    """A page for an address that names no study."""
+    with bar("Nothing here"):
+        pass
+    with ui.element("main").classes("wrap"):
+        with ui.element("div").classes("trouble"):
+            ui.html(panels.trouble(error.as_dict()), sanitize=False)
+        ui.link("All studies", "/").classes("quiet")
+
+
+def command(study: Study) -> str:
+    """What does the same from a terminal."""
+    given = " ".join(shlex.quote(o) for o in study.overrides)
+    added = [t.added for t in study.line if t.added]
+    if not added:
+        return f"spiral diagnose {given}"
+    return f"spiral add {' '.join(added)} {given}"
+
+
+def links(desk: Desk, scene: Scene) -> None:
+    """The saved run, MLflow's page of it, and the report to take away."""
+    turn = scene.study.turn
+    if turn is None or not turn.run_id:
+        if turn is not None:
+            ui.label("saving the run …").classes("soft")
+        return
+    ident = scene.study.ident
+    with ui.button("Take away", icon="download").props("outline dense"), ui.menu():
+        for name, said in (("report.html", "Report, one HTML file"), ("model.tex", "LaTeX"),
+                           ("model.txt", "Equation"), ("run.json", "All numbers")):  # fmt: skip
+            ui.menu_item(said, lambda n=name: ui.navigate.to(f"/take/{ident}/{turn.serial}/{n}"))
+    if turn.tracked:
+        ui.link("MLflow", f"/mlflow/{ident}/{turn.serial}", new_tab=True).classes("quiet").tooltip(
+            f"run {turn.run_id} beside others"
+        )
+    elif turn.untracked:
+        ui.label("not in MLflow").classes("soft").tooltip(turn.untracked)

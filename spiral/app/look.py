@@ -1,0 +1,90 @@
+"""The look of the page: that of the report, with room for a list beside the figures."""
+
+from spiral.report.style import BLUE, FONT, GREEN, ORANGE, VERMILION
+
+STYLE = f"""
+:root {{ --blue:{BLUE}; --vermilion:{VERMILION}; --orange:{ORANGE}; --green:{GREEN};
+  --ink:#1f2328; --soft:#59616b; --line:#e3e6ea; --paper:#ffffff; --ground:#f6f7f9; }}
+body {{ font-family:{FONT}; color:var(--ink); background:var(--ground); }}
+.nicegui-content {{ padding:0; gap:0; align-items:stretch; }}
+.bar {{ position:sticky; top:0; z-index:20; background:var(--paper);
+  border-bottom:1px solid var(--line); }}
+.bar-inner, .wrap {{ max-width:1360px; margin:0 auto; padding:0 24px; box-sizing:border-box;
+  width:100%; }}
+.bar-inner {{ display:flex; align-items:center; gap:16px; min-height:56px; flex-wrap:wrap; }}
+.mark {{ font-weight:750; letter-spacing:.14em; color:var(--blue); text-decoration:none;
+  font-size:17px; }}
+.crumb {{ color:var(--soft); font-size:15px; overflow:hidden; text-overflow:ellipsis;
+  white-space:nowrap; flex:1 1 160px; min-width:0; }}
+.wrap {{ padding-top:22px; padding-bottom:80px; display:flex; flex-direction:column; gap:18px; }}
+.card {{ background:var(--paper); border:1px solid var(--line); border-radius:10px;
+  padding:18px 20px; box-sizing:border-box; min-width:0; }}
+.split {{ display:grid; grid-template-columns:minmax(340px,410px) minmax(0,1fr); gap:18px;
+  align-items:start; }}
+h1.big {{ font-size:34px; line-height:1.15; font-weight:700; margin:18px 0 2px; }}
+h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
+.soft {{ color:var(--soft); font-size:14.5px; line-height:1.5; margin:0; }}
+.number {{ font-size:46px; line-height:1.05; font-weight:700; color:var(--blue);
+  font-variant-numeric:tabular-nums; }}
+.number small {{ font-size:20px; color:var(--soft); font-weight:500; }}
+.label {{ font-size:13.5px; color:var(--soft); margin:0 0 2px; }}
+.chips {{ display:flex; flex-wrap:wrap; gap:6px; margin-top:12px; }}
+.chip {{ border-radius:999px; border:1px solid var(--line); padding:2px 11px; font-size:13.5px;
+  background:var(--ground); }}
+.chip.added {{ background:#e5f1f9; border-color:#9ccbe8; color:#004b76; font-weight:600; }}
+.sentence {{ border-left:4px solid var(--vermilion); background:#fbf4ef; padding:8px 14px;
+  font-size:16.5px; line-height:1.4; border-radius:0 6px 6px 0; }}
+.good {{ border-left:4px solid var(--green); background:#eef8f4; padding:8px 14px; font-size:15.5px;
+  line-height:1.4; border-radius:0 6px 6px 0; }}
+.note {{ border-left:4px solid var(--orange); background:#fdf8ec; padding:8px 14px;
+  font-size:15px; line-height:1.45; border-radius:0 6px 6px 0; }}
+.note b, .trouble b {{ font-weight:650; }}
+.trouble {{ border-left:4px solid var(--vermilion); background:#fdf1ea; padding:10px 16px;
+  font-size:15px; line-height:1.5; border-radius:0 6px 6px 0; overflow-wrap:anywhere; }}
+.effect {{ border-top:1px solid var(--line); padding:12px 0 12px; display:grid;
+  grid-template-columns:minmax(0,1fr) auto; column-gap:12px; align-items:start; }}
+.effect .name {{ font-weight:650; font-size:16px; line-height:1.3; }}
+.effect .meaning {{ color:var(--soft); font-size:14px; line-height:1.4; }}
+.effect .evidence {{ font-size:13.5px; color:var(--soft); margin-top:5px; grid-column:1 / -1;
+  display:flex; align-items:center; gap:10px; font-variant-numeric:tabular-nums; }}
+.effect .evidence span {{ white-space:nowrap; }}
+.meter {{ flex:1 1 60px; height:8px; border-radius:4px; background:#e9ecf0; overflow:hidden; }}
+.meter i {{ display:block; height:100%; background:var(--soft); border-radius:4px; }}
+.first .meter i {{ background:var(--blue); }}
+.alias .meter i {{ background:var(--orange); }}
+.alike {{ grid-column:1 / -1; margin-top:8px; font-size:14px; line-height:1.45; background:#fdf8ec;
+  border-left:4px solid var(--orange); padding:6px 10px; border-radius:0 6px 6px 0; }}
+.working {{ display:flex; align-items:center; gap:14px; padding:8px 0 10px; width:100%; }}
+.working .words {{ font-size:14.5px; flex:1 1 auto; min-width:0; }}
+.choices {{ display:grid; grid-template-columns:repeat(auto-fill,minmax(250px,1fr)); gap:12px; }}
+.choice {{ text-align:left; cursor:pointer; font:inherit; color:inherit; background:var(--paper);
+  border:1px solid var(--line); border-radius:10px; padding:14px 16px; display:flex;
+  flex-direction:column; justify-content:flex-start; text-decoration:none; }}
+.choice:hover, .choice:focus-visible {{ border-color:var(--blue); box-shadow:0 0 0 2px #cfe5f3;
+  outline:none; }}
+.choice b {{ display:block; font-size:16px; font-weight:650; margin-bottom:3px;
+  color:var(--blue); }}
+.choice span {{ color:var(--soft); font-size:14px; line-height:1.4; display:block; }}
+.caption {{ color:var(--soft); font-size:14px; line-height:1.45; max-width:86ch;
+  margin:2px 0 14px; }}
+.figure-head {{ font-size:16px; font-weight:650; margin:10px 0 0; }}
+table.plain {{ border-collapse:collapse; font-size:14.5px; width:100%; }}
+table.plain th, table.plain td {{ padding:5px 14px 5px 0; text-align:left; vertical-align:top;
+  border-bottom:1px solid var(--line); }}
+table.plain td.n, table.plain th.n {{ text-align:right; font-variant-numeric:tabular-nums;
+  white-space:nowrap; }}
+.wide {{ overflow-x:auto; }}
+math {{ font-size:17px; }}
+.equation td {{ border:0; padding:3px 10px 3px 0; vertical-align:middle; }}
+.equation td.owner {{ color:var(--soft); font-size:14px; }}
+.q-btn {{ text-transform:none; letter-spacing:0; font-weight:600; }}
+.q-tab {{ text-transform:none; letter-spacing:0; min-height:40px; padding:0 12px; }}
+.q-tab__label {{ font-size:14.5px; font-weight:600; }}
+.q-tab-panel {{ padding:10px 0 0; }}
+.js-plotly-plot {{ width:100%; }}
+a.quiet {{ color:var(--blue); text-decoration:none; }}
+a.quiet:hover {{ text-decoration:underline; }}
+@media (max-width:980px) {{ .split {{ grid-template-columns:minmax(0,1fr); }} }}
+@media (max-width:560px) {{ .bar-inner, .wrap {{ padding-left:12px; padding-right:12px; }}
+  .card {{ padding:14px 13px; }} .number {{ font-size:36px; }} h1.big {{ font-size:27px; }} }}
+"""

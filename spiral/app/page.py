@@ -1,0 +1,306 @@
+"""The page of one study: what is missing, Add, and the error falling."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from nicegui import ui
+
+from spiral.app import frame, panels
+from spiral.app.desk import Desk, Scene
+from spiral.app.study import Turn, turn_place
+from spiral.errors import SpiralError
+from spiral.report.evidence import error_falling
+
+_TICK = 0.15  # s between looks at the desk
+_SHOWN = 5  # candidates before "show all"
+TABS = (
+    ("Measured and model", ("free_run",)),
+    ("Where it fails", ("where", "amplitude")),
+    ("Missing force", ("missing_force", "surface")),
+    ("Rotor", ("orbit", "bode", "waterfall", "whirl", "campbell")),
+    ("What is left", ("correlation",)),
+    ("Hidden states", ("hidden",)),
+    ("Evidence", ("evidence",)),
+    ("Model", ("coefficients",)),
+)
+WHERE, MODEL = "Where it fails", "Model"
+
+
+@dataclass
+class View:
+    """One tab of the browser on one study: what it has drawn, so that only what changed is drawn.
+
+    ``parts`` are functions that build a region, with what the region depends on.
+    """
+
+    desk: Desk
+    ident: str
+    version: int = -1
+    drawn: dict[str, Any] = field(default_factory=dict)
+    regions: dict[str, ui.element] = field(default_factory=dict)
+    tab: str = TABS[0][0]
+    every: bool = False
+
+    def scene(self) -> Scene:
+        """The study as it is now."""
+        return self.desk.scene(self.ident)
+
+    def look(self) -> None:
+        """Draw what has changed since the last look."""
+        scene = self.scene()
+        if scene.version == self.version:
+            return
+        self.version = scene.version
+        for name, build, depends in self._parts(scene):
+            if self.drawn.get(name, _NEVER) == depends:
+                continue
+            self.drawn[name] = depends
+            region = self.regions[name]
+            region.clear()
+            with region:
+                build(scene)
+
+    def again(self, name: str) -> None:
+        """Draw a region anew at the next look."""
+        self.drawn.pop(name, None)
+        self.version = -1
+        self.look()
+
+    def _parts(self, scene: Scene) -> list[tuple[str, Callable[[Scene], None], Any]]:
+        study, turn = scene.study, scene.study.turn
+        busy = scene.busy
+        key = None if turn is None else turn.serial
+        ranked = turn is not None and turn.candidates is not None
+        return [
+            ("working", self._working, busy),
+            ("trouble", self._trouble, study.trouble),
+            ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor)),
+            ("falling", self._falling, (tuple(t.serial for t in study.line), study.noise_floor)),
+            ("missing", self._missing, (key, ranked, bool(busy), scene.contrast)),
+            ("figures", self._figures,
+             None if turn is None else
+             (key, turn.figures, turn.sentence, len(turn.equation), bool(turn.figures or busy))),
+            ("data", self._data, (len(study.records), key)),
+            ("links", self._links, None if turn is None else (key, turn.run_id, turn.tracked)),
+        ]  # fmt: skip
+
+    # --- regions ---------------------------------------------------------------------------------
+
+    def _working(self, scene: Scene) -> None:
+        busy = scene.busy
+        if busy is None:
+            return
+        with ui.element("div").classes("working"):
+            ui.spinner(size="20px")
+            ui.label(f"{busy.what}: {busy.words}" if busy.words else busy.what).classes("words")
+            ui.button("Cancel", on_click=self._cancel).props("outline dense color=negative").mark(
+                "cancel"
+            )
+        ui.linear_progress(busy.share, show_value=False, size="5px").props("instant-feedback")
+
+    def _trouble(self, scene: Scene) -> None:
+        error = scene.study.trouble
+        if not error:
+            return
+        with ui.element("div").classes("trouble").props('role="alert"'):
+            ui.html(panels.trouble(error), sanitize=False)
+            if not scene.study.turns:
+                ui.button("Try again", on_click=lambda: self.desk.start(self.ident)).props("flat")
+
+    def _hero(self, scene: Scene) -> None:
+        study = scene.study
+        ui.html(panels.headline(study), sanitize=False)
+        ui.html(panels.chips(study), sanitize=False)
+        with ui.row().classes("gap-2").style("margin-top:14px"):
+            idle = scene.busy is None
+            undo = ui.button("Undo", icon="undo", on_click=lambda: self._move(-1))
+            undo.props("outline").set_enabled(idle and study.at > 0)
+            if study.at + 1 < len(study.turns):
+                later = panels.words(study.turns[study.at + 1].added)
+                again = ui.button(f"Redo {later}", icon="redo", on_click=lambda: self._move(1))
+                again.props("flat").set_enabled(idle)
+
+    def _falling(self, scene: Scene) -> None:
+        study = scene.study
+        rounds = [{**t.result, "round": i} for i, t in enumerate(study.line)]
+        result = {"rounds": rounds, "noise_floor": study.noise_floor}
+        figure = error_falling(result, least=1)
+        if figure is None:
+            ui.element("div").style("height:320px")
+            return
+        figure.update_layout(
+            height=320,
+            margin={"l": 60, "r": 16, "t": 44, "b": 48},
+            legend={"x": 1, "xanchor": "right"},
+        )
+        frame.plot(figure.to_plotly_json(), "error-falling")
+
+    def _missing(self, scene: Scene) -> None:
+        turn = scene.study.turn
+        ui.html("<h2 class='head'>What is missing</h2>", sanitize=False)
+        if turn is None or turn.candidates is None:
+            waiting = scene.busy is not None
+            said = "Ranking the effects that may be missing …" if waiting else "Not ranked yet."
+            ui.html(f"<p class='soft'>{said}</p>", sanitize=False)
+            return
+        proposes = bool(turn.proposed)
+        if not proposes:
+            said = panels.ENDINGS.get(turn.verdict, turn.advice)
+            kind = "good" if turn.verdict == "whiteness" else "note"
+            ui.html(f"<div class='{kind}' id='ending'>{said}</div>", sanitize=False)
+        else:
+            said = "Ranked by evidence; the first passes all gates on data that did not rank it."
+            ui.html(f"<p class='soft' style='margin-bottom:10px'>{said}</p>", sanitize=False)
+        few = _SHOWN if proposes else 0
+        count = len(turn.candidates) if self.every else few
+        for found in turn.candidates[:count]:
+            self._candidate(scene, turn, found)
+        left = len(turn.candidates) - few
+        if left > 0:
+            said = "Show fewer" if self.every else f"Show {left} {'more' if few else 'candidates'}"
+            ui.button(said, on_click=self._toggle).props("flat dense")
+
+    def _candidate(self, scene: Scene, turn: Turn, found: Any) -> None:
+        effect, aliases = found["effect"], tuple(found["aliases"])
+        first = effect in turn.proposed
+        with ui.element("div").classes("effect first" if first else "effect"):
+            ui.html(panels.candidate(found), sanitize=False)
+            add = ui.button("Add", on_click=lambda: self._add(effect, turn.serial))
+            add.props("unelevated color=primary" if first else "outline color=primary")
+            add.props(f'aria-label="Add {panels.words(effect)}"').mark(f"add-{effect}")
+            add.set_enabled(scene.busy is None)
+            ui.html(panels.evidence(found), sanitize=False).classes("evidence")
+            if effect in turn.rejected:
+                ui.html(f"Refused: {turn.rejected[effect]}", sanitize=True).classes("alike")
+            if aliases:
+                with ui.element("div").classes("alike"):
+                    ui.html(panels.alike(aliases), sanitize=False)
+                    self._compare_aliases(scene, turn, (effect, *aliases))
+
+    def _compare_aliases(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
+        if scene.contrast:
+            ui.html(panels.contrast(scene.contrast), sanitize=False)
+            with ui.row().classes("gap-2"):
+                for effect in effects:
+                    add = ui.button(f"Add {panels.words(effect)}")
+                    add.on_click(functools.partial(self._add, effect, turn.serial))
+                    add.props("outline dense").set_enabled(scene.busy is None)
+            return
+        compare = ui.button("Compare them", on_click=lambda: self._contrast(effects, turn.serial))
+        compare.props("flat dense").set_enabled(scene.busy is None)
+
+    def _figures(self, scene: Scene) -> None:
+        turn = scene.study.turn
+        if turn is None or not (turn.figures or scene.busy is None):
+            said = "Reading, fitting, drawing: figures come in a few seconds."
+            ui.html(f"<h2 class='head'>Measured and model</h2><p class='soft'>{said}</p>",
+                    sanitize=False)  # fmt: skip
+            ui.element("div").style("height:420px")
+            return
+        have = {name for name, _, _ in turn.figures}
+        known = [t for t, names in TABS if have & set(names) or t == MODEL]
+        shown = self.tab if self.tab in known else known[0]
+        with ui.tabs(on_change=self._choose_tab).props(
+            "align=left no-caps outside-arrows mobile-arrows inline-label"
+        ) as tabs:
+            for title in known:
+                ui.tab(title)
+        tabs.set_value(shown)
+        self.regions["tab"] = ui.element("div").style("width:100%")
+        self._tab(shown)
+
+    def _choose_tab(self, event: Any) -> None:
+        if event.value and event.value != self.tab:
+            self.tab = event.value
+            self._tab(event.value)
+
+    def _tab(self, title: str) -> None:
+        """Only the figures of the chosen tab travel to the browser."""
+        turn = self.scene().study.turn
+        region = self.regions["tab"]
+        region.clear()
+        if turn is None:
+            return
+        with region:
+            if title == WHERE and turn.sentence:
+                ui.html(f"<div class='sentence'>{turn.sentence}</div>", sanitize=True)
+            if title == MODEL:
+                ui.html(panels.model(turn), sanitize=False).style("width:100%")
+                ui.html(panels.channels(turn), sanitize=False).style("width:100%;margin-top:12px")
+            wanted = dict(TABS)[title]
+            folder = turn_place(self.desk.out, self.ident, turn.serial) / "figures"
+            for name, heading, caption in turn.figures:
+                if name in wanted:
+                    frame.figure(folder / f"{name}.json", name, heading, caption)
+
+    def _data(self, scene: Scene) -> None:
+        study = scene.study
+        with ui.expansion("The data, and how to do this on the command line").classes("w-full"):
+            if study.records:
+                ui.html(panels.records(study.records), sanitize=False)
+            ui.html("<p class='soft' style='margin:12px 0 4px'>The same from a terminal:</p>",
+                    sanitize=False)  # fmt: skip
+            ui.code(frame.command(study), language="bash").classes("w-full")
+
+    def _links(self, scene: Scene) -> None:
+        frame.links(self.desk, scene)
+
+    # --- clicks ----------------------------------------------------------------------------------
+
+    def _add(self, effect: str, serial: int) -> None:
+        self.every = False
+        self._ask(lambda: self.desk.add(self.ident, effect, serial))
+
+    def _contrast(self, effects: tuple[str, ...], serial: int) -> None:
+        self._ask(lambda: self.desk.contrast(self.ident, effects, serial))
+
+    def _move(self, by: int) -> None:
+        turn = self.scene().study.turn
+        if turn is not None:
+            self._ask(lambda: self.desk.move(self.ident, by, turn.serial))
+
+    def _cancel(self) -> None:
+        self.desk.cancel(self.ident)
+
+    def _toggle(self) -> None:
+        self.every = not self.every
+        self.again("missing")
+
+    def _ask(self, what: Callable[[], None]) -> None:
+        try:
+            what()
+        except SpiralError as error:
+            frame.refused(error)
+        self.look()
+
+
+_NEVER = object()
+
+
+def study_page(desk: Desk, ident: str) -> None:
+    """Build the page of one study."""
+    try:
+        scene = desk.scene(ident)
+    except SpiralError as error:
+        frame.nothing_here(error)
+        return
+    view = View(desk, ident)
+    with frame.bar(scene.study.title):
+        view.regions["links"] = ui.row().classes("items-center gap-2")
+    with frame.progress_bar():
+        view.regions["working"] = ui.element("div").style("width:100%")
+    with ui.element("main").classes("wrap"):
+        view.regions["trouble"] = ui.element("div")
+        with ui.element("div").classes("split"):
+            view.regions["hero"] = ui.element("section").classes("card").style("height:100%")
+            view.regions["falling"] = ui.element("section").classes("card")
+        with ui.element("div").classes("split"):
+            view.regions["missing"] = ui.element("section").classes("card")
+            view.regions["figures"] = ui.element("section").classes("card")
+        view.regions["data"] = ui.element("section").classes("card")
+    view.look()
+    ui.timer(_TICK, view.look)

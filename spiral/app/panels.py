@@ -1,0 +1,145 @@
+"""Pieces of the page as HTML text: numbers, candidates, tables. All that is put in is escaped."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+from spiral.app.study import Study, Turn
+from spiral.report import text
+from spiral.terminal import number, percent, probability
+
+ENDINGS = {
+    "whiteness": "Nothing more is missing: what is left is white noise.",
+    "no_candidate": "No further effect passes the gates. What is left is explained by none that is "
+    "known here; the list below says how far each comes.",
+    "diverged": "The model runs away from the record even on short windows. Check units and signs "
+    "of the channels, or undo.",
+    "not_identifiable": "This record cannot tell the model's own effects apart.",
+}
+
+
+def words(label: str) -> str:
+    """``cross_stiffness@bearing_2`` as ``cross stiffness at bearing 2``."""
+    return label.replace("@", " at ").replace("_", " ")
+
+
+def headline(study: Study) -> str:
+    """The error on data the fit never saw: now, before, and what noise alone makes."""
+    line = study.line
+    if not line:
+        return '<p class="label">Free-run error on the test record</p><div class="number">…</div>'
+    now, first = (line[i].result.get("test_error") for i in (-1, 0))
+    before = f"<small> from {percent(first)}</small>" if len(line) > 1 else ""
+    floor = study.noise_floor
+    noise = f" Noise alone makes {percent(floor)}." if floor is not None else ""
+    return (
+        '<p class="label">Free-run error on the test record</p>'
+        f'<div class="number" id="error-now">{_shown(now)}{before}</div>'
+        f'<p class="soft">Share of each channel\'s deviation; this record chose nothing.{noise}</p>'
+    )
+
+
+def _shown(error: float | None) -> str:
+    return "not finite" if error is None else percent(error)
+
+
+def chips(study: Study) -> str:
+    """The effects of the model: the seed's, and those added in their order."""
+    if not study.line:
+        return ""
+    model = study.line[-1].result.get("model") or {}
+    added = [t.added for t in study.line if t.added]
+    seed = [e for e in model.get("effects", {}) if e not in added]
+    found = [f'<span class="chip">{escape(words(e))}</span>' for e in seed]
+    found += [f'<span class="chip added">+ {escape(words(e))}</span>' for e in added]
+    return f'<div class="chips">{"".join(found)}</div>'
+
+
+def channels(turn: Turn) -> str:
+    """Errors of each channel, chi2 and whiteness of the fit."""
+    rows = [
+        (name, number(v["rmse"]), _shown(v["relative"]))
+        for name, v in (turn.result.get("channels") or {}).items()
+    ]
+    table = text.table(("channel", "rms error", "of its deviation"), rows,
+                       ("rms error", "of its deviation"))  # fmt: skip
+    fit = (
+        f"χ² per degree of freedom {number(turn.result.get('chi2_per_dof'), 3)}; whiteness p "
+        f"{probability(turn.result.get('whiteness_p'))}; windows of "
+        f"{turn.result.get('horizon')} samples"
+    )
+    return plain(table) + f'<p class="soft">{fit}</p>'
+
+
+def plain(table: str) -> str:
+    """A table of the report in the page's look."""
+    return table.replace("<table>", '<table class="plain">', 1)
+
+
+def candidate(found: Mapping[str, Any]) -> str:
+    """Name and meaning."""
+    return (
+        f'<div class="name">{escape(words(found["effect"]))}</div>'
+        f'<div class="meaning">{escape(found["meaning"])}</div>'
+    )
+
+
+def evidence(found: Mapping[str, Any]) -> str:
+    """How much of the residual it explains, and how sure that is."""
+    share = max(0.0, min(1.0, found["explains"] or 0.0))
+    worst = max(found["p_value"] or 0.0, found["wald_p_value"] or 0.0)
+    return (
+        f'<div class="meter"><i style="width:{100 * share:.1f}%"></i></div>'
+        f"<span>explains {percent(share)}</span><span>p {probability(worst)}</span>"
+    )
+
+
+def alike(others: Sequence[str]) -> str:
+    """What this record cannot tell apart from it."""
+    names = ", ".join(words(o) for o in others)
+    return f"This record cannot tell it from <b>{escape(names)}</b>."
+
+
+def trouble(error: Mapping[str, str]) -> str:
+    """Given, expected, try."""
+    lines = [f"<b>{escape(error['given'])}</b>"]
+    if error.get("expected"):
+        lines.append(f"Expected: {escape(error['expected'])}")
+    if error.get("try"):
+        lines.append(f"Try: {escape(error['try'])}")
+    return "<br>".join(lines)
+
+
+def contrast(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Effects side by side, each refitted alone."""
+    columns = ("effect", "test error", "fit error", "χ²/dof", "whiteness p")
+    cells = [
+        (words(r["effect"]), _shown(r["test_error"]), _shown(r["fit_error"]),
+         number(r["chi2_per_dof"], 3), probability(r["whiteness_p"]))
+        for r in rows
+    ]  # fmt: skip
+    return plain(text.table(columns, cells, columns[1:]))
+
+
+def model(turn: Turn) -> str:
+    """The equation and its coefficients with their standard errors."""
+    return plain(text.coefficients_table(turn.result, turn.equation))
+
+
+def records(found: Sequence[Mapping[str, Any]]) -> str:
+    """What was understood of the records."""
+    rows = []
+    for record in found:
+        for series in record["series"]:
+            spread = f"{number(series['lowest'])} … {number(series['highest'])}"
+            rows.append((record["part"], record["name"], series["name"], series["kind"], spread,
+                         series["unit"]))  # fmt: skip
+    columns = ("part", "record", "series", "kind", "range", "unit")
+    sizes = "; ".join(
+        f"{r['part']}: {r['samples']} samples at {r['rate']:.6g} Hz, "
+        f"{r['samples'] / r['rate']:.4g} s"
+        for r in found
+    )
+    return f'<p class="soft">{escape(sizes)}</p>' + plain(text.table(columns, rows, ("range",)))

@@ -1,0 +1,112 @@
+"""What follows a turn, in a process of its own: where it fails, the saved run, MLflow, the report.
+
+The page does not wait for any of it. Every turn becomes a saved run as the command line saves one,
+so that ``spiral report run=ID`` and ``spiral add ... run=ID`` take it up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from spiral.app.bench import FIGURES, STATE, Order, Tell, draw
+from spiral.app.study import turn_place
+from spiral.checkpoint import read_checkpoint
+from spiral.curves import FINAL, SEED, Curves, alone, gather, write_curves
+from spiral.problem import Problem
+from spiral.registry import Registry
+from spiral.run import Run
+from spiral.storage import save_result
+from spiral.turn import Checkpoint, concluded
+
+
+@dataclass
+class Scribe:
+    """What the process keeps between two orders: the records of the study last written down."""
+
+    out: Path
+    tell: Tell
+    ident: str = ""
+    problem: Problem | None = None
+    registry: Registry | None = None
+    config: Mapping[str, Any] | None = None
+
+    def write(self, order: Order) -> None:
+        """Maps and missing force of a turn, its saved run, and MLflow's."""
+        self._open(order)
+        assert self.registry is not None
+        folder = turn_place(self.out, order["study"], order["serial"])
+        at = read_checkpoint(folder / STATE, self.registry)
+        curves = self._curves(at)
+        if curves is not None:
+            drawn = draw(at, alone(curves), curves, folder / FIGURES)
+            sentence = curves.meta["models"][FINAL].get("where", {}).get("sentence", "")
+            equation = curves.meta["mathml"]
+            self.tell("figures", {"figures": drawn, "sentence": sentence, "equation": equation})
+        run_id = self._save(at, order, curves)
+        self.tell("saved", {"run_id": run_id})
+        self.tell("tracked", self._track(run_id))
+
+    def _open(self, order: Order) -> None:
+        from spiral.config import build_problem, compose
+        from spiral.custom import bound
+        from spiral.registry import load_registry
+
+        if self.ident == order["study"]:
+            return
+        self.ident = ""
+        self.registry = load_registry(order.get("plugins"))
+        self.config = compose(order["overrides"], self.registry)
+        self.registry = bound(self.config, self.registry)
+        self.problem = build_problem(self.config, self.registry)
+        self.ident = order["study"]
+
+    def _curves(self, at: Checkpoint) -> Curves | None:
+        assert self.problem is not None
+        models = {FINAL: at.rounds[-1].comparison}
+        if len(at.rounds) > 1:
+            models = {SEED: at.rounds[0].comparison, **models}
+        try:
+            return gather(self.problem, models)
+        except (ArithmeticError, ValueError):  # LinAlgError is a ValueError
+            return None
+
+    def _save(self, at: Checkpoint, order: Order, curves: Curves | None) -> str:
+        assert self.problem is not None
+        assert self.registry is not None
+        assert self.config is not None
+        run = _run(at, self.problem)
+        verb = "add" if len(at.rounds) > 1 else "diagnose"
+        data = {"records": self.problem.records, "test": self.problem.test}
+        config = {**self.config, "out": str(self.out)}
+        run_id = save_result(
+            verb, run.as_dict(), run.model, config, data, self.registry, self.out,
+            order["overrides"],
+        )  # fmt: skip
+        if curves is not None:
+            write_curves(curves, self.out / run_id)
+        return run_id
+
+    def _track(self, run_id: str) -> dict[str, Any]:
+        """MLflow's id of the run, or why it does not know of it."""
+        from spiral.tracking.store import tracking_of
+        from spiral.tracking.track import track
+
+        assert self.config is not None
+        found = track(tracking_of(self.config), self.out, (run_id,), catch_up=False)
+        number = found.runs.get(run_id)
+        place = f"experiments/{found.experiment}/runs/{number}" if number else ""
+        return {"tracked": place, "store": found.uri, "untracked": found.failure or ""}
+
+
+def _run(at: Checkpoint, problem: Problem) -> Run:
+    """The history up to this turn; its advice names what was added by hand."""
+    run = concluded(at, "max_rounds", problem.settings.whiteness_level, "added by hand")
+    first = at.rounds[0]
+    if len(at.rounds) > 1:
+        return run
+    best = next(iter(first.suggestions), None)
+    advice = f"Add {best.effect}: {best.meaning}" if best is not None else ""
+    return replace(run, advice=advice)

@@ -1,0 +1,118 @@
+"""The server of the page, on 127.0.0.1 alone."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import threading
+import webbrowser
+from pathlib import Path
+from typing import Any
+
+from spiral.errors import ConfigError
+
+HOST, PORT = "127.0.0.1", 8765
+
+
+def begin(
+    names: tuple[str, ...],
+    overrides: tuple[str, ...],
+    port: str | None,
+    browser: bool,
+    plugins: str | None,
+) -> int:
+    """``spiral app [out=FOLDER]``: serve the page; the exit code when it ends.
+
+    Raises
+    ------
+    ConfigError : another key than ``out``, or a port that is none or taken.
+    """
+    from spiral.overrides import parse
+
+    given = {".".join(i.path): i.value for i in parse(overrides)}
+    for key in (*names, *given):
+        if key != "out":
+            raise ConfigError(
+                f"app {key}", "spiral app [out=FOLDER] [--port N] [--no-browser]",
+                "choose record and system on the page",
+            )  # fmt: skip
+    if port is not None and not (port.isdigit() and int(port) < 65536):
+        raise ConfigError(f"--port {port}", "a number from 0 to 65535", "leave it out")
+    out = Path(str(given.get("out") or "runs")).expanduser()
+    run(out, None if port is None else int(port), browser, plugins)
+    return 0
+
+
+def run(out: Path, port: int | None, browser: bool, plugins: str | None) -> None:
+    """Serve the page until Ctrl-C.
+
+    Raises
+    ------
+    ConfigError : a port that is taken.
+    """
+    listening = _listening(port)
+    number = int(listening.getsockname()[1])
+    import uvicorn
+
+    from spiral.app.desk import Desk
+    from spiral.app.guard import Guard
+    from spiral.app.viewer import Viewer
+
+    out.mkdir(parents=True, exist_ok=True)
+    viewer = Viewer()
+    desk = Desk(out.resolve(), plugins)
+    address = f"http://{HOST}:{number}"
+    server = uvicorn.Server(
+        uvicorn.Config(
+            Guard(application(desk, viewer), number), log_level="warning", ws="websockets-sansio"
+        )
+    )
+    print(f"spiral app: {address}   (Ctrl-C ends it; studies are kept in {out})", flush=True)
+    if browser:
+        threading.Timer(0.8, webbrowser.open, (address,)).start()
+    try:
+        server.run(sockets=[listening])
+    except KeyboardInterrupt:
+        print("ended", file=sys.stderr)
+    finally:
+        desk.close()
+        viewer.close()
+
+
+def application(desk: Any, viewer: Any) -> Any:
+    """The page as an ASGI application."""
+    from fastapi import FastAPI
+    from nicegui import ui
+
+    from spiral.app.page import study_page
+    from spiral.app.start import start_page
+    from spiral.app.takeaway import routes
+
+    web = FastAPI(openapi_url=None)
+    routes(web, desk, viewer)
+
+    @ui.page("/", title="SPIRAL")
+    def _start() -> None:
+        start_page(desk)
+
+    @ui.page("/study/{ident}", title="SPIRAL")
+    def _study(ident: str) -> None:
+        study_page(desk, ident)
+
+    ui.run_with(web, title="SPIRAL", show_welcome_message=False, tailwind=False,
+                reconnect_timeout=20.0)  # fmt: skip
+    return web
+
+
+def _listening(port: int | None) -> socket.socket:
+    """A socket on the port asked for; without a wish, on the usual one or any that is free."""
+    for wanted in (port,) if port is not None else (PORT, 0):
+        found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            found.bind((HOST, wanted))
+        except (OSError, OverflowError):
+            found.close()
+            continue
+        return found
+    raise ConfigError(f"--port {port}", "a port that is free", "leave it out, or --port 0")

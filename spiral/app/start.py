@@ -1,0 +1,86 @@
+"""The first page: an embedded record, a file of one's own, or a study begun before."""
+
+from __future__ import annotations
+
+from html import escape
+
+from nicegui import ui
+
+from spiral.app import frame, panels
+from spiral.app.desk import Desk
+from spiral.app.study import Study
+from spiral.errors import SpiralError
+from spiral.terminal import percent
+
+_LISTED = 12
+
+
+def start_page(desk: Desk) -> None:
+    """Build the first page."""
+    with frame.bar(""):
+        pass
+    with ui.element("main").classes("wrap"):
+        ui.html(
+            "<h1 class='big'>What is your model missing?</h1><p class='soft' style='font-size:17px;"
+            "max-width:72ch'>Compare a model with measurements, see where it fails, learn which "
+            "physical effect is missing, add it, and watch the error fall.</p>",
+            sanitize=False,
+        )
+        with ui.element("section").classes("card"):
+            ui.html("<h2 class='head'>Begin with an embedded record</h2>", sanitize=False)
+            with ui.element("div").classes("choices"):
+                for name, words in presets():
+                    _choice(desk, name, words)
+        known = desk.studies()
+        if known:
+            with ui.element("section").classes("card"):
+                ui.html("<h2 class='head'>Go on with a study</h2>", sanitize=False)
+                _studies(known[:_LISTED])
+
+
+def presets() -> list[tuple[str, str]]:
+    """The presets with the first sentence of what their files say of them; the demo's first."""
+    from importlib.resources import files
+
+    from spiral.config import PACKAGE, experiments
+
+    found = []
+    for name in sorted(experiments(), key=lambda n: (n != "rotor_coastdown", n)):
+        lines = (files(PACKAGE) / "experiment" / f"{name}.yaml").read_text("utf-8").splitlines()
+        told = [x[1:].strip() for x in lines[1:] if x.startswith("#")]
+        found.append((name, " ".join(told).split(". ")[0].rstrip(".") + "."))
+    return found
+
+
+def _choice(desk: Desk, name: str, said: str) -> None:
+    def begin() -> None:
+        try:
+            ident = desk.create(panels.words(name).capitalize(), (f"experiment={name}",))
+        except SpiralError as error:
+            frame.refused(error)
+            return
+        ui.navigate.to(f"/study/{ident}")
+
+    with ui.element("button").classes("choice").props('type="button"').on("click", begin) as box:
+        box.mark(f"preset-{name}")
+        title = panels.words(name).capitalize()
+        ui.html(f"<b>{escape(title)}</b><span>{escape(said)}</span>", sanitize=False)
+
+
+def _studies(found: list[Study]) -> None:
+    rows = []
+    for study in found:
+        added = ", ".join(panels.words(t.added) for t in study.line if t.added) or "none yet"
+        error = percent(study.line[-1].result.get("test_error")) if study.line else "-"
+        when = study.created[:16].replace("T", " ")
+        title = f"<a class='quiet' href='/study/{study.ident}'>{escape(study.title)}</a>"
+        rows.append(
+            f"<tr><td>{title}</td><td>{escape(added)}</td><td class='n'>{escape(error)}</td>"
+            f"<td class='n'>{escape(when)} UTC</td></tr>"
+        )
+    ui.html(
+        "<div class='wide'><table class='plain'><tr><th>study</th><th>added</th>"
+        "<th class='n'>test error</th><th class='n'>begun</th></tr>" + "".join(rows)
+        + "</table></div>",
+        sanitize=False,
+    )  # fmt: skip

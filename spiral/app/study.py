@@ -1,0 +1,180 @@
+"""A study driven by hand, as it lies on disk: ``OUT/studies/ID/study.json``, written whole.
+
+Its turns form a line: the model as it was, then one more effect at each turn. ``at`` is the turn
+that is looked at; undoing moves it back and forgets nothing until another effect is added there.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from spiral.errors import ConfigError, InputError
+from spiral.storage import new_run_id, to_json, unwritable, write_whole
+
+FOLDER, FILE, UPLOADS = "studies", "study.json", "uploads"
+_ID = re.compile(r"[0-9a-f-]{8,40}")
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One state of a study, in plain data.
+
+    ``added`` is the effect that made it; ``result`` its figures as a round of the JSON contract;
+    ``candidates`` what may be missing next, best first; ``proposed`` what the gates would admit;
+    ``figures`` what is drawn (name, heading, caption), one JSON file each; ``tracked`` its place in
+    MLflow's page on ``store``, or ``untracked`` why it has none.
+    """
+
+    serial: int
+    added: str = ""
+    result: Mapping[str, Any] = field(default_factory=dict)
+    candidates: tuple[Mapping[str, Any], ...] | None = None
+    proposed: tuple[str, ...] = ()
+    rejected: Mapping[str, str] = field(default_factory=dict)
+    verdict: str = ""
+    advice: str = ""
+    sentence: str = ""
+    equation: tuple[Mapping[str, Any], ...] = ()
+    figures: tuple[tuple[str, str, str], ...] = ()
+    complete: bool = False
+    run_id: str = ""
+    tracked: str = ""
+    store: str = ""
+    untracked: str = ""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A question (its overrides), its turns, and where it stands."""
+
+    ident: str
+    title: str
+    overrides: tuple[str, ...]
+    created: str
+    plugins: str | None = None
+    turns: tuple[Turn, ...] = ()
+    at: int = 0
+    serials: int = 0
+    trouble: Mapping[str, str] | None = None
+    records: tuple[Mapping[str, Any], ...] = ()
+    noise_floor: float | None = None
+
+    @property
+    def turn(self) -> Turn | None:
+        """The turn that is looked at; nothing before the first fit."""
+        return self.turns[self.at] if self.turns else None
+
+    @property
+    def line(self) -> tuple[Turn, ...]:
+        """The turns up to the one that is looked at."""
+        return self.turns[: self.at + 1]
+
+    def turn_of(self, serial: int) -> Turn | None:
+        """A turn by its number, which no other ever gets."""
+        return next((t for t in self.turns if t.serial == serial), None)
+
+
+def added(study: Study, turn: Turn) -> Study:
+    """One turn more, in place of those that were undone."""
+    turns = (*study.line, turn)
+    return replace(study, turns=turns, at=len(turns) - 1, trouble=None)
+
+
+def changed(study: Study, serial: int, **values: Any) -> Study:
+    """A turn with other values; one that is no longer part of the study stays away."""
+    turns = tuple(replace(t, **values) if t.serial == serial else t for t in study.turns)
+    return replace(study, turns=turns)
+
+
+def moved(study: Study, by: int) -> Study:
+    """Undo (-1) or do again (+1), as far as there are turns."""
+    return replace(study, at=min(max(study.at + by, 0), max(len(study.turns) - 1, 0)), trouble=None)
+
+
+def new_study(out: Path, title: str, overrides: tuple[str, ...], plugins: str | None) -> Study:
+    """A study on disk that has done nothing yet.
+
+    Raises
+    ------
+    InputError : the folder of runs cannot be written.
+    """
+    now = datetime.now(UTC)
+    study = Study(new_run_id(now), title, overrides, now.isoformat(timespec="seconds"), plugins)
+    try:
+        place(out, study.ident).mkdir(parents=True)
+        save(out, study)
+    except OSError as error:
+        raise unwritable(out, error) from error
+    return study
+
+
+def place(out: Path, ident: str) -> Path:
+    """The folder of a study.
+
+    Raises
+    ------
+    ConfigError : no name that a study may have.
+    """
+    if not _ID.fullmatch(ident):
+        raise ConfigError(
+            f"study {ident[:60]!r}", "the name of a study", "choose one from the list"
+        )
+    return out / FOLDER / ident
+
+
+def turn_place(out: Path, ident: str, serial: int) -> Path:
+    """The folder of one turn: its checkpoint, its curves, its figures."""
+    return place(out, ident) / f"turn-{serial}"
+
+
+def save(out: Path, study: Study) -> None:
+    """Write the study over what was there, or leave that as it was."""
+    write_whole(place(out, study.ident) / FILE, to_json(asdict(study)))
+
+
+def load(out: Path, ident: str) -> Study:
+    """A study from disk.
+
+    Raises
+    ------
+    ConfigError : no such study. InputError : a file that is none.
+    """
+    file = place(out, ident) / FILE
+    if not file.is_file():
+        raise ConfigError(
+            f"study {ident}", f"a study in {out / FOLDER}", "choose one from the list"
+        )
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        turns = tuple(Turn(**{**t, **_tuples(t)}) for t in data["turns"])
+        plain = {"overrides": tuple(data["overrides"]), "records": tuple(data["records"])}
+        return Study(**{**data, **plain, "turns": turns})
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{file}: {error}", "a study saved by this program") from error
+
+
+def studies(out: Path) -> list[Study]:
+    """All studies, the latest first; files that are none are passed over."""
+    found = []
+    for file in sorted((out / FOLDER).glob(f"*/{FILE}"), reverse=True):
+        try:
+            found.append(load(out, file.parent.name))
+        except (ConfigError, InputError):
+            continue
+    return found
+
+
+def _tuples(turn: Mapping[str, Any]) -> dict[str, Any]:
+    candidates = turn["candidates"]
+    return {
+        "candidates": None if candidates is None else tuple(candidates),
+        "proposed": tuple(turn["proposed"]),
+        "equation": tuple(turn["equation"]),
+        "figures": tuple((n, h, c) for n, h, c in turn["figures"]),
+    }

@@ -1,0 +1,85 @@
+"""One program and one browser for each module; pictures of every step in ``screenshots/``."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from spiral.report.pictures import browser as found_browser
+
+PICTURES = Path(__file__).parent / "screenshots"
+PATIENCE = 60_000  # ms, on a machine that does other things too
+
+
+class Served:
+    """The program as a person starts it."""
+
+    def __init__(self, out):
+        self.out = out
+        self.start()
+
+    def start(self):
+        command = [sys.executable, "-m", "spiral", "app", "--port", "0", "--no-browser"]
+        self.process = subprocess.Popen(
+            [*command, f"out={self.out}"], stdout=subprocess.PIPE, text=True, cwd=self.out
+        )
+        line = self.process.stdout.readline()
+        assert "http://127.0.0.1:" in line, line
+        self.address = line.split()[2]
+
+    def stop(self):
+        self.process.send_signal(signal.SIGINT)
+        try:
+            self.process.wait(15)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            raise
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    program = found_browser()
+    if program is None:
+        pytest.skip("no browser: apt install chromium, or set SPIRAL_BROWSER")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as p:
+        flags = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
+        window = p.chromium.launch(executable_path=program, args=flags)
+        yield window
+        window.close()
+
+
+@pytest.fixture(scope="module")
+def served(chromium, tmp_path_factory):
+    program = Served(tmp_path_factory.mktemp("runs"))
+    yield program
+    if program.process.poll() is None:
+        program.stop()
+
+
+@pytest.fixture
+def tab(chromium):
+    """A new page whose console has no error in it at the end."""
+    page = chromium.new_page(viewport={"width": 1366, "height": 900})
+    page.set_default_timeout(PATIENCE)
+    wrong = []
+    page.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)
+    page.on("pageerror", lambda e: wrong.append(str(e)))
+    yield page
+    page.close()
+    assert not [w for w in wrong if "Failed to load resource" not in w]
+
+
+@pytest.fixture(scope="session")
+def picture():
+    """Keep a picture of a page."""
+    PICTURES.mkdir(exist_ok=True)
+
+    def keep(page, name):
+        page.wait_for_timeout(400)
+        page.screenshot(path=PICTURES / f"{name}.png", full_page=True)
+
+    return keep

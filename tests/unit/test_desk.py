@@ -1,0 +1,132 @@
+"""The desk of the page: two tabs stay one, nothing is lost, whatever the processes do."""
+
+import json
+
+import pytest
+
+from spiral.app import desk as desks
+from spiral.app import study as kept
+from spiral.app.desk import Desk
+from spiral.errors import ConfigError, InputError
+
+RANKED = {"candidates": [{"effect": "b"}], "proposed": ["b"], "verdict": "effect_missing"}
+
+
+class Idle:
+    """A process that takes orders and does nothing."""
+
+    def __init__(self, kind, out, on_event):
+        self.kind, self.orders, self.on_event = kind, [], on_event
+
+    def give(self, order):
+        self.orders.append(order)
+
+    def cancel(self, study):
+        self.on_event(self.orders[-1], "cancelled", {})
+
+    def close(self):
+        """Nothing to end."""
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    monkeypatch.setattr(desks, "Process", Idle)
+    return Desk(tmp_path)
+
+
+def turned(desk, added, error):
+    """The process answers the last order with a turn and its ranking."""
+    bench = desk._bench
+    order = bench.orders[-1]
+    figures = {"test_error": error, "fit_error": error, "admitted": [added] if added else []}
+    bench.on_event(order, "turn", {"added": added, "result": figures, "noise_floor": 0.01})
+    bench.on_event(order, "ranked", RANKED)
+    bench.on_event(order, "done", {})
+
+
+@pytest.fixture
+def ident(desk):
+    name = desk.create("a rotor", ("experiment=rotor_coastdown",))
+    turned(desk, "", 0.6)
+    return name
+
+
+def errors(study):
+    return [t.result["test_error"] for t in study.line]
+
+
+def test_add_undo_redo_and_another_branch(desk, ident):
+    serial = desk.scene(ident).study.turn.serial
+    desk.add(ident, "b", serial)
+    turned(desk, "b", 0.3)
+    study = desk.scene(ident).study
+    assert errors(study) == [0.6, 0.3]
+    desk.move(ident, -1, study.turn.serial)
+    assert errors(desk.scene(ident).study) == [0.6]
+    desk.move(ident, 1, serial)
+    assert errors(desk.scene(ident).study) == [0.6, 0.3]
+    desk.move(ident, -1, study.turn.serial)
+    desk.add(ident, "c", serial)
+    turned(desk, "c", 0.2)
+    study = desk.scene(ident).study
+    assert [t.added for t in study.turns] == ["", "c"]
+    assert len({t.serial for t in study.turns}) == 2
+
+
+def test_a_tab_that_is_behind_changes_nothing(desk, ident):
+    """Two tabs click Add on the same turn: the second is told, and the first's effect stands."""
+    serial = desk.scene(ident).study.turn.serial
+    desk.add(ident, "b", serial)
+    with pytest.raises(ConfigError, match="a click while"):
+        desk.add(ident, "c", serial)
+    turned(desk, "b", 0.3)
+    with pytest.raises(ConfigError, match="another tab"):
+        desk.add(ident, "c", serial)
+    assert [t.added for t in desk.scene(ident).study.turns] == ["", "b"]
+
+
+@pytest.mark.parametrize("how", ["cancelled", "failed"])
+def test_what_fails_or_is_cancelled_leaves_the_study_as_it_was(desk, ident, how):
+    serial = desk.scene(ident).study.turn.serial
+    desk.add(ident, "b", serial)
+    told = {"given": "a fit that diverges", "expected": "one that does not", "try": "another"}
+    desk._bench.on_event(desk._bench.orders[-1], how, told if how == "failed" else {})
+    scene = desk.scene(ident)
+    assert (errors(scene.study), scene.busy) == ([0.6], None)
+    said = scene.study.trouble["given"]
+    assert said == (told["given"] if how == "failed" else "Cancelled: adding b")
+    desk.add(ident, "b", serial)
+    assert desk.scene(ident).study.trouble is None
+
+
+def test_another_start_finds_the_study_where_it_was(desk, ident, tmp_path):
+    desk.add(ident, "b", desk.scene(ident).study.turn.serial)
+    turned(desk, "b", 0.3)
+    again = Desk(tmp_path)
+    assert again.scene(ident).study == desk.scene(ident).study
+    assert [s.ident for s in again.studies()] == [ident]
+
+
+def test_every_turn_is_written_down_once(desk, ident):
+    desk.add(ident, "b", desk.scene(ident).study.turn.serial)
+    turned(desk, "b", 0.3)
+    orders = desk._scribe.orders
+    assert [(o["do"], o["serial"]) for o in orders] == [("write", 0), ("write", 1)]
+    desk._scribe.on_event(orders[0], "saved", {"run_id": "20260101-000000-abc"})
+    assert desk.scene(ident).study.turns[0].run_id == "20260101-000000-abc"
+    assert desk.scene(ident).study.turns[1].run_id == ""
+
+
+@pytest.mark.parametrize("name", ["../../etc", "a/b", "nosuchstudy", "", "20260101-000000-0abc"])
+def test_only_studies_have_pages(desk, name):
+    with pytest.raises(ConfigError):
+        desk.scene(name)
+
+
+def test_a_damaged_study_says_so_and_hides_no_other(desk, ident, tmp_path):
+    other = desk.create("another", ("experiment=rotor_coastdown",))
+    file = kept.place(tmp_path, ident) / kept.FILE
+    file.write_text(json.dumps({"ident": ident}))
+    assert [s.ident for s in kept.studies(tmp_path)] == [other]
+    with pytest.raises(InputError, match="a study saved by this program"):
+        kept.load(tmp_path, ident)
