@@ -1,9 +1,8 @@
 """Plugins: found, named, refused with near misses, failures reported."""
 
-import textwrap
-
 import subprocess
 import sys
+import textwrap
 
 import pytest
 
