@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from spiral import custom
 from spiral.errors import ConfigError, did_you_mean
 from spiral.fields import construct, defaults_of, field_names, is_open, plain
 from spiral.overrides import Assignment, parse, set_value
-from spiral.paperconfig import gate_fields, with_published
+from spiral.paperconfig import gate_chain, gate_fields, with_published, with_strategy
 from spiral.problem import Problem, Sampling, Settings
 from spiral.registry import Registry
 
@@ -38,7 +38,7 @@ USUAL = {
     "learner": "tanh_network",
     "library": "paper",
 }
-STRATEGIES = ("shooting", "paper")
+STRATEGIES = ("shooting", "paper", "innovation")
 PACKAGE = "spiral_conf"
 _TEST_SEED_FIELDS = ("name", "settle")
 
@@ -100,6 +100,7 @@ def compose(overrides: Sequence[str], registry: Registry, base: Config | None = 
             f"experiment={_preset(items)} together with run=", "one of them", "leave one out"
         )
     items, registry = custom.routed(config, items, registry)
+    with_strategy(config, items)
     _normalise(config, registry)
     rest = [i for i in items if i.path != ("experiment",)]
     for item in [i for i in rest if len(i.path) == 1]:
@@ -234,8 +235,8 @@ def build_problem(config: Config, registry: Registry) -> Problem:
     if settle is not None and not (isinstance(settle, int | float) and settle >= 0):
         raise ConfigError(f"test.settle={settle!r}", "seconds, zero or above")
     model = build_model(config, registry)
-    shooting = options(config).strategy != "paper"
-    candidates = build_candidates(config, registry, model) if shooting else ()
+    strategy = options(config).strategy
+    candidates = build_candidates(config, registry, model) if strategy != "paper" else ()
     record, test_source = build_sources(config, registry)
     records = record.load(model.system)
     if test_source is not None:
@@ -244,7 +245,9 @@ def build_problem(config: Config, registry: Registry) -> Problem:
         pairs = [split_off_test(r, options(config).holdout) for r in records]
         records, test = tuple(f for f, _ in pairs), tuple(t for _, t in pairs)
     problem = Problem(model, records, test, settle, candidates, levels)
-    if shooting:
+    if strategy == "innovation":
+        return replace(problem, innovation=gate_chain(config["gate"], registry))
+    if strategy == "shooting":
         return problem
     parts = {g: _plugin(g, config, registry) for g in ("derivative", "learner", "library")}
     named = options(config).candidates
@@ -305,7 +308,7 @@ def _normalise(config: Config, registry: Registry) -> None:
         test = _test_like_record(config, registry, test)
     config["test"] = {"name": None, "settle": None, **test}
     config["effect"] = _effect_fields(config["effect"], registry)
-    config["gate"] = gate_fields(config.get("gate"), registry)
+    config["gate"] = gate_fields(config.get("gate"), registry, config["strategy"])
     config.setdefault("paper", plain(defaults_of(Sampling)))
 
 
@@ -345,7 +348,8 @@ def _apply(config: Config, item: Assignment, registry: Registry) -> None:
         config["effect"] = _effect_fields(None if item.delete else item.value, registry)
         return
     if item.path == ("gate",):
-        config["gate"] = gate_fields([] if item.delete else item.value, registry)
+        given = [] if item.delete else item.value
+        config["gate"] = gate_fields(given, registry, config["strategy"])
         return
     if first == "test" and item.path[1:] != ("settle",) and not config["test"]["name"]:
         config["test"] = {"settle": None, **_test_like_record(config, registry, config["test"])}

@@ -10,6 +10,8 @@ from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared, test_run
 from spiral.evidence import Standing, admit, all_samples, half_masks
 from spiral.identifiability import entangled
+from spiral.innovations import INNOVATION
+from spiral.judge import whole
 from spiral.problem import Problem, Progress, silent
 from spiral.run import Diagnosis, Round, Stopped, Suggestion
 from spiral.suggest import Proposal, propose
@@ -27,6 +29,8 @@ def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
     The candidates are scored on one half of the blocks and judged on the other, as in a round of
     ``discover``; the comparison is of the model fitted to all samples.
     """
+    if problem.innovation is not None:
+        return _by_innovations(problem, progress)
     progress("compiling the model and all candidates")
     assembly, standing = prepared(problem)
     tangle = entangled(assembly, standing)
@@ -45,6 +49,35 @@ def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
     return _diagnosis(assembly, standing, comparison, proposal, first, progress)
 
 
+def _by_innovations(problem: Problem, progress: Progress) -> Diagnosis:
+    """The verdict by the likelihood of a filter's innovations; one suggestion is tried out."""
+    begun = INNOVATION.begin(problem, progress)
+    comparison, standing = begun.comparison, begun.standing
+    step = INNOVATION.propose(begun.assembly, standing, comparison, 1, progress)
+    first = Round(0, (), {}, {}, (), comparison, 0.0)
+    rounds = [first, first] if step.admitted else [first]
+    verdict = seed_verdict(rounds, step.stopped, problem.settings.whiteness_level)
+    suggestions = () if verdict == "nothing_missing" else step.suggestions
+    if step.admitted:
+        after = INNOVATION.settle(begun.assembly, step, progress).comparison.test_error
+        best, *others = step.suggestions
+        best = replace(best, test_error_before=comparison.test_error, test_error_after=after)
+        suggestions = (best, *others)
+    stage = whole(begun.assembly, standing.labels, standing.values)
+    advice = advice_for(verdict, step.stopped, [first], ())
+    if step.admitted:
+        advice = _advice(next(iter(suggestions)))
+    return Diagnosis(
+        verdict, comparison, suggestions, where(begun.assembly, stage), advice, stage.length,
+        step.stopped == "diverged",
+    )  # fmt: skip
+
+
+def _advice(best: Suggestion) -> str:
+    alike = f" (or {', '.join(best.aliases)}: this record cannot tell)" if best.aliases else ""
+    return f"Add {best.effect}{alike}: {best.meaning}"
+
+
 def _diagnosis(
     assembly: Assembly, standing: Standing, comparison, proposal: Proposal, first: Round, progress
 ) -> Diagnosis:
@@ -59,9 +92,7 @@ def _diagnosis(
     shown = evidence.stage if evidence is not None else proposal.stages[-1]
     advice = advice_for(verdict, stopped, [first], ())
     if verdict == "effect_missing":
-        best = next(iter(suggestions))
-        alike = f" (or {', '.join(best.aliases)}: this record cannot tell)" if best.aliases else ""
-        advice = f"Add {best.effect}{alike}: {best.meaning}"
+        advice = _advice(next(iter(suggestions)))
     return Diagnosis(
         verdict,
         comparison,

@@ -210,7 +210,7 @@ class Admitted:
 def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) -> Admitted:
     """Add a candidate, refit, and set its shapes free where that pays."""
     variant = ranked.variant
-    values = _stepped(assembly, stage.fitted.point.values, ranked)
+    values = stepped(assembly, stage.fitted.point.values, variant, ranked.score.step)
     wider = Standing((*standing.labels, variant.label), values, standing.freed)
     fitted = refit(assembly, wider, stage)
     wider = Standing(wider.labels, fitted.point.values, wider.freed)
@@ -223,17 +223,17 @@ def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) 
     return Admitted(wider, Stage(stage.length, stage.layouts, fitted), variant)
 
 
-def _stepped(assembly: Assembly, values: Array, ranked: Ranked) -> Array:
+def stepped(assembly: Assembly, values: Array, variant: Variant, step: Array) -> Array:
     """Where the refit starts: zero amplitude, from which the fit takes the damped joint step.
 
     A companion's step becomes amplitude and phase origin, which zero amplitude could not tell.
     """
-    variant, study = ranked.variant, assembly.study
     if variant.companion is None:
         return values
+    study = assembly.study
     keys = tested_keys(assembly, variant)
     new = values.copy()
-    cosine, sine = ranked.score.step[:2]
+    cosine, sine = step[:2]
     new[:, study.index(keys[0])] = np.hypot(cosine, sine)
     new[:, study.index(ORIGIN)] += np.arctan2(sine, cosine)
     return new

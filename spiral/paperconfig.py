@@ -1,8 +1,8 @@
-"""The options of ``strategy=paper``: its list of gates, its library and learner, its sampling."""
+"""The options of ``strategy=paper`` (gates, library, learner, sampling) and of ``innovation``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,8 @@ from spiral.fields import construct, defaults_of
 from spiral.problem import Problem, Published, Sampling
 
 if TYPE_CHECKING:
+    from spiral.gate import Gate
+    from spiral.overrides import Assignment
     from spiral.registry import Registry
 
 GATES = (
@@ -20,15 +22,26 @@ GATES = (
 """The paper's own, in the order of its Algorithm 1: guard, Gate 1, refinements, Gate 2."""
 
 
-def gate_fields(given: Any, registry: Registry) -> dict[str, Any]:
-    """``[a, b]``, ``a`` or ``{a: {field: value}}`` -> name -> all its fields; null: the paper's.
+INNOVATION_GATES = ("innovation", "validation_rollback")
+"""Those of ``strategy=innovation``."""
+
+
+def with_strategy(config: dict[str, Any], items: Iterable[Assignment]) -> None:
+    """Another strategy than before has other usual gates."""
+    for item in items:
+        if item.path == ("strategy",) and item.value != config["strategy"]:
+            config["strategy"], config["gate"] = item.value, None
+
+
+def gate_fields(given: Any, registry: Registry, strategy: Any = "paper") -> dict[str, Any]:
+    """``[a, b]``, ``a`` or ``{a: {field: value}}`` -> name -> all its fields; null: the usual ones.
 
     Raises
     ------
     ConfigError : not a list of gates, or an unknown name.
     """
     if given is None:
-        given = list(GATES)
+        given = list(INNOVATION_GATES if strategy == "innovation" else GATES)
     if isinstance(given, str):
         given = [given]
     if isinstance(given, list):
@@ -58,6 +71,12 @@ def sampling(given: Mapping[str, Any]) -> Sampling:
     return found
 
 
+def gate_chain(gates: Mapping[str, Any], registry: Registry) -> tuple[Gate, ...]:
+    """Gates with their fields, in the order asked."""
+    pairs = gates.items()
+    return tuple(registry.make("gate", name, fields, f"gate.{name}") for name, fields in pairs)
+
+
 def with_published(
     problem: Problem,
     parts: Mapping[str, Any],
@@ -81,9 +100,14 @@ def with_published(
     """
     from spiral.library import terms_of
 
-    chain = tuple(
-        registry.make("gate", name, fields, f"gate.{name}") for name, fields in gates.items()
-    )
+    chain = gate_chain(gates, registry)
+    for gate in chain:
+        if gate.likelihood:
+            raise ConfigError(
+                f"gate={gate.plugin_name()} with strategy=paper",
+                "a gate that judges a regression on derivatives",
+                f"strategy=innovation gate=[{gate.plugin_name()}]",
+            )
     found = Published(**parts, gates=chain, sampling=sampling(options))
     system = problem.model.system
     effects = {t.effect.label: t.effect for t in terms_of(found.library, system)}

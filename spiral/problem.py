@@ -89,7 +89,8 @@ class Problem:
 
     ``records`` are fitted; ``test`` is seen neither by fit nor by selection, its first ``settle``
     seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
-    ``published`` chooses the paper's evidence; left out, it comes from trajectories.
+    ``published`` chooses the paper's evidence, ``innovation`` (its gates) that of a filter; left
+    out, both, it comes from trajectories.
     """
 
     model: Model
@@ -99,3 +100,4 @@ class Problem:
     candidates: tuple[Effect, ...] = ()
     settings: Settings = field(default_factory=Settings)
     published: Published | None = None
+    innovation: tuple[Gate, ...] | None = None

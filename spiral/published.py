@@ -16,7 +16,7 @@ import numpy as np
 from spiral.assembly import Assembly, assemble, first_row, to_model
 from spiral.compare import compared, refined
 from spiral.evidence import Standing
-from spiral.gate import Gate, Judgement, Trial
+from spiral.gate import Judgement, Trial, through
 from spiral.halton import (
     Regressor,
     box_points,
@@ -50,6 +50,7 @@ ENDED = {
     "gate_2_f_not_significant": "the partial F of Gate 2 is not significant",
     "rolled_back": "the validation error rises: rolled back",
     "no_robust_t": "no term has a significant robust t",
+    "likelihood_not_higher": "no term makes the record significantly more likely",
     "": "no term of the library is left",
 }
 """The paper's reasons for ending, and those of its refinements."""
@@ -191,7 +192,7 @@ def _propose(
     if published.sampling.sampling != "samples":
         function, trial = _learned(assembly, standing, trial, log, progress)
     tests = [g for g in published.gates if not g.guard]
-    trial, judgement = _through(tests, trial, log, progress)
+    trial, judgement = through(tests, trial, log, progress)
     if not trial.kept:
         if function is not None and published.library.closure:
             xi = _xi(assembly)
@@ -227,25 +228,6 @@ def _learned(
     )
     log["projection"] = {"sampling": options.sampling, "points": surface.points, "r2": surface.r2}
     return function, replace(trial, surface=surface)
-
-
-def _through(
-    gates: list[Gate], trial: Trial, log: dict[str, Any], progress: Progress
-) -> tuple[Trial, Judgement]:
-    """The trial after its gates, and what the last of them said."""
-    judgement = Judgement(trial.kept, {})
-    refused: dict[str, str] = {}
-    for gate in gates:
-        progress(f"gate {gate.plugin_name()}: {len(trial.kept)} terms")
-        judgement = gate.judge(trial)
-        refused.update(judgement.refused)
-        names = [trial.names[k] for k in judgement.kept]
-        log[gate.plugin_name()] = {**judgement.log, "left": names}
-        trial = replace(trial, kept=judgement.kept)
-        if not trial.kept:
-            break
-    log["refused"] = refused
-    return trial, judgement
 
 
 def _ended(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -66,10 +67,13 @@ def trial() -> Trial:
     flat = columns.reshape(-1, 3)
     surface = Surface(least_squares(flat, columns[..., 0].reshape(-1)), 400, 1.0)
     train = np.arange(400) % 10 < 7
-    return Trial(
+    bare = Trial(
         ("a", "b", "c"), (0, 1, 2), target, active, columns, target - 2.0 * active[..., 0],
         train, np.abs(active[:, 0, 0]), np.zeros(400, dtype=int), surface,
     )  # fmt: skip
+    every = np.ones(400, dtype=bool)
+    before = bare.fitted((), every).rss
+    return replace(bare, gain=lambda kept: (before - bare.fitted(kept, every).rss) / 0.1**2)
 
 
 def judges(gate: Gate) -> str:

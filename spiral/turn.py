@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from spiral.assembly import Assembly, to_model
 from spiral.errors import ConfigError, did_you_mean
 from spiral.evidence import Standing
+from spiral.innovations import INNOVATION
 from spiral.model import Model
 from spiral.problem import Problem, Progress
 from spiral.published import PAPER
@@ -31,7 +32,9 @@ class Checkpoint:
 
 def strategy_for(problem: Problem) -> Strategy:
     """The kind of evidence that a problem asks for."""
-    return SHOOTING if problem.published is None else PAPER
+    if problem.published is not None:
+        return PAPER
+    return SHOOTING if problem.innovation is None else INNOVATION
 
 
 def started(begun: Begun, seconds: float) -> Checkpoint:

@@ -95,7 +95,7 @@ def prepare_task(
     own = tuple(k for k, p in model.pairs if p.scope == "record")
     compiled = compiled_for(traced, None if every else own)
     values = parameter_row(model)
-    return _task(model, compiled, values, record, start, inputs, substeps)
+    return task_with(model, compiled, values, record, start, inputs, substeps)
 
 
 @lru_cache(maxsize=16)
@@ -106,18 +106,19 @@ def compiled_for(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled:
 
 def with_record(task: Task, record: Record, start: Array | None = None) -> Task:
     """The same model and values on another record, scales found anew; nothing is compiled again."""
-    return _task(task.model, task.compiled, task.values, record, start, None, None)
+    return task_with(task.model, task.compiled, task.values, record, start)
 
 
-def _task(
+def task_with(
     model: Model,
     compiled: Compiled,
     values: Array,
     record: Record,
-    start: Array | None,
-    inputs: Array | None,
-    substeps: int | None,
+    start: Array | None = None,
+    inputs: Array | None = None,
+    substeps: int | None = None,
 ) -> Task:
+    """A task of functions compiled elsewhere: of the model, or of one with more effects."""
     if substeps is None:
         substeps = enough_substeps(compiled, values, prepare(model.system, record, 1))
     series = prepare(model.system, record, substeps)

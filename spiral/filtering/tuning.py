@@ -23,12 +23,18 @@ _RUNAWAY = 1e6  # log-likelihood that a sample not reached costs
 Likelihood = Callable[[Mapping[str, float]], tuple[float, int]]
 
 
-def most_likely(groups: tuple[str, ...], samples: int, likelihood: Likelihood) -> dict[str, float]:
+def most_likely(
+    groups: tuple[str, ...],
+    samples: int,
+    likelihood: Likelihood,
+    near: Mapping[str, float] | None = None,
+) -> dict[str, float]:
     """The level of each group with the highest likelihood.
 
     Parameters
     ----------
     likelihood : levels -> (log-likelihood, samples done before the filter ran away).
+    near : levels to start from; left out, the best of a coarse grid with all levels equal.
     """
     from scipy.optimize import minimize
 
@@ -40,8 +46,11 @@ def most_likely(groups: tuple[str, ...], samples: int, likelihood: Likelihood) -
         found = found if np.isfinite(found) else -_RUNAWAY
         return -found + _RUNAWAY * (samples - done) + outside
 
-    common = [cost(np.full(len(groups), np.log10(level))) for level in _GRID]
-    begin = np.full(len(groups), np.log10(_GRID[int(np.argmin(common))]))
+    if near is None:
+        common = [cost(np.full(len(groups), np.log10(level))) for level in _GRID]
+        begin = np.full(len(groups), np.log10(_GRID[int(np.argmin(common))]))
+    else:
+        begin = np.log10([max(near[g], LOWEST) for g in groups])
     simplex = np.vstack([begin, *(begin + 0.4 * row for row in np.eye(len(groups)))])
     found = minimize(
         cost, begin, method="Nelder-Mead",

@@ -30,6 +30,7 @@ def _needs_data(preset: str) -> bool:
 
 
 NOTHING = ("rotor_nothing_hidden",)
+INNOVATION = ("rotor_one_bearing",)
 
 
 def test_nothing_is_missing_where_nothing_is_hidden(tmp_path):
@@ -38,12 +39,25 @@ def test_nothing_is_missing_where_nothing_is_hidden(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "preset", [p for p in PRESETS if not _needs_data(p) and p not in (*ESTIMATES, *NOTHING)]
+    "preset",
+    [p for p in PRESETS if not _needs_data(p) and p not in (*ESTIMATES, *NOTHING, *INNOVATION)],
 )
 def test_a_preset_runs_in_a_fast_mode(preset, tmp_path):
     found = _discover(preset, tmp_path, "settings.max_rounds=1", "candidates=[cross_stiffness]")
     assert found["rounds"][1]["admitted"] == ["cross_stiffness"]
     assert found["rounds"][1]["test_error"] < found["rounds"][0]["test_error"]
+
+
+@pytest.mark.slow
+def test_the_innovations_say_which_bearing(tmp_path):
+    words = ["candidates=[cubic_stiffness@bearing_1,cubic_stiffness@bearing_2]"]
+    words += ["record.duration=5", "test.duration=5", "settings.max_rounds=1"]
+    found = _discover(INNOVATION[0], tmp_path, *words)
+    assert found["rounds"][1]["admitted"] == ["cubic_stiffness@bearing_2"]
+    first, second = found["rounds"][0]["suggestions"][:2]
+    assert (first["aliases"], second["effect"]) == ([], "cubic_stiffness@bearing_1")
+    fitted = found["model"]["effects"]["cubic_stiffness@bearing_2"]["stiffness"]
+    assert abs(fitted["estimate"] - 3.122e11) < 5 * fitted["se"] < 0.05 * 3.122e11
 
 
 @pytest.mark.skipif(
