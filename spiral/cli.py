@@ -25,6 +25,7 @@ VERBS = {
     "add": "fit the model, then the model plus EFFECT...; before and after side by side",
     "estimate": "reconstruct all states, hidden ones too, with an observer",
     "identify": "before any fit: can the record tell the terms apart? rank, aliases, samples",
+    "plan": "rank planned tests: which would tell EFFECT... apart, or reach a standard error",
     "simulate": "make a record from a model and write it to a file",
     "app": "the page on 127.0.0.1: see where the model fails, click Add, watch the error fall",
     "report": "one HTML file of a saved run (run=ID, by default the latest), figures and all",
@@ -208,9 +209,9 @@ def _single(request: Request, target: str | None) -> int:
         outcome = perform(request, tell, on_round)
     _write_json(outcome.result, target)
     if target != "-":
-        from spiral import estimate_screen, listing
+        from spiral import estimate_screen, listing, plan_screen
 
-        screens = {v: s for s in (listing, estimate_screen) for v in s.VERBS}
+        screens = {v: s for s in (listing, estimate_screen, plan_screen) for v in s.VERBS}
         screens.get(request.verb, terminal).show(request.verb, outcome)
     _say_tracked(_tracked(outcome), target)
     return outcome.exit

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from spiral import custom
+from spiral.campaign import Wishes
 from spiral.errors import ConfigError, did_you_mean
 from spiral.fields import construct, defaults_of, field_names, is_open, plain
 from spiral.overrides import Assignment, parse, set_value
@@ -61,6 +62,7 @@ class Options:
     settings: Any = field(default_factory=dict)
     gate: Any = None
     paper: Any = field(default_factory=dict)
+    plan: Any = None
     run: str | None = None
     out: str = "runs"
     curves: bool = True
@@ -310,6 +312,7 @@ def _normalise(config: Config, registry: Registry) -> None:
     config["effect"] = _effect_fields(config["effect"], registry)
     config["gate"] = gate_fields(config.get("gate"), registry, config["strategy"])
     config.setdefault("paper", plain(defaults_of(Sampling)))
+    config["plan"] = {**defaults_of(Wishes), **(config.get("plan") or {})}
 
 
 def _test_like_record(config: Config, registry: Registry, test: Config) -> Config:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared
 from spiral.effect import Effect
-from spiral.evidence import Standing, all_samples
+from spiral.evidence import all_samples, with_effects
 from spiral.problem import Problem, Progress, silent
 from spiral.run import Comparison, Round, Run, Stopped
 from spiral.strategy import Strategy
@@ -96,7 +96,7 @@ def add(
     before = judged(assembly, before_standing, stage, progress)
     rounds = [Round(0, (), {}, {}, (), before, time.perf_counter() - clock)]
     clock = time.perf_counter()
-    standing = _with_effects(assembly, before_standing, effects, progress)
+    standing = with_effects(assembly, before_standing, effects, progress)
     progress("fitting after")
     stage = last_stage(assembly, standing, masks)
     standing = replace(standing, values=stage.fitted.point.values)
@@ -106,19 +106,3 @@ def add(
     rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock, meaning=meaning))
     run = Run("effect_missing", "max_rounds", tuple(rounds), after.model, "added by hand")
     return before, after, run
-
-
-def _with_effects(
-    assembly: Assembly, standing: Standing, effects: tuple[Effect, ...], progress: Progress
-) -> Standing:
-    """Admit the effects one by one at the shortest windows, without gates, for a good start."""
-    from spiral.evidence import admit, grown, score_stage, stage_lengths
-
-    for effect in effects:
-        progress(f"adding {effect.label}")
-        length = stage_lengths(assembly)[:1]
-        stage = next(iter(grown(assembly, standing, all_samples(assembly), length)))
-        evidence = score_stage(assembly, standing, stage)
-        chosen = next(r for r in evidence.ranked if r.variant.original.label == effect.label)
-        standing = admit(assembly, standing, stage, chosen).standing
-    return standing

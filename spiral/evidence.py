@@ -16,6 +16,8 @@ from spiral.assembly import (
     first_row,
     unknown_keys,
 )
+from spiral.effect import Effect
+from spiral.problem import Progress
 from spiral.record import Array
 from spiral.shooting.fit import Fitted, fit
 from spiral.shooting.growth import Stage, first_starts, grow, layouts_for, lengths_for
@@ -223,7 +225,25 @@ def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) 
     return Admitted(wider, Stage(stage.length, stage.layouts, fitted), variant)
 
 
+<<<<<<< HEAD
 def stepped(assembly: Assembly, values: Array, variant: Variant, step: Array) -> Array:
+=======
+def with_effects(
+    assembly: Assembly, standing: Standing, effects: tuple[Effect, ...], progress: Progress
+) -> Standing:
+    """Admit effects one by one at the shortest windows, without gates, for a good start."""
+    for effect in effects:
+        progress(f"adding {effect.label}")
+        length = stage_lengths(assembly)[:1]
+        stage = next(iter(grown(assembly, standing, all_samples(assembly), length)))
+        evidence = score_stage(assembly, standing, stage)
+        chosen = next(r for r in evidence.ranked if r.variant.original.label == effect.label)
+        standing = admit(assembly, standing, stage, chosen).standing
+    return standing
+
+
+def _stepped(assembly: Assembly, values: Array, ranked: Ranked) -> Array:
+>>>>>>> 7229096 (spiral plan: which test tells look-alike effects apart, or reaches a standard error)
     """Where the refit starts: zero amplitude, from which the fit takes the damped joint step.
 
     A companion's step becomes amplitude and phase origin, which zero amplitude could not tell.

@@ -5,6 +5,7 @@
 {noise: 1.0, band: [5, 200]}        white in the band, root mean square 1.0
 {multisine: 1.0, band: [5, 200]}    equal lines, random phases, root mean square 1.0
 {chirp: 1.0, band: [5, 200]}        a sin 2 pi (f0 t + (f1 - f0) t^2 / 2T)
+{noise: 0.5, offset: 3.0}           any of them about a mean
 """
 
 from __future__ import annotations
@@ -42,16 +43,23 @@ def excite(name: str, description: Any, time: Array, unit: str, rng: np.random.G
     form, description = _form(name, description)
     scale = factor(str(description["unit"]), unit, name) if description.get("unit") else 1.0
     size = _numbers(name, form, description[form], 2 if form == "sweep" else 1)
+    offset = scale * _numbers(name, "offset", description.get("offset", 0.0), 1)[0]
+    return offset + scale * _waveform(name, form, size, description.get("band"), time, rng)
+
+
+def _waveform(
+    name: str, form: str, size: list[float], band: Any, time: Array, rng: np.random.Generator
+) -> Array:
     duration = (time[1] - time[0]) * len(time)
     if form == "sweep":
-        return scale * (size[0] + (size[1] - size[0]) * time / duration)
+        return size[0] + (size[1] - size[0]) * time / duration
     if form == "constant":
-        return np.full(len(time), scale * size[0])
-    low, high = _band(name, description.get("band"), time, duration)
+        return np.full(len(time), size[0])
+    low, high = _band(name, band, time, duration)
     if form == "chirp":
         turns = low * time + 0.5 * (high - low) * time**2 / duration
-        return scale * size[0] * np.sin(2 * np.pi * turns)
-    return scale * size[0] * _random(form, len(time), duration, low, high, rng)
+        return size[0] * np.sin(2 * np.pi * turns)
+    return size[0] * _random(form, len(time), duration, low, high, rng)
 
 
 def _form(name: str, description: Any) -> tuple[str, Mapping[str, Any]]:
@@ -60,7 +68,7 @@ def _form(name: str, description: Any) -> tuple[str, Mapping[str, Any]]:
             f"input {name!r} described as {description!r}", f"for instance {_EXAMPLE}"
         )
     forms = [f for f in FORMS if f in description]
-    known = (*FORMS, "unit", "band")
+    known = (*FORMS, "unit", "band", "offset")
     for key in description:
         if key not in known:
             raise ConfigError(

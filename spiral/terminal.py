@@ -246,6 +246,10 @@ def _after_discover(run: Run, config: dict[str, Any]) -> list[tuple[str, str]]:
         without = f"spiral compare {given} 'without=[{found[-1]}]'"
         commands.append((without, f"what {found[-1]} is worth"))
     commands.append((f"spiral compare {given}", "the final model against the test record"))
+    alike = [(k, *v) for r in run.rounds for k, v in r.aliases.items() if v and k in found]
+    if alike:
+        names = " ".join(alike[0])
+        commands.append((f"spiral plan {names} {given}", "which test would tell them apart"))
     return commands
 
 

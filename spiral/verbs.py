@@ -79,10 +79,11 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     steps = {
         "discover": _discover, "compare": _compare, "diagnose": _diagnose, "add": _add,
         "estimate": reconstruct.reconstruct, "identify": foresight.identify,
+        "plan": foresight.plan,
     }  # fmt: skip
     if request.verb == "simulate":
         return _simulate(request, config, registry)
-    if request.names and request.verb != "add":
+    if request.names and request.verb not in ("add", "plan"):
         raise ConfigError(
             f"{request.verb} {' '.join(request.names)}",
             f"{request.verb} with overrides KEY=VALUE",

@@ -21,7 +21,7 @@ from spiral.tracking import content
 from spiral.tracking.store import Store, Tracking, in_force, opened, without_password
 
 MARK = "tracked.json"
-BEFORE_ANY_FIT = ("identify",)  # verbs whose model has no values to predict with
+BEFORE_ANY_FIT = ("identify", "plan")  # verbs whose model has no values to predict with
 _BATCH = 100  # parameters or metrics in one call
 _NO_PARAMETER = ("run", "out", "n_jobs", "tracking", "sweep")
 _CAUGHT_UP = 50  # saved runs that one start logs after the fact, at most

@@ -1,0 +1,234 @@
+"""The tests that ``spiral plan`` judges: listed from what a user wishes, simulated by plugins."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from spiral.errors import ConfigError
+from spiral.excitation import FORMS
+from spiral.fields import construct
+from spiral.model import Model
+from spiral.parameter import Input
+from spiral.plan import PlannedTest, Simulate
+from spiral.problem import Problem
+from spiral.record import Record
+from spiral.registry import Registry
+
+_MOST = 200  # tests in one plan
+_RANDOM = ("noise", "multisine")
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a plan may vary; what is left out follows from the records at hand.
+
+    Fields
+    ------
+    effects : those to tell apart (or named after the verb).
+    parameter, standard_error : a parameter by full name, and the standard error it should have.
+    speeds : [from, to] in Hz, or one number, of a turning machine.
+    unbalances : factors on the unbalance: 1 as it is, 3 with a trial weight of twice its moment.
+    forms : of an input that drives: noise, multisine, chirp.
+    amplitudes : factors on the input's root mean square at hand.
+    bands : [low, high] in Hz of such an input.
+    durations : s.
+    rates : samples per s.
+    shown : tests in the table.
+    """
+
+    effects: tuple[str, ...] = ()
+    parameter: str | None = None
+    standard_error: float | None = None
+    speeds: tuple[Any, ...] = ()
+    unbalances: tuple[float, ...] = ()
+    forms: tuple[str, ...] = ()
+    amplitudes: tuple[float, ...] = ()
+    bands: tuple[tuple[float, ...], ...] = ()
+    durations: tuple[float, ...] = ()
+    rates: tuple[float, ...] = ()
+    shown: int = 10
+
+
+def wishes_of(section: Mapping[str, Any] | None) -> Wishes:
+    """The wishes of a configuration's section ``plan``.
+
+    Raises
+    ------
+    ConfigError : an unknown field, or a value that cannot be.
+    """
+    found = construct(Wishes, {k: v for k, v in (section or {}).items() if v is not None}, "plan")
+    for name in ("durations", "rates", "amplitudes", "unbalances"):
+        for value in getattr(found, name):
+            if not value > 0:
+                raise ConfigError(f"plan.{name}: {value:g}", "numbers above zero")
+    for form in found.forms:
+        if form not in FORMS[2:]:
+            raise ConfigError(f"plan.forms: {form!r}", f"some of {', '.join(FORMS[2:])}")
+    if found.standard_error is not None and not found.standard_error > 0:
+        raise ConfigError(f"plan.standard_error={found.standard_error:g}", "a number above zero")
+    return found
+
+
+def planned_tests(problem: Problem, wishes: Wishes) -> tuple[PlannedTest, ...]:
+    """Every combination of what the wishes leave open.
+
+    Raises
+    ------
+    ConfigError : more than 200 of them, or a system without an input to vary.
+    """
+    inputs = [i for i in problem.model.system.inputs if i.derived_from is None]
+    if not inputs:
+        raise ConfigError("a system without inputs", "an input that a test can vary")
+    duration = max(r.samples * r.dt for r in problem.records)
+    durations = wishes.durations or (0.5 * duration, duration, 2 * duration)
+    rates = wishes.rates or (1.0 / problem.records[0].dt,)
+    turning = next((i for i in inputs if i.name == "speed"), None)
+    drives = _turning(problem, wishes) if turning else _driven(problem, wishes, inputs[0])
+    weights = (wishes.unbalances or (1.0, 3.0)) if turning else (1.0,)
+    if not any(e.undirected() for e in problem.model.effects):
+        weights = (1.0,)
+    found = tuple(
+        _test(words, given, seconds, rate, weight)
+        for (words, given), seconds, rate, weight in itertools.product(
+            drives, durations, rates, weights
+        )
+    )
+    if len(found) > _MOST:
+        raise ConfigError(
+            f"a plan of {len(found)} tests", f"at most {_MOST}", "fewer speeds, durations, rates"
+        )
+    return found
+
+
+def _test(
+    words: str, inputs: Mapping[str, Any], seconds: float, rate: float, weight: float
+) -> PlannedTest:
+    told = f"{words} in {seconds:.4g} s, {rate:.4g}/s"
+    if weight != 1.0:
+        told += f", unbalance x {weight:g}"
+    return PlannedTest(told, inputs, float(seconds), float(rate), float(weight))
+
+
+def _turning(problem: Problem, wishes: Wishes) -> list[tuple[str, dict[str, Any]]]:
+    """Speeds: the range at hand, half of it and half as much again, from standstill and back."""
+    speed = np.concatenate([r.inputs["speed"] for r in problem.records]) / (2 * np.pi)
+    top = float(np.max(np.abs(speed)))
+    usual = ([0.5 * top, 0.0], [top, 0.0], [1.5 * top, 0.0], [0.5 * top, 1.5 * top], [top, top])
+    found = []
+    for given in wishes.speeds or usual:
+        ends = list(given) if isinstance(given, list | tuple) else [given, given]
+        if len(ends) != 2 or not all(isinstance(e, int | float) for e in ends):
+            raise ConfigError(f"plan.speeds: {given!r}", "[from, to] in Hz", "plan.speeds=[[40,0]]")
+        first, last = (float(f"{e:.4g}") for e in ends)
+        words = f"{first:g} to {last:g} Hz" if first != last else f"steady {first:g} Hz"
+        found.append((words, {"speed": {"sweep": [first, last], "unit": "Hz"}}))
+    return found
+
+
+def _driven(problem: Problem, wishes: Wishes, item: Input) -> list[tuple[str, dict[str, Any]]]:
+    """Waveforms of the first input, about its mean; other inputs stay at their means."""
+    rest = {
+        i.name: {"constant": _mean(problem, i.name)}
+        for i in problem.model.system.inputs
+        if i.derived_from is None and i.name != item.name
+    }
+    size, mean, band = _spread(problem, item.name), _mean(problem, item.name), _band(problem, item)
+    offset = {"offset": float(f"{mean:.4g}")} if abs(mean) > 0.05 * size else {}
+    top = 0.45 / problem.records[0].dt
+    bands = wishes.bands or (band, (band[0], min(2 * band[1], top)))
+    found = []
+    for form, factor, (low, high) in itertools.product(
+        wishes.forms or ("noise", "chirp"), wishes.amplitudes or (0.5, 1.0, 2.0), bands
+    ):
+        level = float(f"{factor * size * (1.0 if form in _RANDOM else np.sqrt(2)):.4g}")
+        edges = [float(f"{low:.3g}"), float(f"{high:.3g}")]
+        words = f"{item.name}: {form} of {level:g} {item.unit}, {edges[0]:g} to {edges[1]:g} Hz"
+        found.append((words, {item.name: {form: level, "band": edges, **offset}, **rest}))
+    return found
+
+
+def _mean(problem: Problem, name: str) -> float:
+    return float(np.mean(np.concatenate([r.inputs[name] for r in problem.records])))
+
+
+def _spread(problem: Problem, name: str) -> float:
+    return float(np.std(np.concatenate([r.inputs[name] for r in problem.records])))
+
+
+def _band(problem: Problem, item: Input) -> tuple[float, float]:
+    """Frequencies between which nine tenths of the first record's input lie, Hz."""
+    record = problem.records[0]
+    values = record.inputs[item.name] - np.mean(record.inputs[item.name])
+    power = np.cumsum(np.abs(np.fft.rfft(values)) ** 2)
+    frequency = np.fft.rfftfreq(len(values), record.dt)
+    low, high = (frequency[np.searchsorted(power, s * power[-1])] for s in (0.05, 0.95))
+    return max(float(low), float(frequency[1])), max(float(high), float(3 * frequency[1]))
+
+
+def simulator(problem: Problem, registry: Registry, seed: int = 0) -> Simulate:
+    """Simulates a test as ``record=simulation`` does; a turning machine has run in before."""
+    measured = all("phase" in r.measured for r in problem.records)
+
+    def simulated(model: Model, test: PlannedTest) -> Record:
+        fields = {**fields_of(model, test, problem), "seed": seed, "measured_phase": measured}
+        fields |= {"effects": _added(model), "without": _removed(model), "noise_level": 0.0}
+        try:
+            return _loaded(registry, fields, model)
+        except ConfigError as error:
+            if "settled" not in error.given:
+                raise
+            return _loaded(registry, {**fields, "settled": False}, model)
+
+    return simulated
+
+
+def _loaded(registry: Registry, fields: Mapping[str, Any], model: Model) -> Record:
+    (record,) = registry.make("source", "simulation", fields, "record").load(model.system)
+    return replace(record, name="planned")
+
+
+def fields_of(model: Model, test: PlannedTest, problem: Problem) -> dict[str, Any]:
+    """Fields of ``record=simulation`` that make a test of a model."""
+    known = {k for k, _ in model.pairs}
+    return {
+        "values": {k: float(v) for k, v in model.values.items() if k in known},
+        "inputs": dict(test.inputs),
+        "duration": test.duration,
+        "rate": test.rate,
+        "settled": "speed" in test.inputs,
+    }
+
+
+def _added(model: Model) -> tuple[Any, ...]:
+    seeded = [e.label for e in model.system.seed]
+    return tuple(e for e in model.effects if e.label not in seeded)
+
+
+def _removed(model: Model) -> tuple[str, ...]:
+    return tuple(e.label for e in model.system.seed if e.label not in model.labels)
+
+
+def overrides_of(test: PlannedTest, noise_level: float, model: Model) -> tuple[str, ...]:
+    """The same test on the command line: ``record.FIELD=VALUE`` of ``record=simulation``."""
+    words = [f"record.inputs={_written(test.inputs)}", f"record.duration={test.duration:g}"]
+    words += [f"record.rate={test.rate:g}", f"record.noise_level={noise_level:.4g}"]
+    words += ["record.settled=true"] if "speed" in test.inputs else []
+    for effect in model.effects:
+        if effect.undirected() and test.unbalance != 1.0:
+            key = f"{effect.label}.{effect.amplitudes()[0].name}"
+            words.append(f"record.values.{key}={model.values[key] * test.unbalance:.6g}")
+    return tuple(words)
+
+
+def _written(value: Any) -> str:
+    """Plain data as the command line's grammar writes it."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{k}: {_written(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_written(v) for v in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
