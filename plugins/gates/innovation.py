@@ -9,7 +9,7 @@ from spiral.gate import Gate, Judgement, Trial
 
 
 class Innovation(Gate):
-    """2 [log L_1 - log L_0] > chi^2_{1-alpha/L, q}, L the likelihood of the filter's innovations.
+    """G = 2 [log L_1 - log L_0] > chi^2_{1-alpha/L, q}, L the likelihood of a filter's innovations.
 
     The effect may act on hidden states: the filter carries it to the channels. Candidates are first
     ranked by the score test (the fall of |e|^2 for one step, e the whitened innovations); the best

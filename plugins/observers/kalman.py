@@ -58,7 +58,8 @@ class Tuned(Observer):
 class Ekf(Tuned):
     """Extended Kalman filter: mean by RK4, covariance by the Jacobian of that very step.
 
-    Update in Joseph form; process noise by exact discretisation.
+    x <- x + K (y - h(x)), K = P C^T S^-1, S = C P C^T + R; P in Joseph form; process noise by exact
+    discretisation.
 
     Fields
     ------
@@ -78,7 +79,7 @@ class Ekf(Tuned):
 class Rts(Tuned):
     """Rauch-Tung-Striebel smoother over the extended filter: each sample judged by all.
 
-    Computed in the Bryson-Frazier form (``spiral.filtering.smoother``).
+    x_s = x - P l, P_s = P - P L P, in the Bryson-Frazier form (``spiral.filtering.smoother``).
     """
 
     def run(self, task: Task, settings: Settings) -> Pass:
@@ -99,6 +100,7 @@ class Rts(Tuned):
 class Ukf(Tuned):
     """Unscented Kalman filter: 2 N + 1 points in place of Jacobians.
 
+    x = sum_i w_i x_i, P = sum_i w_i (x_i - x)(x_i - x)^T over points x +- sqrt(N + lambda) L_i.
     Its process noise is tuned with the extended filter's likelihood, which costs less.
 
     Fields
