@@ -225,9 +225,6 @@ def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) 
     return Admitted(wider, Stage(stage.length, stage.layouts, fitted), variant)
 
 
-<<<<<<< HEAD
-def stepped(assembly: Assembly, values: Array, variant: Variant, step: Array) -> Array:
-=======
 def with_effects(
     assembly: Assembly, standing: Standing, effects: tuple[Effect, ...], progress: Progress
 ) -> Standing:
@@ -242,8 +239,7 @@ def with_effects(
     return standing
 
 
-def _stepped(assembly: Assembly, values: Array, ranked: Ranked) -> Array:
->>>>>>> 7229096 (spiral plan: which test tells look-alike effects apart, or reaches a standard error)
+def stepped(assembly: Assembly, values: Array, variant: Variant, step: Array) -> Array:
     """Where the refit starts: zero amplitude, from which the fit takes the damped joint step.
 
     A companion's step becomes amplitude and phase origin, which zero amplitude could not tell.
