@@ -50,7 +50,6 @@ class Options:
 
     strategy: str = "shooting"
     effect: Any = None
-    expressions: Any = None
     seed: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()
     candidates: tuple[str, ...] | None = None
@@ -62,7 +61,6 @@ class Options:
     settings: Any = field(default_factory=dict)
     gate: Any = None
     paper: Any = field(default_factory=dict)
-    plan: Any = None
     run: str | None = None
     out: str = "runs"
     curves: bool = True
