@@ -18,28 +18,34 @@ import sympy as sp
 
 from spiral.compile import compile_model
 from spiral.effect import Effect
+from spiral.lines import strongest_line
 from spiral.model import Model
+from spiral.parameter import Parameter
 from spiral.port import Port
 from spiral.problem import Problem
 from spiral.record import Array, Record
 from spiral.rest import check_rest
 from spiral.shooting.series import prepare
 from spiral.shooting.start import motion
-from spiral.shooting.study import Columns, Study, columns_for
+from spiral.shooting.study import ORIGIN, Columns, Study, columns_for
 from spiral.system import MechanicalSystem, System
 from spiral.trace import Traced, trace
-
-ORIGIN = "system.phase_origin"
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One compiled copy of a candidate: its shapes, and its companion a quarter turn ahead."""
+    """One compiled copy of a candidate: its shapes, and its companion a quarter turn ahead.
+
+    ``tuned`` are the shapes that a refit may set free (those with several values to try);
+    ``searched`` the number of independent values among which this one was looked for.
+    """
 
     effect: Effect
     original: Effect
     shapes: Mapping[str, float]
     companion: Effect | None = None
+    tuned: tuple[str, ...] = ()
+    searched: int = 1
 
     @property
     def label(self) -> str:
@@ -68,7 +74,7 @@ def assemble(problem: Problem, substeps: int = 1) -> Assembly:
     """Trace and compile the model with all variants of all candidates, and prepare the records."""
     model = problem.model
     extremes = _extremes(model, problem.records)
-    variants = [v for c in problem.candidates for v in _variants(model, c, extremes)]
+    variants = [v for c in problem.candidates for v in _variants(model, c, extremes, problem)]
     effects = [*model.effects]
     shifts = [0.0] * len(effects)
     for variant in variants:
@@ -93,23 +99,47 @@ def with_records(
     return replace(assembly, study=replace(assembly.study, series=series))
 
 
-def _variants(model: Model, effect: Effect, extremes: Mapping[str, float]) -> list[Variant]:
-    port = model.system.port(effect.port)
+def _variants(
+    model: Model, effect: Effect, extremes: Mapping[str, float], problem: Problem
+) -> list[Variant]:
+    port = model.system.place(effect)
     shapes = [p for p in effect.parameters if p.role == "shape"]
     directed = any(e.undirected() for e in model.effects)
     companion = effect.undirected() and not directed
     found = []
-    for number, values in enumerate(itertools.product(*(p.grid or (1.0,) for p in shapes))):
+    for number, shares in enumerate(itertools.product(*(p.grid or (1.0,) for p in shapes))):
         tag = str(number + 1) if shapes else ""
         copy = replace(effect, variant=tag)
-        sizes = {}
-        for parameter, share in zip(shapes, values, strict=True):
-            kind = "velocity" if "velocity" in parameter.unit else "position"
-            scale = extremes[f"{port.name}.{kind}"] if parameter.grid else parameter.start or 1.0
-            sizes[f"{copy.label}.{parameter.name}"] = share * scale
+        tried = [_tried(p, s, extremes, port, problem) for p, s in zip(shapes, shares, strict=True)]
+        if not all(count for _, count in tried):
+            continue
+        keys = [f"{copy.label}.{p.name}" for p in shapes]
+        sizes = {k: value for k, (value, _) in zip(keys, tried, strict=True)}
+        tuned = tuple(k for k, p in zip(keys, shapes, strict=True) if len(p.grid) != 1)
         turned = replace(effect, variant=f"{tag}quarter") if companion else None
-        found.append(Variant(copy, effect, sizes, turned))
+        searched = int(np.prod([count for _, count in tried]))
+        found.append(Variant(copy, effect, sizes, turned, tuned, searched))
     return found
+
+
+def _tried(
+    parameter: Parameter, share: float, extremes: Mapping[str, float], port: Port, problem: Problem
+) -> tuple[float, int]:
+    """A shape's value and among how many it was looked for; 0 where the records cannot show it."""
+    value = share * _scale(parameter, extremes, port)
+    if not parameter.search:
+        return value, 1
+    return strongest_line(problem.records, value, parameter.search) or (value, 0)
+
+
+def _scale(parameter: Parameter, extremes: Mapping[str, float], port: Port) -> float:
+    """What a grid's values are shares of; a parameter without a grid has its start."""
+    if not parameter.grid:
+        return parameter.start or 1.0
+    for kind in ("velocity", "position"):
+        if kind in parameter.unit:
+            return extremes[f"{port.name}.{kind}"]
+    return 1.0
 
 
 def _extremes(model: Model, records: tuple[Record, ...]) -> dict[str, float]:
@@ -126,7 +156,8 @@ def _extremes(model: Model, records: tuple[Record, ...]) -> dict[str, float]:
             found[f"{port.name}.{kind}"] = max(
                 float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
             )
-    return found
+    seen = [np.abs(c).max() for r in records for c in r.channels.values()]
+    return {**found, "sensors.position": float(max(seen))}
 
 
 def _at_port(system: System, port: Port, traced: Traced) -> list[tuple[str, list[Any]]]:
@@ -240,8 +271,12 @@ def to_model(
     values: Array,
     errors: Mapping[str, float],
     freed: tuple[str, ...] = (),
+    held: tuple[str, ...] = (),
 ) -> Model:
-    """The model that a standing of the study amounts to, under its effects' real names."""
+    """The model that a standing of the study amounts to, under its effects' real names.
+
+    ``freed`` shapes move in later fits of it, ``held`` amplitudes do not.
+    """
     model = assembly.problem.model
     chosen = [assembly.variant(x) for x in labels if x not in model.labels]
     rename = {v.label: v.original.label for v in chosen}
@@ -261,4 +296,5 @@ def to_model(
         values=known,
         errors={real(k): float(v) for k, v in errors.items() if k.rsplit(".", 1)[0] in kept},
         freed=(*model.freed, *(real(k) for k in freed)),
+        fixed=(*model.fixed, *(real(k) for k in held)),
     )

@@ -102,7 +102,7 @@ def judged(
     """The comparison of a fitted standing: free runs, chi2 and whiteness on all samples."""
     values = stage.fitted.point.values
     errors = standard_errors(assembly, standing, stage)
-    model = to_model(assembly, standing.labels, values, errors, standing.freed)
+    model = to_model(assembly, standing.labels, values, errors, standing.freed, standing.held)
     fitted = replace(standing, values=values)
     return compared(assembly, fitted, model, stage.length, stage.fitted.converged, progress)
 

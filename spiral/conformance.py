@@ -118,7 +118,7 @@ def fits(effect: Effect, system: System) -> str:
 
 def effect_units(effect: Effect, system: System) -> str:
     """Parameters and own states: each name once, units that parse, an amplitude."""
-    port = system.port(effect.port)
+    port = system.place(effect)
     _once("parameter", [q.name for q in effect.parameters])
     _once("state", [s.name for s in effect.states])
     if not effect.amplitudes():
@@ -168,7 +168,7 @@ def units(system: System, effects: Sequence[Effect]) -> str:
 
     for effect in effects:
         check_units(system, effect)
-    return ", ".join(system.port(e.port).force_unit for e in effects) or "none"
+    return ", ".join(system.place(e).force_unit for e in effects) or "none"
 
 
 def jacobians(physics: Physics) -> str:

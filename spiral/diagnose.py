@@ -101,6 +101,7 @@ def _diagnosis(
         advice,
         shown.length,
         proposal.diverged,
+        proposal.not_separable,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from spiral.assembly import (
     unknown_keys,
 )
 from spiral.effect import Effect
+from spiral.errors import ConfigError
+from spiral.gridnull import effective_tests
+from spiral.inseparable import inseparable
 from spiral.problem import Progress
 from spiral.record import Array
 from spiral.shooting.fit import Fitted, fit
@@ -60,13 +63,27 @@ class Standing:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate's best variant with its evidence; the smallest ``rank`` (BIC) is best."""
+    """A candidate's best variant with its evidence; the smallest ``rank`` (BIC) is best.
+
+    ``tests`` is the number of independent tests that its shapes amount to (``spiral.gridnull``);
+    ``tied`` are effects of the model that can take over part of it, all of it where ``whole``;
+    ``held`` are amplitudes that then stay at zero.
+    """
 
     variant: Variant
     columns: tuple[int, ...]
     score: Score
     rank: float
-    tests: int
+    tests: float = 1.0
+    tied: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+    whole: bool = False
+
+    @property
+    def log_p(self) -> tuple[float, float]:
+        """Classical and robust p-value (logarithms), corrected for the values tried."""
+        more = float(np.log(self.tests))
+        return min(self.score.log_p + more, 0.0), min(self.score.wald_log_p + more, 0.0)
 
 
 @dataclass(frozen=True)
@@ -155,23 +172,51 @@ def score_stage(assembly: Assembly, standing: Standing, stage: Stage) -> Evidenc
     active, _ = columns(assembly, keys)
     reduction = reduce(assembly.study, stage.layouts, stage.fitted.point, moving, block)
     table = tabulate(reduction, active.count)
-    found: dict[str, Ranked] = {}
-    traced = assembly.study.compiled.traced
-    parameters = dict(zip(traced.keys, traced.parameters, strict=True))
+    scored: dict[str, list[Ranked]] = {}
     first = 0
     for variant, group in groups:
-        indices = tuple(range(first, first + len(group)))
-        first += len(group)
-        sides = tuple(parameters[k].lower == 0.0 and variant.companion is None for k in group)
-        scored = score(table, indices, sides)
-        ranked = Ranked(variant, indices, scored, _bic(table, scored), 1)
-        label = variant.original.label
-        best = found.get(label)
-        tests = 1 if best is None else best.tests + 1
-        keep = ranked if best is None or ranked.rank < best.rank else best
-        found[label] = Ranked(keep.variant, keep.columns, keep.score, keep.rank, tests)
-    order = sorted(found.values(), key=lambda r: r.rank)
-    return Evidence(stage, tuple(order), table, block)
+        sides, owners = _sides(assembly, variant, group)
+        indices = tuple(range(first, first + len(sides)))
+        first += len(sides)
+        found = score(table, indices, sides)
+        tied = inseparable(reduction.triangle, active.count, indices)
+        names = [_owner(assembly, int(moving.index[i])) for i in tied.with_]
+        ranked = Ranked(
+            variant, indices, found, _bic(table, found), variant.searched,
+            tuple(dict.fromkeys(names)), tuple(owners[i] for i in tied.held), tied.whole,
+        )  # fmt: skip
+        scored.setdefault(variant.original.label, []).append(ranked)
+    best = [_best(table, variants) for variants in scored.values()]
+    return Evidence(stage, tuple(sorted(best, key=lambda r: r.rank)), table, block)
+
+
+def _sides(
+    assembly: Assembly, variant: Variant, group: tuple[str, ...]
+) -> tuple[tuple[bool, ...], tuple[str, ...]]:
+    """Of every column of a group: whether it is one-sided, and its key (one for each record)."""
+    found, _ = columns(assembly, group)
+    keys = tuple(assembly.study.keys[i] for i in found.index)
+    parameters = assembly.study.compiled.traced.parameters
+    lower = [parameters[i].lower for i in found.index]
+    return tuple(low == 0.0 and variant.companion is None for low in lower), keys
+
+
+def _owner(assembly: Assembly, index: int) -> str:
+    """The effect that an active column belongs to; phase and its correction are the unbalance's."""
+    keys = assembly.study.keys
+    owner = keys[index].rsplit(".", 1)[0] if index < len(keys) else "system"
+    if owner == "system":
+        return "unbalance" if index >= len(keys) or keys[index] == ORIGIN else "system"
+    known = {v.label: v.original.label for v in assembly.variants}
+    return known.get(owner, owner)
+
+
+def _best(table: Table, variants: list[Ranked]) -> Ranked:
+    """The best value of a candidate's shapes, and how many tests choosing it amounts to."""
+    best = min(range(len(variants)), key=lambda i: variants[i].rank)
+    groups = [r.columns for r in variants]
+    tests = effective_tests(table, groups, best, np.random.default_rng(0))
+    return replace(variants[best], tests=tests * variants[best].tests)
 
 
 def _is_variant(assembly: Assembly, label: str) -> bool:
@@ -194,7 +239,7 @@ def tested_keys(assembly: Assembly, variant: Variant) -> tuple[str, ...]:
 def _bic(table: Table, scored: Score) -> float:
     """N log(1 - gain / rest) + q log N: twice the negative log-likelihood gain, plus its price."""
     left = max(1.0 - scored.gain / max(table.rest, 1e-300), 1e-12)
-    return table.samples * float(np.log(left)) + len(scored.columns) * float(np.log(table.samples))
+    return table.samples * float(np.log(left)) + scored.rank * float(np.log(table.samples))
 
 
 # --- admitting -----------------------------------------------------------------------------------
@@ -208,20 +253,32 @@ class Admitted:
     stage: Stage
     variant: Variant
 
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Its amplitudes that stay at zero, by their real names."""
+        label, name = self.variant.label, self.variant.original.label
+        own = [k.rsplit(".", 1) for k in self.standing.held]
+        return tuple(f"{name}.{key}" for owner, key in own if owner == label)
+
 
 def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) -> Admitted:
     """Add a candidate, refit, and set its shapes free where that pays."""
     variant = ranked.variant
     values = stepped(assembly, stage.fitted.point.values, variant, ranked.score.step)
-    wider = Standing((*standing.labels, variant.label), values, standing.freed)
+    wider = replace(
+        standing,
+        labels=(*standing.labels, variant.label),
+        values=values,
+        held=(*standing.held, *ranked.held),
+    )
     fitted = refit(assembly, wider, stage)
-    wider = Standing(wider.labels, fitted.point.values, wider.freed)
-    if variant.shapes and np.isfinite(fitted.cost):
-        freer = Standing(wider.labels, wider.values, (*wider.freed, *variant.shapes))
+    wider = replace(wider, values=fitted.point.values)
+    if variant.tuned and np.isfinite(fitted.cost):
+        freer = replace(wider, freed=(*wider.freed, *variant.tuned))
         trial = refit(assembly, freer, Stage(stage.length, stage.layouts, fitted))
         if fitted.cost - trial.cost > _WORTH:
             fitted = trial
-            wider = Standing(freer.labels, trial.point.values, freer.freed)
+            wider = replace(freer, values=trial.point.values)
     return Admitted(wider, Stage(stage.length, stage.layouts, fitted), variant)
 
 
@@ -234,8 +291,13 @@ def with_effects(
         length = stage_lengths(assembly)[:1]
         stage = next(iter(grown(assembly, standing, all_samples(assembly), length)))
         evidence = score_stage(assembly, standing, stage)
-        chosen = next(r for r in evidence.ranked if r.variant.original.label == effect.label)
-        standing = admit(assembly, standing, stage, chosen).standing
+        chosen = [r for r in evidence.ranked if r.variant.original.label == effect.label]
+        if not chosen:
+            raise ConfigError(
+                f"effect {effect.label!r} at the sample rate of these records",
+                "a rate that shows it",
+            )
+        standing = admit(assembly, standing, stage, chosen[0]).standing
     return standing
 
 

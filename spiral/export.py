@@ -61,7 +61,7 @@ def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
                 )
                 terms.append(Term(label, _difference(own, before)))
         found.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0)))
-    return (*found, *_readings(model, whole)), whole
+    return (*found, *_readings(model)), whole
 
 
 def equation(model: Model) -> str:
@@ -97,14 +97,23 @@ def latex(model: Model) -> str:
     return "\n".join([r"\begin{align*}", *rows, r"\end{align*}"])
 
 
-def _readings(model: Model, whole: Traced) -> list[Equation]:
-    if not any(isinstance(e, SensorEffect) for e in model.effects):
+def _readings(model: Model) -> list[Equation]:
+    """What the sensors report, where effects change it: each effect's change, in their order."""
+    sensors = tuple(e for e in model.effects if isinstance(e, SensorEffect))
+    if not sensors:
         return []
-    seen = _with_values(whole, model)
-    return [
-        Equation(f"reading of {name}", (Term("sensors", value),))
-        for name, value in zip(whole.channels, seen.output, strict=True)
+    others = tuple(e for e in model.effects if e not in sensors)
+    steps = [
+        _with_values(trace(model.system, (*others, *sensors[:count])), model).output
+        for count in range(len(sensors) + 1)
     ]
+    found = []
+    for row, name in enumerate(model.system.observed):
+        terms = [Term("", steps[0][row])]
+        for effect, before, after in zip(sensors, steps, steps[1:], strict=False):
+            terms.append(Term(effect.label, _difference(after[row], before[row])))
+        found.append(Equation(f"reading of {name}", tuple(t for t in terms if t.value != 0)))
+    return found
 
 
 def _with_values(traced: Traced, model: Model) -> Traced:
@@ -214,6 +223,8 @@ class _Unicode(StrPrinter):
         (first, condition), *others = pairs
         last = others[-1][0] if others else sp.Integer(0)
         if last == 0 and _is_positive_part(first, condition):
+            return f"max({self._print(first)}, 0)"
+        if isinstance(last, sp.Piecewise) and last.args[0].args[0] == 0:  # spiral.math.ramp
             return f"max({self._print(first)}, 0)"
         return f"[{self._print(first)} where {self._print(condition)}, else {self._print(last)}]"
 

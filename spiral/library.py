@@ -79,7 +79,7 @@ def terms_of(library: Library, system: System) -> tuple[Term, ...]:
             raise PluginError(f"term of {effect.label!r}", "the force of an effect")
         check_units(system, effect)
     for term in found:
-        own = [k for k, p in term.effect.keys(system.port(term.effect.port)) if _linear(p)]
+        own = [k for k, p in term.effect.keys(system.place(term.effect)) if _linear(p)]
         if term.key not in own:
             raise PluginError(f"term {term.key!r}", f"an amplitude of its effect: {', '.join(own)}")
     return found

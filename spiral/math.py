@@ -52,6 +52,20 @@ def maximum(first: Any, second: Any) -> Any:
     return where(first >= second, first, second)
 
 
+def ramp(value: Any, width: Any) -> Any:
+    """The positive part (x)_+ with its corner rounded over +-w: exact outside, smooth inside.
+
+    0 for x <= -w, (x + w)^2 / (4 w) for |x| < w, x for x >= w; continuous with its slope, off by
+    w/4 at most (at x = 0). ``width`` 0 is the sharp corner; both of one unit.
+    """
+    inside = (value + width) * (value + width) / (4 * width) if _nonzero(width) else 0 * value
+    return where(value >= width, value, where(value <= -width, 0 * value, inside))
+
+
+def _nonzero(width: Any) -> bool:
+    return _is_symbolic(width) or bool(getattr(width, "magnitude", width) != 0)
+
+
 def where(condition: Any, if_true: Any, if_false: Any) -> Any:
     """``if_true`` where the condition holds, else ``if_false``; both of one unit."""
     if _is_symbolic(condition):

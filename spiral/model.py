@@ -126,7 +126,7 @@ class Model:
         if owner == "system":
             return pretty_unit(parameter.unit)
         effect = next(e for e in self.effects if e.label == owner)
-        return pretty_unit(self.system.port(effect.port).unit(parameter.unit))
+        return pretty_unit(self.system.place(effect).unit(parameter.unit))
 
     def estimates(self) -> dict[str, dict[str, Estimate]]:
         """owner -> parameter -> estimate, the system's own under ``system``."""

@@ -37,7 +37,10 @@ class Parameter:
     per_axis : one value for each axis of the port.
     scope : ``machine`` is shared by all records, ``record`` is a nuisance of each record.
     grid : of a shape, the values tried while its effect is absent, as shares of the largest
-        port position or velocity (by its unit) that the record shows.
+        port position or velocity (by its unit) that the record shows; of another unit (a
+        frequency), the values themselves.
+    search : moves each value of such a grid, within this share of it, to the strongest line in
+        the records' channels.
     """
 
     name: str
@@ -49,6 +52,7 @@ class Parameter:
     per_axis: bool = False
     scope: Scope = "machine"
     grid: tuple[float, ...] = ()
+    search: float = 0.0
 
     def __post_init__(self) -> None:
         _check_name("parameter", self.name)

@@ -53,6 +53,7 @@ def _without(standing: Standing, label: str) -> Standing:
         standing,
         labels=tuple(x for x in standing.labels if x != label),
         freed=tuple(k for k in standing.freed if k.rsplit(".", 1)[0] != label),
+        held=tuple(k for k in standing.held if k.rsplit(".", 1)[0] != label),
     )
 
 

@@ -123,7 +123,11 @@ class Where:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is missing, where it shows, and what to do."""
+    """What is missing, where it shows, and what to do.
+
+    ``not_separable`` are candidates that effects of the model take over on this record, in part or
+    whole: had they been there, they could not have been found.
+    """
 
     verdict: Verdict
     comparison: Comparison
@@ -132,6 +136,7 @@ class Diagnosis:
     advice: str
     horizon: int
     diverged: bool = False
+    not_separable: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -142,6 +147,7 @@ class Diagnosis:
             "advice": self.advice,
             "horizon": self.horizon,
             "comparison": self.comparison.as_dict(),
+            "not_separable": {k: list(v) for k, v in self.not_separable.items()},
         }
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from spiral.assembly import Assembly
+from spiral.effect import SensorEffect
 from spiral.evidence import (
     Admitted,
     Evidence,
@@ -27,6 +28,7 @@ from spiral.statistics import Paired, paired_errors, spent
 
 _RIVALS = 4  # candidates refitted beside the first
 _RIVAL_SHARE = 0.5  # least share of the first one's gain to be a rival
+_TWIN, _TWIN_SHARE = 0.999, 0.99  # cosine and share of the gain from which two are one
 _LISTED = 5
 _HINT = 0.95
 _NEARLY_RIGHT = 2.0  # chi2 per degree of freedom
@@ -43,6 +45,14 @@ class Proposal:
     aliases: tuple[str, ...]
     suggestions: tuple[Suggestion, ...]
     rejected: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def not_separable(self) -> Mapping[str, tuple[str, ...]]:
+        """Candidates that the model's own parameters can take over, in part or whole, and whose."""
+        if self.evidence is None:
+            return {}
+        found = {r.variant.original.label: r.tied for r in self.evidence.ranked if r.tied}
+        return dict(sorted(found.items()))
 
     @property
     def diverged(self) -> bool:
@@ -131,14 +141,26 @@ def _agree(before: Evidence, after: Evidence, settings: Settings, round_number: 
     if not old:
         return True
     nearly_right = after.stage.fitted.chi2_per_dof < _NEARLY_RIGHT
-    return old[0] in new[:1] and (nearly_right or set(old) <= set(new))
+    kept = old[0] in new[:1] or (bool(new) and old[0] in _twins(after))
+    return kept and (nearly_right or set(old) <= set(new))
+
+
+def _twins(evidence: Evidence) -> list[str]:
+    """Those of the top three whose signatures and gains are the first one's: either may lead."""
+    first, *others = evidence.ranked[:3]
+    return [
+        r.variant.original.label
+        for r in others
+        if r.score.gain >= _TWIN_SHARE * first.score.gain
+        and cosine(evidence.table, first.columns, r.columns) > _TWIN
+    ]
 
 
 def _significant(ranked: Ranked, evidence: Evidence, settings: Settings, round_number: int) -> bool:
     """Classical and robust p-values below the candidate's share of the round's level."""
-    tests = sum(r.tests for r in evidence.ranked) * _STAGES
+    tests = len(evidence.ranked) * _STAGES
     level = np.log(spent(settings.level, round_number) / tests)
-    return ranked.score.log_p < level and ranked.score.wald_log_p < level
+    return max(ranked.log_p) < level
 
 
 def _contest(
@@ -164,13 +186,20 @@ def _contest(
     for i in range(1, len(refits)):
         if paired_errors(errors[winner], errors[i], evidence.block).p_fall < _alias_level(assembly):
             winner = i
-    aliases = tuple(
-        refits[i].variant.original.label
-        for i in range(len(refits))
-        if i != winner
-        and _alike(assembly, paired_errors(errors[winner], errors[i], evidence.block))
-    )
-    return refits[winner], aliases
+
+    def alike(i: int) -> bool:
+        return _alike(assembly, paired_errors(errors[winner], errors[i], evidence.block))
+
+    equals = [i for i in range(len(refits)) if i != winner and alike(i)]
+    if _is_reading(refits[winner]):  # a change of the machine goes before one of a sensor
+        machine = next((i for i in equals if not _is_reading(refits[i])), winner)
+        equals, winner = [winner, *(i for i in equals if i != machine)], machine
+        equals = [i for i in equals if i != winner]
+    return refits[winner], tuple(refits[i].variant.original.label for i in equals)
+
+
+def _is_reading(found: Admitted) -> bool:
+    return isinstance(found.variant.original, SensorEffect)
 
 
 def _alias_level(assembly: Assembly) -> float:
@@ -235,9 +264,9 @@ def _suggestion(ranked: Ranked, aliases: tuple[str, ...], hint: tuple[str, ...])
         effect=ranked.variant.original.label,
         meaning=ranked.variant.original.meaning(),
         aliases=aliases,
-        p_value=float(np.exp(scored.log_p)),
+        p_value=float(np.exp(ranked.log_p[0])),
         statistic=scored.statistic,
-        wald_p_value=float(np.exp(scored.wald_log_p)),
+        wald_p_value=float(np.exp(ranked.log_p[1])),
         explains=scored.explains,
         hint=hint,
     )

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
-from spiral.effect import Effect
+from spiral.effect import Effect, SensorEffect
 from spiral.errors import ConfigError, did_you_mean
 from spiral.parameter import Input, Parameter, State
 from spiral.plugin import Plugin
@@ -83,6 +83,22 @@ class System(Plugin):
             f"one of {', '.join(names)}",
             did_you_mean(name, names),
         )
+
+    @property
+    def sensors(self) -> Port:
+        """The channels as a port of their own: what effects on readings see, one axis each."""
+        names = tuple(self.observed)
+        return Port(
+            "sensors",
+            names,
+            lambda x, p: [getattr(x, n) for n in names],
+            self.unit_of(names[0]),
+            self.ports[0].force_unit,
+        )
+
+    def place(self, effect: Effect) -> Port:
+        """Where an effect acts: at its port, or on the sensors."""
+        return self.sensors if isinstance(effect, SensorEffect) else self.port(effect.port)
 
     def unit_of(self, channel: str) -> str:
         """Unit of a state or input by name."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -124,6 +124,8 @@ def _discover(console: Console, outcome: Outcome) -> None:
     refused = run.verdict == "not_identifiable"
     if not refused:  # values that the record does not determine would mislead
         _model(console, run)
+        details = run.rounds[-1].details if run.rounds else {}
+        _not_separable(console, details.get("not_separable", {}))
     _heading(console, "Verdict")
     console.print(Text(f"{_sentence(run)} {run.advice}"))
     if not refused:
@@ -343,6 +345,7 @@ def _diagnose(console: Console, outcome: Outcome) -> None:
     if diagnosis.suggestions:
         _heading(console, "What may be missing, best first")
         console.print(_suggestions(diagnosis.suggestions))
+    _not_separable(console, diagnosis.not_separable)
     if diagnosis.advice:
         console.print()
         console.print(Text(diagnosis.advice))
@@ -350,6 +353,15 @@ def _diagnose(console: Console, outcome: Outcome) -> None:
     if diagnosis.suggestions and diagnosis.verdict == "effect_missing":
         best = diagnosis.suggestions[0].effect
         _next(console, (command("add", request, [best]), f"add {best}, before and after"))
+
+
+def _not_separable(console: Console, found: Mapping[str, Sequence[str]]) -> None:
+    """Candidates that could not have been found, and what takes them over."""
+    if not found:
+        return
+    words = "; ".join(f"{name} (from {', '.join(found[name])})" for name in found)
+    console.print()
+    console.print(Text(f"Not separable from the model on this record: {words}.", style="yellow"))
 
 
 def _suggestions(found: Sequence[Suggestion]) -> Table:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from spiral import conformance as look
 from spiral import probe, rehearsal
 from spiral.derivative import Derivative
-from spiral.effect import Effect, FlowEffect, ForceEffect
+from spiral.effect import Effect, FlowEffect, ForceEffect, SensorEffect
 from spiral.errors import ConfigError, InputError, PluginError, SpiralError
 from spiral.fields import construct, field_names, plain
 from spiral.gate import Gate
@@ -65,8 +65,9 @@ def check_effect(effect: Effect, system: System) -> list[Check]:
 
     After a check that the others rest on (it fits, it traces) has failed, no more are run.
     """
-    whole = look.Physics(system, (effect,))
-    bare = look.Physics(system, ())
+    still = isinstance(effect, SensorEffect) and not isinstance(system, MechanicalSystem)
+    beside = system.seed if still else ()  # flows that a reading of rates may show
+    whole, bare = look.Physics(system, (*beside, effect)), look.Physics(system, beside)
     return _run(
         f"{effect.label} on {system.plugin_name()}",
         [

@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,6 +24,9 @@ from spiral.errors import ConfigError, PluginError, SpiralError, did_you_mean
 from spiral.parameter import Parameter
 from spiral.port import At, Port
 from spiral.system import MechanicalSystem, System
+
+TIME = "time"
+"""The record's time in s, which every effect may read."""
 
 
 @dataclass(frozen=True)
@@ -86,13 +89,15 @@ def model_keys(system: System, effects: tuple[Effect, ...]) -> tuple[tuple[str, 
     """Full names and parameters of a model: the system's first, then each effect's."""
     pairs = list(expand("system", system.parameters, ()))
     for effect in effects:
-        pairs += effect.keys(system.port(effect.port))
+        pairs += effect.keys(system.place(effect))
     return tuple(pairs)
 
 
 def check_effect(system: System, effect: Effect) -> Port:
     """The effect's port, or an error saying what the system lacks."""
-    port = system.port(effect.port)
+    port = system.place(effect)
+    if isinstance(effect, SensorEffect):
+        _check_sensors(system, effect)
     if effect.axes is not None and len(port.axes) != effect.axes:
         raise ConfigError(
             f"effect {effect.label!r} at port {port.name!r} with {len(port.axes)} axis",
@@ -106,7 +111,7 @@ def check_effect(system: System, effect: Effect) -> Port:
             "spiral plugins effect lists them",
         )
     _check_channels(system, effect)
-    have = [i.name for i in system.inputs]
+    have = [*(i.name for i in system.inputs), TIME]
     for name in effect.inputs:
         if name not in have and name.removesuffix("_rate") not in have:
             raise ConfigError(
@@ -115,6 +120,22 @@ def check_effect(system: System, effect: Effect) -> Port:
                 did_you_mean(name, have),
             )
     return port
+
+
+def _check_sensors(system: System, effect: Effect) -> None:
+    """A change of readings has no port, and its parameters one unit for all channels."""
+    if effect.port:
+        raise ConfigError(
+            f"effect {effect.label!r}, which acts on what the sensors report",
+            "no port",
+            f"{effect.plugin_name()}",
+        )
+    units = {n: system.unit_of(n) for n in system.observed}
+    if len(set(units.values())) > 1:
+        raise ConfigError(
+            f"effect {effect.label!r} on channels in {', '.join(sorted(set(units.values())))}",
+            "channels of one unit",
+        )
 
 
 def _check_channels(system: System, effect: Effect) -> None:
@@ -157,6 +178,7 @@ def trace(
     seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
     injected = _inject(system, placed, seen, x)
     rates = _asked(system, "rate", system.rate, x, u, p, injected)
+    placed = [_with_rates(system, item, rates) for item in placed]
     for item, view in zip(placed, seen, strict=True):
         rates.update(_own_rates(item, view))
     output = _readings(system, placed, seen, x)
@@ -205,14 +227,14 @@ def _own_states(system: System, effects: tuple[Effect, ...]) -> tuple[str, ...]:
         f"{effect.label}.{state.name}{suffix}"
         for effect in effects
         for state in effect.states
-        for suffix in _suffixes(state.per_axis, system.port(effect.port))
+        for suffix in _suffixes(state.per_axis, system.place(effect))
     )
 
 
 def input_columns(system: System) -> tuple[str, ...]:
-    """Columns of the input array: each input, then ``NAME_rate`` where its rate is used."""
+    """Columns of the input array: each input, ``NAME_rate`` where its rate is used, then time."""
     names = [i.name for i in system.inputs]
-    return (*names, *(f"{i.name}_rate" for i in system.inputs if i.derivative))
+    return (*names, *(f"{i.name}_rate" for i in system.inputs if i.derivative), TIME)
 
 
 def _suffixes(per_axis: bool, port: Port) -> list[str]:
@@ -231,7 +253,9 @@ def _place(
     jacobian = None
     position: tuple[Any, ...] = ()
     velocity: tuple[Any, ...] = ()
-    if isinstance(system, MechanicalSystem):
+    if isinstance(effect, SensorEffect):
+        position = tuple(getattr(x, name) for name in system.observed)
+    elif isinstance(system, MechanicalSystem):
         q, v = system.split(x)
         position = tuple(port.coordinates(q, p))
         names = [c.name for c in system.coordinates]
@@ -246,6 +270,14 @@ def _place(
         found = [symbols[k] for k, _ in expand(effect.label, (parameter,), port.axes)]
         setattr(values, parameter.name, tuple(found) if parameter.per_axis else found[0])
     return _Placed(effect, port, At(position, velocity, own), values, jacobian)
+
+
+def _with_rates(system: System, item: _Placed, rates: dict[str, Any]) -> _Placed:
+    """A sensor sees the rates of its channels as velocities, in a system of any order."""
+    if not isinstance(item.effect, SensorEffect):
+        return item
+    velocity = tuple(sp.sympify(rates[name]) for name in system.observed)
+    return replace(item, at=replace(item.at, velocity=velocity))
 
 
 def _shifted(u: SimpleNamespace, shift: float) -> SimpleNamespace:

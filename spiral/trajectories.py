@@ -7,6 +7,7 @@ on the other half, and reports estimates refitted on that other half.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared
@@ -42,8 +43,21 @@ def _propose(
     level = assembly.problem.settings.whiteness_level
     if proposal.admitted is None:
         stopped = _why_stopped(proposal, comparison, level)
-        return Step(proposal.suggestions, proposal.rejected, stopped=stopped, found=proposal)
+        return Step(
+            proposal.suggestions, proposal.rejected, stopped=stopped,
+            details=_details(proposal), found=proposal,
+        )  # fmt: skip
     return _step(standing, proposal, proposal.admitted)
+
+
+def _details(proposal: Proposal) -> dict[str, Any]:
+    """What the record cannot separate, and amplitudes held at zero for it."""
+    details: dict[str, Any] = {
+        "not_separable": {k: list(v) for k, v in proposal.not_separable.items()}
+    }
+    if proposal.admitted is not None and proposal.admitted.held:
+        details["held"] = list(proposal.admitted.held)
+    return details
 
 
 def _step(standing: Standing, proposal: Proposal, admitted: Admitted) -> Step:
@@ -56,6 +70,7 @@ def _step(standing: Standing, proposal: Proposal, admitted: Admitted) -> Step:
         aliases={effect.label: proposal.aliases},
         second_order=mediated and effect.plugin_name() in SECOND_ORDER,
         meaning=effect.meaning(),
+        details=_details(proposal),
         found=proposal,
     )
 

@@ -88,7 +88,7 @@ def check_units(system: System, effect: Effect) -> None:
     """
     import pint
 
-    port = system.port(effect.port)
+    port = system.place(effect)
     try:
         for what, value, expected in _evaluated(system, effect, port):
             _must_fit(f"{what} {effect.label!r}", value, expected)
@@ -134,7 +134,7 @@ def _is_zero(value: Any) -> bool:
 
 
 def _inputs(system: System) -> SimpleNamespace:
-    u = SimpleNamespace()
+    u = SimpleNamespace(time=_quantity("s"))
     for item in system.inputs:
         setattr(u, item.name, _quantity(item.unit))
         setattr(u, f"{item.name}_rate", _quantity(f"({item.unit})/s"))

@@ -129,7 +129,7 @@ def free_run(
     known = {e.label for e in chosen}
     values = {k: v for k, v in {**shapes, **coefficients}.items() if k.rsplit(".", 1)[0] in known}
     for effect in chosen:
-        for key, parameter in effect.keys(problem.model.system.port(effect.port)):
+        for key, parameter in effect.keys(problem.model.system.place(effect)):
             values.setdefault(key, 0.0 if parameter.role == "amplitude" else parameter.start or 0.0)
     own = {k: v for k, v in coefficients.items() if k.startswith("system.")}
     try:

@@ -6,8 +6,10 @@ Levels are in the unit of the level sensor. After M. Schoukens, P. Mattsson, T. 
 
 from __future__ import annotations
 
+from spiral_plugins.effects.restoring import WIDTH
+
 from spiral.effect import FlowEffect, SensorEffect
-from spiral.math import maximum, sqrt
+from spiral.math import ramp, sqrt
 from spiral.parameter import Parameter
 
 
@@ -50,7 +52,8 @@ def _root(level, width):
 class Overflow(FlowEffect):
     """Above its rim the upper tank spills, and part of that falls into the lower one.
 
-    x1' = ... - spilled (x1 - r)_+ and x2' = ... + caught (x1 - r)_+, with the rim at r.
+    x1' = ... - spilled (x1 - r)_+ and x2' = ... + caught (x1 - r)_+, with the rim at r and the
+    corner of (.)_+ rounded over +-w (``spiral.math.ramp``).
     """
 
     channels = ("upper", "lower")
@@ -58,11 +61,12 @@ class Overflow(FlowEffect):
         Parameter("spilled", "1/s", lower=0.0),
         Parameter("caught", "1/s", lower=0.0),
         Parameter("rim", "position", lower=0.0, role="shape", grid=(0.5, 0.6, 0.7, 0.8, 0.9, 1.0)),
+        WIDTH,
     )
 
     def flow(self, x, u, p):
         """-spilled (x1 - r)_+ and +caught (x1 - r)_+."""
-        above = maximum(x.upper - p.rim, 0 * p.rim)
+        above = ramp(x.upper - p.rim, p.width)
         return {"upper": -p.spilled * above, "lower": p.caught * above}
 
 
@@ -78,14 +82,18 @@ class LinearLoss(FlowEffect):
 
 
 class SensorSaturation(SensorEffect):
-    """A level sensor that follows less above its limit: y - s (y - l)_+, s = 1 a hard stop."""
+    """A level sensor that follows less above its limit: y - s (y - l)_+, s = 1 a hard stop.
+
+    The corner of (.)_+ is rounded over +-w (``spiral.math.ramp``).
+    """
 
     channels = ("lower",)
     parameters = (
         Parameter("share", "", lower=0.0, upper=1.0),
         Parameter("limit", "position", lower=0.0, role="shape", grid=(0.9, 0.95, 0.98)),
+        WIDTH,
     )
 
     def reading(self, y, at, u, p):
         """The reading y - s (y - l)_+."""
-        return [value - p.share * maximum(value - p.limit, 0 * p.limit) for value in y]
+        return [value - p.share * ramp(value - p.limit, p.width) for value in y]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from spiral.effect import ForceEffect
-from spiral.math import length, maximum, sin
+from spiral.math import length, ramp, sin
 from spiral.parameter import Parameter
+
+WIDTH = Parameter("width", "position", lower=0.0, start=0.0, role="shape", grid=(0.02,))
+"""Half the stretch over which a corner is rounded: 2 % of the largest motion while a candidate."""
 
 
 class LinearStiffness(ForceEffect):
@@ -39,17 +42,21 @@ class CubicStiffness(ForceEffect):
 
 
 class Clearance(ForceEffect):
-    """A second spring that engages after a gap: F_i = -k max(|q_i| - g, 0) sign q_i."""
+    """A second spring that engages after a gap: F_i = -k (|q_i| - g)_+ sign q_i.
+
+    The corner of (.)_+ is rounded over +-w (``spiral.math.ramp``).
+    """
 
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0),
         Parameter("gap", "position", lower=0.0, role="shape", grid=(0.2, 0.4, 0.6, 0.8)),
+        WIDTH,
     )
 
     def force(self, at, u, p):
         """-k (|q_i| - g)_+ sign q_i per axis."""
-        above = [maximum(q - p.gap, 0 * q) for q in at.position]
-        below = [maximum(-q - p.gap, 0 * q) for q in at.position]
+        above = [ramp(q - p.gap, p.width) for q in at.position]
+        below = [ramp(-q - p.gap, p.width) for q in at.position]
         return [-p.stiffness * (a - b) for a, b in zip(above, below, strict=True)]
 
 
@@ -114,16 +121,20 @@ class SpeedStiffness(ForceEffect):
 
 
 class Rub(ForceEffect):
-    """Contact with a round stator after a gap: F = -k max(|q| - g, 0) q / |q|."""
+    """Contact with a round stator after a gap: F = -k (|q| - g)_+ q / |q|.
+
+    The corner of (.)_+ is rounded over +-w (``spiral.math.ramp``).
+    """
 
     axes = 2
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0),
         Parameter("gap", "position", lower=0.0, role="shape", grid=(0.2, 0.4, 0.6, 0.8)),
+        WIDTH,
     )
 
     def force(self, at, u, p):
         """-k (|q| - g)_+ q / |q|."""
         radius = length(at.position)
-        depth = maximum(radius - p.gap, 0 * p.gap)
+        depth = ramp(radius - p.gap, p.width)
         return [-p.stiffness * depth * q / radius for q in at.position]

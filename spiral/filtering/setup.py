@@ -13,6 +13,7 @@ from spiral.filtering.noise import groups, intensity, sampled
 from spiral.filtering.task import Task
 from spiral.filtering.tuning import most_likely
 from spiral.record import Array
+from spiral.shooting.study import ORIGIN
 
 _TURNS = 8  # phase origins tried where the record's own is not known
 _SEARCH = 2.0  # s of a record that the search looks at
@@ -23,15 +24,14 @@ _DRIFT = 0.05  # rad / sqrt(s): random walk of a phase that was integrated from 
 
 
 def tracked_parameters(task: Task, named: tuple[str, ...] | None) -> tuple[str, ...]:
-    """Parameters estimated as states: those named, else the nuisances of the record.
+    """Parameters estimated as states: those named, else the record's phase origin.
 
-    A phase origin is a nuisance where something turns with the phase.
+    It is a nuisance where something turns with the phase.
     """
     if named is not None:
         return named
-    known = dict(task.model.pairs)
     turning = any("phase" in e.inputs for e in task.model.effects)
-    return tuple(k for k in task.keys if known[k].scope == "record" and turning)
+    return tuple(k for k in task.keys if k == ORIGIN and turning)
 
 
 def prepared(

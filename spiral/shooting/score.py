@@ -32,7 +32,7 @@ class Score:
 
     ``step`` the Gauss-Newton step; ``gain`` in sigma^2; ``explains`` the share of the residual
     energy; ``log_p`` natural logarithms of the p-values; ``alias`` the largest
-    cosine between the group's signatures and the active ones.
+    cosine between the group's signatures and the active ones; ``rank`` its independent directions.
     """
 
     columns: tuple[int, ...]
@@ -45,6 +45,7 @@ class Score:
     wald_log_p: float
     effect_size: float
     alias: float
+    rank: int = 1
 
 
 @dataclass(frozen=True)
@@ -94,67 +95,89 @@ def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -
     """
     kept = list(columns)
     while True:
-        step, gain, alias = _project(table, kept)
+        group = projected(table, kept)
         wrong = [
-            c for c, d in zip(kept, step, strict=True) if one_sided[columns.index(c)] and d < 0
+            c
+            for c, d in zip(kept, group.step, strict=True)
+            if one_sided[columns.index(c)] and d < 0
         ]
         if not wrong:
             break
         kept = [c for c in kept if c not in wrong]
     full = np.zeros(len(columns))
-    for c, d in zip(kept, step, strict=True):
+    for c, d in zip(kept, group.step, strict=True):
         full[columns.index(c)] = d
     halved = np.log(0.5) if len(columns) == 1 and one_sided[0] and kept else 0.0
-    q, dof = max(len(kept), 1), max(table.dof - len(kept), 1)
-    rest = max(table.rest - gain, 1e-300)
-    statistic = (gain / q) / (rest / dof)
+    q, dof = max(group.rank, 1), max(table.dof - group.rank, 1)
+    rest = max(table.rest - group.gain, 1e-300)
+    statistic = (group.gain / q) / (rest / dof)
     log_p = float(stats.f.logsf(statistic, q, dof))
-    wald, wald_log_p = _wald(table, kept, step)
+    wald, wald_log_p = _wald(table, kept, group)
     if 0 < len(table.blocks) < MINIMUM_BLOCKS // 2:
         wald, wald_log_p = statistic, log_p  # too short for a robust test; the gates remain
     return Score(
-        columns, full, gain, gain / max(table.rest, 1e-300), statistic,
+        columns, full, group.gain, group.gain / max(table.rest, 1e-300), statistic,
         log_p + halved, wald, wald_log_p + halved,
-        float(np.sqrt(gain / max(table.samples, 1))), alias,
+        float(np.sqrt(group.gain / max(table.samples, 1))), group.alias, group.rank,
     )  # fmt: skip
 
 
-def _project(table: Table, kept: list[int]) -> tuple[Array, float, float]:
-    """Gauss-Newton step, gain, and cosine to what is already active; nothing where no rank."""
+@dataclass(frozen=True)
+class Projected:
+    """A group of columns after the active ones are projected out.
+
+    ``step`` the least-squares step; ``gain`` its fall of the sum of squares; ``alias`` the cosine
+    to what is active; ``rank`` the independent directions that are left, spanned by ``basis``
+    (columns, rank) in the parameters.
+    """
+
+    step: Array
+    gain: float
+    alias: float
+    rank: int
+    basis: Array
+
+
+def projected(table: Table, kept: list[int]) -> Projected:
+    """Step, gain and independent directions of some columns; rank 0 where nothing is left."""
+    none = Projected(np.zeros(len(kept)), 0.0, 1.0, 0, np.zeros((len(kept), 0)))
     if not kept:
-        return np.zeros(0), 0.0, 1.0
+        return none
     group = table.triangle[:, kept]
-    before = table.norms[kept]
+    before = np.where(table.norms[kept] == 0, 1.0, table.norms[kept])
     after = np.linalg.norm(group, axis=0)
-    ratio = after / np.where(before == 0, 1.0, before)
-    alias = float(np.sqrt(max(0.0, 1.0 - float(np.min(ratio)) ** 2)))
-    if np.all(ratio < _RANK):
-        return np.zeros(len(kept)), 0.0, 1.0
+    alias = float(np.sqrt(max(0.0, 1.0 - float(np.min(after / before)) ** 2)))
+    if np.all(after / before < _RANK):
+        return none
     scale = np.where(after == 0, 1.0, after)
-    step, *_ = np.linalg.lstsq(group / scale, table.target, rcond=_RANK)
-    fitted = (group / scale) @ step
-    return step / scale, float(fitted @ fitted), alias
+    left, sizes, right = np.linalg.svd(group / scale, full_matrices=False)
+    large = sizes > _RANK * sizes[0]
+    along = left[:, large].T @ table.target
+    basis = right[large].T / scale[:, None] / sizes[large]
+    return Projected(basis @ along, float(along @ along), alias, int(large.sum()), basis)
 
 
-def _wald(table: Table, kept: list[int], step: Array) -> tuple[float, float]:
+def _wald(table: Table, kept: list[int], group: Projected) -> tuple[float, float]:
     """Robust Wald statistic over q, and the log of its p-value (Hotelling, blocks as cases)."""
     blocks = table.blocks
-    count, q = len(blocks), len(kept)
-    if not q or count < MINIMUM_BLOCKS // 2 or not np.any(step):
+    count, q = len(blocks), group.rank
+    if not q or count < MINIMUM_BLOCKS // 2 or not np.any(group.step):
         return 0.0, 0.0
-    gram = blocks[:, kept][:, :, kept]
-    scores = blocks[:, kept, -1] - np.einsum("bij,j->bi", gram, step)
-    bread = gram.sum(axis=0)
-    scale = np.sqrt(np.maximum(np.diag(bread), 1e-300))
-    meat = (scores.T @ scores) / np.outer(scale, scale) * count / (count - 1)
-    normal = bread / np.outer(scale, scale)
-    scaled = normal @ (step * scale)
+    scores = block_scores(table, kept, group) @ group.basis
+    meat = scores.T @ scores * count / (count - 1)
+    bread = group.basis.T @ blocks[:, kept][:, :, kept].sum(axis=0) @ group.step
     try:
-        wald = float(scaled @ np.linalg.solve(meat, scaled)) / q
+        wald = float(bread @ np.linalg.solve(meat, bread)) / q
     except np.linalg.LinAlgError:
         return 0.0, 0.0
     ratio = wald * (count - q) / (count - 1)
     return wald, float(stats.f.logsf(ratio, q, count - q))
+
+
+def block_scores(table: Table, kept: list[int], group: Projected) -> Array:
+    """(blocks, columns): J_b^T e_b, e the residual after the group's own step."""
+    gram = table.blocks[:, kept][:, :, kept]
+    return table.blocks[:, kept, -1] - np.einsum("bij,j->bi", gram, group.step)
 
 
 def cosine(table: Table, first: tuple[int, ...], second: tuple[int, ...]) -> float:

@@ -101,8 +101,6 @@ def splines(record: Record, substeps: int, knot: float) -> Splines:
 def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
     """Inputs at every half step of the integrator; columns as in ``trace.input_columns``."""
     count = (record.samples - 1) * 2 * substeps + 1
-    if not system.inputs:
-        return np.zeros((count, 0))
     coarse = np.arange(record.samples, dtype=float)
     fine = np.arange(count) / (2.0 * substeps)
     columns = [
@@ -114,6 +112,7 @@ def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
         for i in system.inputs
         if i.derivative
     ]
+    columns.append(record.time[0] + fine * record.dt)
     return np.ascontiguousarray(np.column_stack(columns))
 
 

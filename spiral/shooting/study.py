@@ -13,6 +13,7 @@ from spiral.shooting.series import Series
 from spiral.shooting.windows import Layout
 
 CORRECTION = "phase_correction"
+ORIGIN = "system.phase_origin"
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,7 @@ class Study:
     @property
     def phase(self) -> Array:
         """Position of the phase origin and number of parameters, as the integrator wants them."""
-        origin = "system.phase_origin"
-        position = self.keys.index(origin) if origin in self.keys else 0
+        position = self.keys.index(ORIGIN) if ORIGIN in self.keys else 0
         return np.array([position, len(self.keys)], dtype=np.int64)
 
     def index(self, key: str) -> int:
@@ -129,7 +129,8 @@ def columns_for(study: Study, keys: Iterable[str], shared_origin: bool) -> Colum
             index += [position] * len(having)
             record += having
             continue
-        own = study.compiled.traced.parameters[position].scope == "record" and not shared_origin
+        own = study.compiled.traced.parameters[position].scope == "record"
+        own = own and not (shared_origin and key == ORIGIN)
         for r in range(len(study.series)) if own else [-1]:
             if own and corrected and position == study.phase[0] and study.series[r].splines.count:
                 continue  # the record's correction holds its origin as well

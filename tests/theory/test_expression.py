@@ -20,6 +20,10 @@ ROTOR = registry().make("system", "planar_rotor")
 TANKS = registry().make("system", "cascaded_tanks")
 
 # A plugin, the system it acts on, and the same equation as a text with what it needs.
+RAMP = (
+    "where(upper - rim >= width, upper - rim, where(upper - rim <= -width, 0,"
+    " (upper - rim + width)**2/(4*width)))"
+)
 SAME = [
     ("cubic_stiffness", OSCILLATOR, "-stiffness*x**3", {}),
     ("cubic_stiffness", ROTOR, "-stiffness*(x**2 + y**2)*q", {}),
@@ -30,8 +34,8 @@ SAME = [
     ("coulomb_friction", OSCILLATOR, "-level*tanh(v/width)", {"shape": {"width": 1e-3}}),
     (
         "overflow", TANKS,
-        {"upper": "-spilled*maximum(upper - rim, 0)", "lower": "caught*maximum(upper - rim, 0)"},
-        {"grid": {"rim": [0.5, 0.9]}},
+        {"upper": f"-spilled*{RAMP}", "lower": f"caught*{RAMP}"},
+        {"grid": {"rim": [0.5, 0.9], "width": [0.02]}},
     ),
 ]  # fmt: skip
 

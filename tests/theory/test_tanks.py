@@ -58,4 +58,5 @@ def test_a_force_is_no_effect_of_tanks_and_a_flow_none_of_a_mechanical_system():
     with pytest.raises(ConfigError, match="upper"):
         check_effect(registry.make("system", "oscillator"), effect("overflow"))
     found = {e.label for e in registry.candidates(CascadedTanks())}
-    assert found == {"linear_loss", "outlets", "overflow", "pump", "sensor_saturation"}
+    flows = {"linear_loss", "outlets", "overflow", "pump", "sensor_saturation"}
+    assert found == flows | {"offset", "gain", "delay", "mains_hum"}

@@ -54,8 +54,10 @@ def test_terms_add_up_to_what_is_integrated(system):
     at.update({s: numbers[n] for n, s in zip(traced.inputs, traced.u, strict=True)})
     named = {sp.Symbol(n, real=True): v for n, v in numbers.items()}
     for item in found:
-        name = item.left.removesuffix("'")
-        exact = float(traced.rate[whole.states.index(name)].subs(at))
+        name = item.left.removesuffix("'").removeprefix("reading of ")
+        rows = traced.output if "reading" in item.left else traced.rate
+        names = whole.channels if "reading" in item.left else whole.states
+        exact = float(rows[names.index(name)].subs(at))
         total = sum(float(t.value.subs(named)) for t in item.terms)
         assert total == pytest.approx(exact, rel=1e-9)
 

@@ -1,0 +1,44 @@
+"""Spectral lines of records: where a line of nearly known frequency stands."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spiral.record import Array, Record
+
+_OVERSAMPLED = 4  # trial frequencies in the width of a line, 1/T
+
+
+def strongest_line(
+    records: tuple[Record, ...], frequency: float, within: float
+) -> tuple[float, int] | None:
+    """The frequency (Hz) near a nominal one at which the channels hold the strongest line.
+
+    Maximises sum |Y(f)|^2 / var over channels and records, Y the Fourier transform of a channel
+    under a Hann window, on a grid of 1/(4 T). Returns it with the number of independent
+    frequencies looked at, 2 f within T + 1 (T s the longest record), by which a test on it must be
+    corrected; or nothing where the records' Nyquist frequency lies below.
+    """
+    longest = max(r.samples * r.dt for r in records)
+    half = max(within * frequency, 0.0)
+    count = int(np.ceil(2 * half * longest)) + 1
+    if frequency + half >= 0.5 / max(r.dt for r in records):
+        return None
+    trials = frequency + np.linspace(-half, half, _OVERSAMPLED * count + 1)
+    power = np.sum([_power(r, trials) for r in records], axis=0)
+    return float(trials[int(np.argmax(power))]), count
+
+
+def _power(record: Record, trials: Array) -> Array:
+    """Power of the channels at some frequencies, each channel over its variance."""
+    total = np.zeros(len(trials))
+    window = np.hanning(record.samples)
+    for values in record.channels.values():
+        moving = (values - values.mean()) * window
+        scale = float(moving @ moving)
+        if scale == 0:
+            continue
+        for i, trial in enumerate(trials):
+            turned = np.exp(-2j * np.pi * trial * record.time) @ moving
+            total[i] += np.abs(turned) ** 2 / scale
+    return total

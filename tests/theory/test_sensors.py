@@ -1,0 +1,221 @@
+"""Effects on readings: what they do to the output, and that a sweep tells them from dynamics."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+from spiral_plugins.systems.cascaded_tanks import CascadedTanks
+from spiral_plugins.systems.oscillator import Oscillator
+from spiral_plugins.systems.planar_rotor import PlanarRotor
+
+from spiral.discover import discover
+from spiral.errors import ConfigError
+from spiral.gridnull import effective_tests
+from spiral.inseparable import inseparable
+from spiral.lines import strongest_line
+from spiral.math import ramp
+from spiral.model import seed_model
+from spiral.shooting.score import Table
+from spiral.simulate import integrate
+from spiral.trace import check_effect, trace
+from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record
+
+SENSORS = {
+    "offset": {"offset_x": 4e-6, "offset_y": -3e-6},
+    "gain": {"error_x": 0.05, "error_y": 0.0},
+    "axis_rotation": {"angle": 0.05},
+    "delay": {"time_x": 2e-4, "time_y": 2e-4},
+    "runout": {"cosine": 3e-6, "sine": 2e-6},
+    "mains_hum": {
+        "cosine_x": 3e-6, "sine_x": 0.0, "cosine_y": 2e-6, "sine_y": 1e-6, "frequency": 49.97
+    },
+}  # fmt: skip
+
+
+def _run(name, seed=1, values=None, rounds=1, duration=6.0):
+    given = {f"{name}.{k}": v for k, v in (values or SENSORS[name]).items()}
+    record, test = (
+        planar_record(s, (effect(name),), given, phase=phase, duration=duration)
+        for s, phase in ((seed, 0.4), (seed + 100, 1.3))
+    )
+    return discover(planar_problem(record, test, max_rounds=rounds))
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_a_sensor_effect_leaves_the_motion_as_it_is(name):
+    bare = trace(PlanarRotor(), ())
+    with_it = trace(PlanarRotor(), (effect(name),))
+    assert with_it.rate == bare.rate
+    assert with_it.output != bare.output
+
+
+def test_a_delay_reads_the_rate_of_its_channel_in_a_system_of_any_order():
+    rotor = trace(PlanarRotor(), (effect("delay"),))
+    at = dict(zip((*rotor.states, *rotor.keys), (*rotor.x, *rotor.p), strict=True))
+    assert rotor.output[0] == at["x"] - at["delay.time_x"] * at["x_rate"]
+    tanks = trace(CascadedTanks(), (effect("delay"), *seed_model(CascadedTanks()).effects))
+    late = tanks.x[tanks.states.index("lower")]
+    slope = tanks.rate[tanks.states.index("lower")]
+    assert (tanks.output[0] - (late - tanks.p[0] * slope)).simplify() == 0
+
+
+def test_a_hum_follows_the_time_of_the_record():
+    values = {f"mains_hum.{k}": v for k, v in SENSORS["mains_hum"].items()}
+    still = {**dict.fromkeys(SEED_TRUTH, 0.0), **values}
+    model = seed_model(PlanarRotor(), (effect("mains_hum"),), values=still)
+    time = 0.001 * np.arange(500)
+    _, y = integrate(model, time, {"speed": np.full(500, 10.0), "phase": 10.0 * time})
+    angle = 2 * np.pi * 49.97 * time
+    np.testing.assert_allclose(y[:, 0], 3e-6 * np.cos(angle), atol=1e-18)
+    np.testing.assert_allclose(y[:, 1], 2e-6 * np.cos(angle) + 1e-6 * np.sin(angle), atol=1e-18)
+
+
+def test_a_sensor_effect_has_no_port():
+    with pytest.raises(ConfigError, match="no port"):
+        check_effect(PlanarRotor(), replace(effect("offset"), port="disk"))
+
+
+def test_a_ramp_is_the_positive_part_outside_its_corner_and_smooth_inside():
+    x = np.linspace(-3, 3, 6001)
+    found = ramp(x, 0.5)
+    outside = np.abs(x) >= 0.5
+    np.testing.assert_array_equal(found[outside], np.maximum(x, 0)[outside])
+    assert np.max(np.abs(found - np.maximum(x, 0))) == pytest.approx(0.5 / 4)
+    slope = np.gradient(found, x)
+    assert np.max(np.abs(np.diff(slope))) < 1.1 * 0.001 / (2 * 0.5)  # second derivative 1/(2 w)
+    np.testing.assert_array_equal(ramp(x, 0.0), np.maximum(x, 0))
+
+
+def test_the_strongest_line_is_found_to_a_part_of_the_line_width():
+    record = planar_record(1, (effect("mains_hum"),), _values("mains_hum"), duration=6.0)
+    found, count = strongest_line((record,), 50.0, 0.004)
+    assert found == pytest.approx(49.97, abs=0.25 / 6.0)
+    assert count == 4
+    assert strongest_line((record,), 500.0, 0.004) is None  # half the sample rate
+
+
+def _values(name):
+    return {f"{name}.{k}": v for k, v in SENSORS[name].items()}
+
+
+def _null_table(rng, columns, blocks=60, rows=40):
+    """A table of columns in white noise, nothing active."""
+    shared = rng.normal(size=(blocks, rows, columns.shape[0]))
+    design = shared @ columns
+    noise = rng.normal(size=(blocks, rows))
+    wide = np.concatenate([design, noise[:, :, None]], axis=2)
+    gram = np.einsum("bri,brj->bij", wide, wide)
+    triangle = np.linalg.qr(wide.reshape(-1, wide.shape[2]), mode="r")
+    size = np.linalg.norm(triangle[:, :-1], axis=0)
+    rest = float(triangle[:, -1] @ triangle[:, -1])
+    return Table(triangle[:, :-1], triangle[:, -1], size, rest, blocks * rows, blocks * rows, gram)
+
+
+def test_values_of_a_shape_that_say_the_same_are_one_test_and_independent_ones_many():
+    rng = np.random.default_rng(0)
+    groups = [(0,), (1,), (2,), (3,)]
+    same = _null_table(rng, np.ones((1, 4)) * np.array([1.0, 2.0, -1.0, 3.0]))
+    assert effective_tests(same, groups, 0, rng) == pytest.approx(1.0, abs=0.1)
+    apart = _null_table(rng, np.eye(4))
+    assert effective_tests(apart, groups, 0, rng) == pytest.approx(4.0, abs=0.5)
+
+
+def test_the_best_of_a_grid_has_its_nominal_error_rate():
+    """p-values of the maximum over a grid of likeness 0.9, corrected, are uniform (Davies)."""
+    rng = np.random.default_rng(1)
+    mixing = np.linalg.cholesky(0.9 ** np.abs(np.subtract.outer(np.arange(6), np.arange(6)))).T
+    groups = [(i,) for i in range(6)]
+    found = []
+    for _ in range(200):
+        table = _null_table(rng, mixing, 50, 8)
+        z = [float((table.triangle[:, i] @ table.target) / table.norms[i]) for i in range(6)]
+        best = int(np.argmax(np.abs(z)))
+        m = effective_tests(table, groups, best, rng)
+        assert 1.0 < m < 6.0
+        found.append(1 - (1 - stats.chi2.sf(z[best] ** 2, 1)) ** m)
+    assert stats.kstest(found, "uniform").pvalue > 0.01
+
+
+def test_a_direction_in_the_span_of_the_model_is_named_and_held():
+    rng = np.random.default_rng(2)
+    active = rng.normal(size=(50, 3))
+    own = rng.normal(size=(50, 2))
+    wide = np.column_stack([active, own[:, 0], active[:, 1] - own[:, 0], rng.normal(size=50)])
+    found = inseparable(np.linalg.qr(wide, mode="r"), 3, (0, 1))
+    assert found.with_ == (1,)
+    assert found.held == (1,)
+    assert not found.whole
+    alone = inseparable(np.linalg.qr(np.column_stack([active, active @ [1, 2, 0], own[:, 0]]),
+                                     mode="r"), 3, (0,))  # fmt: skip
+    assert alone.whole
+    assert alone.with_ == (0, 1)
+    free = inseparable(np.linalg.qr(wide, mode="r"), 3, (0,))
+    assert free.with_ == ()
+
+
+def test_run_out_is_neither_an_unbalance_nor_a_bow_where_the_speed_sweeps():
+    run = _run("runout")
+    assert admitted(run) == ["runout"]
+    assert run.rounds[1].aliases["runout"] == ()
+    assert run.final.test_error <= 1.2 * run.final.noise_floor
+    found = run.model.estimates()["runout"]
+    for key, truth in SENSORS["runout"].items():
+        assert abs(found[key].estimate - truth) < 4.5 * found[key].se
+
+
+def test_a_common_gain_error_is_said_to_be_not_separable_from_the_unbalance():
+    """The seed takes it over whole: nothing can be found, and that is what is said."""
+    run = _run("gain", values={"error_x": 0.05, "error_y": 0.05})
+    assert run.verdict == "nothing_missing"
+    assert run.rounds[-1].details["not_separable"]["gain"] == ["unbalance"]
+    moment = run.model.estimates()["unbalance"]["moment"].estimate
+    assert moment == pytest.approx(1.05 * SEED_TRUTH["unbalance.moment"], rel=0.01)
+
+
+def test_a_gain_error_of_one_channel_is_found_up_to_the_common_factor():
+    run = _run("gain")
+    assert admitted(run) == ["gain"]
+    assert run.rounds[0].details["held"] == ["gain.error_y"]
+    found = run.model.estimates()["gain"]["error_x"]
+    assert abs(found.estimate - 0.05) < 4.5 * found.se
+    assert "gain.error_y" in run.model.fixed
+
+
+def test_an_offset_and_a_constant_load_are_one_alias_group():
+    """y + b against a force k b: the same reading in a linear machine; the machine goes first."""
+    run = _run("offset")
+    assert admitted(run) == ["constant_load"]
+    assert run.rounds[1].aliases["constant_load"] == ("offset",)
+
+
+def test_a_hum_of_another_phase_in_each_record_is_one_effect():
+    values = _values("mains_hum")
+    other = {**values, "mains_hum.cosine_x": -1e-6, "mains_hum.sine_x": 3e-6}
+    records = tuple(
+        planar_record(s, (effect("mains_hum"),), v, duration=4.0)
+        for s, v in ((1, values), (2, other))
+    )
+    test = planar_record(3, (effect("mains_hum"),), other, phase=1.3, duration=4.0)
+    problem = planar_problem(records[0], test, max_rounds=1)
+    run = discover(replace(problem, records=records, candidates=(effect("mains_hum"),)))
+    assert admitted(run) == ["mains_hum"]
+    assert run.final.test_error <= 1.2 * run.final.noise_floor
+
+
+def test_one_channel_has_no_axes_to_turn_and_no_shaft():
+    from spiral.registry import load_registry
+
+    candidates = {e.label for e in load_registry(local=False).candidates(Oscillator())}
+    assert {"offset", "gain", "delay", "mains_hum"} <= candidates
+    assert not {"axis_rotation", "runout"} & candidates
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize("name", SENSORS)
+def test_every_sensor_effect_is_found_first(name, seed):
+    run = _run(name, seed, duration=14.0)
+    label = admitted(run)[0]
+    assert name == label or name in run.rounds[1].aliases[label]
+    assert run.final.test_error <= 1.2 * run.final.noise_floor
