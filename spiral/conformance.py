@@ -346,7 +346,7 @@ def simulates(system: System) -> str:
     unknown = [k for k, q in model.pairs if q.start is None and k not in model.values]
     if unknown:
         return f"not tried: no nominal value for {', '.join(unknown)}"
-    time = _time_step(system, model) * np.arange(_SAMPLES)
+    time = time_step(system, model) * np.arange(_SAMPLES)
     given = {i.name: np.ones(_SAMPLES) for i in system.inputs if i.derived_from is None}
     states, _ = integrate(model, time, given)
     if not np.isfinite(states).all():
@@ -354,7 +354,7 @@ def simulates(system: System) -> str:
     return f"{_SAMPLES} samples, {time[-1]:.3g} s"
 
 
-def _time_step(system: System, model: Model) -> float:
+def time_step(system: System, model: Model) -> float:
     """A tenth of the fastest motion about rest, at most 1 ms, in s."""
     physics = Physics(system, model.effects)
     traced = physics.compiled.traced

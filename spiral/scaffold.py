@@ -16,7 +16,9 @@ from spiral.plugin import snake_case
 if TYPE_CHECKING:
     from spiral.registry import Registry
 
-KINDS = ("system", "effect", "source", "derivative")
+KINDS = (
+    "system", "effect", "source", "derivative", "observer", "learner", "library", "gate",
+)  # fmt: skip
 
 
 def new_plugin(kind: str, name: str, folder: Path, registry: Registry) -> tuple[Path, Path]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from spiral import conformance as look
-from spiral import probe, rehearsal
+from spiral import lookout, probe, rehearsal
 from spiral.derivative import Derivative
 from spiral.effect import Effect, FlowEffect, ForceEffect, SensorEffect
 from spiral.errors import ConfigError, InputError, PluginError, SpiralError
@@ -20,6 +20,7 @@ from spiral.fields import construct, field_names, plain
 from spiral.gate import Gate
 from spiral.learner import Learner
 from spiral.library import Library
+from spiral.observer import Observer
 from spiral.plugin import Plugin
 from spiral.record import Record
 from spiral.registry import told
@@ -156,6 +157,23 @@ def check_derivative(derivative: Derivative) -> list[Check]:
     )
 
 
+def check_observer(observer: Observer, systems: Sequence[System]) -> list[Check]:
+    """An observer over short records of systems with nominal values; it may refuse some."""
+    watched = lookout.Watched(observer, systems)
+    return _run(
+        observer.plugin_name(),
+        [
+            ("docstring", lambda: look.docstring(observer), _SAY),
+            ("fields", lambda: _fields(observer), "fields of plain values, each with a default"),
+            ("reconstructs", lambda: lookout.reconstructs(watched), "(samples, states) arrays"),
+            ("covariances", lambda: lookout.covariances(watched), "0.5 * (P + P.T), Joseph's form"),
+            ("innovations", lambda: lookout.innovations(watched), "S = C P C^T + R"),
+            ("follows", lambda: lookout.follows(watched), "signs and order of the states"),
+            ("repeatable", lambda: lookout.reconstructs_again(watched), "copies; no hidden state"),
+        ],
+    )
+
+
 def check_evidence(plugin: Plugin, registry: Registry) -> list[Check]:
     """A learner, a library or a gate: what it is for, and that it repeats itself."""
     steps: list[Step] = [
@@ -185,6 +203,8 @@ def check_plugin(entry: Entry, registry: Registry) -> list[Check]:
     systems = [registry.make("system", name) for name in registry.names("system")]
     if entry.kind == "effect":
         return _on_systems(registry.make("effect", entry.name), systems)
+    if entry.kind == "observer":
+        return check_observer(registry.make("observer", entry.name), systems)
     if entry.kind == "source":
         source = registry.make("source", entry.name)
         return [c for system in systems for c in check_source(source, system)]
@@ -220,7 +240,7 @@ _SMOOTH = "functions with derivatives: tanh(v / w) or where(...) in place of jum
 _REST = "avoid x / |x| and roots at zero: spiral.math.length stays smooth there"
 _LINEAR = "amplitudes as plain factors; role='shape' for gaps, widths and exponents"
 # After one of these has failed the others say nothing.
-_ESSENTIAL = ("fits", "names", "parameters", "traces", "fields", "loads")
+_ESSENTIAL = ("fits", "names", "parameters", "traces", "fields", "loads", "reconstructs")
 
 
 def _run(on: str, steps: Sequence[Step]) -> list[Check]:

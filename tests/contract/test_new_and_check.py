@@ -73,7 +73,7 @@ def test_a_skeleton_goes_where_plugins_says(capsys, place, monkeypatch):
     ("words", "hint"),
     [
         (["effct", "own_spring"], "'effect'"),
-        (["learner", "own_learner"], "system, effect, source"),
+        (["lerner", "own_learner"], "system, effect, source"),
         (["effect"], "spiral new effect my_spring"),
         (["effect", "one", "two"], "spiral new KIND NAME"),
         (["effect", "own_spring", "port=disk"], "spiral new KIND NAME"),

@@ -26,12 +26,12 @@ def test_every_shipped_system_and_effect_passes(entry):
     assert not failed(checks)
 
 
-KINDS = ("learner", "library", "gate")
+KINDS = ("learner", "library", "gate", "observer")
 EVIDENCE = [e for e in REGISTRY.entries if e.kind in KINDS]
 
 
 @pytest.mark.parametrize("entry", EVIDENCE, ids=[f"{e.kind}-{e.name}" for e in EVIDENCE])
-def test_every_shipped_learner_library_and_gate_passes(entry):
+def test_every_shipped_learner_library_gate_and_observer_passes(entry):
     checks = check_plugin(entry, REGISTRY)
     assert len(checks) >= 3
     assert not failed(checks)
