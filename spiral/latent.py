@@ -66,7 +66,12 @@ class MissingForce:
 
 
 def with_latent(model: Model) -> Model:
-    """The model with an unknown force at its first port, zero until it is estimated."""
+    """The model with an unknown force at its first port, zero until it is estimated.
+
+    A system without forces is left as it is.
+    """
+    if not isinstance(model.system, MechanicalSystem):
+        return model
     wide = model.add(LatentForce())
     return replace(wide, values={**wide.values, **dict.fromkeys(latent_keys(wide), 0.0)})
 

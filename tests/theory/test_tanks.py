@@ -5,6 +5,7 @@ import pytest
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 from spiral.errors import ConfigError
+from spiral.latent import with_latent
 from spiral.model import seed_model
 from spiral.simulate import integrate
 from spiral.trace import check_effect
@@ -60,3 +61,8 @@ def test_a_force_is_no_effect_of_tanks_and_a_flow_none_of_a_mechanical_system():
     found = {e.label for e in registry.candidates(CascadedTanks())}
     flows = {"linear_loss", "outlets", "overflow", "pump", "sensor_saturation"}
     assert found == flows | {"offset", "gain", "delay", "mains_hum"}
+
+
+def test_a_system_without_forces_has_no_missing_force():
+    model = seed_model(CascadedTanks())
+    assert with_latent(model) is model
