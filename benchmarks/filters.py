@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,20 +32,28 @@ def filters(best: Callable[[Callable[[], object]], float]) -> list[Row]:
     task, settings = prepared(prepare_task(with_defaults(seed_model(system)), record), track=())
     levels = {"observed": 0.1, "hidden": 0.1}
     settings = with_level(task, settings, levels)
-    ours = best(lambda: filtered(task, settings))
+    wall = best(lambda: filtered(task, settings))
+    ours = min(_worked(lambda: filtered(task, settings))[0] for _ in range(5))
     found = filtered(task, settings).means
-    rows = [("EKF, 28 000 samples x 8 states", ours, "<= 0.15 s")]
+    rows = [("EKF, 28 000 samples x 8 states", wall, "<= 0.15 s")]
     for name, functions, wanted in (
         ("the same in filterpy, model in NumPy", numpy_functions(task), " (>= 50)"),
         ("the same in filterpy, our compiled model", compiled_functions(task), ""),
     ):
-        clock = time.perf_counter()
-        peer = filterpy_run(task, settings, record.samples, functions)
-        theirs = time.perf_counter() - clock
+        theirs, peer = _worked(lambda f=functions: filterpy_run(task, settings, record.samples, f))
         gap = np.max(np.abs(peer.means - found) / np.abs(found).max(axis=0))
-        rows.append((name, theirs, f"{theirs / ours:.0f} times ours{wanted}, gap {gap:.0e}"))
+        rows.append(
+            (name, theirs, f"{theirs / ours:.0f} times our processor time{wanted}, gap {gap:.0e}")
+        )
     smoother = Rts(process_noise=levels, track=())
     return [*rows, ("RTS smoother on it", best(lambda: smoother.reconstruct(task)), "")]
+
+
+def _worked(step: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds of processor time, which other people's work on the machine does not change."""
+    clock = time.process_time()
+    found = step()
+    return time.process_time() - clock, found
 
 
 def sweeps() -> list[Row]:

@@ -2,10 +2,14 @@
 
 Where every parameter has a value to start from:
 
-1. a filter that tracks all free parameters as states goes twice over the first record (it follows
-   the measurement sample by sample, so a model that is 20 % off does not lose it);
+1. a filter that tracks all free parameters as states goes over the first record (it follows the
+   measurement sample by sample, so a model that is 20 % off does not lose it);
 2. a smoother gives hidden states to start windows from;
 3. Gauss-Newton on windows of 1024 samples, then on whole records with one initial state each.
+
+The sum of squares has more than one valley where two bearings can share a stiffness in two ways, so
+the first record is fitted from the given values and from what the filter finds with little and with
+much process noise; the best of the three goes on.
 
 Where a parameter has no value, growing windows from the balance of forces, as ``compare`` does.
 Machine parameters are shared by all records; a phase origin is each record's own where the phase
@@ -17,7 +21,8 @@ the initial states projected out, for the declared noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,7 +43,9 @@ from spiral.shooting.sensitivities import reduce
 from spiral.shooting.study import Columns, Point
 from spiral.threads import one_blas_thread
 
-_LEVELS = (0.03, 0.003)  # process noise of the two passes that track the parameters
+# Process noise of the passes that track the parameters, for each start that is tried.
+_LEVELS: tuple[tuple[float, ...], ...] = ((), (0.03, 0.003), (0.3,))
+_SCAN = 0.03  # the same where one common factor is looked for
 _DOUBT = 0.3  # first doubt of a parameter, as a share of its value
 _TURN = 0.2  # the same of an angle, rad
 _LENGTH = 1024
@@ -93,7 +100,31 @@ def _from_filter(
     problem = assembly.problem
     keys = tuple(k for k in standing.keys(assembly) if k in assembly.study.keys)
     progress("calibrating: a filter tracks the parameters")
-    tasks = _tracked(problem, keys, together)
+    given = prepare_task(problem.model, problem.records[0])
+    if together:
+        first = _scanned(given, together)
+    else:
+        alone = replace(assembly, problem=replace(problem, records=problem.records[:1]))
+        starts = [_followed(given, keys, levels) for levels in _LEVELS]
+        tried = [_descended(alone, standing, start, together, progress) for start in starts]
+        best = min(tried, key=lambda found: found[1].fitted.cost)
+        if len(problem.records) == 1:
+            return best
+        row = best[1].fitted.point.values[0]
+        first = given.with_values(dict(zip(given.keys, map(float, row), strict=False)))
+    return _descended(assembly, standing, first, together, progress)
+
+
+def _descended(
+    assembly: Assembly,
+    standing: Standing,
+    first: Task,
+    together: tuple[str, ...],
+    progress: Progress,
+) -> tuple[Assembly, Stage]:
+    """Windows, then whole records, from a task's values and the smoother's hidden states."""
+    problem = assembly.problem
+    tasks, levels = _tasks(problem, first, ORIGIN in standing.keys(assembly))
     substeps = max(t.series.substeps for t in tasks)
     assembly = with_records(assembly, problem.records, substeps, problem.settings.phase_knot)
     study = assembly.study
@@ -101,7 +132,7 @@ def _from_filter(
     values = np.pad(values, ((0, 0), (0, study.corrections)))
     moving, bounds = columns(assembly, standing.keys(assembly))
     mix = _mixed(assembly, moving, values, together)
-    states = [smoothed(task)[:, : study.state_count] for task in tasks]
+    states = [smoothed(task, levels)[:, : study.state_count] for task in tasks]
     longest = max(s.samples for s in study.series)
     stage: Stage | None = None
     for length in (n for n in (_LENGTH, longest) if n == longest or 4 * n <= longest):
@@ -117,19 +148,19 @@ def _from_filter(
     return assembly, stage
 
 
-def _tracked(problem: Problem, keys: tuple[str, ...], together: tuple[str, ...]) -> list[Task]:
-    """One task for each record, machine parameters as a filter finds them."""
-    first = prepare_task(problem.model, problem.records[0])
-    first = _scanned(first, together) if together else _followed(first, keys)
+def _tasks(problem: Problem, first: Task, turning: bool) -> tuple[list[Task], dict[str, float]]:
+    """One task for each record at the values of the first, whose process noise serves for all."""
+    tuned, settings = filter_prepared(first, (ORIGIN,) if turning else None)
+    levels = chosen_levels(tuned, settings, None)
     tasks = [first, *(with_record(first, r) for r in problem.records[1:])]
-    return [_own_origin(task) if ORIGIN in keys else task for task in tasks]
+    return [_own_origin(task, levels) if turning else task for task in tasks], levels
 
 
-def _followed(first: Task, keys: tuple[str, ...]) -> Task:
-    """Parameters tracked as states over the record, twice."""
+def _followed(first: Task, keys: tuple[str, ...], levels: tuple[float, ...]) -> Task:
+    """Parameters tracked as states over the record, once for each level of process noise."""
     known = dict(zip(first.keys, first.values, strict=True))
     named = tuple(k for k in keys if known[k] or k == ORIGIN)
-    for level in _LEVELS if named else ():
+    for level in levels if named else ():
         doubt = {k: _TURN if k == ORIGIN else _DOUBT * abs(known[k]) for k in named}
         task, settings = filter_prepared(first, named, doubt)
         found = filtered(task, with_level(task, settings, dict.fromkeys(_groups(task), level)))
@@ -153,7 +184,7 @@ def _scanned(first: Task, together: tuple[str, ...]) -> Task:
 
     def cost(log_factor: float) -> float:
         task, settings = filter_prepared(scaled(log_factor))
-        levels = dict.fromkeys(_groups(task), _LEVELS[0])
+        levels = dict.fromkeys(_groups(task), _SCAN)
         found = filtered(task, with_level(task, settings, levels))
         return -found.log_likelihood if found.done == task.series.samples else 1e12
 
@@ -167,10 +198,9 @@ def _groups(task: Task) -> tuple[str, ...]:
     return tuple(groups(task))
 
 
-def _own_origin(task: Task) -> Task:
+def _own_origin(task: Task, levels: Mapping[str, float]) -> Task:
     """The task with its record's phase origin, as a filter that tracks it finds it."""
     task, settings = filter_prepared(task, (ORIGIN,))
-    levels = chosen_levels(task, settings, None)
     found = filtered(task, with_level(task, settings, levels))
     if found.done < task.series.samples:
         return task

@@ -102,12 +102,12 @@ def chosen_levels(
     return {k: float(v) for k, v in levels.items()}
 
 
-def smoothed(task: Task) -> Array:
-    """Smoothed states and tracked parameters (samples, N), the process noise tuned."""
+def smoothed(task: Task, levels: Mapping[str, float] | None = None) -> Array:
+    """Smoothed states and tracked parameters (samples, N); the process noise given or tuned."""
     from spiral.filtering.smoother import smooth
 
     task, settings = prepared(task)
-    levels = chosen_levels(task, settings, None)
+    levels = chosen_levels(task, settings, levels)
     found = filtered(task, with_level(task, settings, levels), keep=True)
     if found.done == task.series.samples:
         smooth(
