@@ -1,21 +1,25 @@
 """One record, one library, many methods: PySINDy, delay coordinates, HAVOK, seed, shooting, paper.
 
 python -m experiments.peers.run [--case rotor nothing silverbox] [--noise 0 0.02] [--seeds 3]
-    [--methods NAME ...] [--duration 14] [--json FILE]
+    [--methods NAME ...] [--duration 14] [--out runs/peers]
+
+Rows are kept in the folder as they come and told to MLflow there; the same command takes up what is
+left, and one with more seeds adds to it.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
 
+from experiments.peers import tracked
 from experiments.peers.cases import HIDDEN, Answer, Case, scored
 from experiments.peers.delays import METHODS as DELAYS
 from experiments.peers.delays import in_delays
@@ -67,7 +71,8 @@ def _last_error(result: dict[str, Any]) -> float:
 def row(method: str, case: Case, more: Sequence[str] = ()) -> dict[str, Any]:
     """One row of the table."""
     problem = case.problem(load_registry(None))
-    return scored(case, answer(method, case, problem, more), case.truth())
+    found = scored(case, answer(method, case, problem, more), case.truth())
+    return {**found, "duration": case.duration}
 
 
 def line(found: dict[str, Any]) -> str:
@@ -96,7 +101,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1, help="records per case and noise")
     parser.add_argument("--methods", nargs="*", default=list(ALL))
     parser.add_argument("--duration", type=float, default=14.0, help="of simulated records, s")
-    parser.add_argument("--json", help="file for all rows")
+    parser.add_argument("--out", type=Path, default=Path("runs/peers"), help="folder of the rows")
     parser.add_argument("--jobs", type=int, default=-1, help="processes")
     given = parser.parse_args()
     cases = [
@@ -105,14 +110,30 @@ def main() -> None:
         for noise in (given.noise if name != "silverbox" else [0.0])
         for seed in range(given.seeds if name != "silverbox" else 1)
     ]
-    jobs = [delayed(row)(method, case) for case in cases for method in given.methods]
-    rows = []
-    for found in Parallel(n_jobs=given.jobs, return_as="generator")(jobs):
+    rows = collected(cases, given.methods, given.out, given.jobs)
+    print(f"\n{tracked.table(rows)}")
+
+
+def collected(
+    cases: Sequence[Case], methods: Sequence[str], out: Path, jobs: int
+) -> list[dict[str, Any]]:
+    """All rows of a folder, those that were missing among them; MLflow is told of each."""
+    rows = tracked.kept(out)
+    known = {tracked.name_of(r) for r in rows}
+    wanted = [
+        (method, case)
+        for case in cases
+        for method in methods
+        if tracked.name_of({**vars(case), "case": case.name, "method": method}) not in known
+    ]
+    todo = [delayed(row)(method, case) for method, case in wanted]
+    for found in Parallel(n_jobs=jobs, return_as="generator")(todo):
         rows.append(found)
         print(line(found), flush=True)
-    if given.json:
-        with open(given.json, "w", encoding="utf-8") as file:
-            json.dump(rows, file, indent=1)
+        tracked.keep(out, rows)
+        tracked.tell(out, rows[-1:])
+    tracked.tell(out, rows)
+    return rows
 
 
 if __name__ == "__main__":

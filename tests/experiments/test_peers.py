@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from experiments.peers import run, tracked
 from experiments.peers.cases import HIDDEN, Answer, Case, free_run, scored
 from experiments.peers.delays import embedded, in_delays
 from experiments.peers.regressions import regressed, table
@@ -46,6 +47,53 @@ def test_scores_count_what_is_not_true_and_what_is_missing() -> None:
     assert row["errors"]["gyroscopic.coefficient"] == pytest.approx(-0.5, abs=0.01)
     assert row["errors"]["cross_stiffness.stiffness"] == -1.0
     assert "1 of 3" in line(row)
+
+
+def some_rows(seeds=(11, 12)) -> list[dict]:
+    answers = {11: {"gyroscopic.coefficient": 4.9e-3}, 12: {"rub.stiffness": 1.0}}
+    return [
+        {**scored(Case("rotor", 0.02, s, 4.0), Answer("any", answers[s], 0.1 * s), TRUTH),
+         "duration": 4.0}
+        for s in seeds
+    ]  # fmt: skip
+
+
+def test_rows_are_kept_and_put_together_over_seeds(tmp_path) -> None:
+    rows = some_rows()
+    tracked.keep(tmp_path, rows)
+    assert tracked.kept(tmp_path) == rows
+    assert len({tracked.name_of(r) for r in rows}) == 2
+    (group,) = tracked.summary(rows)
+    assert group["couplings"] == {"cross_stiffness": 0, "cubic_stiffness": 0, "gyroscopic": 1}
+    assert (group["false"], group["test_error"]) == (0.5, pytest.approx(1.15))
+    assert "| 1/2, " in tracked.table(rows)
+
+
+def test_what_is_there_is_not_done_again(tmp_path, monkeypatch) -> None:
+    told = []
+    monkeypatch.setattr(tracked, "tell", lambda out, rows: told.extend(rows))
+    monkeypatch.setattr(run, "row", lambda method, case: some_rows((case.seed,))[0])
+    cases = [Case("rotor", 0.02, s, 4.0) for s in (11, 12)]
+    assert len(run.collected(cases[:1], ["any"], tmp_path, 1)) == 1
+    monkeypatch.setattr(run, "row", lambda method, case: {**some_rows((12,))[0], "again": 1})
+    both = run.collected(cases, ["any"], tmp_path, 1)
+    assert [(r["seed"], r.get("again")) for r in both] == [(11, None), (12, 1)]
+
+
+@pytest.mark.slow
+def test_mlflow_has_a_parent_for_the_case_and_a_child_for_each_row_once(tmp_path) -> None:
+    from mlflow import MlflowClient
+
+    for rows in (some_rows((11,)), some_rows(), some_rows()):
+        tracked.tell(tmp_path, rows)
+    client = MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
+    found = client.search_runs([client.get_experiment_by_name("peers").experiment_id])
+    children = [r for r in found if "mlflow.parentRunId" in r.data.tags]
+    (parent,) = [r for r in found if r not in children]
+    assert len(children) == 2
+    assert {r.data.tags["mlflow.parentRunId"] for r in children} == {parent.info.run_id}
+    assert parent.data.metrics["any.test_error"] == pytest.approx(1.15)
+    assert {r.data.metrics["hidden_found"] for r in children} == {0.0, 1.0}
 
 
 @pytest.mark.parametrize("method", ["pysindy sr3"])
