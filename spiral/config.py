@@ -15,7 +15,7 @@ from typing import Any
 from spiral import custom
 from spiral.campaign import Wishes
 from spiral.errors import ConfigError, did_you_mean
-from spiral.fields import construct, defaults_of, field_names, is_open, plain
+from spiral.fields import by_name, construct, defaults_of, field_names, is_open, plain
 from spiral.overrides import Assignment, parse, set_value
 from spiral.paperconfig import gate_chain, gate_fields, with_published, with_strategy
 from spiral.problem import Problem, Sampling, Settings
@@ -322,21 +322,13 @@ def _test_like_record(config: Config, registry: Registry, test: Config) -> Confi
 
 def _effect_fields(given: Any, registry: Registry) -> Config:
     """``[a, b@PORT]``, ``a`` or ``{a: {field: value}}`` -> label -> all its fields."""
-    if given is None:
-        return {}
-    if isinstance(given, str):
-        given = [given]
-    if isinstance(given, list):
-        given = {str(label): {} for label in given}
-    if not isinstance(given, Mapping):
-        raise ConfigError(f"effect={given!r}", "a list of effects", "effect=[cubic_stiffness]")
     found = {}
-    for label, fields in given.items():
-        name, _, port = str(label).partition("@")
+    for label, fields in by_name(given, "effect", "effect=[cubic_stiffness]").items():
+        name, _, port = label.partition("@")
         defaults = defaults_of(registry.entry("effect", name).plugin)
         for hidden in ("variant", *(["port"] if port else [])):
             defaults.pop(hidden)
-        found[str(label)] = {**defaults, **(fields or {})}
+        found[label] = {**defaults, **fields}
     return found
 
 

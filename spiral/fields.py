@@ -70,6 +70,24 @@ def plain(value: Any) -> Any:
     return value
 
 
+def by_name(given: Any, what: str, example: str) -> dict[str, dict[str, Any]]:
+    """``[a, b]``, ``a``, ``{a: {field: value}}`` or nothing -> name -> the fields given with it.
+
+    Raises
+    ------
+    ConfigError : none of these.
+    """
+    if given is None:
+        return {}
+    if isinstance(given, str):
+        given = [given]
+    if isinstance(given, list):
+        given = dict.fromkeys(map(str, given))
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"{what}={given!r}", f"a list of {what}s", example)
+    return {str(name): dict(fields or {}) for name, fields in given.items()}
+
+
 def construct(
     cls: type, given: Mapping[str, Any], where: str, resolve: Resolve | None = None
 ) -> Any:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from spiral.effect import ForceEffect
-from spiral.filtering.extended import Settings, filtered
+from spiral.filtering.extended import Settings, filtered, smoothed
 from spiral.filtering.setup import prepared
 from spiral.filtering.task import Task, prepare_task
 from spiral.model import Model
@@ -159,17 +159,12 @@ def _most_likely(task: Task, walking) -> float | None:
 
 
 def _smoothed(task: Task, settings: Settings, level: float, start: int) -> MissingForce | None:
-    from spiral.filtering.smoother import smooth
-
     found = filtered(task, settings, keep=True)
     if found.done < task.series.samples:
         return None
-    smooth(
-        found.means, found.covariances, found.innovations, found.spreads, found.transitions,
-        found.gains, found.slopes,
-    )  # fmt: skip
+    found = smoothed(found)
     n = len(task.states)
-    spread = np.sqrt(np.maximum(np.diagonal(found.covariances, axis1=1, axis2=2), 0.0))
+    spread = np.sqrt(np.maximum(found.variances, 0.0))
     model = task.model
     port = model.system.port()
     return MissingForce(

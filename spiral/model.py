@@ -119,6 +119,23 @@ class Model:
             errors={},
         )
 
+    def row(self, whose: str, hint: str) -> np.ndarray:
+        """Values of all parameters in their order; ``hint`` says how to give one that is missing.
+
+        Raises
+        ------
+        ConfigError : a parameter without a value.
+        """
+        given = {**{k: p.start for k, p in self.pairs}, **self.values}
+        missing = [k for k, _ in self.pairs if given[k] is None]
+        if missing:
+            raise ConfigError(
+                f"no value for {', '.join(missing)}",
+                f"a value for every parameter of the {whose}",
+                hint.format(missing[0]),
+            )
+        return np.array([float(given[k]) for k, _ in self.pairs])  # type: ignore[arg-type]
+
     def unit(self, key: str) -> str:
         """The absolute unit of a parameter."""
         owner = key.rsplit(".", 1)[0]

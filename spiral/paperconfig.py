@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from spiral.errors import ConfigError
-from spiral.fields import construct, defaults_of
+from spiral.fields import by_name, construct, defaults_of
 from spiral.problem import Problem, Published, Sampling
 
 if TYPE_CHECKING:
@@ -42,15 +42,10 @@ def gate_fields(given: Any, registry: Registry, strategy: Any = "paper") -> dict
     """
     if given is None:
         given = list(INNOVATION_GATES if strategy == "innovation" else GATES)
-    if isinstance(given, str):
-        given = [given]
-    if isinstance(given, list):
-        given = {str(name): {} for name in given}
-    if not isinstance(given, Mapping):
-        raise ConfigError(f"gate={given!r}", "a list of gates", "gate=[bonferroni_t,partial_f]")
+    chosen = by_name(given, "gate", "gate=[bonferroni_t,partial_f]")
     return {
-        str(name): {**defaults_of(registry.entry("gate", str(name)).plugin), **(fields or {})}
-        for name, fields in given.items()
+        name: {**defaults_of(registry.entry("gate", name).plugin), **fields}
+        for name, fields in chosen.items()
     }
 
 

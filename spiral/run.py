@@ -229,6 +229,17 @@ class Run:
         }
 
 
+def estimate_rows(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Of a result: one row for each parameter of its final model, estimate, error, t, unit."""
+    model = result.get("model") or (result.get("comparison") or {}).get("model") or {}
+    owners = {**(model.get("effects") or {}), "system": model.get("system") or {}}
+    return [
+        {"effect": owner, "parameter": name, **values}
+        for owner, table in owners.items()
+        for name, values in table.items()
+    ]
+
+
 def estimates_dict(model: Model) -> dict[str, Any]:
     """``{"effects": {effect: {parameter: estimate}}, "system": {parameter: estimate}}``."""
 

@@ -64,7 +64,7 @@ def integrate(
 ) -> tuple[Array, Array]:
     """Noise-free states (samples, n) and readings (samples, channels)."""
     compiled = compile_model(trace(model.system, model.effects))
-    values = _values(model)
+    values = model.row("truth", "for instance record.values='{{{}: 1.0}}'")
     quiet = np.random.default_rng(0).normal(size=(len(model.system.observed), len(time)))
     frame = make_record(  # checks the inputs and derives what is missing
         model.system, "planned", time, dict(zip(model.system.observed, quiet, strict=True)), inputs
@@ -90,18 +90,6 @@ def integrate(
             "check signs and sizes of the parameters, or simulate a shorter time",
         )
     return states, readings
-
-
-def _values(model: Model) -> Array:
-    given = {**{k: p.start for k, p in model.pairs}, **model.values}
-    missing = [k for k, _ in model.pairs if given[k] is None]
-    if missing:
-        raise ConfigError(
-            f"no value for {', '.join(missing)}",
-            "a value for every parameter of the truth",
-            f"for instance record.values='{{{missing[0]}: 1.0}}'",
-        )
-    return np.array([float(given[k]) for k, _ in model.pairs])  # type: ignore[arg-type]
 
 
 def with_defaults(model: Model) -> Model:

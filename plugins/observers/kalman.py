@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
 from spiral.observer import Observer, Reconstruction
 
 if TYPE_CHECKING:
@@ -84,17 +82,10 @@ class Rts(Tuned):
 
     def run(self, task: Task, settings: Settings) -> Pass:
         """Filter, then go back from the record's end; innovations stay those of the filter."""
-        from spiral.filtering.extended import filtered
-        from spiral.filtering.smoother import smooth
+        from spiral.filtering.extended import filtered, smoothed
 
         found = filtered(task, settings, keep=True)
-        if found.done < task.series.samples:
-            return found
-        smooth(
-            found.means, found.covariances, found.innovations, found.spreads, found.transitions,
-            found.gains, found.slopes,
-        )  # fmt: skip
-        return replace(found, variances=np.diagonal(found.covariances, axis1=1, axis2=2).copy())
+        return found if found.done < task.series.samples else smoothed(found)
 
 
 class Ukf(Tuned):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -93,6 +93,17 @@ def filtered(
         settings.noise, block_diagonal(settings.process, settings.wander), *arrays,
     )  # fmt: skip
     return Pass(*arrays, float(likelihood), int(done))
+
+
+def smoothed(found: Pass) -> Pass:
+    """A run kept whole, every sample judged by all of the record; innovations stay the filter's."""
+    from spiral.filtering.smoother import smooth
+
+    smooth(
+        found.means, found.covariances, found.innovations, found.spreads, found.transitions,
+        found.gains, found.slopes,
+    )  # fmt: skip
+    return replace(found, variances=np.diagonal(found.covariances, axis1=1, axis2=2).copy())
 
 
 def block_diagonal(matrix: Array, tail: Array) -> Array:

@@ -14,7 +14,7 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.shooting.kernel import MODEL_FUNCTION
+from spiral.shooting.kernel import MODEL_FUNCTION, slope_of
 
 EXACT, SECOND_ORDER = 0, 1
 
@@ -142,22 +142,6 @@ def propagate(p, f, q, work):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _slope(a, b, tracked, s, out):
-    """out = A S + [0 | B[:, tracked]], row by row; structural zeros of A are skipped."""
-    n, width = s.shape
-    for i in range(n):
-        for c in range(n):
-            out[i, c] = 0.0
-        for c in range(n, width):
-            out[i, c] = b[i, tracked[c - n]]
-        for k in range(n):
-            value = a[i, k]
-            if value != 0.0:
-                for c in range(width):
-                    out[i, c] += value * s[k, c]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def _add_second_order(a, step, first, s):
     """S <- S + h S' + h^2 A S' / 2 with S' = A S + [0 | B] given (paper, eq. ekf_Phi)."""
     n, width = s.shape
@@ -207,10 +191,10 @@ def step_with_slopes(rate, x, p, tracked, inputs, at, step, mode, s, vectors, a,
             total[i] += gain * slope[i]
         if mode == EXACT:
             _axpy(s, point, rates, trial)
-            _slope(a, b, tracked, trial, rates)
+            slope_of(a, b, tracked, trial, rates)
             _axpy(sums, gain, rates, sums)
         elif stage == 0:
-            _slope(a, b, tracked, s, rates)
+            slope_of(a, b, tracked, s, rates)
             _add_second_order(a, step, rates, s)
     for i in range(n):
         x[i] += step / 6.0 * total[i]

@@ -9,6 +9,7 @@ import numpy as np
 
 from spiral.errors import ConfigError, did_you_mean
 from spiral.filtering.extended import Settings, filtered, tracked_indices
+from spiral.filtering.extended import smoothed as backward
 from spiral.filtering.noise import groups, intensity, sampled
 from spiral.filtering.task import Task
 from spiral.filtering.tuning import most_likely
@@ -104,16 +105,11 @@ def chosen_levels(
 
 def smoothed(task: Task, levels: Mapping[str, float] | None = None) -> Array:
     """Smoothed states and tracked parameters (samples, N); the process noise given or tuned."""
-    from spiral.filtering.smoother import smooth
-
     task, settings = prepared(task)
     levels = chosen_levels(task, settings, levels)
     found = filtered(task, with_level(task, settings, levels), keep=True)
     if found.done == task.series.samples:
-        smooth(
-            found.means, found.covariances, found.innovations, found.spreads, found.transitions,
-            found.gains, found.slopes,
-        )  # fmt: skip
+        found = backward(found)
     return np.nan_to_num(found.means)
 
 

@@ -6,7 +6,7 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.shooting.kernel import VALUE_FUNCTION
+from spiral.shooting.kernel import VALUE_FUNCTION, runge_kutta
 
 _F1, _F2 = types.float64[::1], types.float64[:, ::1]
 
@@ -24,7 +24,7 @@ def wander(rate, output, x, values, inputs, substeps, dt, kicks, states, reading
     """
     samples, n = states.shape
     step = dt / substeps
-    slope, total, here, h = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(readings.shape[1])
+    work, h = np.zeros((3, n)), np.zeros(readings.shape[1])
     for k in range(samples):
         output(x, inputs[k * 2 * substeps], values, h)
         states[k] = x
@@ -33,18 +33,9 @@ def wander(rate, output, x, values, inputs, substeps, dt, kicks, states, reading
             break
         for sub in range(substeps):
             at = k * substeps + sub
-            total[:] = 0.0
-            slope[:] = 0.0
-            for stage in range(4):
-                point = step * (0.0 if stage == 0 else (1.0 if stage == 3 else 0.5))
-                gain = 2.0 if stage == 1 or stage == 2 else 1.0
-                for i in range(n):
-                    here[i] = x[i] + point * slope[i]
-                rate(here, inputs[2 * at + (stage + 1) // 2], values, slope)
-                for i in range(n):
-                    total[i] += gain * slope[i]
+            runge_kutta(rate, x, values, inputs, 2 * at, step, work)
             for i in range(n):
-                x[i] += step / 6.0 * total[i] + kicks[at, i]
+                x[i] += kicks[at, i]
                 if not np.isfinite(x[i]):
                     return False
     return True

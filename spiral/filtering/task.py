@@ -15,7 +15,6 @@ from functools import lru_cache
 import numpy as np
 
 from spiral.compile import Compiled, compile_model
-from spiral.errors import ConfigError
 from spiral.filtering.static import StaticMap, static_map
 from spiral.model import Model
 from spiral.record import Array, Record
@@ -94,7 +93,7 @@ def prepare_task(
     traced = trace(model.system, model.effects)
     own = tuple(k for k, p in model.pairs if p.scope == "record")
     compiled = compiled_for(traced, None if every else own)
-    values = parameter_row(model)
+    values = model.row("model", "values='{{{}: 1.0}}', or let a fit find it (calibrate=true)")
     return task_with(model, compiled, values, record, start, inputs, substeps)
 
 
@@ -127,24 +126,6 @@ def task_with(
     scales, rates = _scales(compiled, series, grid, values, mapping)
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
     return Task(model, compiled, series, values, grid, begin, scales.copy(), scales, rates, mapping)
-
-
-def parameter_row(model: Model) -> Array:
-    """Values in the order of arrays.
-
-    Raises
-    ------
-    ConfigError : a parameter without a value.
-    """
-    given = {**{k: p.start for k, p in model.pairs}, **model.values}
-    missing = [k for k, _ in model.pairs if given[k] is None]
-    if missing:
-        raise ConfigError(
-            f"no value for {', '.join(missing)}",
-            "a value for every parameter of the model",
-            f"values='{{{missing[0]}: 1.0}}', or let a fit find it (calibrate=true)",
-        )
-    return np.array([float(given[k]) for k, _ in model.pairs])  # type: ignore[arg-type]
 
 
 def enough_substeps(compiled: Compiled, values: Array, series: Series) -> int:

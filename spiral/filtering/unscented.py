@@ -13,7 +13,7 @@ import numpy as np
 from numba import types
 
 from spiral.filtering.kernel import _FAST, _sound, factor_in_place, hold, solve_in_place
-from spiral.shooting.kernel import VALUE_FUNCTION
+from spiral.shooting.kernel import VALUE_FUNCTION, runge_kutta
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
@@ -62,24 +62,11 @@ def _moments(points, weights, mean, covariance):
     types.void(VALUE_FUNCTION, _F1, _F1, _I1, _F2, types.int64, types.int64, types.float64, _F2),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
-def _runge_kutta(rate, x, values, tracked, inputs, at, substeps, step, work):
+def _advance(rate, x, values, tracked, inputs, at, substeps, step, work):
     """One sample of x' = f by RK4 for one point, in place; its tracked entries stay."""
-    n = x.shape[0] - tracked.shape[0]
-    slope, total, here = work[0, :n], work[1, :n], work[2, :n]
     hold(values, tracked, x)
     for sub in range(substeps):
-        total[:] = 0.0
-        slope[:] = 0.0
-        for stage in range(4):
-            point = step * (0.0 if stage == 0 else (1.0 if stage == 3 else 0.5))
-            gain = 2.0 if stage == 1 or stage == 2 else 1.0
-            for i in range(n):
-                here[i] = x[i] + point * slope[i]
-            rate(here, inputs[at + 2 * sub + (stage + 1) // 2], values, slope)
-            for i in range(n):
-                total[i] += gain * slope[i]
-        for i in range(n):
-            x[i] += step / 6.0 * total[i]
+        runge_kutta(rate, x, values, inputs, at + 2 * sub, step, work)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
@@ -133,7 +120,7 @@ def unscented(
     size, n = x.shape[0], x.shape[0] - tracked.shape[0]
     count = 2 * size + 1
     points, readings = np.zeros((count, size)), np.zeros((count, m))
-    root, work, w = np.zeros((size, size)), np.zeros((3, size)), np.zeros((m, m))
+    root, work, w = np.zeros((size, size)), np.zeros((3, n)), np.zeros((m, m))
     expected, cross = np.zeros(m), np.zeros((size, m))
     likelihood = 0.0
     for k in range(samples):
@@ -155,7 +142,7 @@ def unscented(
             break
         _draw(x, p, spread, points, root)
         for i in range(count):
-            _runge_kutta(rate, points[i], values, tracked, inputs, k * substeps * 2, substeps,
+            _advance(rate, points[i], values, tracked, inputs, k * substeps * 2, substeps,
                          dt / substeps, work)  # fmt: skip
         _moments(points, weights, x, p)
         for i in range(size):

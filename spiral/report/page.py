@@ -13,6 +13,7 @@ from typing import Any
 from spiral.curves import FINAL, SEED, Curves
 from spiral.report import evidence, maps, motion, text
 from spiral.report.style import FONT
+from spiral.run import estimate_rows
 
 Figure = Any
 
@@ -35,7 +36,7 @@ def figures(
     ``wanted`` names those to draw; left out, all.
     """
     result = saved["result"]
-    table = text.terms(result)
+    table = estimate_rows(result)
     makers: list[tuple[str, str, str, Callable[[], Figure | None]]] = [
         ("error_falling", "The error falls", text.FALLING,
          lambda: evidence.error_falling(result)),

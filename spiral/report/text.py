@@ -8,6 +8,7 @@ from typing import Any
 
 from spiral.curves import SEED, Curves
 from spiral.report.evidence import rounds
+from spiral.run import estimate_rows
 from spiral.terminal import number, percent, plus_minus, probability
 
 Saved = Mapping[str, Any]
@@ -50,17 +51,6 @@ WHIRL = "Spectrum of x + i y, forward in the sense of rotation to the right."
 CORRELATION = "Dotted: the 95 % bounds of a white residual."
 HIDDEN = "Smoothed with the final model and its missing force, and their 95 % bands."
 CAMPBELL = "Eigenvalues of the final model at rest, phase zero; dotted: orders 1 and 2."
-
-
-def terms(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One row for each parameter of the final model."""
-    model = result.get("model") or (result.get("comparison") or {}).get("model") or {}
-    owners = {**(model.get("effects") or {}), "system": model.get("system") or {}}
-    return [
-        {"effect": owner, "parameter": name, **values}
-        for owner, table in owners.items()
-        for name, values in table.items()
-    ]
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], right: Sequence[str] = ()) -> str:
@@ -175,7 +165,7 @@ def coefficients_table(result: Mapping[str, Any], mathml: Sequence[Mapping[str, 
     rows = [
         (r["effect"], r["parameter"], plus_minus(r["estimate"], r.get("se")),
          number(r.get("t"), 3) if r.get("t") is not None else "given", r["unit"] or "1")
-        for r in terms(result)
+        for r in estimate_rows(result)
     ]  # fmt: skip
     columns = ("effect", "parameter", "estimate ± se", "t", "unit")
     shown = _equation(mathml) if mathml else ""

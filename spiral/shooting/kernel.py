@@ -36,7 +36,7 @@ _I1 = types.int64[::1]
     error_model="numpy",
     fastmath={"contract", "reassoc"},
 )
-def _slope(
+def slope_of(
     a: np.ndarray, b: np.ndarray, columns: np.ndarray, s: np.ndarray, out: np.ndarray
 ) -> None:
     """out = A S + [0 | B[:, columns]]; structural zeros of A are skipped."""
@@ -177,7 +177,7 @@ def advance(
                             ss[i, c] = sw[i, c] + point * step * slope[i, c]
                     rate(xs, inputs[at + (stage + 1) // 2], p, f, a, b)
                     _correct(b, phase, first, basis, at + (stage + 1) // 2)
-                    _slope(a, b, columns, ss, slope)
+                    slope_of(a, b, columns, ss, slope)
                     for i in range(n):
                         total[i] += gain * f[i]
                         for c in range(width):
@@ -190,6 +190,30 @@ def advance(
                 if not np.isfinite(xw[i]) or abs(xw[i]) > 1e12:
                     return False
     return True
+
+
+@nb.njit(
+    types.void(VALUE_FUNCTION, _F1, _F1, _F2, types.int64, types.float64, _F2),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def runge_kutta(rate, x, p, inputs, at, step, work):
+    """One step of x' = f for the first n entries of x, in place; ``work`` (3, n) is scratch."""
+    n = work.shape[1]
+    slope, total, here = work[0], work[1], work[2]
+    total[:] = 0.0
+    slope[:] = 0.0
+    for stage in range(4):
+        point = step * (0.0 if stage == 0 else (1.0 if stage == 3 else 0.5))
+        gain = 2.0 if stage == 1 or stage == 2 else 1.0
+        for i in range(n):
+            here[i] = x[i] + point * slope[i]
+        rate(here, inputs[at + (stage + 1) // 2], p, slope)
+        for i in range(n):
+            total[i] += gain * slope[i]
+    for i in range(n):
+        x[i] += step / 6.0 * total[i]
 
 
 @nb.njit(
@@ -219,11 +243,9 @@ def trajectories(rate, output, x, starts, lengths, p, inputs, substeps, dt, stat
     windows, n = x.shape
     samples, channels = readings.shape
     step = dt / substeps
-    f = np.zeros(n)
     h = np.empty(channels)
     xw = np.empty(n)
-    xs = np.empty(n)
-    total = np.empty(n)
+    work = np.empty((3, n))
     for w in range(windows):
         for i in range(n):
             xw[i] = x[w, i]
@@ -237,19 +259,7 @@ def trajectories(rate, output, x, starts, lengths, p, inputs, substeps, dt, stat
             if k == lengths[w] - 1 or sample == samples - 1:
                 break
             for sub in range(substeps):
-                at = (sample * substeps + sub) * 2
-                total[:] = 0.0
-                f[:] = 0.0
-                for stage in range(4):
-                    point = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-                    gain = 2.0 if stage == 1 or stage == 2 else 1.0
-                    for i in range(n):
-                        xs[i] = xw[i] + point * step * f[i]
-                    rate(xs, inputs[at + (stage + 1) // 2], p[0], f)
-                    for i in range(n):
-                        total[i] += gain * f[i]
-                for i in range(n):
-                    xw[i] += step / 6.0 * total[i]
+                runge_kutta(rate, xw, p[0], inputs, (sample * substeps + sub) * 2, step, work)
             for i in range(n):
                 if not np.isfinite(xw[i]) or abs(xw[i]) > 1e12:
                     return False

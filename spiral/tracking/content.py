@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from spiral.run import estimate_rows
+
 FIGURES = (
     "test_error", "fit_error", "noise_floor", "chi2_per_dof", "whiteness_p", "whiteness_effect",
     "horizon", "seconds",
@@ -61,7 +63,7 @@ def _added(saved: Saved) -> set[str]:
 
 
 def _final(result: Mapping[str, Any], added: set[str]) -> Iterator[tuple[str, Any]]:
-    for row in terms(result):
+    for row in estimate_rows(result):
         if row["effect"] in added:  # whole terms are a table: metrics are for what is compared
             yield f"t.{row['effect']}.{row['parameter']}", row["t"]
     for channel, errors in (result.get("test") or result.get("channels") or {}).items():
@@ -86,17 +88,6 @@ def _states(result: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     for name in ("nis_mean", "mu", "condition", "rank", "samples_needed", "seconds"):
         if isinstance(result.get(name), int | float) and not isinstance(result.get(name), bool):
             yield name, result[name]
-
-
-def terms(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One row for each parameter of the final model: estimate, standard error, t, unit."""
-    model = result.get("model") or (result.get("comparison") or {}).get("model") or {}
-    owners = {**(model.get("effects") or {}), "system": model.get("system") or {}}
-    return [
-        {"effect": owner, "parameter": name, **values}
-        for owner, table in owners.items()
-        for name, values in table.items()
-    ]
 
 
 def suggestions(saved: Saved) -> list[dict[str, Any]]:
@@ -177,7 +168,7 @@ def story(saved: Saved) -> str:
         name = round_name(r).partition(": ")[2]
         figures = f"{_text(r.get('test_error'))} | {_text(r.get('chi2_per_dof'))}"
         lines.append(f"| {r.get('round', 0)} | {name} | {figures} |")
-    table = terms(result)
+    table = estimate_rows(result)
     if table:
         lines += [
             "",

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from spiral.registry import told
+from spiral.run import estimate_rows
 from spiral.storage import FILE, SavedRun, read_run, run_ids, to_json, write_whole
 from spiral.tracking import content
 from spiral.tracking.store import Store, Tracking, in_force, opened, without_password
@@ -205,7 +206,7 @@ def _artifacts(store: Store, number: str, saved: SavedRun) -> None:
     import yaml
 
     tables = {
-        "terms": content.terms(saved.result),
+        "terms": estimate_rows(saved.result),
         "suggestions": content.suggestions(saved.data),
     }
     with tempfile.TemporaryDirectory() as place:
