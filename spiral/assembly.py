@@ -265,6 +265,19 @@ def unknown_keys(assembly: Assembly, keys: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(k for k in keys if k not in given and k in starts and starts[k].start is None)
 
 
+def placed(assembly: Assembly, labels: tuple[str, ...], values: Array, model: Model) -> Array:
+    """The values of a fitted model in the columns of its study; what it does not hold stays."""
+    own = {"system", *labels}
+    rename = {v.label: v.original.label for v in assembly.variants if v.label in own}
+    found = values.copy()
+    for column, key in enumerate(assembly.study.keys):
+        owner, name = key.rsplit(".", 1)
+        value = model.values.get(f"{rename.get(owner, owner)}.{name}")
+        if owner in own and value is not None:
+            found[:, column] = value
+    return found
+
+
 def to_model(
     assembly: Assembly,
     labels: tuple[str, ...],

@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spiral.assembly import Assembly, assemble, columns, first_row, nuisance_keys
+from spiral.assembly import (
+    Assembly,
+    assemble,
+    columns,
+    first_row,
+    nuisance_keys,
+    placed,
+)
 from spiral.compare import refined, test_run
 from spiral.errors import InputError
 from spiral.evidence import Standing
@@ -127,9 +134,8 @@ def free_curves(
     Free runs, residuals and modes: all there is to draw at once, before ``gather`` does the rest.
     """
     kept: dict[str, Array] = {}
-    stage = _settled(
-        assembly, standing.labels, comparison.model, standing.values, comparison.horizon
-    )
+    values = placed(assembly, standing.labels, standing.values, comparison.model)
+    stage = _settled(assembly, standing.labels, comparison.model, values, comparison.horizon)
     about: dict[str, Any] = {name: _free_curves(kept, assembly, standing.labels, stage, name)}
     about["modes"] = _modes(kept, assembly, stage)
     return _whole(kept, about, assembly.problem, comparison.model, equation=False)

@@ -33,22 +33,27 @@ class Spectrogram:
     weight: Array
 
 
-def time_map(values: Array, dt: float, length: int | None = None) -> Spectrogram:
+def time_map(
+    values: Array, dt: float, length: int | None = None, count: int | None = None, finer: int = 1
+) -> Spectrogram:
     """Time x frequency: Hann-windowed slices of ``values`` (samples, channels), half overlapping.
 
     Parameters
     ----------
     length : samples of a slice; left out, a 24th of the record, from 64 to 1024.
+    count : slices spread evenly, in place of half overlapping ones.
+    finer : times as many frequencies, interpolated by zeros behind each slice.
     """
     samples = len(values)
     size = length or int(np.clip(samples // 24, 64, 1024))
     size = min(size, samples)
     starts = _starts(samples, size)
-    power = np.sum([_slices(v, starts, size) for v in values.T], axis=0)
+    if count is not None:
+        starts = np.unique(np.linspace(0, samples - size, count).astype(int))
+    power = np.sum([_slices(v, starts, size, finer) for v in values.T], axis=0)
     every = dt * samples / len(starts)
-    return Spectrogram(
-        dt * (starts + size / 2), np.fft.rfftfreq(size, dt), power, np.full(len(starts), every)
-    )
+    axis = np.fft.rfftfreq(finer * size, dt)
+    return Spectrogram(dt * (starts + size / 2), axis, power, np.full(len(starts), every))
 
 
 def order_map(values: Array, phase: Array, speed: Array, dt: float) -> Spectrogram | None:
@@ -82,11 +87,11 @@ def _starts(samples: int, size: int) -> Array:
     return np.arange(0, samples - size + 1, step)
 
 
-def _slices(values: Array, starts: Array, size: int) -> Array:
+def _slices(values: Array, starts: Array, size: int, finer: int = 1) -> Array:
     """Power (slices, frequencies) of Hann-windowed slices: a sine of amplitude A gives A^2 / 2."""
     window = np.hanning(size)
     pieces = np.stack([values[s : s + size] for s in starts]) * window
-    return 2.0 * np.abs(np.fft.rfft(pieces, axis=1)) ** 2 / window.sum() ** 2
+    return 2.0 * np.abs(np.fft.rfft(pieces, finer * size, axis=1)) ** 2 / window.sum() ** 2
 
 
 @dataclass(frozen=True)

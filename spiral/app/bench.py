@@ -7,21 +7,22 @@ is written into its folder first and told afterwards.
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from spiral.app.study import turn_place
-from spiral.assembly import Assembly
+from spiral.assembly import Assembly, first_row
 from spiral.checkpoint import read_checkpoint, write_checkpoint
 from spiral.curves import FINAL, Curves, beside, free_curves, read_curves, write_curves
 from spiral.discover import Checkpoint
 from spiral.problem import Problem
 from spiral.registry import Registry
 from spiral.run import Round, Run
-from spiral.storage import finite, write_whole
+from spiral.storage import finite, to_json, write_whole
 from spiral.strategy import Begun, Step, Strategy
 from spiral.threads import one_blas_thread
 from spiral.turn import (
@@ -41,7 +42,7 @@ Tell = Callable[[str, Mapping[str, Any]], None]
 Order = Mapping[str, Any]
 """What to do, in plain data: study, overrides, plugins, serial, and what the step needs."""
 
-STATE, FREE, FIGURES = "checkpoint.json", "free", "figures"
+STATE, KEYS, FREE, FIGURES = "checkpoint.json", "keys.json", "free", "figures"
 
 
 @dataclass
@@ -55,7 +56,18 @@ class Bench:
     registry: Registry | None = None
     strategy: Strategy | None = None
     begun: Begun | None = None
+    overrides: tuple[str, ...] = ()
     standing: dict[int, tuple[Checkpoint, Step]] = field(default_factory=dict)
+
+    def peek(self, order: Order) -> None:
+        """What is in a file: its columns, their first numbers, and a picture of them."""
+        from spiral.app import peek
+
+        peek.peek(order, self.tell)
+
+    def check(self, order: Order) -> None:
+        """What a mapping makes of a file; the records are kept for the study that may follow."""
+        self._open(order)
 
     @one_blas_thread
     def start(self, order: Order) -> None:
@@ -87,6 +99,13 @@ class Bench:
         self._look(order["serial"], at)
 
     @one_blas_thread
+    def invent(self, order: Order) -> None:
+        """Rank anew with a candidate more, which the order's overrides define."""
+        self._open(order)
+        at, step = self._ready(order["base"])
+        self._told(at, step)
+
+    @one_blas_thread
     def contrast(self, order: Order) -> None:
         """Refit with each of several candidates, and tell their errors side by side."""
         self._open(order)
@@ -107,19 +126,24 @@ class Bench:
         from spiral.preview import described
         from spiral.registry import load_registry
 
-        if self.ident == order["study"]:
+        overrides = tuple(order["overrides"])
+        if self.overrides == overrides and self.ident == order["study"]:
             return
-        self.ident, self.begun, self.standing = "", None, {}
+        if self.overrides == overrides and self.problem is not None and self.begun is None:
+            self.ident = order["study"]  # a file that was looked at becomes a study
+            self.tell("records", {"records": finite(described(self.problem))})
+            return
+        self.ident, self.overrides, self.begun, self.standing = "", (), None, {}
         self._progress("reading the record")
         self.registry = load_registry(order.get("plugins"))
-        config = compose(order["overrides"], self.registry)
+        config = compose(overrides, self.registry)
         self.registry = bound(config, self.registry)
         if options(config).strategy != "shooting":
             raise ConfigError("strategy=paper on the page", "strategy=shooting", "spiral discover")
         self.problem = build_problem(config, self.registry)
         self.strategy = strategy_for(self.problem)
         self.tell("records", {"records": finite(described(self.problem))})
-        self.ident = order["study"]
+        self.ident, self.overrides = order["study"], overrides
 
     def _begun(self) -> Begun:
         if self.begun is None:
@@ -135,6 +159,7 @@ class Bench:
             self._begun()
             folder = turn_place(self.out, self.ident, serial)
             at = read_checkpoint(folder / STATE, self.registry)
+            at = _placed(at, folder, self._assembly())
             self.standing[serial] = looked(self._strategy(), self._assembly(), at, self._progress)
         return self.standing[serial]
 
@@ -145,6 +170,7 @@ class Bench:
         folder = turn_place(self.out, self.ident, serial)
         folder.mkdir(parents=True, exist_ok=True)
         write_checkpoint(at, folder / STATE, self.registry)
+        write_whole(folder / KEYS, to_json(list(self._assembly().study.keys)))
         last = at.rounds[-1]
         floor = last.comparison.noise_floor
         self.tell("turn", {"added": effect, "result": _result(last), "noise_floor": finite(floor)})
@@ -176,6 +202,9 @@ class Bench:
         self.standing[serial] = (at, step)
         assert self.registry is not None
         write_checkpoint(at, turn_place(self.out, self.ident, serial) / STATE, self.registry)
+        self._told(at, step)
+
+    def _told(self, at: Checkpoint, step: Step) -> None:
         level = self._assembly().problem.settings.whiteness_level
         stopped = "max_rounds" if step.admitted else step.stopped
         run = concluded(at, stopped, level)
@@ -190,6 +219,27 @@ class Bench:
 
     def _progress(self, words: str) -> None:
         self.tell("progress", {"words": words})
+
+
+def _placed(at: Checkpoint, folder: Path, assembly: Assembly) -> Checkpoint:
+    """A checkpoint whose values stand where this compilation has them.
+
+    A candidate written since moves the columns of the others; those it brings begin as before any
+    fit.
+    """
+    try:
+        before = json.loads((folder / KEYS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return at
+    keys, old = list(assembly.study.keys), at.standing.values
+    if before == keys:
+        return at
+    values = first_row(assembly)
+    for column, key in enumerate(before):
+        if key in keys:
+            values[:, keys.index(key)] = old[:, column]
+    values[:, len(keys) :] = old[:, len(before) :]
+    return Checkpoint(at.rounds, replace(at.standing, values=values))
 
 
 FIRST = ("free_run", "where", "amplitude")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import threading
 from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
@@ -127,7 +128,7 @@ def serve(kind: str, out: str, pipe: Connection, parent: int) -> None:
         try:
             getattr(worker, order["do"])(order)
         except SpiralError as error:
-            tell("failed", error.as_dict())
+            tell("failed", _without(out, error.as_dict()))
         except Exception as error:  # a defect costs one order, and says so
             tell("failed", _defect(error))
         else:
@@ -148,6 +149,12 @@ def _worker(kind: str, out: Path, tell: Any) -> Any:
     from spiral.app.bench import Bench
 
     return Bench(out, tell)
+
+
+def _without(out: str, error: Mapping[str, str]) -> dict[str, str]:
+    """The message with the names of uploaded files as the user knows them."""
+    folder = re.compile(re.escape(out) + r"/studies/uploads/[0-9a-f-]+/")
+    return {k: folder.sub("", v) for k, v in error.items()}
 
 
 def _defect(error: Exception) -> dict[str, str]:

@@ -6,6 +6,7 @@ the study here, and every change has a number by which a tab sees that it is beh
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Mapping
@@ -15,9 +16,12 @@ from typing import Any
 
 from spiral.app import study as kept
 from spiral.app.crew import Event, Process
+from spiral.app.draft import quoted
+from spiral.app.intake import DOES, Intake
 from spiral.app.study import Study, Turn
 from spiral.errors import ConfigError
 
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
 _FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send
 
 
@@ -57,8 +61,9 @@ class Desk:
         self.out, self.plugins = out, plugins
         self._lock = threading.RLock()
         self._scenes: dict[str, Scene] = {}
-        self._expected = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN}
+        self._expected = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRST}
         self._bench = Process("bench", out, self._on_bench)
+        self.intake = Intake(out, lambda order: self._bench.give(order), plugins, self._lock)
         self._scribe = Process("scribe", out, self._on_scribe)
 
     def close(self) -> None:
@@ -114,6 +119,28 @@ class Desk:
             self._ask(scene, "add", f"Adding {effect}", effect=effect, base=serial,
                       first=scene.study.turns[0].serial)  # fmt: skip
 
+    def invent(self, ident: str, name: str, formula: str, serial: int) -> None:
+        """Rank anew with a candidate that a formula defines.
+
+        Raises
+        ------
+        ConfigError : no name, no formula, or a study that has moved on.
+        """
+        name, formula = name.strip(), formula.strip()
+        if not _NAME.fullmatch(name) or not formula:
+            raise ConfigError(
+                f"an effect {name!r} = {formula!r}",
+                "a name of small letters, digits and _, and a formula",
+                "hardening and -k3*x**3",
+            )
+        with self._lock:
+            scene = self._free(ident, serial)
+            key = f"effect.{name}.expression="
+            given = tuple(o for o in scene.study.overrides if not o.startswith(key))
+            wanted = (*given, f"{key}{quoted(formula)}")
+            self._ask(scene, "invent", f"Testing {name}", base=serial, overrides=list(wanted),
+                      name=name)  # fmt: skip
+
     def contrast(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
         """Refit with each of these, to see the difference; the study stays as it is."""
         with self._lock:
@@ -162,6 +189,9 @@ class Desk:
         return scene
 
     def _on_bench(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+        if order["do"] in DOES:
+            self.intake.on_event(order, kind, data)
+            return
         with self._lock:
             scene = self.scene(order["study"])
             if kind == "progress":
@@ -172,13 +202,19 @@ class Desk:
             if kind in ("done", "failed", "cancelled"):
                 self._ended(order, kind, data, scene)
                 return
-            self._put(self._changed(order, kind, data, scene))
-            if kind == "ranked":
+            scene = self._changed(order, kind, data, scene)
+            if kind == "ranked" and order["do"] == "invent":
+                own = (*(n for n in scene.study.own if n != order["name"]), order["name"])
+                given = tuple(order["overrides"])
+                scene = replace(scene, study=replace(scene.study, overrides=given, own=own))
+            self._put(scene)
+            if kind == "ranked" and order["do"] != "invent":
                 self._write(order)
 
     def _changed(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> Scene:
         """The scene after an event that brought something."""
-        study, serial = scene.study, order["serial"]
+        study = scene.study
+        serial = order["base"] if order["do"] == "invent" else order["serial"]
         if kind == "records":
             return replace(scene, study=replace(study, records=tuple(data["records"])))
         if kind == "turn":

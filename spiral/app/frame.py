@@ -44,12 +44,18 @@ def progress_bar() -> Iterator[None]:
         yield
 
 
-def plot(data: Mapping[str, Any], name: str) -> None:
-    """A figure as wide as its place."""
+def drawn(data: Mapping[str, Any]) -> dict[str, Any]:
+    """A figure that is as wide as its place, as the browser's Plotly takes it."""
     layout = {**data["layout"], "autosize": True}
     layout.pop("width", None)
-    drawn = ui.plotly({"data": data["data"], "layout": layout, "config": _CONFIG})
-    drawn.style(f"width:100%;height:{layout['height']}px").props(f'id="plot-{name}"')
+    return {"data": data["data"], "layout": layout, "config": _CONFIG}
+
+
+def plot(data: Mapping[str, Any], name: str) -> ui.plotly:
+    """A figure as wide as its place."""
+    found = ui.plotly(drawn(data))
+    found.style(f"width:100%;height:{data['layout']['height']}px").props(f'id="plot-{name}"')
+    return found
 
 
 def figure(file: Path, name: str, heading: str, caption: str) -> None:
@@ -62,6 +68,14 @@ def figure(file: Path, name: str, heading: str, caption: str) -> None:
         return
     plot(data, name)
     ui.html(f"<p class='caption'>{escape(caption)}</p>", sanitize=False)
+
+
+def bare(file: Path, name: str) -> None:
+    """A figure from its file, without words."""
+    try:
+        plot(json.loads(file.read_text(encoding="utf-8")), name)
+    except (OSError, ValueError):
+        return
 
 
 def refused(error: SpiralError) -> None:

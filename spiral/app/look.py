@@ -16,7 +16,8 @@ body {{ font-family:{FONT}; color:var(--ink); background:var(--ground); }}
   font-size:17px; }}
 .crumb {{ color:var(--soft); font-size:15px; overflow:hidden; text-overflow:ellipsis;
   white-space:nowrap; flex:1 1 160px; min-width:0; }}
-.wrap {{ padding-top:22px; padding-bottom:80px; display:flex; flex-direction:column; gap:18px; }}
+.wrap {{ padding-top:22px; padding-bottom:80px; display:grid; gap:18px; align-content:start;
+  grid-template-columns:minmax(0,1fr); }}
 .card {{ background:var(--paper); border:1px solid var(--line); border-radius:10px;
   padding:18px 20px; box-sizing:border-box; min-width:0; }}
 .split {{ display:grid; grid-template-columns:minmax(340px,410px) minmax(0,1fr); gap:18px;
@@ -65,6 +66,18 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .choice b {{ display:block; font-size:16px; font-weight:650; margin-bottom:3px;
   color:var(--blue); }}
 .choice span {{ color:var(--soft); font-size:14px; line-height:1.4; display:block; }}
+.drop {{ display:flex; flex-direction:column; gap:3px; border:2px dashed #b9c2cc; cursor:pointer;
+  border-radius:10px; padding:26px 20px; text-align:center; align-items:center; }}
+.drop:hover, .drop.over, .drop:focus-visible {{ border-color:var(--blue); background:#f1f8fd;
+  outline:none; }}
+.drop b {{ font-size:16px; font-weight:650; color:var(--blue); }}
+.drop span {{ color:var(--soft); font-size:14px; }}
+.drop input {{ display:none; }}
+.drop progress {{ width:min(420px,100%); margin-top:10px; accent-color:var(--blue); }}
+#drop-trouble {{ margin-top:12px; }}
+.mapping {{ display:grid; grid-template-columns:minmax(70px,auto) minmax(0,1fr) 88px; gap:8px 10px;
+  align-items:center; margin:14px 0 6px; font-size:14.5px; }}
+.mapping .soft {{ display:block; font-size:12.5px; line-height:1.2; max-width:80px; }}
 .caption {{ color:var(--soft); font-size:14px; line-height:1.45; max-width:86ch;
   margin:2px 0 14px; }}
 .figure-head {{ font-size:16px; font-weight:650; margin:10px 0 0; }}
@@ -78,8 +91,8 @@ math {{ font-size:17px; }}
 .equation td {{ border:0; padding:3px 10px 3px 0; vertical-align:middle; }}
 .equation td.owner {{ color:var(--soft); font-size:14px; }}
 .q-btn {{ text-transform:none; letter-spacing:0; font-weight:600; }}
-.q-tab {{ text-transform:none; letter-spacing:0; min-height:40px; padding:0 12px; }}
-.q-tab__label {{ font-size:14.5px; font-weight:600; }}
+.q-tab {{ text-transform:none; letter-spacing:0; min-height:40px; padding:0 9px; }}
+.q-tab__label {{ font-size:14px; font-weight:600; }}
 .q-tab-panel {{ padding:10px 0 0; }}
 .js-plotly-plot {{ width:100%; }}
 a.quiet {{ color:var(--blue); text-decoration:none; }}

@@ -15,19 +15,21 @@ from spiral.app.study import Turn, turn_place
 from spiral.errors import SpiralError
 from spiral.report.evidence import error_falling
 
+FALL_HEIGHT = 320
 _TICK = 0.15  # s between looks at the desk
 _SHOWN = 5  # candidates before "show all"
 TABS = (
     ("Measured and model", ("free_run",)),
     ("Where it fails", ("where", "amplitude")),
     ("Missing force", ("missing_force", "surface")),
-    ("Rotor", ("orbit", "bode", "waterfall", "whirl", "campbell")),
-    ("What is left", ("correlation",)),
+    ("Spectra", ("orbit", "bode", "waterfall", "whirl")),
+    ("Residual", ("correlation",)),
     ("Hidden states", ("hidden",)),
     ("Evidence", ("evidence",)),
-    ("Model", ("coefficients",)),
+    ("Model", ("coefficients", "campbell")),
 )
 WHERE, MODEL = "Where it fails", "Model"
+FALLING = "falling"
 
 
 @dataclass
@@ -44,6 +46,7 @@ class View:
     regions: dict[str, ui.element] = field(default_factory=dict)
     tab: str = TABS[0][0]
     every: bool = False
+    fall: ui.plotly | None = None
 
     def scene(self) -> Scene:
         """The study as it is now."""
@@ -60,7 +63,8 @@ class View:
                 continue
             self.drawn[name] = depends
             region = self.regions[name]
-            region.clear()
+            if name != FALLING:  # that curve moves, rather than being drawn anew
+                region.clear()
             with region:
                 build(scene)
 
@@ -79,7 +83,7 @@ class View:
             ("working", self._working, busy),
             ("trouble", self._trouble, study.trouble),
             ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor)),
-            ("falling", self._falling, (tuple(t.serial for t in study.line), study.noise_floor)),
+            (FALLING, self._falling, (tuple(t.serial for t in study.line), study.noise_floor)),
             ("missing", self._missing, (key, ranked, bool(busy), scene.contrast)),
             ("figures", self._figures,
              None if turn is None else
@@ -97,9 +101,7 @@ class View:
         with ui.element("div").classes("working"):
             ui.spinner(size="20px")
             ui.label(f"{busy.what}: {busy.words}" if busy.words else busy.what).classes("words")
-            ui.button("Cancel", on_click=self._cancel).props("outline dense color=negative").mark(
-                "cancel"
-            )
+            ui.button("Cancel", on_click=self._cancel).props("outline dense color=negative")
         ui.linear_progress(busy.share, show_value=False, size="5px").props("instant-feedback")
 
     def _trouble(self, scene: Scene) -> None:
@@ -115,6 +117,8 @@ class View:
         study = scene.study
         ui.html(panels.headline(study), sanitize=False)
         ui.html(panels.chips(study), sanitize=False)
+        if study.turn is not None:
+            ui.html(panels.channels(study.turn), sanitize=False).style("margin-top:10px")
         with ui.row().classes("gap-2").style("margin-top:14px"):
             idle = scene.busy is None
             undo = ui.button("Undo", icon="undo", on_click=lambda: self._move(-1))
@@ -130,14 +134,13 @@ class View:
         result = {"rounds": rounds, "noise_floor": study.noise_floor}
         figure = error_falling(result, least=1)
         if figure is None:
-            ui.element("div").style("height:320px")
             return
-        figure.update_layout(
-            height=320,
-            margin={"l": 60, "r": 16, "t": 44, "b": 48},
-            legend={"x": 1, "xanchor": "right"},
-        )
-        frame.plot(figure.to_plotly_json(), "error-falling")
+        figure.update_layout(height=FALL_HEIGHT, margin={"l": 60, "r": 16, "t": 44, "b": 48},
+                             legend={"x": 1, "xanchor": "right"})  # fmt: skip
+        if self.fall is None:
+            self.fall = frame.plot(figure.to_plotly_json(), "error-falling")
+        else:
+            self.fall.update_figure(frame.drawn(figure.to_plotly_json()))
 
     def _missing(self, scene: Scene) -> None:
         turn = scene.study.turn
@@ -149,7 +152,7 @@ class View:
             return
         proposes = bool(turn.proposed)
         if not proposes:
-            said = panels.ENDINGS.get(turn.verdict, turn.advice)
+            said = panels.ending(scene.study, turn)
             kind = "good" if turn.verdict == "whiteness" else "note"
             ui.html(f"<div class='{kind}' id='ending'>{said}</div>", sanitize=False)
         else:
@@ -159,10 +162,32 @@ class View:
         count = len(turn.candidates) if self.every else few
         for found in turn.candidates[:count]:
             self._candidate(scene, turn, found)
+        for found in turn.candidates[count:]:
+            if found["effect"].partition("@")[0] in scene.study.own:
+                self._candidate(scene, turn, found)
         left = len(turn.candidates) - few
         if left > 0:
             said = "Show fewer" if self.every else f"Show {left} {'more' if few else 'candidates'}"
             ui.button(said, on_click=self._toggle).props("flat dense")
+        self._own(scene, turn)
+
+    def _own(self, scene: Scene, turn: Turn) -> None:
+        """An effect written as a formula, tested at once."""
+        with ui.expansion("Write an effect of your own").classes("w-full own"):
+            ui.html(panels.FORMULA, sanitize=False)
+            name = ui.input("Name", placeholder="hardening").props("outlined dense")
+            formula = ui.input("Force on the machine", placeholder="-k3*x**3").props(
+                "outlined dense"
+            )
+            formula.style("margin-top:8px")
+
+            def test() -> None:
+                self._ask(lambda: self.desk.invent(
+                    self.ident, name.value or "", formula.value or "", turn.serial))  # fmt: skip
+
+            formula.on("keydown.enter", test)
+            button = ui.button("Test it", on_click=test).props("outline").style("margin-top:10px")
+            button.set_enabled(scene.busy is None)
 
     def _candidate(self, scene: Scene, turn: Turn, found: Any) -> None:
         effect, aliases = found["effect"], tuple(found["aliases"])
@@ -171,7 +196,7 @@ class View:
             ui.html(panels.candidate(found), sanitize=False)
             add = ui.button("Add", on_click=lambda: self._add(effect, turn.serial))
             add.props("unelevated color=primary" if first else "outline color=primary")
-            add.props(f'aria-label="Add {panels.words(effect)}"').mark(f"add-{effect}")
+            add.props(f'aria-label="Add {panels.words(effect)}"')
             add.set_enabled(scene.busy is None)
             ui.html(panels.evidence(found), sanitize=False).classes("evidence")
             if effect in turn.rejected:
@@ -230,7 +255,6 @@ class View:
                 ui.html(f"<div class='sentence'>{turn.sentence}</div>", sanitize=True)
             if title == MODEL:
                 ui.html(panels.model(turn), sanitize=False).style("width:100%")
-                ui.html(panels.channels(turn), sanitize=False).style("width:100%;margin-top:12px")
             wanted = dict(TABS)[title]
             folder = turn_place(self.desk.out, self.ident, turn.serial) / "figures"
             for name, heading, caption in turn.figures:
@@ -295,9 +319,10 @@ def study_page(desk: Desk, ident: str) -> None:
         view.regions["working"] = ui.element("div").style("width:100%")
     with ui.element("main").classes("wrap"):
         view.regions["trouble"] = ui.element("div")
-        with ui.element("div").classes("split"):
+        with ui.element("div").classes("split").style("align-items:stretch"):
             view.regions["hero"] = ui.element("section").classes("card").style("height:100%")
-            view.regions["falling"] = ui.element("section").classes("card")
+            view.regions[FALLING] = ui.element("section").classes("card")
+            view.regions[FALLING].style(f"min-height:{FALL_HEIGHT + 38}px")
         with ui.element("div").classes("split"):
             view.regions["missing"] = ui.element("section").classes("card")
             view.regions["figures"] = ui.element("section").classes("card")

@@ -10,6 +10,8 @@ from spiral.app.study import Study, Turn
 from spiral.report import text
 from spiral.terminal import number, percent, probability
 
+_BOTH = "the larger of the classical p-value and the robust one"
+_FAR = 3.0  # times the noise, above which a free run misses more than noise
 ENDINGS = {
     "whiteness": "Nothing more is missing: what is left is white noise.",
     "no_candidate": "No further effect passes the gates. What is left is explained by none that is "
@@ -18,6 +20,24 @@ ENDINGS = {
     "of the channels, or undo.",
     "not_identifiable": "This record cannot tell the model's own effects apart.",
 }
+
+
+FORMULA = (
+    "<p class='soft' style='margin-bottom:10px'>A formula of displacements (<code>x</code>), "
+    "velocities (<code>x_rate</code>), the axis at hand (<code>q</code>, <code>v</code>) and "
+    "inputs (<code>speed</code>, <code>phase</code>). Every other name is a coefficient that the "
+    "fit finds; a spring is <code>-k*q</code>.</p>"
+)
+
+
+def ending(study: Study, turn: Turn) -> str:
+    """What it means that nothing passes the gates."""
+    said = ENDINGS.get(turn.verdict, turn.advice)
+    error, floor = turn.result.get("test_error"), study.noise_floor
+    if turn.verdict == "whiteness" and error and floor and error > _FAR * floor:
+        said += f" The free run on the test record still misses by {percent(error)}, though: such a"
+        said += " model may be right and its motion hard to predict, or the test record differs."
+    return said
 
 
 def words(label: str) -> str:
@@ -92,7 +112,7 @@ def evidence(found: Mapping[str, Any]) -> str:
     worst = max(found["p_value"] or 0.0, found["wald_p_value"] or 0.0)
     return (
         f'<div class="meter"><i style="width:{100 * share:.1f}%"></i></div>'
-        f"<span>explains {percent(share)}</span><span>p {probability(worst)}</span>"
+        f'<span>explains {percent(share)}</span><span title="{_BOTH}">p {probability(worst)}</span>'
     )
 
 
@@ -130,13 +150,12 @@ def model(turn: Turn) -> str:
 
 def records(found: Sequence[Mapping[str, Any]]) -> str:
     """What was understood of the records."""
-    rows = []
-    for record in found:
-        for series in record["series"]:
-            spread = f"{number(series['lowest'])} … {number(series['highest'])}"
-            rows.append((record["part"], record["name"], series["name"], series["kind"], spread,
-                         series["unit"]))  # fmt: skip
-    columns = ("part", "record", "series", "kind", "range", "unit")
+    rows = [
+        (record["part"], series["name"],
+         f"{number(series['lowest'])} … {number(series['highest'])}", series["unit"])
+        for record in found for series in record["series"]
+    ]  # fmt: skip
+    columns = ("part", "series", "range", "unit")
     sizes = "; ".join(
         f"{r['part']}: {r['samples']} samples at {r['rate']:.6g} Hz, "
         f"{r['samples'] / r['rate']:.4g} s"

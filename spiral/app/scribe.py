@@ -54,14 +54,15 @@ class Scribe:
         from spiral.custom import bound
         from spiral.registry import load_registry
 
-        if self.ident == order["study"]:
+        wanted = f"{order['study']} {order['overrides']}"
+        if self.ident == wanted:
             return
         self.ident = ""
         self.registry = load_registry(order.get("plugins"))
         self.config = compose(order["overrides"], self.registry)
         self.registry = bound(self.config, self.registry)
         self.problem = build_problem(self.config, self.registry)
-        self.ident = order["study"]
+        self.ident = wanted
 
     def _curves(self, at: Checkpoint) -> Curves | None:
         assert self.problem is not None

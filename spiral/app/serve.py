@@ -64,7 +64,10 @@ def run(out: Path, port: int | None, browser: bool, plugins: str | None) -> None
     address = f"http://{HOST}:{number}"
     server = uvicorn.Server(
         uvicorn.Config(
-            Guard(application(desk, viewer), number), log_level="warning", ws="websockets-sansio"
+            Guard(application(desk, viewer), number),
+            log_level="warning",
+            ws="websockets-sansio",
+            timeout_graceful_shutdown=1,
         )
     )
     print(f"spiral app: {address}   (Ctrl-C ends it; studies are kept in {out})", flush=True)
@@ -84,12 +87,15 @@ def application(desk: Any, viewer: Any) -> Any:
     from fastapi import FastAPI
     from nicegui import ui
 
+    from spiral.app.mapping import file_page
     from spiral.app.page import study_page
     from spiral.app.start import start_page
     from spiral.app.takeaway import routes
+    from spiral.app.upload import route
 
     web = FastAPI(openapi_url=None)
     routes(web, desk, viewer)
+    route(web, desk)
 
     @ui.page("/", title="SPIRAL")
     def _start() -> None:
@@ -98,6 +104,10 @@ def application(desk: Any, viewer: Any) -> Any:
     @ui.page("/study/{ident}", title="SPIRAL")
     def _study(ident: str) -> None:
         study_page(desk, ident)
+
+    @ui.page("/file/{ident}", title="SPIRAL")
+    def _file(ident: str) -> None:
+        file_page(desk, ident)
 
     ui.run_with(web, title="SPIRAL", show_welcome_message=False, tailwind=False,
                 reconnect_timeout=20.0)  # fmt: skip
@@ -111,6 +121,7 @@ def _listening(port: int | None) -> socket.socket:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             found.bind((HOST, wanted))
+            found.listen(128)  # a browser that comes early waits instead of being refused
         except (OSError, OverflowError):
             found.close()
             continue

@@ -8,6 +8,7 @@ from nicegui import ui
 
 from spiral.app import frame, panels
 from spiral.app.desk import Desk
+from spiral.app.drop import drop_zone
 from spiral.app.study import Study
 from spiral.errors import SpiralError
 from spiral.terminal import percent
@@ -31,11 +32,34 @@ def start_page(desk: Desk) -> None:
             with ui.element("div").classes("choices"):
                 for name, words in presets():
                     _choice(desk, name, words)
+        with ui.element("section").classes("card"):
+            ui.html("<h2 class='head'>Or bring your own measurements</h2>", sanitize=False)
+            drop_zone()
+            _path(desk)
         known = desk.studies()
         if known:
             with ui.element("section").classes("card"):
                 ui.html("<h2 class='head'>Go on with a study</h2>", sanitize=False)
                 _studies(known[:_LISTED])
+
+
+def _path(desk: Desk) -> None:
+    """A file that is on this machine already is read where it lies, whatever its size."""
+
+    def read() -> None:
+        try:
+            ident = desk.intake.there(where.value or "")
+        except SpiralError as error:
+            frame.refused(error)
+            return
+        ui.navigate.to(f"/file/{ident}")
+
+    with ui.row().classes("items-center no-wrap gap-2").style("margin-top:12px"):
+        where = ui.input(placeholder="or the path of a file on this machine").props(
+            "outlined dense clearable"
+        )
+        where.style("flex:1 1 420px;max-width:560px").on("keydown.enter", read)
+        ui.button("Read", on_click=read).props("outline")
 
 
 def presets() -> list[tuple[str, str]]:
@@ -61,8 +85,7 @@ def _choice(desk: Desk, name: str, said: str) -> None:
             return
         ui.navigate.to(f"/study/{ident}")
 
-    with ui.element("button").classes("choice").props('type="button"').on("click", begin) as box:
-        box.mark(f"preset-{name}")
+    with ui.element("button").classes("choice").props('type="button"').on("click", begin):
         title = panels.words(name).capitalize()
         ui.html(f"<b>{escape(title)}</b><span>{escape(said)}</span>", sanitize=False)
 

@@ -51,7 +51,10 @@ class Turn:
 
 @dataclass(frozen=True)
 class Study:
-    """A question (its overrides), its turns, and where it stands."""
+    """A question (its overrides), its turns, and where it stands.
+
+    ``own`` are candidates that a formula of the user's defines, among the overrides.
+    """
 
     ident: str
     title: str
@@ -64,6 +67,7 @@ class Study:
     trouble: Mapping[str, str] | None = None
     records: tuple[Mapping[str, Any], ...] = ()
     noise_floor: float | None = None
+    own: tuple[str, ...] = ()
 
     @property
     def turn(self) -> Turn | None:
@@ -153,7 +157,11 @@ def load(out: Path, ident: str) -> Study:
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
         turns = tuple(Turn(**{**t, **_tuples(t)}) for t in data["turns"])
-        plain = {"overrides": tuple(data["overrides"]), "records": tuple(data["records"])}
+        plain = {
+            "overrides": tuple(data["overrides"]),
+            "records": tuple(data["records"]),
+            "own": tuple(data["own"]),
+        }
         return Study(**{**data, **plain, "turns": turns})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{file}: {error}", "a study saved by this program") from error

@@ -48,8 +48,9 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
         if value is None:
             continue
         figure.add_annotation(
-            x=number, y=math.log10(value), text=f"<b>{value:.3g} %</b><br>{name}", ax=0, ay=-44,
-            showarrow=True, arrowcolor=GREY, font={"size": 13}, bgcolor="rgba(255,255,255,0.85)",
+            x=number, y=math.log10(value), text=f"<b>{value:.3g} %</b><br>{name}", align="left",
+            showarrow=False, xanchor="left", yanchor="bottom", xshift=7, yshift=5,
+            font={"size": 13},
         )  # fmt: skip
     _floor_and_axes(figure, found, _percent(result.get("noise_floor")))
     return figure
@@ -70,7 +71,7 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], floor: floa
         )
     numbers = [r["round"] for r in found]
     figure.update_xaxes(title_text="round", tickmode="array", tickvals=numbers,
-                        range=[-0.35, numbers[-1] + 0.5])  # fmt: skip
+                        range=[-0.15, numbers[-1] + 0.6])  # fmt: skip
     values = [v for r in found for k in ("fit_error", "test_error") if (v := _percent(r.get(k)))]
     low, high = min([*values, floor or math.inf]), max(values)
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",

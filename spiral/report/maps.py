@@ -46,13 +46,14 @@ def where_map(curves: Curves, record: int, model: str) -> go.Figure | None:
     orders = None
     if phase is not None and speed is not None:
         orders = order_map(left, phase, speed, about["dt"])
-    figure = blank(1, 2 if orders else 1, 420, horizontal_spacing=0.16)
+    figure = blank(1, 2 if orders else 1, 420, horizontal_spacing=0.12)
     found = time_map(left, about["dt"])
     top = _highest(found.axis, found.power.sum(axis=0))
     shown = found.axis <= top
-    place = {"x": 0.42 if orders else 1.0, "len": 1.0}
+    first = heat(found.at + about["start"], found.axis[shown], found.power[:, shown].T, "dB", {})
+    first.showscale = orders is None  # both maps have one scale
     figure.add_trace(
-        heat(found.at + about["start"], found.axis[shown], found.power[:, shown].T, "dB", place),
+        first,
         row=1, col=1,
     )  # fmt: skip
     figure.update_xaxes(title_text="time (s)", row=1, col=1)
@@ -166,7 +167,9 @@ def force_surface(curves: Curves, model: str) -> go.Figure | None:
             _surface(figure, size * values, factor * force[:, at], row, column)
         title = titled(name.replace("_rate", "'"), said)
         figure.update_xaxes(title_text=title, row=len(axes), col=column)
-    figure.update_xaxes(tickangle=0, nticks=5)
+    figure.update_xaxes(tickangle=0, nticks=4 if len(series) > 3 else 5)
+    if phase is not None:
+        figure.update_xaxes(tickvals=[0, 180, 360], range=[0, 360], col=len(series))
     for row, axis in enumerate(axes, 1):
         figure.update_yaxes(title_text=titled(f"force on {axis}", unit), row=row, col=1)
     return figure
@@ -231,21 +234,21 @@ def waterfall(curves: Curves, record: int) -> go.Figure | None:
         return None
     about, channel = curves.meta["records"][record], curves.meta["channels"][0]
     length = int(np.clip(len(y) // 10, 64, 4096))
-    found = time_map(y[:, :1] - y[:, :1].mean(), about["dt"], length)
+    moving = y[:, :1] - y[:, :1].mean()
+    found = time_map(moving, about["dt"], length, count=_CASCADE, finer=4)
     size = np.sqrt(2 * found.power)
     shown = found.axis <= _highest(found.axis, found.power.sum(axis=0))
     over = found.at + about["start"]
     if speed is not None:
         over = RPM * np.abs(np.interp(found.at, about["dt"] * np.arange(len(speed)), speed))
-    step = max(1, len(over) // _CASCADE)
-    order = np.argsort(over)[::step]
+    order = np.argsort(over)
     factor, unit = scaled(channel["unit"], size)
-    height = 6.0 * np.ptp(over) / len(order) / max(float((factor * size).max()), 1e-300)
+    height = 9.0 * np.ptp(over) / len(order) / max(float((factor * size).max()), 1e-300)
     figure = blank(height=560)
-    for k in order[::-1]:
+    for k in order[::-1]:  # each hides what lies behind it
         rise = over[k] + height * factor * size[k, shown]
-        line(figure, found.axis[shown], rise, f"{over[k]:.0f}", CYCLE[0], width=1,
-             showlegend=False, fill="none")  # fmt: skip
+        line(figure, found.axis[shown], rise, f"{over[k]:.0f}", CYCLE[0], width=1.2,
+             showlegend=False, fill="tozeroy", fillcolor="white")  # fmt: skip
     top = float(found.axis[shown][-1])
     if speed is not None:
         for number in (1, 2, 3):

@@ -1,25 +1,13 @@
 """The story on the embedded record, as a person does it: where it fails, Add, the error falls."""
 
-import re
 import time
 
 import pytest
 
-FIRST, SECOND = "cross stiffness", "cubic stiffness"
+from tests.browser.steps import FIRST, SECOND, add, error, ready
 
-
-def error(page):
-    """The free-run error shown, in percent: now, and before anything was added."""
-    text = page.inner_text("#error-now").replace("\u00a0", " ")
-    return [float(x) for x in re.findall(r"([\d.]+)\s*%", text)]
-
-
-def add(page, effect):
-    page.click(f"button[aria-label='Add {effect}']:enabled")
-
-
-def ready(page, effect):
-    page.wait_for_selector(f"button[aria-label='Add {effect}']:enabled")
+DRAWN = """[...document.querySelectorAll('.js-plotly-plot')].every(
+    plot => plot.querySelector('.main-svg'))"""
 
 
 @pytest.fixture(scope="module")
@@ -67,3 +55,85 @@ def test_undo_and_redo_fit_nothing(tab, study):
     tab.click(f"button:has-text('Redo {FIRST}')")
     tab.wait_for_selector("#error-now small")
     assert error(tab) == study["after"]
+
+
+def test_cancel_leaves_the_study_as_it_was(tab, study, picture):
+    tab.goto(study["address"])
+    ready(tab, SECOND)
+    add(tab, SECOND)
+    tab.click("button:has-text('Cancel')")
+    tab.wait_for_selector(".trouble:has-text('Cancelled')")
+    assert error(tab) == study["after"]
+    ready(tab, SECOND)
+    picture(tab, "cancelled")
+
+
+def test_two_tabs_on_one_study_show_the_same(tab, chromium, study):
+    """Undo in one tab moves the other, without a reload."""
+    other = chromium.new_page()
+    for page in (tab, other):
+        page.goto(study["address"])
+        ready(page, SECOND)
+    other.click("button:has-text('Undo')")
+    tab.wait_for_selector(f"button:has-text('Redo {FIRST}')")
+    assert error(tab) == error(other) == study["before"]
+    tab.click(f"button:has-text('Redo {FIRST}')")
+    other.wait_for_selector("#error-now small")
+    assert error(tab) == error(other) == study["after"]
+    other.close()
+
+
+def test_every_tab_of_figures_draws(tab, study, picture):
+    """The maps that need the missing force come a little later, by themselves."""
+    tab.goto(study["address"])
+    tab.wait_for_selector(".q-tab:has-text('Missing force')")
+    titles = tab.eval_on_selector_all(".q-tab", "all => all.map(t => t.innerText)")
+    for number, title in enumerate(titles):
+        tab.click(f".q-tab >> nth={number}")
+        tab.wait_for_selector(".figure-head")
+        tab.wait_for_function(DRAWN)
+        picture(tab, f"tab-{number}-{title.lower().replace(' ', '-')}")
+    assert {"Measured and model", "Where it fails", "Spectra", "Hidden states"} <= set(titles)
+    tab.click(".q-tab:has-text('Where it fails')")
+    tab.wait_for_selector(".sentence:has-text('The model fails between')")
+
+
+def test_every_step_is_a_run_that_mlflow_knows(tab, study, served):
+    import json
+
+    tab.goto(study["address"])
+    tab.wait_for_selector("a:has-text('MLflow')")
+    with tab.expect_download() as taken:
+        tab.click("button:has-text('Take away')")
+        tab.click("text=All numbers")
+    saved = json.loads(taken.value.path().read_text())
+    assert [r["admitted"] for r in saved["result"]["rounds"]] == [[], [FIRST.replace(" ", "_")]]
+    marked = json.loads((served.out / saved["run_id"] / "tracked.json").read_text())
+    assert marked["mlflow_run_id"]
+
+
+def test_a_narrow_window_scrolls_one_way_only(tab, study, picture):
+    tab.set_viewport_size({"width": 390, "height": 844})
+    tab.goto(study["address"])
+    tab.wait_for_selector("#plot-free_run .main-svg")
+    wide = tab.evaluate(
+        "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+    )
+    assert wide <= 0
+    picture(tab, "narrow")
+
+
+@pytest.mark.parametrize("adding", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_restart_finds_the_study_where_it_was(tab, study, served, adding):
+    """The last of its module: the program ends and starts again, with another port."""
+    served.stop()
+    served.start()
+    tab.goto(served.address)
+    tab.wait_for_selector("td:has-text('cross stiffness')")
+    tab.click("td a:has-text('Rotor coastdown')")
+    ready(tab, SECOND)
+    assert error(tab) == study["after"]
+    if adding:
+        add(tab, SECOND)
+        tab.wait_for_selector(f".chip.added:has-text('{SECOND}')")
+        assert error(tab)[0] < 5

@@ -1,8 +1,10 @@
 """Turning by hand: any candidate may be admitted, by the loop's own steps."""
 
+import numpy as np
 import pytest
 
 from spiral.config import build_problem, compose
+from spiral.curves import FINAL, free_curves
 from spiral.discover import discover
 from spiral.errors import ConfigError
 from spiral.problem import silent
@@ -49,3 +51,18 @@ def test_all_candidates_are_listed_and_no_other_can_be_added(study):
     assert listed[0] == step.admitted[0]
     with pytest.raises(ConfigError, match="cubic_stifness"):
         chosen(strategy, assembly, at, step, "cubic_stifness")
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+def test_what_is_drawn_at_once_has_the_error_that_is_told(study, turns):
+    """Free runs with the study's own compilation agree with the comparison, turn by turn."""
+    problem, strategy, assembly, at, step = study
+    if turns:
+        at = turned(strategy, assembly, at, step, silent)
+    told = at.rounds[-1].comparison
+    curves = free_curves(assembly, FINAL, at.standing, told)
+    record = len(problem.records)
+    y, first = curves.get(record, "y"), curves.meta["records"][record]["settled"]
+    left = (y - curves.get(record, FINAL, "free"))[first:]
+    relative = np.sqrt(np.mean(left**2, axis=0)) / y[first:].std(axis=0)
+    assert np.mean(relative) == pytest.approx(told.test_error, rel=1e-3)

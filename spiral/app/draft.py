@@ -1,0 +1,174 @@
+"""A file on its way to a study: what is in it, and which column is what.
+
+A draft lies in ``OUT/studies/uploads/ID`` beside its file, so that a reload finds it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from spiral.app.study import FOLDER, UPLOADS
+from spiral.errors import ConfigError
+from spiral.storage import new_run_id, to_json, write_whole
+
+FILE = "draft.json"
+_ID = re.compile(r"[0-9a-f-]{8,40}")
+_TIMES = ("time", "t", "seconds", "zeit", "time (s)", "t (s)")
+_SPEEDS = ("speed", "rpm", "omega", "drehzahl", "n")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which column is what. ``columns`` and ``units`` are by the system's own names."""
+
+    system: str = ""
+    time: str = ""
+    rate: str = ""
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    more: str = ""
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A file, its columns once it has been read, and what was chosen so far.
+
+    ``systems`` describes the systems there are; ``seen`` what the last look at the mapped record
+    came to; ``drawn`` whether a picture of the columns is there.
+    """
+
+    ident: str
+    name: str
+    path: str
+    columns: tuple[Mapping[str, Any], ...] = ()
+    rows: int = 0
+    systems: tuple[Mapping[str, Any], ...] = ()
+    choice: Choice = field(default_factory=Choice)
+    seen: tuple[Mapping[str, Any], ...] = ()
+    trouble: Mapping[str, str] | None = None
+    drawn: bool = False
+
+    def system(self) -> Mapping[str, Any] | None:
+        """The system chosen."""
+        return next((s for s in self.systems if s["name"] == self.choice.system), None)
+
+
+def place(out: Path, ident: str) -> Path:
+    """The folder of a draft.
+
+    Raises
+    ------
+    ConfigError : no name that a draft may have.
+    """
+    if not _ID.fullmatch(ident):
+        raise ConfigError(f"file {ident[:60]!r}", "a file that was dropped", "drop it again")
+    return out / FOLDER / UPLOADS / ident
+
+
+def begun(out: Path, name: str) -> Draft:
+    """A draft with a folder for its file, which is not there yet."""
+    ident = new_run_id()
+    folder = place(out, ident)
+    folder.mkdir(parents=True)
+    return Draft(ident, name, str(folder / safe(name)))
+
+
+def safe(name: str) -> str:
+    """A file's name without a path and without what a file system might refuse."""
+    last = name.replace("\\", "/").rsplit("/", 1)[-1]
+    cleaned = re.sub(r"[^\w.()+ -]", "_", last).strip(". ")[-120:]
+    return cleaned or "record"
+
+
+def save(out: Path, draft: Draft) -> None:
+    """Write the draft over what was there."""
+    write_whole(place(out, draft.ident) / FILE, to_json(asdict(draft)))
+
+
+def load(out: Path, ident: str) -> Draft:
+    """A draft from disk.
+
+    Raises
+    ------
+    ConfigError : no such draft.
+    """
+    try:
+        data = json.loads((place(out, ident) / FILE).read_text(encoding="utf-8"))
+        lists = {k: tuple(data[k]) for k in ("columns", "systems", "seen")}
+        return Draft(**{**data, **lists, "choice": Choice(**data["choice"])})
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"file {ident}", "one that was dropped here", "drop it again") from error
+
+
+def guessed(columns: Sequence[Mapping[str, Any]], system: Mapping[str, Any]) -> Choice:
+    """Columns that are named as the system names its series; each column once."""
+    names = [c["name"] for c in columns]
+    left = dict.fromkeys(names)
+    found: dict[str, str] = {}
+
+    def take(series: str, wanted: Sequence[str]) -> str:
+        for want in wanted:
+            for name in left:
+                if name.lower() == want or name.lower().split(" ")[0] == want:
+                    del left[name]
+                    return name
+        return ""
+
+    time = take("time", _TIMES)
+    for series in (*system["channels"], *system["inputs"]):
+        name = series["name"]
+        chosen = take(name, _SPEEDS if name == "speed" else (name.lower(),))
+        if chosen:
+            found[name] = chosen
+    for channel in system["channels"]:
+        if channel["name"] not in found and left:
+            found[channel["name"]] = next(iter(left))
+            del left[found[channel["name"]]]
+    return Choice(system["name"], time, "", found)
+
+
+def lacking(draft: Draft) -> list[str]:
+    """What still has to be chosen, in words."""
+    system, choice = draft.system(), draft.choice
+    if system is None:
+        return ["a system"]
+    needed = [s["name"] for s in system["channels"]]
+    needed += [s["name"] for s in system["inputs"] if s["required"]]
+    found = [f"a column for {n}" for n in needed if not choice.columns.get(n)]
+    if not choice.time and not choice.rate.strip():
+        found.append("a column of time, or the sample rate")
+    return found
+
+
+def overrides(draft: Draft) -> tuple[str, ...]:
+    """What the command line would be told."""
+    choice, system = draft.choice, draft.system()
+    assert system is not None
+    channels = {s["name"] for s in system["channels"]}
+    given = [f"system={choice.system}", "record=file", f"record.path={quoted(draft.path)}"]
+    if choice.time:
+        given.append(f"record.time={quoted(choice.time)}")
+    else:
+        given.append(f"record.rate={choice.rate.strip()}")
+    chosen = {k: v for k, v in choice.columns.items() if v}
+    for key, part in (
+        ("channels", {k: v for k, v in chosen.items() if k in channels}),
+        ("inputs", {k: v for k, v in chosen.items() if k not in channels}),
+        ("units", {k: v.strip() for k, v in choice.units.items() if v.strip() and
+                   (k in chosen or (k == "time" and choice.time))}),
+    ):  # fmt: skip
+        if part:
+            inside = ", ".join(f"{k}: {quoted(v)}" for k, v in part.items())
+            given.append(f"record.{key}={{{inside}}}")
+    return (*given, *(line.strip() for line in choice.more.splitlines() if line.strip()))
+
+
+def quoted(text: str) -> str:
+    """Text as one value of the overrides' grammar, whatever is in it."""
+    ended = text + "\\" * (len(text) - len(text.rstrip("\\")))  # before the quote they are doubled
+    return "'" + re.sub(r"(\\*)'", lambda m: 2 * m.group(1) + "\\'", ended) + "'"

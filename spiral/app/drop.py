@@ -1,0 +1,84 @@
+"""The place where a file is dropped: a little script sends it, shows how far, and says why not."""
+
+from html import escape
+
+from nicegui import ui
+
+from spiral.app.upload import MOST, too_large
+
+READS = "CSV and other text, Parquet, MATLAB, NPZ, HDF5, UFF, TDMS"
+
+
+def drop_zone() -> None:
+    """A file chosen or dropped here goes to ``/upload``, and the page follows it."""
+    ui.html(
+        '<label class="drop" id="drop" tabindex="0"><input type="file" id="drop-file">'
+        f"<b>Drop a file here, or click to choose one</b><span>{escape(READS)}; at most "
+        f'{MOST / 1e9:.3g} GB. It stays on this machine.</span><progress id="drop-share" max="1" '
+        'value="0" hidden></progress></label>'
+        '<div class="trouble" id="drop-trouble" role="alert" hidden></div>',
+        sanitize=False,
+    )
+    error = too_large(None).as_dict()
+    ui.add_body_html(
+        "<script>"
+        + _SCRIPT.replace("LIMIT", str(MOST))
+        .replace("EXPECTED", error["expected"])
+        .replace("TRY", error["try"])
+        + "</script>"
+    )
+
+
+_SCRIPT = r"""
+(() => {
+  const at = (id) => document.getElementById(id);
+  const tell = (error) => {
+    const box = at("drop-trouble"); box.hidden = false; box.textContent = "";
+    at("drop-share").hidden = true; at("drop").classList.remove("over");
+    const first = document.createElement("b"); first.textContent = error.given; box.append(first);
+    for (const [name, text] of [["Expected", error.expected], ["Try", error.try]])
+      if (text) box.append(document.createElement("br"), `${name}: ${text}`);
+  };
+  const send = (file) => {
+    at("drop-trouble").hidden = true;
+    if (file.size > LIMIT)
+      return tell({given: `${file.name}: a file of ${(file.size / 1e9).toPrecision(3)} GB`,
+                   expected: "EXPECTED", try: "TRY"});
+    if (!file.size)
+      return tell({given: `${file.name}: an empty file`, expected: "rows of numbers", try: ""});
+    const request = new XMLHttpRequest(), share = at("drop-share");
+    share.hidden = false; share.value = 0;
+    request.upload.onprogress = (e) => { if (e.total) share.value = e.loaded / e.total; };
+    request.onload = () => {
+      let answer = {};
+      try { answer = JSON.parse(request.responseText); } catch { answer = {}; }
+      if (answer.page) location.href = answer.page;
+      else tell(answer.error || {given: `the file was refused (${request.status})`,
+                                 expected: "a file of measurements", try: "another file"});
+    };
+    request.onerror = () => tell({given: "the upload broke off", expected: "the whole file",
+                                  try: "drop it again; is the program still running?"});
+    request.open("POST", "/upload");
+    request.setRequestHeader("x-file-name", encodeURIComponent(file.name));
+    request.send(file);
+  };
+  const inside = (e) => e.target.closest && e.target.closest("#drop");
+  document.addEventListener("change", (e) => {
+    if (e.target.id === "drop-file" && e.target.files.length) {
+      send(e.target.files[0]); e.target.value = "";
+    }
+  });
+  document.addEventListener("dragover", (e) => {
+    e.preventDefault(); const zone = at("drop");
+    if (zone) zone.classList.toggle("over", Boolean(inside(e)));
+  });
+  document.addEventListener("drop", (e) => {
+    e.preventDefault(); const zone = at("drop");
+    if (zone) zone.classList.remove("over");
+    if (inside(e) && e.dataTransfer.files.length) send(e.dataTransfer.files[0]);
+  });
+  document.addEventListener("keydown", (e) => {
+    if ((e.key === "Enter" || e.key === " ") && e.target.id === "drop") at("drop-file").click();
+  });
+})();
+"""

@@ -1,0 +1,90 @@
+"""What is in a file that was dropped: columns, first numbers, and a picture before all else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spiral.errors import InputError
+from spiral.files import Table
+from spiral.readers import read_table
+from spiral.storage import finite, write_whole
+
+PICTURE = "columns.json"
+_DRAWN = 6  # columns in the picture
+_FIRST = 3  # numbers that are shown of each
+_MOST = 200  # columns that are listed
+
+
+def peek(order: Mapping[str, Any], tell: Callable[[str, Mapping[str, Any]], None]) -> None:
+    """Read a file, tell its columns and the systems there are, and draw it.
+
+    Raises
+    ------
+    InputError : a file that cannot be read, or in which there is no column of numbers.
+    """
+    tell("progress", {"words": "reading the file"})
+    table = read_table(order["path"])
+    numbers = {n: v for n in table.columns[:_MOST] if (v := _numbers(table, n)) is not None}
+    if not numbers:
+        name, found = Path(order["path"]).name, ", ".join(table.columns[:9])
+        raise InputError(
+            f"{name}: no column of numbers among {found}",
+            "columns of numbers, one row for each sample", "export it with a row of names",
+        )  # fmt: skip
+    columns = [
+        {"name": n, "unit": table.units.get(n, ""), "first": finite(v[:_FIRST]),
+         "lowest": finite(float(np.nanmin(v))), "highest": finite(float(np.nanmax(v)))}
+        for n, v in numbers.items()
+    ]  # fmt: skip
+    rows = max(len(v) for v in numbers.values())
+    _draw(numbers, table, Path(order["folder"]) / PICTURE)
+    tell("columns", {"columns": columns, "rows": rows, "systems": _systems(order.get("plugins")),
+                     "drawn": True})  # fmt: skip
+
+
+def _numbers(table: Table, name: str) -> Any:
+    """A column's numbers; nothing where it holds text, or none at all."""
+    try:
+        rows = len(table.values[name])
+        found = table.column(name, name, 0, rows, missing=True)
+    except (InputError, TypeError):
+        return None
+    return found if np.isfinite(found).any() else None
+
+
+def _draw(numbers: Mapping[str, Any], table: Table, target: Path) -> None:
+    """The first columns over row number, thinned."""
+    from spiral.report.style import CYCLE, blank, line, titled
+
+    shown = list(numbers)[:_DRAWN]
+    figure = blank(len(shown), 1, 70 + 110 * len(shown), shared_xaxes=True, vertical_spacing=0.035)
+    for row, name in enumerate(shown, 1):
+        values = numbers[name]
+        line(figure, np.arange(len(values)), values, name, CYCLE[(row - 1) % len(CYCLE)], row,
+             width=1.1, showlegend=False)  # fmt: skip
+        figure.update_yaxes(title_text=titled(name[:18], table.units.get(name, "")), row=row, col=1)
+    figure.update_xaxes(title_text="row", row=len(shown), col=1)
+    figure.update_layout(margin={"t": 12})
+    write_whole(target, figure.to_json())
+
+
+def _systems(plugins: str | None) -> list[dict[str, Any]]:
+    """Every system that has a usual form, with what it needs to be told."""
+    from spiral.registry import load_registry
+
+    registry = load_registry(plugins)
+    found = []
+    for name in registry.names("system"):
+        system = registry.make("system", name)
+        channels = [{"name": c, "unit": system.unit_of(c)} for c in system.observed]
+        inputs = [
+            {"name": i.name, "unit": i.unit, "required": i.derived_from is None}
+            for i in system.inputs
+        ]
+        found.append({"name": name, "meaning": system.meaning(), "channels": channels,
+                      "inputs": inputs})  # fmt: skip
+    return found

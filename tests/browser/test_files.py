@@ -1,0 +1,103 @@
+"""Files: dropped, looked at, mapped, compared; those that are none are refused with a reason."""
+
+import numpy as np
+import pytest
+
+from tests.browser.steps import choose
+
+RATE, SAMPLES = 500.0, 3000
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A hardening spring, in columns of the lab's own names; and files that are no record."""
+    from scipy.integrate import solve_ivp
+
+    folder = tmp_path_factory.mktemp("files")
+    rng, time = np.random.default_rng(1), np.arange(SAMPLES) / RATE
+    tones = [(f, rng.uniform(0, 6.3)) for f in np.arange(2.0, 20.0, 0.7)]
+
+    def force(t):
+        return 12 * sum(np.sin(6.283 * f * t + p) for f, p in tones)
+
+    def rate(t, s):
+        return [s[1], force(t) - 6 * s[1] - 4000 * s[0] - 2e6 * s[0] ** 3]
+
+    x = solve_ivp(rate, (0, time[-1]), [0, 0], t_eval=time, rtol=1e-8, atol=1e-10).y[0]
+    x += rng.normal(size=SAMPLES) * 0.01 * x.std()
+    rows = np.column_stack([1e3 * time, 1e6 * x, force(time)])
+    head = "clock;probe 1;hammer\nms;um;N"
+    np.savetxt(folder / "rig.csv", rows, "%.9g", delimiter=";", header=head, comments="")
+    (folder / "words.csv").write_text("name,colour\na,red\nb,blue\n")
+    (folder / "broken.mat").write_bytes(rng.bytes(2000))
+    (folder / "empty.csv").write_text("")
+    with (folder / "huge.csv").open("wb") as huge:
+        huge.truncate(2 * 10**9)  # sparse: no disk is filled
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("words.csv", "no rows of numbers"),
+        ("broken.mat", "a MATLAB file"),
+        ("empty.csv", "an empty file"),
+        ("huge.csv", "a file of 2.00 GB"),
+    ],
+)
+def test_a_bad_file_is_refused_with_a_reason(tab, served, files, picture, name, said):
+    tab.goto(served.address)
+    tab.wait_for_selector("#drop")
+    tab.set_input_files("#drop-file", files / name)
+    tab.wait_for_selector(f".trouble:visible:has-text('{said}')")
+    text = tab.inner_text(".trouble:visible")
+    assert "Expected:" in text
+    assert str(served.out) not in text
+    picture(tab, f"refused-{name.split('.')[0]}")
+
+
+def test_a_file_becomes_a_study(tab, served, files, picture):
+    tab.goto(served.address)
+    tab.set_input_files("#drop-file", files / "rig.csv")
+    tab.wait_for_selector("#plot-columns .main-svg")
+    tab.click(".q-select >> nth=0")
+    tab.click(".q-menu .q-item:has-text('oscillator')")
+    tab.wait_for_selector(".mapping")
+    choose(tab, "time", "clock")
+    choose(tab, "x", "hammer")
+    choose(tab, "force", "probe 1")
+    tab.wait_for_selector(".trouble:visible")  # a position in N
+    assert "N" in tab.inner_text(".trouble:visible")
+    picture(tab, "mapped-wrongly")
+    choose(tab, "x", "probe 1")
+    choose(tab, "force", "hammer")
+    tab.wait_for_selector("button:has-text('Compare with the model'):enabled")
+    assert "2400 samples at 500 Hz" in tab.inner_text("main")
+    picture(tab, "mapped")
+    tab.click("button:has-text('Compare with the model')")
+    tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
+
+
+def test_an_effect_of_ones_own_is_tested_at_once(tab, served, picture):
+    """On the study of the test before: the formula is found equal to the effect that it writes."""
+    tab.goto(served.address)
+    tab.click("td a:has-text('rig.csv')")
+    tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
+    for formula, seen in (
+        ("-k3*x**", ".trouble:visible"),
+        ("-k3*x**3", "button[aria-label='Add hardening']:enabled"),
+    ):
+        tab.click("text=Write an effect of your own")
+        tab.fill("input[aria-label='Name']", "hardening")
+        tab.fill("input[aria-label='Force on the machine']", formula)
+        tab.click("button:has-text('Test it')")
+        tab.wait_for_selector(seen)
+        tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
+    picture(tab, "own-effect")
+    tab.click("button[aria-label='Add hardening']:enabled")
+    tab.wait_for_selector(".chip.added:has-text('hardening')")
+
+
+def test_an_address_that_names_nothing_says_so(tab, served):
+    tab.goto(f"{served.address}/study/20200101-000000-abc")
+    assert "a study" in tab.inner_text(".trouble")
