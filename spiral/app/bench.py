@@ -99,6 +99,16 @@ class Bench:
         self._look(order["serial"], at)
 
     @one_blas_thread
+    def rank(self, order: Order) -> None:
+        """Rank what a turn lacks, from its checkpoint."""
+        self._open(order)
+        at, step = self._ready(order["base"])
+        assert self.registry is not None
+        folder = turn_place(self.out, self.ident, order["base"])
+        write_checkpoint(at, folder / STATE, self.registry)
+        self._told(at, step)
+
+    @one_blas_thread
     def invent(self, order: Order) -> None:
         """Rank anew with a candidate more, which the order's overrides define."""
         self._open(order)

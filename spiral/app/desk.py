@@ -61,7 +61,13 @@ class Desk:
         self.out, self.plugins = out, plugins
         self._lock = threading.RLock()
         self._scenes: dict[str, Scene] = {}
-        self._expected = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRST}
+        self._expected = {
+            "start": _FIRST,
+            "add": _AGAIN,
+            "contrast": _AGAIN,
+            "invent": _FIRST,
+            "rank": _FIRST,
+        }
         self._bench = Process("bench", out, self._on_bench)
         self.intake = Intake(out, lambda order: self._bench.give(order), plugins, self._lock)
         self._scribe = Process("scribe", out, self._on_scribe)
@@ -118,6 +124,12 @@ class Desk:
             scene = self._free(ident, serial)
             self._ask(scene, "add", f"Adding {effect}", effect=effect, base=serial,
                       first=scene.study.turns[0].serial)  # fmt: skip
+
+    def rank(self, ident: str, serial: int) -> None:
+        """Rank what a turn lacks, where that was cancelled or failed."""
+        with self._lock:
+            scene = self._free(ident, serial)
+            self._ask(scene, "rank", "Looking for what is missing", base=serial)
 
     def invent(self, ident: str, name: str, formula: str, serial: int) -> None:
         """Rank anew with a candidate that a formula defines.
@@ -214,7 +226,7 @@ class Desk:
     def _changed(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> Scene:
         """The scene after an event that brought something."""
         study = scene.study
-        serial = order["base"] if order["do"] == "invent" else order["serial"]
+        serial = _about(order)
         if kind == "records":
             return replace(scene, study=replace(study, records=tuple(data["records"])))
         if kind == "turn":
@@ -239,14 +251,15 @@ class Desk:
         if kind == "failed":
             study = replace(study, trouble=dict(data))
         if kind == "cancelled":
+            study = kept.without(study, order["serial"])  # it may have landed, not yet ranked
             words = f"Cancelled: {busy.what.lower()}" if busy else "Cancelled"
             study = replace(study, trouble={"given": words, "expected": "", "try": ""})
         self._put(replace(scene, study=study, busy=None))
 
     def _write(self, order: Mapping[str, Any]) -> None:
-        scene = self.scene(order["study"])
-        self._put(replace(scene, writing=(*scene.writing, order["serial"])), save=False)
-        self._scribe.give(self._order(scene.study, "write", order["serial"]))
+        scene, serial = self.scene(order["study"]), _about(order)
+        self._put(replace(scene, writing=(*scene.writing, serial)), save=False)
+        self._scribe.give(self._order(scene.study, "write", serial))
 
     def _on_scribe(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
         with self._lock:
@@ -258,3 +271,8 @@ class Desk:
                 self._put(replace(scene, study=study, writing=left))
             elif kind != "progress":
                 self._put(self._changed(order, kind, data, scene))
+
+
+def _about(order: Mapping[str, Any]) -> int:
+    """The turn that an order's ranking belongs to: a new one, or one that is there."""
+    return order["base"] if order["do"] in ("invent", "rank") else order["serial"]

@@ -111,7 +111,7 @@ def links(desk: Desk, scene: Scene) -> None:
             ui.label("saving the run …").classes("soft")
         return
     ident = scene.study.ident
-    with ui.button("Take away", icon="download").props("outline dense"), ui.menu():
+    with ui.button("Take away", icon="download").props("outline padding='4px 12px'"), ui.menu():
         for name, said in (("report.html", "Report, one HTML file"), ("model.tex", "LaTeX"),
                            ("model.txt", "Equation"), ("run.json", "All numbers")):  # fmt: skip
             ui.menu_item(said, lambda n=name: ui.navigate.to(f"/take/{ident}/{turn.serial}/{n}"))

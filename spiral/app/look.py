@@ -95,6 +95,7 @@ math {{ font-size:17px; }}
 .q-tab__label {{ font-size:14px; font-weight:600; }}
 .q-tab-panel {{ padding:10px 0 0; }}
 .js-plotly-plot {{ width:100%; }}
+.bar a.quiet {{ align-self:center; font-weight:600; }}
 a.quiet {{ color:var(--blue); text-decoration:none; }}
 a.quiet:hover {{ text-decoration:underline; }}
 @media (max-width:980px) {{ .split {{ grid-template-columns:minmax(0,1fr); }} }}

@@ -15,7 +15,7 @@ from spiral.app.study import Turn, turn_place
 from spiral.errors import SpiralError
 from spiral.report.evidence import error_falling
 
-FALL_HEIGHT = 320
+FALL_HEIGHT = 372
 _TICK = 0.15  # s between looks at the desk
 _SHOWN = 5  # candidates before "show all"
 TABS = (
@@ -149,6 +149,9 @@ class View:
             waiting = scene.busy is not None
             said = "Ranking the effects that may be missing …" if waiting else "Not ranked yet."
             ui.html(f"<p class='soft'>{said}</p>", sanitize=False)
+            if turn is not None and not waiting:
+                ui.button("Rank what may be missing", on_click=lambda: self._ask(
+                    lambda: self.desk.rank(self.ident, turn.serial))).props("outline")  # fmt: skip
             return
         proposes = bool(turn.proposed)
         if not proposes:

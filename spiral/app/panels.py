@@ -90,7 +90,7 @@ def channels(turn: Turn) -> str:
         f"{probability(turn.result.get('whiteness_p'))}; windows of "
         f"{turn.result.get('horizon')} samples"
     )
-    return plain(table) + f'<p class="soft">{fit}</p>'
+    return plain(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'
 
 
 def plain(table: str) -> str:

@@ -96,6 +96,13 @@ def changed(study: Study, serial: int, **values: Any) -> Study:
     return replace(study, turns=turns)
 
 
+def without(study: Study, serial: int) -> Study:
+    """A study whose last turn is taken back, where it has that number and is not the first."""
+    if study.turn is None or study.turn.serial != serial or not study.at:
+        return study
+    return replace(study, turns=study.turns[: study.at], at=study.at - 1)
+
+
 def moved(study: Study, by: int) -> Study:
     """Undo (-1) or do again (+1), as far as there are turns."""
     return replace(study, at=min(max(study.at + by, 0), max(len(study.turns) - 1, 0)), trouble=None)

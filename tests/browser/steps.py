@@ -1,6 +1,7 @@
 """What a person does and reads on the page."""
 
 import re
+import time
 
 FIRST, SECOND = "cross stiffness", "cubic stiffness"
 
@@ -8,6 +9,14 @@ FIRST, SECOND = "cross stiffness", "cubic stiffness"
 def error(page):
     """The free-run error shown, in percent: now, and before anything was added."""
     return [float(x) for x in re.findall(r"([\d.]+)\s*%", page.inner_text("#error-now"))]
+
+
+def shows(page, wanted):
+    """Wait until the page shows these errors."""
+    until = time.monotonic() + 60
+    while (found := error(page)) != wanted and time.monotonic() < until:
+        page.wait_for_timeout(100)
+    assert found == wanted
 
 
 def add(page, effect):

@@ -99,6 +99,33 @@ def test_what_fails_or_is_cancelled_leaves_the_study_as_it_was(desk, ident, how)
     assert desk.scene(ident).study.trouble is None
 
 
+def test_cancelling_what_has_landed_takes_it_back(desk, ident):
+    """The refit is there, its ranking is not: the study is as it was before the click."""
+    serial = desk.scene(ident).study.turn.serial
+    desk.add(ident, "b", serial)
+    order = desk._bench.orders[-1]
+    landed = {"added": "b", "result": {"test_error": 0.3}, "noise_floor": 0.01}
+    desk._bench.on_event(order, "turn", landed)
+    assert errors(desk.scene(ident).study) == [0.6, 0.3]
+    desk.cancel(ident)
+    assert errors(desk.scene(ident).study) == [0.6]
+    assert desk.scene(ident).study.turn.serial == serial
+
+
+def test_a_first_fit_whose_ranking_was_cancelled_can_be_ranked(desk):
+    ident = desk.create("a rotor", ())
+    order = desk._bench.orders[-1]
+    landed = {"added": "", "result": {"test_error": 0.6}, "noise_floor": 0.01}
+    desk._bench.on_event(order, "turn", landed)
+    desk.cancel(ident)
+    turn = desk.scene(ident).study.turn
+    assert turn.candidates is None
+    desk.rank(ident, turn.serial)
+    desk._bench.on_event(desk._bench.orders[-1], "ranked", RANKED)
+    assert desk.scene(ident).study.turn.proposed == ("b",)
+    assert desk._scribe.orders[-1]["serial"] == turn.serial
+
+
 def test_another_start_finds_the_study_where_it_was(desk, ident, tmp_path):
     desk.add(ident, "b", desk.scene(ident).study.turn.serial)
     turned(desk, "b", 0.3)
