@@ -11,7 +11,7 @@ import pytest
 from spiral.report.pictures import browser as found_browser
 
 PICTURES = Path(__file__).parent / "screenshots"
-PATIENCE = 60_000  # ms, on a machine that does other things too
+PATIENCE = 120_000  # ms, on a machine that does other things too
 
 HARMLESS = (
     "Failed to load resource",  # a refusal that a test asks for

@@ -15,7 +15,7 @@ DRAWN = """[...document.querySelectorAll('.js-plotly-plot')].every(
 def study(served, chromium):
     """The address of a study with one effect added, and how long its steps took."""
     page = chromium.new_page()
-    page.set_default_timeout(60_000)
+    page.set_default_timeout(120_000)
     began = time.monotonic()
     page.goto(served.address)
     page.click(".choice:has-text('Rotor coastdown')")
