@@ -101,15 +101,19 @@ class View:
         count = columns(assembly, keys)[0].count
         return cls(assembly, moving, count, reduction.triangle[:-1, :-1])
 
+    def alone(self, label: str) -> float:
+        """lambda of an effect of the model against all else that is fitted: what it changes."""
+        own = self._columns(label)
+        rest = [i for i in range(self.fitted) if i not in own]
+        return _outside(self._response(own), self.triangle[:, rest]) if own else 0.0
+
     def pairs(self, label: str, others: tuple[Effect, ...]) -> list[Pair]:
         """An effect of the model against others; of a shape the value that is nearest counts."""
         own = self._columns(label)
         if not own:
             return []
-        amplitudes = self.moving.current(first_row(self.assembly))[own]
-        response = self.triangle[:, own] @ amplitudes
+        response, alone = self._response(own), self.alone(label)
         rest = [i for i in range(self.fitted) if i not in own]
-        alone = _outside(response, self.triangle[:, rest])
         found = []
         for other in others:
             labels = [v.label for v in self.assembly.variants if v.original.label == other.label]
@@ -119,6 +123,10 @@ class View:
             )
             found.append(Pair(label, other.label, left, alone))
         return found
+
+    def _response(self, own: list[int]) -> Array:
+        """J_A a: what an effect's amplitudes change, to first order."""
+        return self.triangle[:, own] @ self.moving.current(first_row(self.assembly))[own]
 
     def error(self, parameter: str) -> float:
         """Standard error of a parameter, all others that are fitted being free."""

@@ -53,7 +53,8 @@ class Paired:
 
     ``fall`` = sum (a^2 - b^2), above zero where b predicts better; ``share`` the weight g of b in
     the best combination of both, so that fall > 0 exactly where g > 1/2; ``t`` = (g - 1/2) / se(g);
-    ``p_fall`` one-sided (b better), ``p_differ`` two-sided.
+    ``p_fall`` one-sided (b better), ``p_differ`` two-sided; ``energy`` sum d^2: if either model is
+    the truth, t has the mean sqrt(energy) / 2.
     """
 
     fall: float
@@ -61,6 +62,7 @@ class Paired:
     t: float
     p_fall: float
     p_differ: float
+    energy: float = np.inf
 
 
 def paired_errors(first: tuple[Array, ...], second: tuple[Array, ...], block: int) -> Paired:
@@ -81,7 +83,7 @@ def paired_errors(first: tuple[Array, ...], second: tuple[Array, ...], block: in
     d = [x - y for x, y in zip(a, b, strict=True)]
     energy = sum(float(np.sum(x * x)) for x in d)
     if energy < 1e-12:
-        return Paired(0.0, 0.5, 0.0, 1.0, 1.0)
+        return Paired(0.0, 0.5, 0.0, 1.0, 1.0, energy)
     share = sum(float(np.sum(x * y)) for x, y in zip(a, d, strict=True)) / energy
     sums = np.concatenate(
         [_block_sums(np.sum((x - share * y) * y, axis=1), block) for x, y in zip(a, d, strict=True)]
@@ -90,9 +92,8 @@ def paired_errors(first: tuple[Array, ...], second: tuple[Array, ...], block: in
     t = (share - 0.5) / max(spread, 1e-300)
     degrees = max(len(sums) - 1, 1)
     fall = 2.0 * energy * (share - 0.5)
-    return Paired(
-        fall, share, t, float(stats.t.sf(t, degrees)), float(2 * stats.t.sf(abs(t), degrees))
-    )
+    p_fall, p_differ = float(stats.t.sf(t, degrees)), float(2 * stats.t.sf(abs(t), degrees))
+    return Paired(fall, share, t, p_fall, p_differ, energy)
 
 
 def _block_sums(values: Array, block: int) -> Array:

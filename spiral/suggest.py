@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import stats
 
 from spiral.assembly import Assembly
 from spiral.effect import SensorEffect
@@ -207,7 +208,12 @@ def _alias_level(assembly: Assembly) -> float:
 
 
 def _alike(assembly: Assembly, paired: Paired) -> bool:
-    return paired.p_differ >= _alias_level(assembly)
+    """Not significantly different, or so near that no draw of the noise could tell them apart.
+
+    Twins differ by what their fits left to converge, of which a paired test may make anything.
+    """
+    level = _alias_level(assembly)
+    return paired.p_differ >= level or paired.energy < 4 * float(stats.norm.isf(level / 2)) ** 2
 
 
 def _refused(

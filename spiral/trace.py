@@ -341,16 +341,29 @@ def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
 def _readings(
     system: System, placed: list[_Placed], seen: list[SimpleNamespace], x: SimpleNamespace
 ) -> list[sp.Expr]:
+    """Sensor effects one after the other; variants of one, of which one acts, side by side.
+
+    Those with shapes come first: a case that depends on cases (a saturation of what is late by the
+    rates of a flow with a rim) is multiplied out by SymPy without end.
+    """
+    order = sorted(
+        zip(placed, seen, strict=True),
+        key=lambda pair: not any(p.role == "shape" for p in pair[0].effect.parameters),
+    )
     y: list[Any] = [getattr(x, name) for name in system.observed]
-    for item, u in zip(placed, seen, strict=True):
+    before, last = y, ""
+    for item, u in order:
         if isinstance(item.effect, SensorEffect):
             effect = item.effect
-            y = list(_asked(effect, "reading", effect.reading, y, item.at, u, item.p))
-            if len(y) != len(system.observed):
+            kind = replace(effect, variant="").label if effect.variant else ""
+            before, last = (before if kind and kind == last else y), kind
+            told = list(_asked(effect, "reading", effect.reading, before, item.at, u, item.p))
+            if len(told) != len(system.observed):
                 raise PluginError(
-                    f"reading of effect {item.effect.label!r} with {len(y)} values",
+                    f"reading of effect {item.effect.label!r} with {len(told)} values",
                     f"{len(system.observed)} values, one for each channel",
                 )
+            y = [sum_ + new - old for sum_, new, old in zip(y, told, before, strict=True)]
     return [sp.sympify(value) for value in y]
 
 

@@ -18,7 +18,10 @@ from spiral.system import System
 
 @dataclass(frozen=True)
 class Scene:
-    """A system, its usual truth, and how it is excited."""
+    """A system, its usual truth, and how it is excited.
+
+    ``repeated``: the same excitation in every record, with fresh noise, and another in every test.
+    """
 
     system: str
     fields: Mapping[str, str]
@@ -26,13 +29,18 @@ class Scene:
     duration: float
     rate: float
     substeps: int
+    repeated: bool = False
 
     def inputs(self, time: np.ndarray, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        """A run-down from 40 to 0 Hz for a rotor, band-limited noise for an oscillator."""
+        """A rotor's run-down from 40 to 0 Hz, band-limited noise, or a pump's voltage in steps."""
         if self.system == "planar_rotor":
             slope = -2 * np.pi * 40.0 / self.duration
             first = 2 * np.pi * 40.0
             return {"speed": first + slope * time, "phase": first * time + slope * time**2 / 2}
+        if self.system == "cascaded_tanks":
+            steps = rng.uniform(1.0, 3.0, len(time) // 30 + 1)
+            steps[1::4] = 3.0  # every record reaches the top, where rims and limits are
+            return {"pump": np.repeat(steps, 30)[: len(time)]}
         from scipy.signal import butter, sosfiltfilt
 
         low = butter(6, 6.0, fs=self.rate, output="sos")
@@ -102,37 +110,44 @@ CASES = (
 )
 
 
-def problem(case: Case, registry: Registry, seed: int = 1, noise: float = 0.02) -> Problem:
+def problem(
+    case: Case, registry: Registry, seed: int = 1, noise: float = 0.02, max_rounds: int = 1
+) -> Problem:
     """The study of one case: record and test from the truth, a model without the effect."""
     system = registry.make("system", case.scene.system, dict(case.scene.fields))
     assert isinstance(system, System)
-    truth = _truth(case, system, registry)
+    truth = truth_of(case, system, registry)
     model = Model(system, tuple(e for e in system.seed if e.label != case.effect))
     candidates = tuple(e for e in registry.candidates(system) if e.label not in model.labels)
     return Problem(
         model,
-        (_record(case.scene, truth, seed, 0.4, noise),),
-        (_record(case.scene, truth, seed + 1000, 1.3, noise),),
+        (record_of(case.scene, truth, seed, 0.4, noise),),
+        (record_of(case.scene, truth, seed + 1000, 1.3, noise, 1),),
         candidates=candidates,
-        settings=Settings(max_rounds=1),
+        settings=Settings(max_rounds=max_rounds),
     )
 
 
-def _truth(case: Case, system: System, registry: Registry) -> Model:
+def truth_of(case: Case, system: System, registry: Registry) -> Model:
+    """The system with the hidden effect, where one is named."""
     effects: tuple[Effect, ...] = system.seed
     values = dict(case.scene.truth)
-    if case.effect not in [e.label for e in effects]:
+    if case.effect and case.effect not in [e.label for e in effects]:
         effects = (*effects, registry.effect_from_label(case.effect, {}))
         values.update({f"{case.effect}.{k}": v for k, v in case.values.items()})
     return Model(system, effects, values)
 
 
-def _record(scene: Scene, truth: Model, seed: int, phase: float, noise: float) -> Record:
+def record_of(
+    scene: Scene, truth: Model, seed: int, phase: float, noise: float, course: int = 0
+) -> Record:
+    """A simulated record; ``course`` picks the excitation where it is repeated, else the seed."""
     rng = np.random.default_rng(seed)
+    drawn = np.random.default_rng(course) if scene.repeated else rng
     time = np.arange(round(scene.duration * scene.rate) + 1) / scene.rate
     if scene.system == "planar_rotor":
         truth = Model(truth.system, truth.effects, {**truth.values, "system.phase_origin": phase})
     return simulate(
-        truth, time, scene.inputs(time, rng), noise, rng, substeps=scene.substeps,
+        truth, time, scene.inputs(time, drawn), noise, rng, substeps=scene.substeps,
         name=f"hidden effect, seed {seed}",
     )  # fmt: skip

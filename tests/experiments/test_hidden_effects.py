@@ -2,8 +2,12 @@
 
 import pytest
 
-from experiments.hidden_effects.cases import CASES
+from experiments.hidden_effects.benchmark import Job, main, study
+from experiments.hidden_effects.cases import CASES, Case, problem
 from experiments.hidden_effects.run import outcome
+from experiments.hidden_effects.strengths import SCENES, SHARES, strengths
+from experiments.hidden_effects.summary import wilson
+from spiral.assembly import assemble
 from spiral.effect import ForceEffect
 from tests.scenes import registry
 
@@ -20,3 +24,47 @@ def test_every_shipped_force_effect_with_a_name_has_a_case():
     names = {c.effect for c in CASES}
     effects = [e for e in registry().entries if e.kind == "effect" and not e.plugin.bare]
     assert {e.name for e in effects if issubclass(e.plugin, ForceEffect)} == names
+
+
+def test_wilsons_interval_is_the_published_one():
+    """Newcombe 1998, table I: 15 of 148 gives 0.0624 to 0.1605; 0 of 20 gives 0 to 0.1611."""
+    assert wilson(15, 148) == pytest.approx((0.0624, 0.1605), abs=5e-5)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=5e-5)
+
+
+def test_an_amplitude_gives_the_share_it_was_found_for():
+    for hidden in strengths("oscillator", "cubic_stiffness", registry()):
+        assert hidden.share == pytest.approx(SHARES[hidden.strength], rel=0.03)
+    gain = strengths("oscillator", "gain", registry())
+    assert not any(h.identifiable(0.005) for h in gain)
+
+
+def test_the_benchmark_in_its_fast_mode(tmp_path, capsys):
+    """Three effects at medium strength, one seed each, and as many null records; taken up again."""
+    words = ["--systems", "oscillator", "--only", "cubic_stiffness", "offset", "gain",
+             "--strengths", "medium", "--noises", "0.02", "--seeds", "1", "--jobs", "1",
+             "--no-tracking", "--out", str(tmp_path)]  # fmt: skip
+    found = main(words)
+    known, null = found["medium_2_percent"], found["null"]["false"]
+    assert (known["first"]["hits"], known["first"]["count"]) == (2, 2)
+    assert (null["hits"], null["count"]) == (0, 3)
+    assert known["over_floor"] < 1.2
+    assert found["not_identifiable"]["named_or_nothing"]["rate"] == 1.0
+    assert "oscillator" in (tmp_path / "oscillator.html").read_text()[-4000:]
+    again = main(words)
+    assert again["studies"] == len((tmp_path / "rows.jsonl").read_text().splitlines()) == 6
+
+
+def test_twins_are_aliases_whatever_their_fits_left_to_converge():
+    """An offset of the sensors and a constant load give one motion in a linear machine."""
+    hidden = next(h for h in strengths("planar_rotor", "offset", registry()) if h.share > 0.1)
+    found = study(Job(hidden, 0.02, 1))
+    assert {*found["admitted"], *found["aliases"]} == {"offset", "constant_load"}
+
+
+def test_every_candidate_of_the_tanks_is_traced_together():
+    """A saturation of what is late by the rates of flows with rims: cases must not nest."""
+    null = Case("", {}, SCENES["cascaded_tanks"])
+    assembly = assemble(problem(null, registry()))
+    labels = {v.original.label for v in assembly.variants}
+    assert {"delay", "overflow", "sensor_saturation"} <= labels
