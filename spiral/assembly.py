@@ -151,7 +151,7 @@ def _extremes(model: Model, records: tuple[Record, ...]) -> dict[str, float]:
     states = np.concatenate([motion(study, s, 11).states for s in series])
     found = {}
     for port in system.ports:
-        for kind, expressions in _at_port(system, port, compiled.traced):
+        for kind, expressions in at_port(system, port, compiled.traced):
             values = sp.lambdify(compiled.traced.x, expressions, "numpy")(*states.T)
             found[f"{port.name}.{kind}"] = max(
                 float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
@@ -160,7 +160,7 @@ def _extremes(model: Model, records: tuple[Record, ...]) -> dict[str, float]:
     return {**found, "sensors.position": float(max(seen))}
 
 
-def _at_port(system: System, port: Port, traced: Traced) -> list[tuple[str, list[Any]]]:
+def at_port(system: System, port: Port, traced: Traced) -> list[tuple[str, list[Any]]]:
     """A port's position, and in a mechanical system its velocity, as expressions of the states."""
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
     own = zip(traced.keys, traced.parameters, strict=True)

@@ -248,7 +248,7 @@ def build_problem(config: Config, registry: Registry) -> Problem:
     if strategy == "innovation":
         return replace(problem, innovation=gate_chain(config["gate"], registry))
     if strategy == "shooting":
-        return problem
+        return replace(problem, dictionary=registry.dictionary(model.system))
     parts = {g: _plugin(g, config, registry) for g in ("derivative", "learner", "library")}
     named = options(config).candidates
     return with_published(problem, parts, config["gate"], config["paper"], named, registry)

@@ -16,6 +16,7 @@ from spiral.problem import Problem, Progress, silent
 from spiral.run import Diagnosis, Round, Stopped, Suggestion
 from spiral.suggest import Proposal, propose
 from spiral.threads import one_blas_thread
+from spiral.trajectories import curve_of
 from spiral.verdict import advice_for, seed_verdict
 from spiral.where import where
 
@@ -83,6 +84,11 @@ def _diagnosis(
 ) -> Diagnosis:
     level = assembly.problem.settings.whiteness_level
     stopped: Stopped = "diverged" if proposal.diverged else "no_candidate"
+    shape = None
+    if proposal.admitted is None and comparison.whiteness_p < level:
+        found = curve_of(assembly, standing, proposal, comparison, 1, progress)
+        shape = None if found is None else found.shape.as_dict()
+        first = replace(first, details={} if shape is None else {"unknown": shape})
     rounds = [first] if proposal.admitted is None else [first, first]
     verdict = seed_verdict(rounds, stopped, level)
     evidence = proposal.evidence
@@ -102,6 +108,7 @@ def _diagnosis(
         shown.length,
         proposal.diverged,
         proposal.not_separable,
+        shape,
     )
 
 

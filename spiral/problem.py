@@ -36,6 +36,7 @@ class Settings:
     lags : lags of the Ljung-Box statistic.
     share : smallest contribution of a term that a test is planned for, of the acceleration's rms.
     miss : probability of missing such a term.
+    learned : whether ``discover`` admits a learned curve where no candidate explains what is left.
     phase_knot : seconds between knots of the smooth phase correction that a fitted record gets
         where its phase is integrated from a measured speed; 0 switches it off.
     """
@@ -49,6 +50,7 @@ class Settings:
     share: float = 0.1
     miss: float = 0.05
     phase_knot: float = 1.0
+    learned: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,7 @@ class Problem:
 
     ``records`` are fitted; ``test`` is seen neither by fit nor by selection, its first ``settle``
     seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
+    ``dictionary`` are learned effects, tried where no candidate explains what is left.
     ``published`` chooses the paper's evidence, ``innovation`` (its gates) that of a filter; left
     out, both, it comes from trajectories.
     """
@@ -100,4 +103,5 @@ class Problem:
     candidates: tuple[Effect, ...] = ()
     settings: Settings = field(default_factory=Settings)
     published: Published | None = None
+    dictionary: tuple[Effect, ...] = ()
     innovation: tuple[Gate, ...] | None = None

@@ -6,6 +6,7 @@ no global registry: ``load_registry`` returns a value that is passed on.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib
 import importlib.util
@@ -147,6 +148,20 @@ class Registry:
                 continue
             if units_fit(system, effect):
                 found.append(effect)
+        return tuple(found)
+
+    def dictionary(self, system: System) -> tuple[Effect, ...]:
+        """Learned effects (``spiral.learned``) that fit the system's first port."""
+        from spiral.learned import LearnedForce
+        from spiral.trace import check_effect
+
+        found: list[Effect] = []
+        for name in self.names("effect"):
+            plugin = self.entry("effect", name).plugin
+            if issubclass(plugin, LearnedForce):
+                with contextlib.suppress(ConfigError):
+                    check_effect(system, plugin())
+                    found.append(plugin())
         return tuple(found)
 
     def versions(self) -> dict[str, str]:

@@ -126,7 +126,8 @@ class Diagnosis:
     """What is missing, where it shows, and what to do.
 
     ``not_separable`` are candidates that effects of the model take over on this record, in part or
-    whole: had they been there, they could not have been found.
+    whole: had they been there, they could not have been found. ``unknown`` is the shape of what no
+    candidate explains (``spiral.unknown``).
     """
 
     verdict: Verdict
@@ -137,6 +138,7 @@ class Diagnosis:
     horizon: int
     diverged: bool = False
     not_separable: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    unknown: Mapping[str, Any] | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -148,6 +150,7 @@ class Diagnosis:
             "horizon": self.horizon,
             "comparison": self.comparison.as_dict(),
             "not_separable": {k: list(v) for k, v in self.not_separable.items()},
+            "unknown": self.unknown,
         }
 
 
@@ -213,6 +216,12 @@ class Run:
         """The comparison of the last round."""
         return self.rounds[-1].comparison
 
+    @property
+    def unknown(self) -> Mapping[str, Any] | None:
+        """The shape of what no candidate explains (``spiral.unknown``), where there is one."""
+        found = [r.details["unknown"] for r in self.rounds if "unknown" in r.details]
+        return found[-1] if found else None
+
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
         return {
@@ -226,6 +235,7 @@ class Run:
             "alias_groups": [list(g) for g in self.alias_groups],
             "run_id": self.run_id,
             "context": dict(self.context),
+            "unknown": self.unknown,
         }
 
 

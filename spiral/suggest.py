@@ -38,7 +38,10 @@ _STAGES = 4  # looks at the data, over which the level is shared
 
 @dataclass(frozen=True)
 class Proposal:
-    """What one round found: evidence, the candidate to admit with its aliases, refusals."""
+    """What one round found: evidence, the candidate to admit with its aliases, refusals.
+
+    ``dropped`` are effects of earlier rounds that the admission starts without.
+    """
 
     evidence: Evidence | None
     stages: tuple[Stage, ...]
@@ -46,6 +49,7 @@ class Proposal:
     aliases: tuple[str, ...]
     suggestions: tuple[Suggestion, ...]
     rejected: Mapping[str, str] = field(default_factory=dict)
+    dropped: tuple[str, ...] = ()
 
     @property
     def not_separable(self) -> Mapping[str, tuple[str, ...]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
+
+from spiral.findings import not_separable, unknown
 
 if TYPE_CHECKING:
     from spiral.run import Comparison, Diagnosis, Round, Run, Suggestion
@@ -125,7 +127,8 @@ def _discover(console: Console, outcome: Outcome) -> None:
     if not refused:  # values that the record does not determine would mislead
         _model(console, run)
         details = run.rounds[-1].details if run.rounds else {}
-        _not_separable(console, details.get("not_separable", {}))
+        not_separable(console, details.get("not_separable", {}))
+        unknown(console, run.unknown)
     _heading(console, "Verdict")
     console.print(Text(f"{_sentence(run)} {run.advice}"))
     if not refused:
@@ -247,6 +250,9 @@ def _after_discover(run: Run, config: dict[str, Any]) -> list[tuple[str, str]]:
     if found:
         without = f"spiral compare {given} 'without=[{found[-1]}]'"
         commands.append((without, f"what {found[-1]} is worth"))
+    learned = (run.unknown or {}).get("effect")
+    if learned and learned not in run.model.labels:
+        commands.insert(0, (f"spiral add {learned} {given}", "admit this curve as an effect"))
     commands.append((f"spiral compare {given}", "the final model against the test record"))
     alike = [(k, *v) for r in run.rounds for k, v in r.aliases.items() if v and k in found]
     if alike:
@@ -345,7 +351,8 @@ def _diagnose(console: Console, outcome: Outcome) -> None:
     if diagnosis.suggestions:
         _heading(console, "What may be missing, best first")
         console.print(_suggestions(diagnosis.suggestions))
-    _not_separable(console, diagnosis.not_separable)
+    not_separable(console, diagnosis.not_separable)
+    unknown(console, diagnosis.unknown)
     if diagnosis.advice:
         console.print()
         console.print(Text(diagnosis.advice))
@@ -353,15 +360,9 @@ def _diagnose(console: Console, outcome: Outcome) -> None:
     if diagnosis.suggestions and diagnosis.verdict == "effect_missing":
         best = diagnosis.suggestions[0].effect
         _next(console, (command("add", request, [best]), f"add {best}, before and after"))
-
-
-def _not_separable(console: Console, found: Mapping[str, Sequence[str]]) -> None:
-    """Candidates that could not have been found, and what takes them over."""
-    if not found:
-        return
-    words = "; ".join(f"{name} (from {', '.join(found[name])})" for name in found)
-    console.print()
-    console.print(Text(f"Not separable from the model on this record: {words}.", style="yellow"))
+    elif diagnosis.unknown:
+        best = diagnosis.unknown["effect"]
+        _next(console, (command("add", request, [best]), "admit this curve as an effect"))
 
 
 def _suggestions(found: Sequence[Suggestion]) -> Table:

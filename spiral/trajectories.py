@@ -9,15 +9,18 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared
-from spiral.evidence import Admitted, Masks, Standing, admit, half_masks
+from spiral.evidence import Admitted, Masks, Standing, admit, begin, half_masks, tested_keys
 from spiral.identifiability import entangled
 from spiral.problem import Problem, Progress
 from spiral.retire import let_go, superfluous
 from spiral.run import Comparison, Stopped, Suggestion
 from spiral.strategy import Begun, Settled, Step, Strategy
 from spiral.suggest import Proposal, listed, propose
+from spiral.unknown import Found, applies, holding, unknown_shape
 
 SECOND_ORDER = ("cross_damping", "speed_stiffness")
 """Effects that a hidden tilt leaves beyond leading order (design, fact 3)."""
@@ -39,15 +42,55 @@ def _propose(
     number: int,
     progress: Progress,
 ) -> Step:
-    proposal = propose(assembly, standing, half_masks(assembly), number, progress)
+    assembly = holding(assembly, standing)
+    masks = half_masks(assembly)
+    proposal = propose(assembly, standing, masks, number, progress)
     level = assembly.problem.settings.whiteness_level
-    if proposal.admitted is None:
-        stopped = _why_stopped(proposal, comparison, level)
-        return Step(
-            proposal.suggestions, proposal.rejected, stopped=stopped,
-            details=_details(proposal), found=proposal,
-        )  # fmt: skip
-    return _step(standing, proposal, proposal.admitted)
+    if proposal.admitted is not None:
+        return _step(standing, proposal, proposal.admitted)
+    stopped = _why_stopped(proposal, comparison, level)
+    details = _details(proposal)
+    found = curve_of(assembly, standing, proposal, comparison, number, progress)
+    if found is not None:
+        details["unknown"] = found.shape.as_dict()
+    if found is not None and assembly.problem.settings.learned:
+        admitted = found.proposal.admitted
+        assert admitted is not None
+        step = _step(standing, found.proposal, admitted)
+        return replace(step, details={**step.details, **details})
+    return Step(
+        proposal.suggestions, proposal.rejected, stopped=stopped, details=details, found=proposal
+    )
+
+
+def curve_of(
+    assembly: Assembly,
+    standing: Standing,
+    proposal: Proposal,
+    comparison: Comparison,
+    number: int,
+    progress: Progress,
+) -> Found | None:
+    """The shape of what no candidate explains; nothing where what is left is white.
+
+    Where effects admitted before have led astray (the fit diverges, or the free run does), it
+    starts from the seed.
+    """
+    white = comparison.whiteness_p >= assembly.problem.settings.whiteness_level
+    seed = assembly.problem.model.labels
+    astray = proposal.diverged or not np.isfinite(comparison.fit_error + comparison.test_error)
+    if white or not applies(assembly) or (proposal.diverged and standing.labels == seed):
+        return None
+    if astray and standing.labels != seed:
+        gone = [x for x in standing.labels if x not in seed]
+        dropped = tuple(assembly.variant(x).original.label for x in gone)
+        standing = begin(assembly, seed)
+    else:
+        dropped = ()
+    found = unknown_shape(assembly, standing, half_masks(assembly), number, progress)
+    if found is None:
+        return None
+    return replace(found, proposal=replace(found.proposal, dropped=dropped))
 
 
 def _details(proposal: Proposal) -> dict[str, Any]:
@@ -97,18 +140,34 @@ def _choose(assembly: Assembly, standing: Standing, step: Step, label: str) -> S
 def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
     """Refit and compare after an admission, letting go of effects it has made superfluous."""
     proposal: Proposal = step.found
-    mask = half_masks(assembly)[1]
     latest = proposal.admitted
     assert latest is not None
+    assembly = holding(assembly, latest.standing)
+    mask = half_masks(assembly)[1]
     assert proposal.evidence is not None
     comparison = _judge(assembly, latest.standing, mask, progress)
+    if not np.isfinite(comparison.chi2_per_dof):
+        latest = replace(latest, standing=_without_amplitudes(assembly, latest))
+        comparison = _judge(assembly, latest.standing, mask, progress)
     gone = superfluous(assembly, latest, comparison.model, mask, proposal.evidence.block)
     if not gone:
-        return Settled(latest.standing, comparison)
+        return Settled(latest.standing, comparison, proposal.dropped)
     standing = let_go(latest.standing, gone)
     comparison = _judge(assembly, standing, mask, progress)
     retired = tuple(assembly.variant(x).original.label for x in gone)
-    return Settled(standing, comparison, retired)
+    return Settled(standing, comparison, (*proposal.dropped, *retired))
+
+
+def _without_amplitudes(assembly: Assembly, latest: Admitted) -> Standing:
+    """The standing with the new effect's amplitudes at zero, where short windows must not diverge.
+
+    Fitted to long windows of a model that is far off, a softening spring may let the short windows
+    of the other half run away; from zero they find their own value, and windows grow again.
+    """
+    values = latest.standing.values.copy()
+    for key in tested_keys(assembly, latest.variant):
+        values[:, assembly.study.index(key)] = 0.0
+    return replace(latest.standing, values=values)
 
 
 def _judge(

@@ -9,11 +9,13 @@ def seed_verdict(rounds: list[Round], stopped: Stopped, level: float) -> Verdict
     """The verdict on the seed: what ``diagnose`` would say of it.
 
     ``nothing_missing`` needs no candidate passing *and* white residuals; candidates exhausted
-    while the residuals are coloured is ``unknown_structure``.
+    while the residuals are coloured is ``unknown_structure``, also where a learned curve went on.
     """
     if stopped == "not_identifiable":
         return "not_identifiable"
     if stopped == "diverged" and len(rounds) == 1:
+        return "unknown_structure"
+    if "unknown" in rounds[0].details:
         return "unknown_structure"
     if len(rounds) > 1:
         return "effect_missing"
@@ -40,6 +42,12 @@ def advice_for(
             "give starts with values='{...}'."
         )
     last = rounds[-1].comparison
+    shape = next((r.details["unknown"] for r in reversed(rounds) if "unknown" in r.details), None)
+    if shape is not None and stopped == "no_candidate" and "unknown" in rounds[-1].details:
+        return (
+            f"Its shape: {shape['sentence']} Admit the curve (spiral add {shape['effect']} "
+            "run=latest, or settings.learned=true), or write the effect that it suggests."
+        )
     if verdict == "unknown_structure":
         return (
             "See where the residual lives with `spiral diagnose`, and add an effect of your own "

@@ -11,7 +11,7 @@ from html import escape
 from typing import Any
 
 from spiral.curves import FINAL, SEED, Curves
-from spiral.report import evidence, maps, motion, text
+from spiral.report import evidence, maps, motion, text, unknown
 from spiral.report.style import FONT
 from spiral.run import estimate_rows
 
@@ -42,6 +42,7 @@ def figures(
          lambda: evidence.error_falling(result)),
         ("evidence", "Evidence for each candidate", text.EVIDENCE,
          lambda: evidence.candidates(result)),
+        ("unknown", "A force in no catalog", text.UNKNOWN, lambda: unknown.curves(result)),
         ("coefficients", "Coefficients with their intervals", text.COEFFICIENTS,
          lambda: evidence.coefficients(table)),
     ]  # fmt: skip
@@ -105,7 +106,7 @@ def page(saved: Mapping[str, Any], curves: Curves | None) -> tuple[str, list[str
     shown = figures(saved, curves)
     parts = {s.name: _section(s) for s in shown}
     first = [n for n in ("before", "where", "amplitude", "missing_force", "surface") if n in parts]
-    second = [n for n in ("evidence", "error_falling") if n in parts]
+    second = [n for n in ("evidence", "unknown", "error_falling") if n in parts]
     third = [n for n in parts if n not in (*first, *second, "coefficients")]
     body = [
         text.header(saved, curves),

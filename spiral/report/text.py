@@ -37,6 +37,11 @@ SURFACE = (
     "with a shape names the state; a level one says that this state does not matter."
 )
 FALLING = "Free-run errors, round by round, on a logarithmic scale; the test record chose nothing."
+UNKNOWN = (
+    "A force that no effect with a name explains, against the state it follows: the line is what "
+    "is left of it beside the model's own effects, the band holds the whole curve with 95 %. Bars "
+    "show how often each value was visited."
+)
 EVIDENCE = "Bars in orange cannot be told from the effect admitted, on this record."
 COEFFICIENTS = "Standard errors are of samples that did not select the effects."
 FREE = BEFORE
