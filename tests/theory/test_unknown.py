@@ -172,8 +172,18 @@ def test_without_asking_the_shape_is_told_and_nothing_learned_is_admitted():
     assert _covered("tanh", told.unknown) >= 0.95
 
 
+SHORT = pytest.mark.xfail(
+    strict=False, reason="a catalog effect stands in first and is kept; 10.7 and 36 noise floors"
+)
+EVERY = [
+    pytest.param(name, seed, marks=[SHORT] if (name, seed) in {("sine", 1), ("tanh", 2)} else [])
+    for name in HIDDEN
+    for seed in range(3)
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "seed"), [("sine", 0), ("sine", 2), ("tanh", 1)])
+@pytest.mark.parametrize(("name", "seed"), EVERY)
 def test_each_hidden_shape_is_named_covered_and_admitted(name, seed):
     run = discover(_problem(name, seed, learned=True))
     label = HIDDEN[name][2]
