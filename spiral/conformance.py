@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from spiral.compile import Compiled
     from spiral.model import Model
 
-_STEP, _TOLERANCE, _EXACT = 1e-6, 1e-5, 1e-12
+_STEP, _TOLERANCE, _EXACT = 1e-5, 1e-5, 1e-12
 _DRAWS = 16
 _SAMPLES = 8192  # of the short simulated record: exp(819) of the fastest motion is infinite
 

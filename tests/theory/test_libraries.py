@@ -28,10 +28,11 @@ def columns(terms, system, seed=0):
     rows = [e for n, e in zip(traced.states, traced.rate, strict=True) if n.endswith("_rate")]
     function = sp.lambdify([*traced.x, *traced.u, *traced.p], sp.Matrix(rows).jacobian(symbols))
     rng = np.random.default_rng(seed)
-    zeros = np.zeros(len(traced.p))
+    known = sum(name != "time" for name in traced.inputs)
+    zeros = np.zeros(len(traced.u) - known + len(traced.p))
     return np.array(
         [
-            function(*rng.normal(size=len(traced.x)), *rng.normal(size=len(traced.u)), *zeros)
+            function(*rng.normal(size=len(traced.x)), *rng.normal(size=known), *zeros)
             for _ in range(80)
         ],
         dtype=float,
