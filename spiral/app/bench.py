@@ -148,8 +148,10 @@ class Bench:
         self.registry = load_registry(order.get("plugins"))
         config = compose(overrides, self.registry)
         self.registry = bound(config, self.registry)
-        if options(config).strategy != "shooting":
-            raise ConfigError("strategy=paper on the page", "strategy=shooting", "spiral discover")
+        given = options(config).strategy
+        if given != "shooting":
+            raise ConfigError(f"strategy={given} on the page", "strategy=shooting",
+                              "spiral discover")  # fmt: skip
         self.problem = build_problem(config, self.registry)
         self.strategy = strategy_for(self.problem)
         self.tell("records", {"records": finite(described(self.problem))})

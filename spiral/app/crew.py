@@ -37,7 +37,7 @@ class Process:
         self._orders: list[Mapping[str, Any]] = []
         self._under_way: Mapping[str, Any] | None = None
         self._wake = threading.Event()
-        self._closed = False
+        self._closed = self._cancelled = False
         self._process: Any = None
         self._pipe: Connection | None = None
         self._spawn()
@@ -56,6 +56,7 @@ class Process:
             self._orders = [o for o in self._orders if o["study"] != study]
             current = self._under_way is not None and self._under_way["study"] == study
             if current:
+                self._cancelled = True
                 self._process.kill()
         for order in waiting:
             self._on_event(order, "cancelled", {})
@@ -84,14 +85,17 @@ class Process:
                 if self._under_way is None:
                     self._wake.clear()
                     continue
+                if self._cancelled:  # too late for the order before: its process has ended
+                    self._process.join(5)
+                    self._cancelled = False
+                if not self._process.is_alive():
+                    self._spawn()
             self._one(self._under_way)
             with self._lock:
                 self._under_way = None
 
     def _one(self, order: Mapping[str, Any]) -> None:
         """Send one order and pass its events on, until it is done or its process is gone."""
-        if not self._process.is_alive():
-            self._spawn()
         assert self._pipe is not None
         try:
             self._pipe.send(dict(order))
@@ -102,11 +106,12 @@ class Process:
                     return
         except (EOFError, OSError):
             self._process.join(5)
-            killed = self._process.exitcode == -9
             if self._closed:
                 return
-            self._spawn()
-            self._on_event(order, "cancelled" if killed else "failed", {} if killed else _ENDED)
+            with self._lock:
+                cancelled, self._cancelled = self._cancelled, False
+                self._spawn()
+            self._on_event(order, *(("cancelled", {}) if cancelled else ("failed", _ENDED)))
 
 
 def serve(kind: str, out: str, pipe: Connection, parent: int) -> None:

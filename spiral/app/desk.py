@@ -18,6 +18,7 @@ from spiral.app import study as kept
 from spiral.app.crew import Event, Process
 from spiral.app.draft import quoted
 from spiral.app.intake import DOES, Intake
+from spiral.app.panels import words
 from spiral.app.study import Study, Turn
 from spiral.errors import ConfigError
 
@@ -93,6 +94,7 @@ class Desk:
         with self._lock:
             if ident not in self._scenes:
                 self._scenes[ident] = Scene(kept.load(self.out, ident))
+                self._catch_up(ident)
             return self._scenes[ident]
 
     # --- what may be asked -----------------------------------------------------------------------
@@ -122,7 +124,7 @@ class Desk:
         """
         with self._lock:
             scene = self._free(ident, serial)
-            self._ask(scene, "add", f"Adding {effect}", effect=effect, base=serial,
+            self._ask(scene, "add", f"Adding {words(effect)}", effect=effect, base=serial,
                       first=scene.study.turns[0].serial)  # fmt: skip
 
     def rank(self, ident: str, serial: int) -> None:
@@ -150,14 +152,14 @@ class Desk:
             key = f"effect.{name}.expression="
             given = tuple(o for o in scene.study.overrides if not o.startswith(key))
             wanted = (*given, f"{key}{quoted(formula)}")
-            self._ask(scene, "invent", f"Testing {name}", base=serial, overrides=list(wanted),
-                      name=name)  # fmt: skip
+            self._ask(scene, "invent", f"Testing {words(name)}", base=serial,
+                      overrides=list(wanted), name=name)  # fmt: skip
 
     def contrast(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
         """Refit with each of these, to see the difference; the study stays as it is."""
         with self._lock:
             scene = self._free(ident, serial)
-            self._ask(scene, "contrast", f"Comparing {' and '.join(effects)}",
+            self._ask(scene, "contrast", f"Comparing {' and '.join(map(words, effects))}",
                       effects=list(effects), base=serial)  # fmt: skip
 
     def move(self, ident: str, by: int, serial: int) -> None:
@@ -221,7 +223,7 @@ class Desk:
                 scene = replace(scene, study=replace(scene.study, overrides=given, own=own))
             self._put(scene)
             if kind == "ranked" and order["do"] != "invent":
-                self._write(order)
+                self._write(order["study"], _about(order))
 
     def _changed(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> Scene:
         """The scene after an event that brought something."""
@@ -252,14 +254,20 @@ class Desk:
             study = replace(study, trouble=dict(data))
         if kind == "cancelled":
             study = kept.without(study, order["serial"])  # it may have landed, not yet ranked
-            words = f"Cancelled: {busy.what.lower()}" if busy else "Cancelled"
-            study = replace(study, trouble={"given": words, "expected": "", "try": ""})
+            said = f"Cancelled: {busy.what.lower()}" if busy else "Cancelled"
+            study = replace(study, trouble={"given": said, "expected": "", "try": ""})
         self._put(replace(scene, study=study, busy=None))
 
-    def _write(self, order: Mapping[str, Any]) -> None:
-        scene, serial = self.scene(order["study"]), _about(order)
+    def _write(self, ident: str, serial: int) -> None:
+        scene = self.scene(ident)
         self._put(replace(scene, writing=(*scene.writing, serial)), save=False)
         self._scribe.give(self._order(scene.study, "write", serial))
+
+    def _catch_up(self, ident: str) -> None:
+        """Write down the turns that the program did not come to before it ended."""
+        for turn in self._scenes[ident].study.turns:
+            if turn.candidates is not None and not turn.run_id:
+                self._write(ident, turn.serial)
 
     def _on_scribe(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
         with self._lock:

@@ -107,8 +107,10 @@ def links(desk: Desk, scene: Scene) -> None:
     """The saved run, MLflow's page of it, and the report to take away."""
     turn = scene.study.turn
     if turn is None or not turn.run_id:
-        if turn is not None:
+        if turn is not None and turn.serial in scene.writing:
             ui.label("saving the run …").classes("soft")
+        elif turn is not None and turn.candidates is not None:
+            ui.label("not saved as a run").classes("soft").tooltip("open the study again to retry")
         return
     ident = scene.study.ident
     with ui.button("Take away", icon="download").props("outline padding='4px 12px'"), ui.menu():

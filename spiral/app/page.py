@@ -89,7 +89,9 @@ class View:
              None if turn is None else
              (key, turn.figures, turn.sentence, len(turn.equation), bool(turn.figures or busy))),
             ("data", self._data, (len(study.records), key)),
-            ("links", self._links, None if turn is None else (key, turn.run_id, turn.tracked)),
+            ("links", self._links,
+             None if turn is None else (key, turn.run_id, turn.tracked, turn.untracked,
+                                        ranked, key in scene.writing)),
         ]  # fmt: skip
 
     # --- regions ---------------------------------------------------------------------------------

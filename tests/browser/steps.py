@@ -2,6 +2,9 @@
 
 import re
 import time
+from contextlib import contextmanager, suppress
+
+import psutil
 
 FIRST, SECOND = "cross stiffness", "cubic stiffness"
 
@@ -34,3 +37,23 @@ def choose(page, label, option):
     page.click(f"[data-for='{label}'] .q-select")
     page.click(f".q-menu .q-item:has-text('{option}')")
     page.wait_for_selector(f"[data-for='{label}'] .q-select:has-text('{option}')")
+
+
+def workers(served):
+    """The processes beside the page: started by it, told how by ``multiprocessing``'s spawn."""
+    children = psutil.Process(served.process.pid).children()
+    return [c for c in children if any("spawn_main" in word for word in c.cmdline())]
+
+
+@contextmanager
+def held(served):
+    """No process beside the page makes a step, so that no fit ends before the next click."""
+    stopped = workers(served)
+    for worker in stopped:
+        worker.suspend()
+    try:
+        yield stopped
+    finally:
+        for worker in stopped:
+            with suppress(psutil.NoSuchProcess):  # one that was cancelled
+                worker.resume()

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from tests.browser.steps import FIRST, SECOND, add, error, ready, shows
+from tests.browser.steps import FIRST, SECOND, add, error, held, ready, shows
 
 DRAWN = """[...document.querySelectorAll('.js-plotly-plot')].every(
     plot => plot.querySelector('.main-svg'))"""
@@ -57,16 +57,31 @@ def test_undo_and_redo_fit_nothing(tab, study):
     shows(tab, study["after"])
 
 
-@pytest.mark.slow  # a race: on a quiet machine the refit ends before the click on Cancel
-def test_cancel_leaves_the_study_as_it_was(tab, study, picture):
+def test_cancel_leaves_the_study_as_it_was(tab, study, served, picture):
     tab.goto(study["address"])
     ready(tab, SECOND)
-    add(tab, SECOND)
-    tab.click("button:has-text('Cancel')")
-    tab.wait_for_selector(".trouble:has-text('Cancelled')")
+    with held(served):
+        add(tab, SECOND)
+        tab.wait_for_selector(f".working:has-text('{SECOND}')")
+        picture(tab, "working")
+        tab.click("button:has-text('Cancel')")
+        tab.wait_for_selector(".trouble:has-text('Cancelled')")
     shows(tab, study["after"])
     ready(tab, SECOND)
     picture(tab, "cancelled")
+
+
+def test_a_process_that_dies_costs_one_step(tab, study, served):
+    """As where memory runs out: the page says so, the study stands, the next step works."""
+    tab.goto(study["address"])
+    ready(tab, SECOND)
+    with held(served) as stopped:
+        add(tab, SECOND)
+        tab.wait_for_selector(f".working:has-text('{SECOND}')")
+        next(w for w in stopped if not w.nice()).kill()  # the other has a lower priority
+        tab.wait_for_selector(".trouble:has-text('ended in the middle of its work')")
+    shows(tab, study["after"])
+    ready(tab, SECOND)
 
 
 def test_two_tabs_on_one_study_show_the_same(tab, chromium, study):

@@ -144,6 +144,17 @@ def test_every_turn_is_written_down_once(desk, ident):
     assert desk.scene(ident).study.turns[1].run_id == ""
 
 
+def test_a_turn_that_was_not_written_down_is_caught_up_with(desk, ident, tmp_path):
+    """The program ended between a turn and its saved run: the next start writes it."""
+    desk.add(ident, "b", desk.scene(ident).study.turn.serial)
+    turned(desk, "b", 0.3)
+    first = desk._scribe.orders[0]
+    desk._scribe.on_event(first, "saved", {"run_id": "20260101-000000-abc"})
+    again = Desk(tmp_path)
+    assert again.scene(ident).writing == (1,)
+    assert [(o["do"], o["serial"]) for o in again._scribe.orders] == [("write", 1)]
+
+
 @pytest.mark.parametrize("name", ["../../etc", "a/b", "nosuchstudy", "", "20260101-000000-0abc"])
 def test_only_studies_have_pages(desk, name):
     with pytest.raises(ConfigError):
