@@ -1,10 +1,12 @@
-"""A sweep on two cores against the same sweep serially, as a ratio in one run.
+"""A sweep on two cores against the same sweep on one, as a ratio in one run.
 
     python benchmarks/sweep.py [JOBS] [REPEATS]
 
-Both are whole commands as a user runs them (``spiral discover experiment=rotor_coastdown``, one
-noise seed for each job), each in a fresh process, taking turns; compiled models are cached by a
-run before. The load of the machine stands beside each figure: a busy machine hides the gain.
+All are whole commands as a user runs them (``spiral discover experiment=rotor_coastdown``, one
+noise seed for each job), each in a fresh process, one after another; compiled models are cached by
+a run before. ``n_jobs=1`` is measured twice: kept to one core, and free to use both, which it does,
+since a study shares its windows between threads: more processes can gain less then. The load of the
+machine stands beside each figure: a busy machine hides the gain.
 """
 
 from __future__ import annotations
@@ -19,14 +21,23 @@ import time
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-def sweep(jobs: int, n_jobs: int, folder: str) -> tuple[float, list[dict]]:
-    """Wall-clock seconds of a whole command, and its rows."""
+def sweep(
+    jobs: int, n_jobs: int, folder: str, cores: set[int] | None = None
+) -> tuple[float, list[dict]]:
+    """Wall-clock seconds of a whole command, perhaps kept to some cores, and its rows."""
     command = [
         sys.executable, "-m", "spiral", "discover", "experiment=rotor_coastdown",
         f"record.seed=range(0,{jobs})", "-m", f"n_jobs={n_jobs}", "--json", "-",
     ]  # fmt: skip
     clock = time.perf_counter()
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
+        preexec_fn=(lambda: os.sched_setaffinity(0, cores)) if cores else None,
+    )
     return time.perf_counter() - clock, json.loads(done.stdout)["runs"]
 
 
@@ -39,27 +50,34 @@ def same(one: list[dict], other: list[dict]) -> bool:
     return found(one) == found(other)
 
 
-def measured(jobs: int, repeats: int = 1) -> list[tuple[float, float, bool, float]]:
-    """Serial s, two-core s, same results, and the load before, for each repeat."""
+def measured(jobs: int, repeats: int = 1) -> list[dict[str, float]]:
+    """Seconds on one core, serially, and in two processes; same results; the load before."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         sweep(1, 1, folder)
         for _ in range(repeats):
             load = os.getloadavg()[0]
-            serial, one = sweep(jobs, 1, folder)
-            parallel, other = sweep(jobs, 2, folder)
-            rows.append((serial, parallel, same(one, other), load))
+            one_core, one = sweep(jobs, 1, folder, {0})
+            serial, two = sweep(jobs, 1, folder)
+            parallel, three = sweep(jobs, 2, folder)
+            equal = same(one, three) and same(two, three)
+            rows.append(
+                {"one_core": one_core, "serial": serial, "parallel": parallel}
+                | {"equal": equal, "load": load}
+            )
     return rows
 
 
 def main() -> None:
     """Print a line for each repeat."""
-    jobs, repeats = (int(w) for w in (*sys.argv[1:3], *("6", "1")[len(sys.argv) - 1 :]))
-    for serial, parallel, equal, load in measured(jobs, repeats):
+    jobs, repeats = (int(w) for w in (*sys.argv[1:3], *("8", "1")[len(sys.argv) - 1 :]))
+    for row in measured(jobs, repeats):
+        one, serial, two = (row[k] for k in ("one_core", "serial", "parallel"))
         print(
-            f"{jobs} jobs: serial {serial:.1f} s, two cores {parallel:.1f} s, "
-            f"ratio {serial / parallel:.2f} (>= 1.7), results {'equal' if equal else 'DIFFER'}, "
-            f"load before {load:.1f} on {os.cpu_count()} cores"
+            f"{jobs} jobs in two processes {two:.1f} s; on one core {one:.1f} s, "
+            f"ratio {one / two:.2f} (>= 1.7); serially with threads on both {serial:.1f} s, "
+            f"ratio {serial / two:.2f}; results {'equal' if row['equal'] else 'DIFFER'}; "
+            f"load before {row['load']:.1f} on {os.cpu_count()} cores"
         )
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from spiral.verbs import OK, REFUSED, Outcome, Study
 
 if TYPE_CHECKING:
-    from spiral.campaign import Wishes
     from spiral.plan import Outlook, Plan, Wanted
+    from spiral.wishes import Wishes
 
 
 def identify(study: Study) -> Outcome:
@@ -33,8 +33,9 @@ def identify(study: Study) -> Outcome:
 
 def plan(study: Study) -> Outcome:
     """Planned tests ranked by what they tell; refuses where none answers the question."""
-    from spiral.campaign import planned_tests, simulator, wishes_of
+    from spiral.campaign import planned_tests, simulator
     from spiral.plan import plan as judge
+    from spiral.wishes import wishes_of
 
     problem = study.problem()
     wishes = wishes_of(study.config.get("plan"))

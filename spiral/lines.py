@@ -30,7 +30,12 @@ def strongest_line(
 
 
 def _power(record: Record, trials: Array) -> Array:
-    """Power of the channels at some frequencies, each channel over its variance."""
+    """Power of the channels at equally spaced frequencies, each channel over its variance.
+
+    By the chirp z-transform, at a cost of n log n whatever the number of frequencies.
+    """
+    from scipy.signal import zoom_fft
+
     total = np.zeros(len(trials))
     window = np.hanning(record.samples)
     for values in record.channels.values():
@@ -38,7 +43,7 @@ def _power(record: Record, trials: Array) -> Array:
         scale = float(moving @ moving)
         if scale == 0:
             continue
-        for i, trial in enumerate(trials):
-            turned = np.exp(-2j * np.pi * trial * record.time) @ moving
-            total[i] += np.abs(turned) ** 2 / scale
+        band = (trials[0], trials[-1])
+        turned = zoom_fft(moving, band, len(trials), fs=1 / record.dt, endpoint=True)
+        total += np.abs(turned) ** 2 / scale
     return total

@@ -36,6 +36,7 @@ DEFECT = 1
 _INNER = ("NUMBA", "OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM", "NUMEXPR", "BLIS")
 _IDLE = 60  # s after which a process without a job ends
 _VARIABLES = ("SPIRAL_DATA", "SPIRAL_PLUGINS")
+_AHEAD = 1  # jobs that wait in the pool, so that no process idles while an answer is worked on
 _one_at_a_time = threading.Lock()  # of this process: Hydra and the compiler are not for threads
 
 
@@ -163,15 +164,15 @@ class _Loky:
         """Take jobs from ``waiting`` until none is left or a process dies."""
         from joblib.externals.loky import get_reusable_executor
 
-        width = 1 if alone else self.width
+        room = 1 if alone else self.width + _AHEAD
         executor = get_reusable_executor(
-            width,
+            1 if alone else self.width,
             timeout=_IDLE,
             initializer=_as_worker,
             initargs=(os.getpid(),),
             env={f"{name}_NUM_THREADS": "1" for name in _INNER},
         )
-        ended = _ended_futures(executor, self.execute, waiting, lambda: width, self.started)
+        ended = _ended_futures(executor, self.execute, waiting, lambda: room, self.started)
         try:
             for index, call, future in ended:
                 try:

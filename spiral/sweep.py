@@ -15,7 +15,7 @@ from typing import Any
 from spiral.errors import SpiralError
 from spiral.jobs import Plan
 from spiral.ledger import Ledger, open_ledger
-from spiral.pool import Answer, ClusterError, Execute, Job, answers, call_for
+from spiral.pool import Answer, ClusterError, Execute, Job, answers, call_for, processes
 from spiral.problem import Progress, silent
 from spiral.signals import Signals, Stopped
 
@@ -225,6 +225,8 @@ class _Desk:
     def _stopped(self) -> str:
         kept = f"{len(self.rows)} of {len(self.plan.jobs)} runs are kept"
         lost = sorted(self.under_way - set(self.rows))
+        if self.plan.backend.name == "loky":  # jobs begin in order; one may be waiting ready
+            lost = lost[: processes(self.plan.backend.n_jobs)]
         under_way = f", {len(lost)} under way are not" if lost else ""
         again = "; the same command takes it up" if len(self.rows) < len(self.plan.jobs) else ""
         return f"stopped: {kept}{under_way}{again}"

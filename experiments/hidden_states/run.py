@@ -81,7 +81,7 @@ def main() -> None:
 
 def print_table(cases: list[Case], rows: list[dict[str, Any]]) -> None:
     """Median over seeds with the middle 80 %; errors of alpha / beta in %."""
-    print(f"\n{'':<28}{'observer':<11}{'alpha':>25}{'beta':>25}{'x':>7}{'static':>14}{'paper':>13}"
+    print(f"\n{'':<28}{'observer':<11}{'alpha':>28}{'beta':>28}{'x':>7}{'static':>14}{'paper':>13}"
           f"{'in 95 %':>9}{'NIS':>7}{'2 % after':>10}")  # fmt: skip
     for case in cases:
         for name in case.observers:
@@ -101,7 +101,7 @@ def _line(case: Case, mine: list[dict[str, Any]]) -> str:
     paper = "/".join(f"{100 * v:.1f}" for v in case.paper) if case.paper else "-"
     lost = sum(r["diverged"] for r in mine)
     return (
-        f"{cells[0]:>25}{cells[1]:>25}{100 * np.median(over('relative', 'x')):>7.2f}{static:>14}"
+        f"{cells[0]:>28}{cells[1]:>28}{100 * np.median(over('relative', 'x')):>7.2f}{static:>14}"
         f"{paper:>13}{100 * covered:>9.1f}{np.median([r['nis'] for r in mine]):>7.3f}"
         f"{(f'{reached:.2f} s' if np.isfinite(reached) else '-'):>10}"
         + (f"  {lost} lost" if lost else "")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.campaign import Wishes, planned_tests, simulator
+from spiral.campaign import planned_tests, simulator
 from spiral.cli import main
 from spiral.compare import compare
 from spiral.discover import discover
@@ -15,6 +15,7 @@ from spiral.errors import ConfigError
 from spiral.model import Model, seed_model
 from spiral.plan import Wanted, plan
 from spiral.problem import Problem
+from spiral.wishes import Wishes
 from tests.scenes import SEED_TRUTH, effect, planar_record, registry
 
 GYROSCOPIC, DAMPING = effect("gyroscopic"), effect("antisymmetric_damping")
