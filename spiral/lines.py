@@ -43,7 +43,7 @@ def _power(record: Record, trials: Array) -> Array:
         scale = float(moving @ moving)
         if scale == 0:
             continue
-        band = (trials[0], trials[-1])
-        turned = zoom_fft(moving, band, len(trials), fs=1 / record.dt, endpoint=True)
+        band = 2 * record.dt * trials[[0, -1]]  # in half the sample rate
+        turned = zoom_fft(moving, band, len(trials), endpoint=True)
         total += np.abs(turned) ** 2 / scale
     return total
