@@ -7,6 +7,7 @@ told in one message; 3 an honest refusal. Heavy imports happen where a verb need
 from __future__ import annotations
 
 import argparse
+import gc
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -93,8 +94,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def entry() -> NoReturn:
-    """Run the program and end the process."""
-    sys.exit(main())
+    """Run the program and end the process, without a last look for rubbish (1 to 2 s of it)."""
+    code = main()
+    gc.freeze()
+    sys.exit(code)
 
 
 def parser() -> argparse.ArgumentParser:
