@@ -28,7 +28,7 @@ from sympy.printing.pycode import PythonCodePrinter
 
 from spiral.trace import Traced
 
-_VERSION = "2"  # raise when the generated code's form changes
+_VERSION = "3"  # raise when the generated code's form changes
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,16 @@ class Compiled:
 
 
 class _Printer(PythonCodePrinter):
-    """Plain Python with ``math`` functions, powers of integers as products."""
+    """Plain Python with ``math`` functions, powers of integers as products.
+
+    A negative power is a quotient: of zero it is infinite, which a fit takes as a step too far,
+    where Numba's power of zero raises whatever its error model.
+    """
 
     def _print_Pow(self, expr: Any, rational: bool = False) -> str:  # noqa: N802
         base, exponent = expr.args
+        if exponent.is_Integer and int(exponent) < 0:
+            return f"(1.0/{self.parenthesize(base**-exponent, 1000)})"
         if exponent.is_Integer and 2 <= int(exponent) <= 4:
             inner = self.parenthesize(base, 1000)
             return "(" + "*".join([inner] * int(exponent)) + ")"

@@ -19,6 +19,7 @@ from spiral.storage import new_run_id, to_json, write_whole
 FILE = "draft.json"
 _ID = re.compile(r"[0-9a-f-]{8,40}")
 _TIMES = ("time", "t", "seconds", "zeit", "time (s)", "t (s)")
+_NAMED = {"rpm": "rpm", "hz": "Hz", "um": "um", "µm": "um", "mm": "mm", "ms": "ms", "mv": "mV"}
 _SPEEDS = ("speed", "rpm", "omega", "drehzahl", "n")
 
 
@@ -129,7 +130,15 @@ def guessed(columns: Sequence[Mapping[str, Any]], system: Mapping[str, Any]) -> 
         if channel["name"] not in found and left:
             found[channel["name"]] = next(iter(left))
             del left[found[channel["name"]]]
-    return Choice(system["name"], time, "", found)
+    named = {c["name"] for c in columns if c["unit"]}
+    units = {k: u for k, c in found.items() if c not in named and (u := unit_in(c))}
+    return Choice(system["name"], time, "", found, units)
+
+
+def unit_in(name: str) -> str:
+    """The unit that a column's name says, as ``rpm`` or ``disp_um``; nothing where it says none."""
+    last = re.split(r"[^a-zµ]+", name.lower().strip(")] "))[-1]
+    return _NAMED.get(last, "")
 
 
 def lacking(draft: Draft) -> list[str]:

@@ -80,7 +80,10 @@ def bare(file: Path, name: str) -> None:
 
 def refused(error: SpiralError) -> None:
     """A message that passes."""
-    said = ". ".join(v for v in error.as_dict().values() if v)
+    found = error.as_dict()
+    said = found["given"]
+    for name, key in (("Expected", "expected"), ("Try", "try")):
+        said += f". {name}: {found[key]}" if found.get(key) else ""
     ui.notify(said, type="warning", multi_line=True, position="top", close_button="Close")
 
 

@@ -20,6 +20,7 @@ body {{ font-family:{FONT}; color:var(--ink); background:var(--ground); }}
   grid-template-columns:minmax(0,1fr); }}
 .card {{ background:var(--paper); border:1px solid var(--line); border-radius:10px;
   padding:18px 20px; box-sizing:border-box; min-width:0; }}
+.card:empty {{ display:none; }}
 .split {{ display:grid; grid-template-columns:minmax(340px,410px) minmax(0,1fr); gap:18px;
   align-items:start; }}
 h1.big {{ font-size:34px; line-height:1.15; font-weight:700; margin:18px 0 2px; }}
@@ -46,6 +47,7 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
   grid-template-columns:minmax(0,1fr) auto; column-gap:12px; align-items:start; }}
 .effect .name {{ font-weight:650; font-size:16px; line-height:1.3; }}
 .effect .meaning {{ color:var(--soft); font-size:14px; line-height:1.4; }}
+.formula {{ display:inline-block; }}
 .effect .evidence {{ font-size:13.5px; color:var(--soft); margin-top:5px; grid-column:1 / -1;
   display:flex; align-items:center; gap:10px; font-variant-numeric:tabular-nums; }}
 .effect .evidence span {{ white-space:nowrap; }}
@@ -91,8 +93,8 @@ math {{ font-size:17px; }}
 .equation td {{ border:0; padding:3px 10px 3px 0; vertical-align:middle; }}
 .equation td.owner {{ color:var(--soft); font-size:14px; }}
 .q-btn {{ text-transform:none; letter-spacing:0; font-weight:600; }}
-.q-tab {{ text-transform:none; letter-spacing:0; min-height:40px; padding:0 9px; }}
-.q-tab__label {{ font-size:14px; font-weight:600; }}
+.q-tab {{ text-transform:none; letter-spacing:0; min-height:40px; padding:0 7px; }}
+.q-tab__label {{ font-size:13.5px; font-weight:600; }}
 .q-tab-panel {{ padding:10px 0 0; }}
 .js-plotly-plot {{ width:100%; }}
 .bar a.quiet {{ align-self:center; font-weight:600; }}

@@ -21,7 +21,7 @@ from spiral.terminal import number
 
 _TICK = 0.2
 _NONE = "none"
-_CLOCK = "no column: sample rate"
+_CLOCK = "sample rate"
 
 
 @dataclass
@@ -66,13 +66,15 @@ class Form:
         if desktop.draft.trouble:
             with ui.element("div").classes("trouble").props('role="alert"'):
                 ui.html(panels.trouble(desktop.draft.trouble), sanitize=False)
+                if not desktop.draft.columns:
+                    ui.link("Choose another file", "/").classes("quiet")
 
     def _columns(self, desktop: Desktop) -> None:
         draft = desktop.draft
         if not draft.columns:
             return
         rows = [
-            (c["name"], c["unit"], "  ".join(number(v) for v in c["first"]),
+            (c["name"], c["unit"], ", ".join(number(v) for v in c["first"]),
              f"{number(c['lowest'])} … {number(c['highest'])}")
             for c in draft.columns
         ]  # fmt: skip
@@ -95,10 +97,10 @@ class Form:
         system = draft.system()
         if system is None:
             ui.html("<p class='soft' style='margin-top:8px'>" + "<br>".join(
-                f"<b>{escape(panels.words(s['name']))}</b>: {escape(s['meaning'])}"
+                f"<b>{escape(panels.words(s['name']))}</b>: {panels.meaning(s['meaning'])}"
                 for s in draft.systems) + "</p>", sanitize=False)  # fmt: skip
             return
-        said = f"<p class='soft' style='margin-top:6px'>{escape(system['meaning'])}</p>"
+        said = f"<p class='soft' style='margin-top:6px'>{panels.meaning(system['meaning'])}</p>"
         ui.html(said, sanitize=False)
         with ui.element("div").classes("mapping"):
             self._clock(draft)
@@ -123,9 +125,9 @@ class Form:
         if draft.choice.time:
             self._unit(draft, "time", "s")
         else:
-            ui.input(value=draft.choice.rate, placeholder="samples per s",
+            ui.input(value=draft.choice.rate, placeholder="in Hz",
                      on_change=lambda e: self._change(rate=e.value or "")).props(
-                "outlined dense debounce=500")  # fmt: skip
+                'outlined dense debounce=500 aria-label="sample rate"')  # fmt: skip
 
     def _series(self, draft: Draft, series: Mapping[str, Any], kind: str) -> None:
         name = series["name"]
@@ -171,11 +173,11 @@ class Form:
                     sanitize=False)  # fmt: skip
         elif draft.seen:
             ui.html(panels.records(draft.seen), sanitize=False)
-            ui.html("<p class='soft' style='margin:8px 0 12px'>The last part is kept apart as the "
+            ui.html("<p class='soft' style='margin-top:8px'>The last part is kept apart as the "
                     "test record: no fit sees it. Are the ranges those of your machine?</p>",
                     sanitize=False)  # fmt: skip
         begin = ui.button("Compare with the model", icon="play_arrow", on_click=self._begin)
-        begin.props("unelevated color=primary")
+        begin.props("unelevated color=primary").style("margin-top:12px")
         begin.set_enabled(bool(draft.seen) and not draft.trouble)
 
     def _change(self, **values: Any) -> None:

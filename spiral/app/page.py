@@ -120,7 +120,8 @@ class View:
         ui.html(panels.headline(study), sanitize=False)
         ui.html(panels.chips(study), sanitize=False)
         if study.turn is not None:
-            ui.html(panels.channels(study.turn), sanitize=False).style("margin-top:10px")
+            units = panels.units(study.records)
+            ui.html(panels.channels(study.turn, units), sanitize=False).style("margin-top:10px")
         with ui.row().classes("gap-2").style("margin-top:14px"):
             idle = scene.busy is None
             undo = ui.button("Undo", icon="undo", on_click=lambda: self._move(-1))

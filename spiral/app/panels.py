@@ -6,8 +6,11 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from spiral.app.study import Study, Turn
 from spiral.report import text
+from spiral.report.style import scaled, symbols, words
 from spiral.terminal import number, percent, probability
 
 _BOTH = "the larger of the classical p-value and the robust one"
@@ -38,11 +41,6 @@ def ending(study: Study, turn: Turn) -> str:
         said += f" The free run on the test record still misses by {percent(error)}, though: such a"
         said += " model may be right and its motion hard to predict, or the test record differs."
     return said
-
-
-def words(label: str) -> str:
-    """``cross_stiffness@bearing_2`` as ``cross stiffness at bearing 2``."""
-    return label.replace("@", " at ").replace("_", " ")
 
 
 def headline(study: Study) -> str:
@@ -77,10 +75,10 @@ def chips(study: Study) -> str:
     return f'<div class="chips">{"".join(found)}</div>'
 
 
-def channels(turn: Turn) -> str:
-    """Errors of each channel, chi2 and whiteness of the fit."""
+def channels(turn: Turn, units: Mapping[str, str]) -> str:
+    """Errors of each channel in its unit, chi2 and whiteness of the fit."""
     rows = [
-        (name, number(v["rmse"]), _shown(v["relative"]))
+        (name, _sized(v["rmse"], units.get(name, "")), _shown(v["relative"]))
         for name, v in (turn.result.get("channels") or {}).items()
     ]
     table = text.table(("channel", "rms error", "of its deviation"), rows,
@@ -93,6 +91,20 @@ def channels(turn: Turn) -> str:
     return plain(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'
 
 
+def _sized(value: float | None, unit: str) -> str:
+    """``20.04 µm`` for 2.004e-5 m."""
+    if value is None:
+        return "not finite"
+    factor, name = scaled(unit, np.array([value]))
+    return f"{number(factor * value)} {name}".strip()
+
+
+def units(found: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """The unit of every series of the records, each by its first."""
+    rows = [series for record in found for series in record["series"]]
+    return {s["name"]: s["unit"] for s in reversed(rows)}
+
+
 def plain(table: str) -> str:
     """A table of the report in the page's look."""
     return table.replace("<table>", '<table class="plain">', 1)
@@ -102,8 +114,16 @@ def candidate(found: Mapping[str, Any]) -> str:
     """Name and meaning."""
     return (
         f'<div class="name">{escape(words(found["effect"]))}</div>'
-        f'<div class="meaning">{escape(found["meaning"])}</div>'
+        f'<div class="meaning">{meaning(found["meaning"])}</div>'
     )
+
+
+def meaning(said: str) -> str:
+    """A meaning whose formula is not broken where it fits into a line."""
+    name, colon, formula = symbols(said).rpartition(": ")
+    if "=" not in formula or not colon:
+        return escape(symbols(said))
+    return f'{escape(name)}: <span class="formula">{escape(formula)}</span>'
 
 
 def evidence(found: Mapping[str, Any]) -> str:

@@ -61,12 +61,13 @@ def _draw(numbers: Mapping[str, Any], table: Table, target: Path) -> None:
     from spiral.report.style import CYCLE, blank, line, titled
 
     shown = list(numbers)[:_DRAWN]
-    figure = blank(len(shown), 1, 70 + 110 * len(shown), shared_xaxes=True, vertical_spacing=0.035)
+    figure = blank(len(shown), 1, 70 + 120 * len(shown), shared_xaxes=True, vertical_spacing=0.045)
     for row, name in enumerate(shown, 1):
         values = numbers[name]
         line(figure, np.arange(len(values)), values, name, CYCLE[(row - 1) % len(CYCLE)], row,
              width=1.1, showlegend=False)  # fmt: skip
-        figure.update_yaxes(title_text=titled(name[:18], table.units.get(name, "")), row=row, col=1)
+        title = titled(name[:18], table.units.get(name, "")).replace(" (", "<br>(")
+        figure.update_yaxes(title_text=title, title_font_size=13, row=row, col=1)
     figure.update_xaxes(title_text="row", row=len(shown), col=1)
     figure.update_layout(margin={"t": 12})
     write_whole(target, figure.to_json())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html import escape
 
 from nicegui import ui
@@ -63,7 +64,11 @@ def _path(desk: Desk) -> None:
 
 
 def presets() -> list[tuple[str, str]]:
-    """The presets with the first sentence of what their files say of them; the demo's first."""
+    """The presets with the first sentence of what their files say of them; the demo's first.
+
+    Those with evidence of another kind are left to the command line: the page adds by hand, and
+    only ``strategy=shooting`` can admit what a person chooses.
+    """
     from importlib.resources import files
 
     from spiral.config import PACKAGE, experiments
@@ -71,6 +76,8 @@ def presets() -> list[tuple[str, str]]:
     found = []
     for name in sorted(experiments(), key=lambda n: (n != "rotor_coastdown", n)):
         lines = (files(PACKAGE) / "experiment" / f"{name}.yaml").read_text("utf-8").splitlines()
+        if any(re.match(r"strategy: *(?!shooting)", x) for x in lines):
+            continue
         told = [x[1:].strip() for x in lines[1:] if x.startswith("#")]
         found.append((name, " ".join(told).split(". ")[0].rstrip(".") + "."))
     return found

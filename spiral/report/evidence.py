@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from spiral.report.style import AFTER, BEFORE, BLUE, GREY, ORANGE, SKY, VERMILION, blank
+from spiral.report.style import AFTER, BEFORE, BLUE, GREY, ORANGE, SKY, VERMILION, blank, words
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+_LABEL = 16  # letters of a label's line
 _LEAST = 1e-3  # percent, where an error of zero is drawn
 
 
@@ -71,7 +73,7 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], floor: floa
         )
     numbers = [r["round"] for r in found]
     figure.update_xaxes(title_text="round", tickmode="array", tickvals=numbers,
-                        range=[-0.15, numbers[-1] + 0.6])  # fmt: skip
+                        range=[-0.15, numbers[-1] + max(0.6, 0.24 * numbers[-1])])  # fmt: skip
     values = [v for r in found for k in ("fit_error", "test_error") if (v := _percent(r.get(k)))]
     low, high = min([*values, floor or math.inf]), max(values)
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
@@ -80,7 +82,13 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], floor: floa
 
 
 def _admitted(found: Mapping[str, Any]) -> str:
-    return "+ " + ", ".join(found["admitted"]) if found.get("admitted") else "the seed"
+    names = [words(name) for name in found.get("admitted") or ()]
+    return "+ " + ",<br>".join(map(_wrapped, names)) if names else "the seed"
+
+
+def _wrapped(name: str) -> str:
+    """A long name on two lines."""
+    return "<br>".join(wrap(name, _LABEL, break_long_words=False))
 
 
 def _percent(value: Any) -> float | None:
@@ -100,11 +108,11 @@ def candidates(result: Mapping[str, Any]) -> go.Figure | None:
     width = min(count, 2)
     lines = math.ceil(count / width)
     figure = blank(lines, width, 110 + lines * (70 + 34 * rows), subplot_titles=titles,
-                   horizontal_spacing=0.22, vertical_spacing=0.3 / lines)  # fmt: skip
+                   horizontal_spacing=0.3, vertical_spacing=0.3 / lines)  # fmt: skip
     for index, group in enumerate(groups):
         admitted = _next_admitted(result, group)
         _bars(figure, group["suggestions"], admitted, index // width + 1, index % width + 1)
-    figure.update_layout(margin={"l": 190, "t": 78}, showlegend=True, barmode="overlay",
+    figure.update_layout(margin={"l": 170, "t": 78}, showlegend=True, barmode="overlay",
                          legend={"y": 1 + 34 / figure.layout.height})  # fmt: skip
     figure.update_xaxes(range=[0, 118], ticksuffix=" %")
     for column in range(1, width + 1):
@@ -129,20 +137,25 @@ def _bars(
         ("cannot be told from it", ORANGE, lambda name: name in aliases),
         ("other candidates", GREY, lambda name: name not in admitted | aliases),
     )
-    names = [s["effect"] for s in suggestions][::-1]
+    names = [words(s["effect"]) for s in suggestions][::-1]
     for name, colour, belongs in kinds:
         chosen = [s for s in suggestions if belongs(s["effect"])]
         if not chosen:
             continue
         figure.add_bar(
-            y=[s["effect"] for s in chosen], x=[100 * s["explains"] for s in chosen],
+            y=[words(s["effect"]) for s in chosen], x=[100 * s["explains"] for s in chosen],
             orientation="h", marker_color=colour, name=name, legendgroup=name,
             showlegend=name not in {t.name for t in figure.data},
-            text=[f"p {_p(s['p_value'])}" for s in chosen], textposition="outside",
+            text=[f"p {_p(_worst(s))}" for s in chosen], textposition="outside",
             hovertext=[s["meaning"] for s in chosen], cliponaxis=False, row=row, col=column,
         )  # fmt: skip
     figure.update_yaxes(categoryorder="array", categoryarray=names, showgrid=False, row=row,
                         col=column)  # fmt: skip
+
+
+def _worst(found: Mapping[str, Any]) -> float:
+    """The larger of the classical p-value and the robust one, where there is one."""
+    return max(found["p_value"] or 0.0, found.get("wald_p_value") or 0.0)
 
 
 def _p(value: float) -> str:
@@ -156,7 +169,7 @@ def coefficients(table: Sequence[Mapping[str, Any]]) -> go.Figure | None:
     known = [r for r in table if r.get("se") and r.get("estimate")]
     if not known:
         return None
-    names = [f"{r['effect']}.{r['parameter']}" for r in known][::-1]
+    names = [words(f"{r['effect']}, {r['parameter']}") for r in known][::-1]
     spans = [196 * abs(r["se"] / r["estimate"]) for r in known][::-1]
     clear = [span < 100 for span in spans]
     figure = blank(height=110 + 30 * len(known))

@@ -96,7 +96,7 @@ def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
     sigma = np.array(list(curves.meta["records"][record]["sigma"].values()))
     factor, unit = scaled(channels[0]["unit"], y)
     columns = 3 if phase is not None else 2
-    figure = blank(1, columns, 360, horizontal_spacing=0.09)
+    figure = blank(1, columns, 360, horizontal_spacing=0.06, shared_yaxes=True)
     for model in models:
         left = error(curves, record, model)
         assert left is not None
@@ -107,9 +107,13 @@ def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
         _per_channel(figure, left / sigma, model, [c["name"] for c in channels], columns)
     figure.update_xaxes(title_text=titled("amplitude", unit), row=1, col=1)
     figure.update_yaxes(title_text="rms error / noise", row=1, col=1)
-    figure.update_yaxes(type="log", dtick=1, minor={"showgrid": True, "gridcolor": "#F3F3F3"})
+    drawn = np.concatenate([np.asarray(t.y, dtype=float) for t in figure.data])
+    drawn = np.log10(drawn[drawn > 0])  # bars begin at the noise, or below the lowest curve
+    figure.update_yaxes(type="log", dtick=1, minor={"showgrid": True, "gridcolor": "#F3F3F3"},
+                        range=[min(0.0, drawn.min() - 0.1), drawn.max() + 0.15])  # fmt: skip
     if phase is not None:
-        figure.update_xaxes(title_text="rotor angle (°)", dtick=90, row=1, col=2)
+        angle = {"dtick": 90, "range": [0, 360]}
+        figure.update_xaxes(title_text="rotor angle (°)", **angle, row=1, col=2)
     figure.update_xaxes(title_text="channel", row=1, col=columns)
     return figure
 
@@ -160,11 +164,12 @@ def force_surface(curves: Curves, model: str) -> go.Figure | None:
     factor, unit = scaled(about["force_unit"], force)
     figure = blank(len(axes), len(series), 80 + 230 * len(axes), horizontal_spacing=0.04,
                    vertical_spacing=0.09, shared_yaxes=True, shared_xaxes=True)  # fmt: skip
+    reach: list[list[float]] = [[] for _ in axes]
     for column, (name, values) in enumerate(series.items(), 1):
         size, said = (1.0, "°") if name == "angle" else scaled(units[name], values)
         for row in range(1, len(axes) + 1):
             at = about["axes"].index(axes[row - 1])
-            _surface(figure, size * values, factor * force[:, at], row, column)
+            reach[row - 1] += _surface(figure, size * values, factor * force[:, at], row, column)
         title = titled(name.replace("_rate", "'"), said)
         figure.update_xaxes(title_text=title, row=len(axes), col=column)
     figure.update_xaxes(tickangle=0, nticks=4 if len(series) > 3 else 5)
@@ -172,10 +177,14 @@ def force_surface(curves: Curves, model: str) -> go.Figure | None:
         figure.update_xaxes(tickvals=[0, 180, 360], range=[0, 360], col=len(series))
     for row, axis in enumerate(axes, 1):
         figure.update_yaxes(title_text=titled(f"force on {axis}", unit), row=row, col=1)
+        low, high = min(reach[row - 1], default=-1.0), max(reach[row - 1], default=1.0)
+        edge = 0.06 * (high - low or 1.0)
+        figure.update_yaxes(range=[low - edge, high + edge], row=row)  # of all its panels
     return figure
 
 
-def _surface(figure: Any, x: Array, force: Array, row: int, column: int) -> None:
+def _surface(figure: Any, x: Array, force: Array, row: int, column: int) -> list[float]:
+    """Draw one panel; returns all heights drawn."""
     import plotly.graph_objects as go
 
     low, high = np.quantile(x, (0.002, 0.998))
@@ -184,7 +193,7 @@ def _surface(figure: Any, x: Array, force: Array, row: int, column: int) -> None
     rows = [(0.5 * (edges[k] + edges[k + 1]), *np.quantile(force[at == k], (0.25, 0.75)),
              force[at == k].mean()) for k in range(_BINS) if np.sum(at == k) > 8]  # fmt: skip
     if not rows:
-        return
+        return []
     middle, lower, upper, mean = np.array(rows).T
     figure.add_trace(
         go.Scatter(x=np.concatenate([middle, middle[::-1]]), mode="lines", line={"width": 0},
@@ -193,6 +202,7 @@ def _surface(figure: Any, x: Array, force: Array, row: int, column: int) -> None
                    showlegend=row == column == 1), row=row, col=column,
     )  # fmt: skip
     line(figure, middle, mean, "mean of the missing force", CYCLE[0], row, column, width=2.2)
+    return [*lower, *upper, *mean]
 
 
 def bode(curves: Curves, record: int) -> go.Figure | None:
@@ -297,7 +307,7 @@ def correlation(curves: Curves, record: int) -> go.Figure | None:
         return None
     inputs = _drives(curves, record)
     names = [c["name"] for c in curves.meta["channels"]]
-    figure = blank(1, 2 if inputs else 1, 360, horizontal_spacing=0.1)
+    figure = blank(1, 2 if inputs else 1, 360, horizontal_spacing=0.13)
     counted = int(np.count_nonzero(left[:, 0]))
     lags = min(_LAGS, len(left) // 4)
     at = np.arange(-lags, lags + 1)

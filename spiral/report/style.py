@@ -46,6 +46,27 @@ def pretty(unit: str) -> str:
     return "" if text == "1" else text.replace("*", "·")
 
 
+_SYMBOLS = {
+    "W": "Ω", "theta": "θ", "tau": "τ", "alpha": "\N{GREEK SMALL LETTER ALPHA}", "beta": "β",
+    "xi": "ξ", "pi": "π",
+}  # fmt: skip
+
+
+def words(label: str) -> str:
+    """``cross_stiffness@bearing_2`` as ``cross stiffness at bearing 2``."""
+    return label.replace("@", " at ").replace("_", " ")
+
+
+def symbols(meaning: str) -> str:
+    """A meaning with its formula as one writes it: ``k W^2 q`` as ``k Ω² q``, with true minus."""
+    text = meaning
+    for plain, symbol in _SYMBOLS.items():
+        text = re.sub(rf"(?<![A-Za-z]){plain}(?![A-Za-z])", symbol, text)
+    minus = "\N{MINUS SIGN}"
+    text = re.sub(r"(?<![\w)])-(?=[\w|(])| - ", lambda m: m.group().replace("-", minus), text)
+    return pretty(text).replace("·", "*").replace(")_+", ")₊")
+
+
 def titled(name: str, unit: str) -> str:
     """An axis title: ``x (µm)``."""
     return f"{name} ({unit})" if unit else name
@@ -112,7 +133,7 @@ def band(
     figure: Any, x: Array, middle: Array, spread: Array, name: str, colour: str,
     row: int = 1, column: int = 1,
 ) -> None:  # fmt: skip
-    """A curve with its 95 % band of 1.96 standard deviations."""
+    """A curve with its 95 % band of 1.96 standard deviations, both of one name in the legend."""
     import plotly.graph_objects as go
 
     step = max(1, len(x) // POINTS)
@@ -123,8 +144,7 @@ def band(
         go.Scatter(
             x=outline.astype(np.float32), y=np.concatenate([high, low[::-1]]).astype(np.float32),
             fill="toself", fillcolor=faint(colour), line={"width": 0}, hoverinfo="skip",
-            name=f"{name}, 95 %", legendgroup=name, mode="lines",
-            showlegend=f"{name}, 95 %" not in {t.name for t in figure.data},
+            name=f"{name}, 95 %", legendgroup=name, mode="lines", showlegend=False,
         ), row=row, col=column,
     )  # fmt: skip
     line(figure, x, middle, name, colour, row, column)

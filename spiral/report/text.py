@@ -8,6 +8,7 @@ from typing import Any
 
 from spiral.curves import SEED, Curves
 from spiral.report.evidence import rounds
+from spiral.report.style import pretty
 from spiral.run import estimate_rows
 from spiral.terminal import number, percent, plus_minus, probability
 
@@ -169,12 +170,19 @@ def coefficients_table(result: Mapping[str, Any], mathml: Sequence[Mapping[str, 
     """Every parameter with its standard error, under the equation where there is one."""
     rows = [
         (r["effect"], r["parameter"], plus_minus(r["estimate"], r.get("se")),
-         number(r.get("t"), 3) if r.get("t") is not None else "given", r["unit"] or "1")
+         _ratio(r.get("t")), pretty(r["unit"] or "1") or "1")
         for r in estimate_rows(result)
     ]  # fmt: skip
     columns = ("effect", "parameter", "estimate ± se", "t", "unit")
     shown = _equation(mathml) if mathml else ""
     return shown + (table(columns, rows, columns[2:4]) if rows else "")
+
+
+def _ratio(t: float | None) -> str:
+    """An estimate over its standard error: ``1220``, ``-3.41``."""
+    if t is None:
+        return "given"
+    return f"{t:.0f}" if 100 <= abs(t) < 1e6 else number(t, 3)
 
 
 def _equation(found: Sequence[Mapping[str, Any]]) -> str:

@@ -1,7 +1,9 @@
 """The cache of compiled models: known models are not generated again, damaged files are."""
 
+import numpy as np
 import pytest
 from spiral_plugins.systems.oscillator import Oscillator
+from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral import compile as compiler
 from spiral.compile import compile_model
@@ -28,8 +30,8 @@ def forget(monkeypatch):
         monkeypatch.delitem(sys.modules, name)
 
 
-def model(*labels):
-    system = Oscillator()
+def model(*labels, system=None):
+    system = system or Oscillator()
     return trace(system, (*system.seed, *(effect(x) for x in labels)))
 
 
@@ -60,3 +62,13 @@ def test_the_name_follows_the_equations_and_the_derivatives():
     assert name("coulomb_friction") != name("clearance")
     assert name("coulomb_friction") == name("coulomb_friction")
     assert name("coulomb_friction") != name("coulomb_friction", ("system.mass",))
+
+
+def test_a_shape_of_zero_gives_no_number_rather_than_an_exception():
+    """tanh(v / w) at w = 0, where a freed width may come to stand: its slope is not finite."""
+    compiled = compile_model(model("coulomb_friction", system=PlanarRotor()))
+    p = np.array([0.0 if key.endswith(".width") else 1.0 for key in compiled.traced.keys])
+    f, by_x, by_p = np.zeros(4), np.zeros((4, 4)), np.zeros((4, len(p)))
+    compiled.rate(np.full(4, 0.1), np.zeros(len(compiled.traced.u)), p, f, by_x, by_p)
+    assert np.isfinite(f).all()  # the friction itself stays at its level
+    assert not np.isfinite(by_p).all()
