@@ -75,7 +75,7 @@ def passes() -> list[tuple[str, float, str]]:
     count = min(48, len(study.keys))
     columns = Columns(np.arange(count), np.full(count, -1))
     layouts = layouts_for(study, 64, (None,))
-    point = Point(standing.values, first_starts(study, layouts))
+    point = Point(standing.values, first_starts(study, layouts, standing.values))
     kernel = _kernel_only(study, layouts, point, columns)
     with threadpool_limits(limits=1, user_api="blas"):
         rows = [

@@ -65,16 +65,27 @@ class Assembly:
     variants: tuple[Variant, ...]
     regression: Any = None
 
+    @property
+    def later(self) -> tuple[Effect, ...]:
+        """Candidates with states of their own, which are compiled where a round calls for them."""
+        return tuple(c for c in self.problem.candidates if c.states)
+
     def variant(self, label: str) -> Variant:
         """A variant by its compiled label."""
         return next(v for v in self.variants if v.label == label)
 
 
-def assemble(problem: Problem, substeps: int = 1) -> Assembly:
-    """Trace and compile the model with all variants of all candidates, and prepare the records."""
+def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()) -> Assembly:
+    """Trace and compile the model with all variants of all candidates, and prepare the records.
+
+    Candidates with states of their own are left out; ``more`` are variants of such, with their
+    shapes (``spiral.resolved``).
+    """
     model = problem.model
     extremes = _extremes(model, problem.records)
-    variants = [v for c in problem.candidates for v in _variants(model, c, extremes, problem)]
+    now = [c for c in problem.candidates if not c.states]
+    variants = [v for c in now for v in _variants(model, c, extremes, problem)]
+    variants += more
     effects = [*model.effects]
     shifts = [0.0] * len(effects)
     for variant in variants:

@@ -9,10 +9,12 @@ import numpy as np
 from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared, test_run
 from spiral.evidence import Standing, admit, all_samples, half_masks
+from spiral.holding import carried
 from spiral.identifiability import entangled
 from spiral.innovations import INNOVATION
 from spiral.judge import whole
 from spiral.problem import Problem, Progress, silent
+from spiral.resolved import remembered
 from spiral.run import Diagnosis, Round, Stopped, Suggestion
 from spiral.suggest import Proposal, propose
 from spiral.threads import one_blas_thread
@@ -46,7 +48,12 @@ def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
         return Diagnosis(
             "not_identifiable", comparison, groups, where(assembly, stage), advice, stage.length
         )
-    proposal = propose(assembly, standing, half_masks(assembly), 1, progress)
+    masks = half_masks(assembly)
+    proposal = propose(assembly, standing, masks, 1, progress)
+    white = comparison.whiteness_p >= problem.settings.whiteness_level
+    proposal = remembered(assembly, standing, proposal, white, masks, 1, progress)
+    if proposal.wide is not None:
+        standing, assembly = carried(standing, assembly, proposal.wide), proposal.wide
     return _diagnosis(assembly, standing, comparison, proposal, first, progress)
 
 

@@ -9,8 +9,10 @@ from dataclasses import replace
 from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared
 from spiral.effect import Effect
-from spiral.evidence import all_samples, with_effects
+from spiral.evidence import Standing, all_samples, with_effects
+from spiral.holding import carried, having, holding
 from spiral.problem import Problem, Progress, silent
+from spiral.resolved import widened
 from spiral.run import Comparison, Round, Run, Stopped
 from spiral.strategy import Strategy
 from spiral.threads import one_blas_thread
@@ -96,7 +98,7 @@ def add(
     before = judged(assembly, before_standing, stage, progress)
     rounds = [Round(0, (), {}, {}, (), before, time.perf_counter() - clock)]
     clock = time.perf_counter()
-    standing = with_effects(assembly, before_standing, effects, progress)
+    assembly, standing = _with_all(assembly, before_standing, effects, progress)
     progress("fitting after")
     stage = last_stage(assembly, standing, masks)
     standing = replace(standing, values=stage.fitted.point.values)
@@ -106,3 +108,23 @@ def add(
     rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock, meaning=meaning))
     run = Run("effect_missing", "max_rounds", tuple(rounds), after.model, "added by hand")
     return before, after, run
+
+
+def _with_all(
+    assembly: Assembly, standing: Standing, effects: tuple[Effect, ...], progress: Progress
+) -> tuple[Assembly, Standing]:
+    """Admit effects without gates; those with states of their own bring a study that holds them.
+
+    Their frequencies are free from then on: beside an amplitude the long windows tell them well.
+    """
+    late = tuple(e for e in effects if e.states)
+    if not late:
+        return assembly, with_effects(assembly, standing, effects, progress)
+    progress("resolving the missing force into resonances and lags")
+    wide, _ = widened(assembly, standing, late)
+    found = with_effects(wide, carried(standing, assembly, wide), effects, progress)
+    final = having(assembly, found.labels)
+    chosen = (v for v in final.variants if v.label in found.labels and v.original in late)
+    tuned = tuple(k for v in chosen for k in v.tuned if k not in found.freed)
+    found = replace(carried(found, wide, final), freed=(*found.freed, *tuned))
+    return holding(final, found), found

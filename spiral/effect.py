@@ -86,7 +86,7 @@ class FlowEffect(Effect):
 
     @abstractmethod
     def flow(self, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace) -> dict[str, Any]:
-        """Channel name -> flow into it."""
+        """Channel name -> flow into it; states of the effect's own are ``x.own``."""
 
 
 def expand(

@@ -16,12 +16,13 @@ import numpy as np
 from spiral.consistency import Bounded, Consistency, bounded, consistency, normalised_squares
 from spiral.consistency import stable_samples as stable
 from spiral.filtering.task import Task, prepare_task
-from spiral.model import Model
+from spiral.model import Model, pretty_unit
 from spiral.observability import Observability, observability
 from spiral.observer import Observer, Reconstruction
 from spiral.problem import Progress, silent
 from spiral.record import Array, Record
 from spiral.threads import one_blas_thread
+from spiral.trace import own_states
 
 SKIPPED = 1.0  # s at the start that are not scored
 BAND = 1.959964  # half a 95 % band, in standard deviations
@@ -78,7 +79,10 @@ class Reconstructed:
 
     def unit(self, name: str) -> str:
         """Unit of a state or of a tracked parameter."""
-        known = {s.name: s.unit for s in self.task.model.system.states}
+        model = self.task.model
+        known = {s.name: s.unit for s in model.system.states}
+        own = own_states(model.system, model.effects)
+        known |= {name: pretty_unit(unit) for name, unit in own.items()}
         return self.task.model.unit(name) if name in self.task.keys else known.get(name, "")
 
 

@@ -135,7 +135,7 @@ def begin(assembly: Assembly, labels: tuple[str, ...]) -> Standing:
         values = first_values(study, equations, known.values, window)
         if not np.all(np.isfinite(values)):
             continue
-        point = Point(values, first_starts(study, layouts, window))
+        point = Point(values, first_starts(study, layouts, values, window))
         reduction = reduce(study, layouts, point, moving)
         promised = float(reduction.triangle[-1, -1] ** 2) if reduction.finite else np.inf
         if promised < lowest:

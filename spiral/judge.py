@@ -107,7 +107,7 @@ def _best_origin(
     position = study.index(ORIGIN)
     layouts = layouts_for(study, lengths[min(1, len(lengths) - 1)], masks)
     none, _ = columns(assembly, ())
-    starts = first_starts(study, layouts)
+    starts = first_starts(study, layouts, values)
     best = values.copy()
     for record, series in enumerate(study.series):
         alone = replace(study, series=(series,))

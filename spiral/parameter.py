@@ -41,6 +41,8 @@ class Parameter:
         frequency), the values themselves.
     search : moves each value of such a grid, within this share of it, to the strongest line in
         the records' channels.
+    spectrum : of a shape of an effect with states of its own, in Hz or s: its values are laid at
+        the peaks of the missing force's spectrum (``spiral.resolved``), in s as 1 / (2 pi f).
     """
 
     name: str
@@ -53,6 +55,7 @@ class Parameter:
     scope: Scope = "machine"
     grid: tuple[float, ...] = ()
     search: float = 0.0
+    spectrum: bool = False
 
     def __post_init__(self) -> None:
         _check_name("parameter", self.name)

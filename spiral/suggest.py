@@ -40,7 +40,9 @@ _STAGES = 4  # looks at the data, over which the level is shared
 class Proposal:
     """What one round found: evidence, the candidate to admit with its aliases, refusals.
 
-    ``dropped`` are effects of earlier rounds that the admission starts without.
+    ``dropped`` are effects of earlier rounds that the admission starts without. ``wide`` is the
+    study in which candidates with states of their own were scored too, where a round called for
+    them; evidence and admission then are in its terms.
     """
 
     evidence: Evidence | None
@@ -50,6 +52,7 @@ class Proposal:
     suggestions: tuple[Suggestion, ...]
     rejected: Mapping[str, str] = field(default_factory=dict)
     dropped: tuple[str, ...] = ()
+    wide: Assembly | None = None
 
     @property
     def not_separable(self) -> Mapping[str, tuple[str, ...]]:
@@ -86,7 +89,8 @@ def propose(
     rejected: dict[str, str] = {}
     chosen: Admitted | None = None
     aliases: tuple[str, ...] = ()
-    passing = [r for r in evidence.ranked if _significant(r, evidence, settings, round_number)]
+    tests = _tests(assembly, evidence)
+    passing = [r for r in evidence.ranked if _significant(r, tests, settings, round_number)]
     for ranked in passing[: _RIVALS + 1]:
         if ranked.variant.original.label in rejected:
             continue
@@ -118,31 +122,34 @@ def _longest_that_agrees(
             break
         progress(f"scoring candidates on windows of {stage.length} samples")
         evidence = score_stage(assembly, standing, stage)
-        if kept is not None and not _agree(kept, evidence, settings, round_number):
+        tests = _tests(assembly, evidence)
+        if kept is not None and not _agree(kept, evidence, tests, settings, round_number):
             break
         kept = evidence
     return kept, tuple(stages)
 
 
-def _leaders(evidence: Evidence, settings: Settings, round_number: int) -> list[str]:
+def _leaders(evidence: Evidence, tests: int, settings: Settings, round_number: int) -> list[str]:
     """The significant ones of the top three that come near the first (half its gain)."""
     top = evidence.ranked[:3]
     return [
         r.variant.original.label
         for r in top
-        if _significant(r, evidence, settings, round_number)
+        if _significant(r, tests, settings, round_number)
         and r.score.gain >= _RIVAL_SHARE * top[0].score.gain
     ]
 
 
-def _agree(before: Evidence, after: Evidence, settings: Settings, round_number: int) -> bool:
+def _agree(
+    before: Evidence, after: Evidence, tests: int, settings: Settings, round_number: int
+) -> bool:
     """Whether longer windows keep the first suggestion and lose none of its near rivals.
 
     Where nothing was significant before, or where the model is nearly right on the longer windows
     (so that they cannot have led it into a wrong basin), the first suggestion alone must stay.
     """
-    old = _leaders(before, settings, round_number)
-    new = _leaders(after, settings, round_number)
+    old = _leaders(before, tests, settings, round_number)
+    new = _leaders(after, tests, settings, round_number)
     if not old:
         return True
     nearly_right = after.stage.fitted.chi2_per_dof < _NEARLY_RIGHT
@@ -161,9 +168,15 @@ def _twins(evidence: Evidence) -> list[str]:
     ]
 
 
-def _significant(ranked: Ranked, evidence: Evidence, settings: Settings, round_number: int) -> bool:
+def _tests(assembly: Assembly, evidence: Evidence) -> int:
+    """Tests of a round: its candidates, those that wait for their turn too, at every stage."""
+    names = {r.variant.original.label for r in evidence.ranked}
+    waiting = sum(e.label not in names for e in assembly.later)
+    return (len(evidence.ranked) + waiting) * _STAGES
+
+
+def _significant(ranked: Ranked, tests: int, settings: Settings, round_number: int) -> bool:
     """Classical and robust p-values below the candidate's share of the round's level."""
-    tests = len(evidence.ranked) * _STAGES
     level = np.log(spent(settings.level, round_number) / tests)
     return max(ranked.log_p) < level
 

@@ -168,7 +168,7 @@ def trace(
     shifts = phase_shift or (0.0,) * len(effects)
     pairs = model_keys(system, effects)
     symbols = {k: sp.Symbol(f"p{i}", real=True) for i, (k, _) in enumerate(pairs)}
-    names = (*(s.name for s in system.states), *_own_states(system, effects))
+    names = (*(s.name for s in system.states), *own_states(system, effects))
     states = {n: sp.Symbol(f"x{i}", real=True) for i, n in enumerate(names)}
     inputs = {n: sp.Symbol(f"u{i}", real=True) for i, n in enumerate(input_columns(system))}
     x = SimpleNamespace(**{s.name: states[s.name] for s in system.states})
@@ -221,14 +221,14 @@ def _asked(owner: Effect | System, what: str, function: Callable[..., Any], *giv
         ) from error
 
 
-def _own_states(system: System, effects: tuple[Effect, ...]) -> tuple[str, ...]:
-    """Names of the states that effects bring, ``label.state`` with ``_axis`` where per axis."""
-    return tuple(
-        f"{effect.label}.{state.name}{suffix}"
+def own_states(system: System, effects: tuple[Effect, ...]) -> dict[str, str]:
+    """States that effects bring, ``label.state`` with ``_axis`` where per axis, and their units."""
+    return {
+        f"{effect.label}.{state.name}{suffix}": system.place(effect).unit(state.unit)
         for effect in effects
         for state in effect.states
         for suffix in _suffixes(state.per_axis, system.place(effect))
-    )
+    }
 
 
 def input_columns(system: System) -> tuple[str, ...]:
@@ -261,6 +261,8 @@ def _place(
         names = [c.name for c in system.coordinates]
         jacobian = sp.Matrix(position).jacobian([getattr(q, n) for n in names])
         velocity = tuple(jacobian * sp.Matrix([getattr(v, n) for n in names]))
+    else:
+        position = tuple(port.coordinates(x, p))
     own = SimpleNamespace()
     for state in effect.states:
         found = [states[f"{effect.label}.{state.name}{s}"] for s in _suffixes(state.per_axis, port)]
@@ -300,7 +302,8 @@ def _inject(
             for name, value in zip(total, generalised, strict=True):
                 total[name] += value
         elif isinstance(effect, FlowEffect):
-            for name, value in _asked(effect, "flow", effect.flow, x, u, item.p).items():
+            levels = _with_own(x, item.at)
+            for name, value in _asked(effect, "flow", effect.flow, levels, u, item.p).items():
                 if name not in total:
                     raise PluginError(
                         f"effect {effect.label!r} with a flow into {name!r}",
@@ -309,6 +312,11 @@ def _inject(
                     )
                 total[name] += value
     return total
+
+
+def _with_own(x: SimpleNamespace, at: At) -> SimpleNamespace:
+    """The system's states as a flow sees them: with the effect's own under ``own``."""
+    return SimpleNamespace(**vars(x), own=at.own)
 
 
 def _check_length(effect: Effect, what: str, values: list[Any], port: Port) -> None:

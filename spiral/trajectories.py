@@ -14,13 +14,15 @@ import numpy as np
 from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared
 from spiral.evidence import Admitted, Masks, Standing, admit, begin, half_masks, tested_keys
+from spiral.holding import carried, having, holding, moved
 from spiral.identifiability import entangled
 from spiral.problem import Problem, Progress
+from spiral.resolved import remembered
 from spiral.retire import let_go, superfluous
 from spiral.run import Comparison, Stopped, Suggestion
 from spiral.strategy import Begun, Settled, Step, Strategy
 from spiral.suggest import Proposal, listed, propose
-from spiral.unknown import Found, applies, holding, unknown_shape
+from spiral.unknown import Found, applies, unknown_shape
 
 SECOND_ORDER = ("cross_damping", "speed_stiffness")
 """Effects that a hidden tilt leaves beyond leading order (design, fact 3)."""
@@ -46,17 +48,17 @@ def _propose(
     masks = half_masks(assembly)
     proposal = propose(assembly, standing, masks, number, progress)
     level = assembly.problem.settings.whiteness_level
+    white = comparison.whiteness_p >= level
+    proposal = remembered(assembly, standing, proposal, white, masks, number, progress)
     if proposal.admitted is not None:
-        return _step(standing, proposal, proposal.admitted)
+        return _step(standing, _in_place(assembly, proposal))
     stopped = _why_stopped(proposal, comparison, level)
     details = _details(proposal)
     found = curve_of(assembly, standing, proposal, comparison, number, progress)
     if found is not None:
         details["unknown"] = found.shape.as_dict()
     if found is not None and assembly.problem.settings.learned:
-        admitted = found.proposal.admitted
-        assert admitted is not None
-        step = _step(standing, found.proposal, admitted)
+        step = _step(standing, found.proposal)
         return replace(step, details={**step.details, **details})
     return Step(
         proposal.suggestions, proposal.rejected, stopped=stopped, details=details, found=proposal
@@ -103,8 +105,18 @@ def _details(proposal: Proposal) -> dict[str, Any]:
     return details
 
 
-def _step(standing: Standing, proposal: Proposal, admitted: Admitted) -> Step:
-    effect = admitted.variant.original
+def _in_place(assembly: Assembly, proposal: Proposal) -> Proposal:
+    """The proposal with its admission in the study that goes on: with the one effect more."""
+    admitted = proposal.admitted
+    if proposal.wide is None or admitted is None:
+        return proposal
+    final = having(assembly, admitted.standing.labels)
+    return replace(proposal, admitted=moved(admitted, proposal.wide, final))
+
+
+def _step(standing: Standing, proposal: Proposal) -> Step:
+    assert proposal.admitted is not None
+    effect = proposal.admitted.variant.original
     mediated = any(x.split("#")[0] == "gyroscopic" for x in standing.labels)
     return Step(
         proposal.suggestions,
@@ -130,11 +142,16 @@ def _choose(assembly: Assembly, standing: Standing, step: Step, label: str) -> S
     proposal: Proposal = step.found
     evidence = proposal.evidence
     assert evidence is not None
+    assembly = holding(assembly, standing)
+    study, there = assembly, standing
+    if proposal.wide is not None:
+        study, there = proposal.wide, carried(standing, assembly, proposal.wide)
     wanted = next(r for r in evidence.ranked if r.variant.original.label == label)
-    admitted = admit(assembly, standing, evidence.stage, wanted)
+    admitted = admit(study, there, evidence.stage, wanted)
     others = (*step.admitted, *proposal.aliases)
     aliases = tuple(o for o in others if o != label) if label in others else ()
-    return _step(standing, replace(proposal, admitted=admitted, aliases=aliases), admitted)
+    chosen = replace(proposal, admitted=admitted, aliases=aliases)
+    return _step(standing, _in_place(assembly, chosen))
 
 
 def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:

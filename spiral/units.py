@@ -186,7 +186,7 @@ def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, An
         readings = effect.reading(list(position), at, u, p)
         found += [("effect", value, port.position_unit) for value in readings]
     elif isinstance(effect, FlowEffect):
-        x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states})
+        x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states}, own=own)
         units = {i.name: i.unit for i in system.injections}
         found += [("effect", value, units[name]) for name, value in effect.flow(x, u, p).items()]
     return found

@@ -106,6 +106,11 @@ CASES = (
     Case("shaft_bow", {"cosine": 0.05, "sine": 0.03}),
     Case("misalignment", {"cosine": 0.05, "sine": 0.03}),
     Case("crack", {"cosine": 300.0, "sine": 150.0}),
+    Case(
+        "hidden_mode",
+        {"mass_x": 0.05, "mass_y": 0.05, "natural_frequency": 24.0, "damping_ratio": 0.03},
+    ),
+    Case("lag", {"stiffness_x": 3000.0, "stiffness_y": 3000.0, "time_constant": 0.01}),
     Case("gravity_torque", {"torque": 0.5}, SWING),
 )
 

@@ -115,7 +115,10 @@ def _direction(effect: Effect, system: System) -> dict[str, float]:
 
 
 def _shapes(effect: Effect, system: System, base: Record) -> dict[str, float]:
-    """Each shape in the middle of its grid, in units of the largest motion."""
+    """Each shape in the middle of its grid, in units of the largest motion.
+
+    A hidden frequency lies a third above the one that halves the energy of the motion.
+    """
     channels = np.column_stack(list(base.channels.values()))
     moved = float(np.abs(channels).max())
     speed = float(np.abs(np.gradient(channels, base.dt, axis=0)).max())
@@ -125,8 +128,19 @@ def _shapes(effect: Effect, system: System, base: Record) -> dict[str, float]:
             scale = speed if "velocity" in p.unit else moved if "position" in p.unit else 1.0
             middle = 0 if any(a.upper for a in effect.amplitudes()) else len(p.grid) // 2
             value = p.grid[middle] * scale if p.grid else p.start or 1.0
+            if p.spectrum:
+                hertz = 4 / 3 * _median_frequency(base)
+                value = 1 / (2 * np.pi * hertz) if p.unit == "s" else hertz
             found[key.rsplit(".", 1)[1]] = value
     return found
+
+
+def _median_frequency(base: Record) -> float:
+    """Hz below which half of the channels' energy lies."""
+    channels = np.column_stack(list(base.channels.values()))
+    energy = np.sum(np.abs(np.fft.rfft(channels - channels.mean(axis=0), axis=0)) ** 2, axis=1)
+    at = int(np.searchsorted(np.cumsum(energy), energy.sum() / 2))
+    return float(np.fft.rfftfreq(len(channels), base.dt)[max(at, 1)])
 
 
 def _clean(case: Case, system: System, registry: Registry) -> Record:

@@ -9,7 +9,7 @@ import numpy as np
 
 from spiral.record import Array
 from spiral.shooting.fit import Fitted, fit
-from spiral.shooting.sensitivities import run_windows
+from spiral.shooting.sensitivities import driven, run_windows
 from spiral.shooting.start import motion
 from spiral.shooting.study import Columns, Layouts, Point, Study
 from spiral.shooting.windows import cut, stage_lengths
@@ -37,11 +37,18 @@ def lengths_for(study: Study, block: int) -> list[int]:
     return stage_lengths(max(s.samples for s in study.series), block)
 
 
-def first_starts(study: Study, layouts: Layouts, window: int = 11) -> tuple[Array, ...]:
-    """Window starts from local polynomials; hidden coordinates begin at zero."""
+def first_starts(
+    study: Study, layouts: Layouts, values: Array, window: int = 11
+) -> tuple[Array, ...]:
+    """Window starts from local polynomials; hidden coordinates begin at zero.
+
+    States that effects bring are driven by that motion along the record: while the amplitude is
+    zero nothing else tells where they stand.
+    """
+    rows = zip(study.series, layouts, strict=True)
     return tuple(
-        motion(study, series, window).states[layout.starts]
-        for series, layout in zip(study.series, layouts, strict=True)
+        driven(study, record, motion(study, series, window).states, values[record])[layout.starts]
+        for record, (series, layout) in enumerate(rows)
     )
 
 
@@ -92,7 +99,7 @@ def grow(
     for length in lengths:
         layouts = layouts_for(study, length, masks)
         if stage is None:
-            starts = first_starts(study, layouts)
+            starts = first_starts(study, layouts, values)
         else:
             starts = carried_starts(study, stage, layouts)
             values = stage.fitted.point.values

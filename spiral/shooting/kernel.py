@@ -264,3 +264,68 @@ def trajectories(rate, output, x, starts, lengths, p, inputs, substeps, dt, stat
                 if not np.isfinite(xw[i]) or abs(xw[i]) > 1e12:
                     return False
     return True
+
+
+@nb.njit(
+    types.boolean(VALUE_FUNCTION, _F2, _I1, _F2, _F2, types.int64, types.float64),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def drive(rate, states, own, p, inputs, substeps, dt):
+    """Fill the columns ``own`` of states (samples, n), integrated along the other columns.
+
+    What drives them is taken as linear between samples; the first sample holds their start.
+    ``p`` (1, parameters). Returns False where one of them is no number or runs away.
+    """
+    samples, n = states.shape
+    x, f = np.empty(n), np.empty(n)
+    count = own.shape[0]
+    now, slope, total = np.empty(count), np.empty(count), np.empty(count)
+    step = dt / substeps
+    for i in range(count):
+        now[i] = states[0, own[i]]
+    for k in range(samples - 1):
+        for sub in range(substeps):
+            at = (k * substeps + sub) * 2
+            total[:] = 0.0
+            slope[:] = 0.0
+            for stage in range(4):
+                point = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+                share = (sub + point) / substeps
+                for i in range(n):
+                    x[i] = (1.0 - share) * states[k, i] + share * states[k + 1, i]
+                for i in range(count):
+                    x[own[i]] = now[i] + point * step * slope[i]
+                rate(x, inputs[at + (stage + 1) // 2], p[0], f)
+                gain = 2.0 if stage == 1 or stage == 2 else 1.0
+                for i in range(count):
+                    slope[i] = f[own[i]]
+                    total[i] += gain * slope[i]
+            for i in range(count):
+                now[i] += step / 6.0 * total[i]
+                if not np.isfinite(now[i]) or abs(now[i]) > 1e12:
+                    return False
+        for i in range(count):
+            states[k + 1, own[i]] = now[i]
+    return True
+
+
+@nb.njit(
+    types.void(MODEL_FUNCTION, _F2, _I1, _F1, _F2, types.int64, _I1, _I1, _F3),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def slopes_along(rate, states, samples, p, inputs, stride, rows, columns, out):
+    """out (samples, rows, columns): f_p at some samples of a motion; ``stride`` input rows each."""
+    n = states.shape[1]
+    f, a, b = np.empty(n), np.zeros((n, n)), np.zeros((n, p.shape[0]))
+    x = np.empty(n)
+    for k in range(samples.shape[0]):
+        for i in range(n):
+            x[i] = states[samples[k], i]
+        rate(x, inputs[samples[k] * stride], p, f, a, b)
+        for i in range(rows.shape[0]):
+            for j in range(columns.shape[0]):
+                out[k, i, j] = b[rows[i], columns[j]]

@@ -24,7 +24,7 @@ from spiral.shooting.elimination import (
     scattered_blocks,
     triangle_of,
 )
-from spiral.shooting.kernel import advance, trajectories
+from spiral.shooting.kernel import advance, drive, trajectories
 from spiral.shooting.series import Series
 from spiral.shooting.study import Columns, Layouts, Point, Study
 from spiral.shooting.windows import Layout
@@ -172,6 +172,24 @@ def run_windows(study: Study, record: int, layout: Layout, point: Point) -> tupl
     if not ok:
         states[:], readings[:] = np.inf, np.inf
     return states, readings
+
+
+def driven(study: Study, record: int, states: Array, row: Array) -> Array:
+    """States (samples, n) of a record with those that effects bring driven by the others.
+
+    They begin at zero; where one of them runs away they are left at zero.
+    """
+    own = study.own
+    if not len(own):
+        return states
+    series, found = study.series[record], np.ascontiguousarray(states)
+    ok = drive(
+        study.compiled.rate_value, found, own, np.ascontiguousarray(row[None, :]),
+        study.inputs(record, row), series.substeps, series.dt,
+    )  # fmt: skip
+    if not ok:
+        found[:, own] = 0.0
+    return found
 
 
 def _parallel(work, batches: list[_Batch]) -> list:

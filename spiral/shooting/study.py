@@ -34,6 +34,12 @@ class Study:
         return len(self.compiled.traced.states)
 
     @property
+    def own(self) -> Array:
+        """Positions of the states that effects bring."""
+        names = self.compiled.traced.states
+        return np.array([i for i, n in enumerate(names) if "." in n], dtype=np.int64)
+
+    @property
     def corrections(self) -> int:
         """Coefficients of the phase correction that follow the parameters in arrays of values."""
         return max(s.splines.count for s in self.series)

@@ -11,8 +11,11 @@ from spiral.assembly import assemble
 from spiral.effect import ForceEffect
 from tests.scenes import registry
 
+OWN = ("hidden_mode", "lag")  # with states of their own: longer studies
+QUICK = [c if c.effect not in OWN else pytest.param(c, marks=pytest.mark.slow) for c in CASES]
 
-@pytest.mark.parametrize("case", CASES, ids=lambda c: c.effect)
+
+@pytest.mark.parametrize("case", QUICK, ids=lambda c: c.effect)
 def test_the_hidden_effect_is_the_first_suggestion_and_adding_it_is_enough(case):
     found = outcome(case, seed=1, noise=0.02)
     assert found["hit"]

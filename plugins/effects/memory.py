@@ -1,0 +1,72 @@
+"""Effects with states of their own: what the machine stands on, and what follows it late.
+
+Each is written so that its own states depend on the motion and on shapes alone; the amplitude
+enters as a plain factor of what they exert.
+"""
+
+from __future__ import annotations
+
+from spiral.effect import ForceEffect
+from spiral.parameter import Parameter, State
+
+_TURN = 6.283185307179586
+
+
+class HiddenMode(ForceEffect):
+    """A resonance that no sensor sees: F = -m z'', z'' = w^2 (q - z) + 2 d w (q' - z').
+
+    A mass m on a spring m w^2 and a damper 2 d w m at the port, w = 2 pi f: the dynamic absorber
+    (Den Hartog, Mechanical Vibrations, ch. 3; a residual mode in Ewins, Modal Testing, ch. 4). A
+    mass M on a flexible foundation looks the same: its force k (z - q) differs by a spring, which
+    belongs to the seed. One mass per axis, one frequency and one damping ratio for all.
+    """
+
+    states = (
+        State("displacement", "position", per_axis=True),
+        State("velocity", "velocity", per_axis=True),
+    )
+    parameters = (
+        Parameter("mass", "force*s^2/position", lower=0.0, per_axis=True),
+        Parameter("natural_frequency", "Hz", lower=0.0, role="shape", spectrum=True),
+        Parameter("damping_ratio", "", lower=0.0, role="shape", start=0.03, grid=(0.01, 0.03, 0.1)),
+    )
+
+    def force(self, at, u, p):
+        """-m z'', the force that accelerates the hidden mass."""
+        return [-m * a for m, a in zip(p.mass, _accelerations(at, p), strict=True)]
+
+    def rate(self, at, u, p):
+        """z' and z''."""
+        return {"displacement": list(at.own.velocity), "velocity": _accelerations(at, p)}
+
+
+def _accelerations(at, p):
+    """z'' per axis, from spring and damper between port and hidden mass."""
+    turn = _TURN * p.natural_frequency
+    rows = zip(at.position, at.velocity, at.own.displacement, at.own.velocity, strict=True)
+    return [turn * turn * (q - z) + 2 * p.damping_ratio * turn * (v - w) for q, v, z, w in rows]
+
+
+class Lag(ForceEffect):
+    """A force that follows the motion late: F = -k (q - z), T z' = q - z.
+
+    A spring k in series with a damper k T, beside the seed's spring: the standard linear solid
+    (Maxwell element; Lakes, Viscoelastic Materials, ch. 2): rubber mounts, oil films, seals. Slow
+    motion is not resisted, fast motion by the whole spring.
+    """
+
+    states = (State("lagged", "position", per_axis=True),)
+    parameters = (
+        Parameter("stiffness", "force/position", lower=0.0, per_axis=True),
+        Parameter("time_constant", "s", lower=0.0, role="shape", start=0.01, spectrum=True),
+    )
+
+    def force(self, at, u, p):
+        """-k (q - z)."""
+        rows = zip(p.stiffness, at.position, at.own.lagged, strict=True)
+        return [-k * (q - z) for k, q, z in rows]
+
+    def rate(self, at, u, p):
+        """(q - z) / T."""
+        late = zip(at.position, at.own.lagged, strict=True)
+        return {"lagged": [(q - z) / p.time_constant for q, z in late]}

@@ -1,0 +1,209 @@
+"""Effects with states of their own: systems written out, found from records, not invented."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from spiral_plugins.effects.dissipative import LinearDamping
+from spiral_plugins.effects.restoring import LinearStiffness
+from spiral_plugins.sources.simulation import Simulation
+from spiral_plugins.systems.oscillator import Oscillator
+
+from spiral.assembly import assemble
+from spiral.compare import last_stage, prepared
+from spiral.discover import add, discover
+from spiral.evidence import begin, half_masks
+from spiral.holding import carried, reassembled, variant_of
+from spiral.model import Model, seed_model
+from spiral.parameter import Input, Parameter, State
+from spiral.port import Port
+from spiral.resolved import peaks, scanned, widened
+from spiral.shooting.growth import first_starts, layouts_for
+from spiral.simulate import integrate
+from spiral.suggest import propose
+from spiral.system import MechanicalSystem
+from tests.scenes import admitted, effect, planar_problem, planar_record
+
+BASE = {"system.mass": 1.0, "linear_stiffness.stiffness": 4e4, "linear_damping.damping": 20.0}
+MODE = {"mass": 0.1, "natural_frequency": 22.0, "damping_ratio": 0.03}
+LAG = {"stiffness": 8e3, "time_constant": 0.008}
+HIDDEN = {"hidden_mode": MODE, "lag": LAG}
+
+
+def _values(name, values=None):
+    return {f"{name}.{k}": v for k, v in (values or HIDDEN[name]).items()}
+
+
+def _problem(name="", seed=0, duration=10.0, **settings):
+    """An oscillator under noise of 5 to 60 Hz, with 2 % noise; nothing hidden without a name."""
+    source = Simulation(
+        system=Oscillator(),
+        effects=(effect(name),) if name else (),
+        values={**BASE, **(_values(name) if name else {})},
+        inputs={"force": {"noise": 1.0, "band": [5, 60]}},
+        duration=duration,
+        rate=1000.0,
+        noise_level=0.02,
+        seed=seed,
+    )
+    record, test = (s.load(Oscillator())[0] for s in (source, source.as_test()))
+    return planar_problem(record, test, seed_model(Oscillator()), **settings)
+
+
+class TwoMasses(MechanicalSystem):
+    """M q'' = force - K q - C q': a second mass on a spring and a damper of the first."""
+
+    coordinates = (State("x", "m"), State("z", "m"))
+    observed = ("x",)
+    inputs = (Input("force", "N", "band_limited"),)
+    injections = (State("x", "N"), State("z", "N"))
+    parameters = (Parameter("mass", "kg", lower=0.0), Parameter("second", "kg", lower=0.0))
+    ports = (
+        Port("base", ("x",), lambda q, p: [q.x], "m", "N"),
+        Port("coupling", ("x",), lambda q, p: [q.z - q.x], "m", "N"),
+    )
+    seed = (
+        LinearStiffness(), LinearDamping(),
+        LinearStiffness(port="coupling"), LinearDamping(port="coupling"),
+    )  # fmt: skip
+
+    def mass(self, q, p):
+        """The masses, in kg."""
+        return [[p.mass, 0], [0, p.second]]
+
+    def force(self, q, v, u, p):
+        """The force on the first mass, in N."""
+        return [u.force, 0]
+
+
+def test_a_hidden_mode_is_a_second_mass_on_a_spring_and_a_damper():
+    """The same motion as the system of two masses written out, to rounding."""
+    turn = 2 * np.pi * MODE["natural_frequency"]
+    m = MODE["mass"]
+    two = seed_model(
+        TwoMasses(),
+        values={
+            **BASE,
+            "system.second": m,
+            "linear_stiffness@coupling.stiffness": m * turn**2,
+            "linear_damping@coupling.damping": 2 * MODE["damping_ratio"] * turn * m,
+        },
+    )
+    one = seed_model(
+        Oscillator(), (effect("hidden_mode"),), values={**BASE, **_values("hidden_mode")}
+    )
+    time = 1e-3 * np.arange(2000)
+    force = {"force": np.random.default_rng(0).normal(size=2000)}
+    (written, _), (found, _) = (integrate(m, time, force, substeps=4) for m in (two, one))
+    np.testing.assert_allclose(found[:, 0], written[:, 0], atol=1e-12 * np.abs(written).max())
+    np.testing.assert_allclose(found[:, 2], written[:, 1], atol=1e-12 * np.abs(written).max())
+
+
+def test_a_lag_under_a_steady_shake_has_the_textbook_stiffness():
+    """k i w T / (1 + i w T) of a Maxwell element, in the amplitude of a forced oscillation."""
+    model = seed_model(Oscillator(), (effect("lag"),), values={**BASE, **_values("lag")})
+    time, turn = 1e-3 * np.arange(8001), 2 * np.pi * 15.0
+    _, y = integrate(model, time, {"force": np.sin(turn * time)}, substeps=4)
+    late = 1j * turn * LAG["time_constant"]
+    stiff = 4e4 - turn**2 + 20j * turn + LAG["stiffness"] * late / (1 + late)
+    expected = np.imag(np.exp(1j * turn * time) / stiff)
+    np.testing.assert_allclose(y[-2000:, 0], expected[-2000:], atol=2e-4 * np.abs(expected).max())
+
+
+def test_states_of_an_effect_are_driven_by_the_motion_of_its_port():
+    """While the amplitude is zero nothing else tells them; the truth is a long simulation's."""
+    problem = _problem(duration=4.0)
+    base = assemble(problem)
+    study = reassembled(base, (), (variant_of(effect("hidden_mode"), "1", MODE),))
+    layouts = layouts_for(study.study, 512, (None,))
+    values = begin(base, problem.model.labels)
+    starts = first_starts(study.study, layouts, carried(values, base, study).values)[0]
+    model = seed_model(
+        Oscillator(), (effect("hidden_mode"),), values={**BASE, **_values("hidden_mode", MODE),
+                                                        "hidden_mode.mass": 0.0}
+    )  # fmt: skip
+    record = problem.records[0]
+    first = {k: float(v[0]) for k, v in record.truth.items()}
+    states, _ = integrate(model, record.time, dict(record.inputs), first, substeps=4)
+    truth = states[layouts[0].starts]
+    for at in (2, 3):
+        assert np.std(starts[2:, at] - truth[2:, at]) < 0.05 * np.std(truth[2:, at])
+
+
+def test_peaks_are_the_local_maxima_the_largest_first():
+    assert peaks(np.array([3.0, 1.0, 2.0, 5.0, 5.0, 0.0, 1.0])) == [3, 0, 6]
+    assert peaks(np.zeros(1)) == [0]
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_the_missing_force_has_its_peak_where_the_hidden_frequency_is(name):
+    assembly, standing = prepared(_problem(name))
+    stage = last_stage(assembly, standing, half_masks(assembly)[0])
+    standing = replace(standing, values=stage.fitted.point.values)
+    scan = scanned(assembly, standing, (effect(name),))[0]
+    true = MODE["natural_frequency"] if name == "hidden_mode" else 1 / (2 * np.pi * 0.008)
+    found = scan.frequency[np.argmax(scan.share)]
+    assert abs(np.log(found / true)) < (0.1 if name == "hidden_mode" else 0.7)
+    assert scan.share.max() > (0.5 if name == "hidden_mode" else 0.3)
+    assert all(v.searched * len(scan.variants) >= 0.8 * len(scan.frequency) for v in scan.variants)
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_it_is_found_first_and_adding_it_is_enough(name):
+    run = discover(_problem(name, max_rounds=2))
+    assert run.rounds[1].admitted == (name,)
+    assert admitted(run) == [name]
+    last = run.rounds[-1].comparison
+    assert last.test_error < 1.2 * last.noise_floor
+    _covered(run.model, name, HIDDEN[name])
+
+
+def _covered(model: Model, name, truth):
+    for key, value in _values(name, truth).items():
+        assert abs(model.values[key] - value) < 4 * model.errors[key], key
+
+
+ROTOR = {
+    "hidden_mode": {
+        "mass_x": 0.05, "mass_y": 0.05, "natural_frequency": 24.0, "damping_ratio": 0.03
+    },
+    "lag": {"stiffness_x": 800.0, "stiffness_y": 800.0, "time_constant": 0.01},
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROTOR)
+def test_it_is_found_first_on_a_rotor(name):
+    values = _values(name, ROTOR[name])
+    record, test = (
+        planar_record(s, (effect(name),), values, phase=p) for s, p in ((1, 0.4), (101, 1.3))
+    )
+    run = discover(planar_problem(record, test, max_rounds=2))
+    assert admitted(run) == [name]
+    last = run.rounds[-1].comparison
+    assert last.test_error < 1.2 * last.noise_floor
+    _covered(run.model, name, ROTOR[name])
+
+
+def test_nothing_is_invented():
+    """Null records, the residual resolved and scored though no round would call for it."""
+    for seed in range(3):
+        problem = _problem(seed=seed, duration=6.0)
+        assert not _looked(problem)
+
+
+def _looked(problem):
+    """What a round that looks for resonances admits, whatever its residual."""
+    assembly, standing = prepared(problem)
+    masks = half_masks(assembly)
+    stage = last_stage(assembly, standing, masks[0])
+    standing = replace(standing, values=stage.fitted.point.values)
+    wide, _ = widened(assembly, standing, assembly.later)
+    found = propose(wide, carried(standing, assembly, wide), masks, 1)
+    return () if found.admitted is None else found.admitted.variant.label
+
+
+def test_add_lays_the_shapes_by_itself():
+    before, after, run = add(_problem("hidden_mode"), (effect("hidden_mode"),))
+    assert after.test_error < 1.2 * after.noise_floor < before.test_error
+    _covered(run.model, "hidden_mode", MODE)
