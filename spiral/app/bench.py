@@ -19,6 +19,7 @@ from spiral.assembly import Assembly, first_row
 from spiral.checkpoint import read_checkpoint, write_checkpoint
 from spiral.curves import FINAL, Curves, beside, free_curves, read_curves, write_curves
 from spiral.discover import Checkpoint
+from spiral.holding import having, holding
 from spiral.problem import Problem
 from spiral.registry import Registry
 from spiral.run import Round, Run
@@ -182,7 +183,8 @@ class Bench:
         folder = turn_place(self.out, self.ident, serial)
         folder.mkdir(parents=True, exist_ok=True)
         write_checkpoint(at, folder / STATE, self.registry)
-        write_whole(folder / KEYS, to_json(list(self._assembly().study.keys)))
+        held = holding(self._assembly(), at.standing)
+        write_whole(folder / KEYS, to_json(list(held.study.keys)))
         last = at.rounds[-1]
         floor = last.comparison.noise_floor
         self.tell("turn", {"added": effect, "result": _result(last), "noise_floor": finite(floor)})
@@ -198,7 +200,8 @@ class Bench:
         place = turn_place(self.out, self.ident, order["serial"]) / FREE
         place.mkdir(exist_ok=True)
         try:
-            found = free_curves(self._assembly(), FINAL, at.standing, at.rounds[-1].comparison)
+            held = holding(self._assembly(), at.standing)
+            found = free_curves(held, FINAL, at.standing, at.rounds[-1].comparison)
             write_curves(found, place)
         except (ArithmeticError, ValueError) as error:  # LinAlgError is a ValueError
             self._progress(f"no curves: {error}")
@@ -243,6 +246,7 @@ def _placed(at: Checkpoint, folder: Path, assembly: Assembly) -> Checkpoint:
         before = json.loads((folder / KEYS).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return at
+    assembly = having(assembly, at.standing.labels)
     keys, old = list(assembly.study.keys), at.standing.values
     if before == keys:
         return at
