@@ -25,8 +25,9 @@ import numpy as np
 from spiral.assembly import Assembly, Variant, to_model
 from spiral.compile import Compiled, compile_model
 from spiral.effect import Effect, SensorEffect
-from spiral.evidence import Masks, Standing
+from spiral.evidence import Masks, Standing, grown, stage_lengths
 from spiral.holding import carried, held_variants, reassembled, variant_of
+from spiral.judge import held_out
 from spiral.latent import LatentForce, MissingForce, missing_force
 from spiral.model import Model
 from spiral.parameter import Parameter
@@ -37,6 +38,7 @@ from spiral.shooting.kernel import slopes_along
 from spiral.shooting.sensitivities import driven
 from spiral.shooting.series import Series, splines
 from spiral.shooting.study import Study
+from spiral.statistics import paired_errors
 from spiral.suggest import Proposal, propose
 from spiral.trace import trace
 
@@ -73,7 +75,43 @@ def remembered(
     found = propose(wide, carried(standing, assembly, wide), masks, round_number, progress)
     if found.admitted is None or not found.admitted.variant.original.states:
         return proposal
+    progress(f"following {found.admitted.variant.original.label} over the whole records")
+    if not _outlasts(assembly, standing, proposal, wide, found, masks):
+        return proposal
     return replace(found, wide=wide)
+
+
+def _outlasts(
+    assembly: Assembly,
+    standing: Standing,
+    proposal: Proposal,
+    wide: Assembly,
+    found: Proposal,
+    masks: tuple[Masks, Masks],
+) -> bool:
+    """Whether an effect with own states still predicts best where no window ends.
+
+    States of its own begin anew in each window, at values of the fit's choice. On windows shorter
+    than its memory they imitate whatever is missing there, one sinusoid to a window; over whole
+    records its motion has to follow from itself. It is compared there on held-out blocks with what
+    an effect without memory makes of them (or the model as it was).
+    """
+    assert found.admitted is not None
+    assert found.evidence is not None
+    plain = standing if proposal.admitted is None else proposal.admitted.standing
+    base = _over_whole(assembly, plain, masks, found.admitted.stage.length)
+    late = _over_whole(wide, found.admitted.standing, masks, found.admitted.stage.length)
+    paired = paired_errors(base, late, found.evidence.block)
+    return paired.p_fall < assembly.problem.settings.level
+
+
+def _over_whole(
+    assembly: Assembly, standing: Standing, masks: tuple[Masks, Masks], length: int
+) -> tuple[Array, ...]:
+    """Held-out residuals on the longest windows, after a refit that grows from this length."""
+    lengths = [n for n in stage_lengths(assembly) if n >= length]
+    *_, last = grown(assembly, standing, masks[0], lengths, patient=True)
+    return held_out(assembly, standing.labels, last, masks[1])[1]
 
 
 def called_for(

@@ -167,7 +167,7 @@ ROTOR = {
     "hidden_mode": {
         "mass_x": 0.05, "mass_y": 0.05, "natural_frequency": 24.0, "damping_ratio": 0.03
     },
-    "lag": {"stiffness_x": 800.0, "stiffness_y": 800.0, "time_constant": 0.01},
+    "lag": {"stiffness_x": 3000.0, "stiffness_y": 3000.0, "time_constant": 0.01},
 }  # fmt: skip
 
 
