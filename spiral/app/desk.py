@@ -6,6 +6,7 @@ the study here, and every change has a number by which a tab sees that it is beh
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 import time
@@ -133,14 +134,16 @@ class Desk:
             scene = self._free(ident, serial)
             self._ask(scene, "rank", "Looking for what is missing", base=serial)
 
-    def invent(self, ident: str, name: str, formula: str, serial: int) -> None:
-        """Rank anew with a candidate that a formula defines.
+    def invent(self, ident: str, name: str, formula: str, serial: int, shape: str = "") -> None:
+        """Rank anew with a candidate that a formula defines, and values of its gaps and widths.
+
+        ``shape`` is text such as ``w=0.003, g=1e-4``.
 
         Raises
         ------
-        ConfigError : no name, no formula, or a study that has moved on.
+        ConfigError : no name, no formula, no numbers, or a study that has moved on.
         """
-        name, formula = name.strip(), formula.strip()
+        name, formula, given_shape = name.strip(), formula.strip(), _numbers(shape)
         if not _NAME.fullmatch(name) or not formula:
             raise ConfigError(
                 f"an effect {name!r} = {formula!r}",
@@ -149,11 +152,14 @@ class Desk:
             )
         with self._lock:
             scene = self._free(ident, serial)
-            key = f"effect.{name}.expression="
+            key = f"effect.{name}."
             given = tuple(o for o in scene.study.overrides if not o.startswith(key))
-            wanted = (*given, f"{key}{quoted(formula)}")
+            wanted = [*given, f"{key}expression={quoted(formula)}"]
+            if given_shape:
+                inside = ", ".join(f"{k}: {v!r}" for k, v in given_shape.items())
+                wanted.append(f"{key}shape={{{inside}}}")
             self._ask(scene, "invent", f"Testing {words(name)}", base=serial,
-                      overrides=list(wanted), name=name)  # fmt: skip
+                      overrides=wanted, name=name)  # fmt: skip
 
     def contrast(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
         """Refit with each of these, to see the difference; the study stays as it is."""
@@ -279,6 +285,26 @@ class Desk:
                 self._put(replace(scene, study=study, writing=left))
             elif kind != "progress":
                 self._put(self._changed(order, kind, data, scene))
+
+
+def _numbers(text: str) -> dict[str, float]:
+    """``w=0.003, g=1e-4`` as a mapping.
+
+    Raises
+    ------
+    ConfigError : anything else.
+    """
+    found = {}
+    for part in filter(None, (p.strip() for p in re.split(r"[,;\n]", text))):
+        name, _, value = (p.strip() for p in part.partition("="))
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not name.isidentifier() or not math.isfinite(number):
+            raise ConfigError(f"gaps and widths {part[:60]!r}", "NAME=NUMBER", "w=0.003")
+        found[name] = number
+    return found
 
 
 def _about(order: Mapping[str, Any]) -> int:

@@ -28,6 +28,11 @@ TABS = (
     ("Evidence", ("evidence",)),
     ("Model", ("coefficients", "campbell")),
 )
+_OWN = (
+    ("name", "Name", "hardening"),
+    ("formula", "Force on the machine", "-k3*x**3"),
+    ("shape", "Its gaps and widths, if any (SI)", "w=0.003"),
+)
 WHERE, MODEL = "Where it fails", "Model"
 FALLING = "falling"
 
@@ -47,6 +52,7 @@ class View:
     tab: str = TABS[0][0]
     every: bool = False
     fall: ui.plotly | None = None
+    typed: dict[str, str] = field(default_factory=dict)
 
     def scene(self) -> Scene:
         """The study as it is now."""
@@ -120,6 +126,7 @@ class View:
         ui.html(panels.headline(study), sanitize=False)
         ui.html(panels.chips(study), sanitize=False)
         if study.turn is not None:
+            ui.html(panels.astray(study.turn), sanitize=False)
             units = panels.units(study.records)
             ui.html(panels.channels(study.turn, units), sanitize=False).style("margin-top:10px")
         with ui.row().classes("gap-2").style("margin-top:14px"):
@@ -178,22 +185,24 @@ class View:
         self._own(scene, turn)
 
     def _own(self, scene: Scene, turn: Turn) -> None:
-        """An effect written as a formula, tested at once."""
-        with ui.expansion("Write an effect of your own").classes("w-full own"):
+        """An effect written as a formula, tested at once; what was typed stays when it is drawn."""
+        typed = self.typed
+        with ui.expansion("Write an effect of your own", value=bool(typed)).classes("w-full own"):
             ui.html(panels.FORMULA, sanitize=False)
-            name = ui.input("Name", placeholder="hardening").props("outlined dense")
-            formula = ui.input("Force on the machine", placeholder="-k3*x**3").props(
-                "outlined dense"
-            )
-            formula.style("margin-top:8px")
+            for key, label, example in _OWN:
+                box = ui.input(label, value=typed.get(key, ""), placeholder=example)
+                box.on_value_change(functools.partial(self._type, key))
+                box.props("outlined dense").classes("w-full").style("margin-top:8px")
+                box.on("keydown.enter", lambda: self._invent(turn.serial))
+            button = ui.button("Test it", on_click=lambda: self._invent(turn.serial))
+            button.props("outline").style("margin-top:10px").set_enabled(scene.busy is None)
 
-            def test() -> None:
-                self._ask(lambda: self.desk.invent(
-                    self.ident, name.value or "", formula.value or "", turn.serial))  # fmt: skip
+    def _type(self, key: str, event: Any) -> None:
+        self.typed[key] = event.value or ""
 
-            formula.on("keydown.enter", test)
-            button = ui.button("Test it", on_click=test).props("outline").style("margin-top:10px")
-            button.set_enabled(scene.busy is None)
+    def _invent(self, serial: int) -> None:
+        name, formula, shape = (self.typed.get(key, "") for key, _, _ in _OWN)
+        self._ask(lambda: self.desk.invent(self.ident, name, formula, serial, shape))
 
     def _candidate(self, scene: Scene, turn: Turn, found: Any) -> None:
         effect, aliases = found["effect"], tuple(found["aliases"])
@@ -215,7 +224,7 @@ class View:
     def _compare_aliases(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
         if scene.contrast:
             ui.html(panels.contrast(scene.contrast), sanitize=False)
-            with ui.row().classes("gap-2"):
+            with ui.row().classes("gap-2").style("margin:8px 0 4px"):
                 for effect in effects:
                     add = ui.button(f"Add {panels.words(effect)}")
                     add.on_click(functools.partial(self._add, effect, turn.serial))
@@ -235,12 +244,11 @@ class View:
         have = {name for name, _, _ in turn.figures}
         known = [t for t, names in TABS if have & set(names) or t == MODEL]
         shown = self.tab if self.tab in known else known[0]
-        with ui.tabs(on_change=self._choose_tab).props(
+        with ui.tabs(value=shown, on_change=self._choose_tab).props(
             "align=left no-caps outside-arrows mobile-arrows inline-label"
-        ) as tabs:
+        ):
             for title in known:
                 ui.tab(title)
-        tabs.set_value(shown)
         self.regions["tab"] = ui.element("div").style("width:100%")
         self._tab(shown)
 

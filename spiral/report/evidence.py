@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from spiral.report.style import AFTER, BEFORE, BLUE, GREY, ORANGE, SKY, VERMILION, blank, words
+from spiral.report.style import (
+    AFTER,
+    BEFORE,
+    BLUE,
+    GREY,
+    ORANGE,
+    SKY,
+    VERMILION,
+    blank,
+    decades,
+    words,
+)
+from spiral.terminal import percent
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -49,8 +62,9 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
         value = _percent(r.get("test_error"))
         if value is None:
             continue
+        said = f"<b>{percent(value / 100)}</b><br>{name}"
         figure.add_annotation(
-            x=number, y=math.log10(value), text=f"<b>{value:.3g} %</b><br>{name}", align="left",
+            x=number, y=math.log10(value), text=said, align="left",
             showarrow=False, xanchor="left", yanchor="bottom", xshift=7, yshift=5,
             font={"size": 13},
         )  # fmt: skip
@@ -68,7 +82,7 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], floor: floa
             y=math.log10(floor),
             yanchor="top",
             showarrow=False,
-            text=f" noise floor {floor:.3g} %",
+            text=f" noise floor {percent(floor / 100)}",
             font={"size": 13, "color": "#555"},
         )
     numbers = [r["round"] for r in found]
@@ -76,8 +90,9 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], floor: floa
                         range=[-0.15, numbers[-1] + max(0.6, 0.24 * numbers[-1])])  # fmt: skip
     values = [v for r in found for k in ("fit_error", "test_error") if (v := _percent(r.get(k)))]
     low, high = min([*values, floor or math.inf]), max(values)
+    span = [math.log10(low) - 0.25, math.log10(high) + 0.45]
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
-                        range=[math.log10(low) - 0.25, math.log10(high) + 0.45], dtick=1,
+                        range=span, dtick=decades(*span),
                         minor={"showgrid": True, "gridcolor": "#F3F3F3"})  # fmt: skip
 
 
@@ -116,7 +131,8 @@ def candidates(result: Mapping[str, Any]) -> go.Figure | None:
                          legend={"y": 1 + 34 / figure.layout.height})  # fmt: skip
     figure.update_xaxes(range=[0, 118], ticksuffix=" %")
     for column in range(1, width + 1):
-        figure.update_xaxes(title_text="share of the residual explained", row=lines, col=column)
+        last = (count - column) // width + 1  # a column may be one shorter
+        figure.update_xaxes(title_text="share of the residual explained", row=last, col=column)
     return figure
 
 
@@ -164,9 +180,17 @@ def _p(value: float) -> str:
     return f"= {value:.2f}" if value >= 0.01 else f"= {value:.0e}"
 
 
+def _of_a_curve(row: Mapping[str, Any]) -> bool:
+    spline = re.fullmatch(r"c\d+(_\w+)?", row["parameter"])
+    return row["effect"].startswith("learned_") and spline is not None
+
+
 def coefficients(table: Sequence[Mapping[str, Any]]) -> go.Figure | None:
-    """Every fitted coefficient over its own estimate, with its 95 % interval."""
-    known = [r for r in table if r.get("se") and r.get("estimate")]
+    """Every fitted coefficient over its own estimate, with its 95 % interval.
+
+    Those of a curve say nothing one by one; the curve itself is drawn with its band.
+    """
+    known = [r for r in table if r.get("se") and r.get("estimate") and not _of_a_curve(r)]
     if not known:
         return None
     names = [words(f"{r['effect']}, {r['parameter']}") for r in known][::-1]

@@ -9,7 +9,18 @@ import numpy as np
 from spiral.curves import FINAL, SEED, Curves
 from spiral.orders import correlations, first_order, full_spectrum, order_map, time_map
 from spiral.report.motion import COLOURS, NAMES
-from spiral.report.style import CYCLE, GREY, MEASURED, RPM, blank, heat, line, scaled, titled
+from spiral.report.style import (
+    CYCLE,
+    GREY,
+    MEASURED,
+    RPM,
+    blank,
+    decades,
+    heat,
+    line,
+    scaled,
+    titled,
+)
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -109,8 +120,9 @@ def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
     figure.update_yaxes(title_text="rms error / noise", row=1, col=1)
     drawn = np.concatenate([np.asarray(t.y, dtype=float) for t in figure.data])
     drawn = np.log10(drawn[drawn > 0])  # bars begin at the noise, or below the lowest curve
-    figure.update_yaxes(type="log", dtick=1, minor={"showgrid": True, "gridcolor": "#F3F3F3"},
-                        range=[min(0.0, drawn.min() - 0.1), drawn.max() + 0.15])  # fmt: skip
+    span = [min(0.0, drawn.min() - 0.1), drawn.max() + 0.15]
+    figure.update_yaxes(type="log", dtick=decades(*span), range=span,
+                        minor={"showgrid": True, "gridcolor": "#F3F3F3"})  # fmt: skip
     if phase is not None:
         angle = {"dtick": 90, "range": [0, 360]}
         figure.update_xaxes(title_text="rotor angle (°)", **angle, row=1, col=2)
@@ -215,8 +227,8 @@ def bode(curves: Curves, record: int) -> go.Figure | None:
     figure = blank(2, len(channels), 520, shared_xaxes=True, vertical_spacing=0.06,
                    horizontal_spacing=0.12)  # fmt: skip
     factor, unit = scaled(channels[0]["unit"], y)
-    given = [("measured", y, MEASURED), (NAMES[FINAL], free, COLOURS[FINAL])]
-    for name, values, colour in given:
+    given = [("measured", y, MEASURED, 3.2), (NAMES[FINAL], free, COLOURS[FINAL], 1.5)]
+    for name, values, colour, width in given:
         if values is None or not np.isfinite(values).all():
             continue
         found = first_order(values, phase, speed, turns=4)
@@ -226,8 +238,8 @@ def bode(curves: Curves, record: int) -> go.Figure | None:
         for j in range(len(channels)):
             size, lag = factor * np.abs(found.amplitude[:, j]), found.lag[:, j]
             lag = lag - 360 * np.floor(lag[int(np.argmax(rpm))] / 360)
-            line(figure, rpm, size, name, colour, 1, j + 1, width=2)
-            line(figure, rpm, lag, name, colour, 2, j + 1, width=2)
+            line(figure, rpm, size, name, colour, 1, j + 1, width=width)
+            line(figure, rpm, lag, name, colour, 2, j + 1, width=width)
             figure.update_xaxes(title_text="speed (rpm)", row=2, col=j + 1)
     for j, channel in enumerate(channels, 1):
         name = f"{channel['name']}, 1X peak"

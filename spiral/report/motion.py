@@ -12,6 +12,7 @@ from spiral.report.style import (
     BEFORE,
     CYCLE,
     MEASURED,
+    SKY,
     band,
     blank,
     line,
@@ -69,8 +70,8 @@ def orbit(curves: Curves, record: int) -> go.Figure | None:
     part = _turns(phase, middle, len(y), 5)
     factor, unit = scaled(channels[0]["unit"], y[part])
     figure = blank(height=470)
-    line(figure, factor * y[part, 0], factor * y[part, 1], "measured", MEASURED)
-    line(figure, factor * free[part, 0], factor * free[part, 1], NAMES[FINAL], AFTER)
+    line(figure, factor * y[part, 0], factor * y[part, 1], "measured", MEASURED, width=3)
+    line(figure, factor * free[part, 0], factor * free[part, 1], NAMES[FINAL], SKY)
     if phase is not None:
         _marks(figure, phase[part], factor * y[part])
     figure.update_xaxes(title_text=titled(channels[0]["name"], unit), constrain="domain")

@@ -6,6 +6,7 @@ The palette is that of Okabe and Ito (2008).
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -95,21 +96,33 @@ def blank(rows: int = 1, columns: int = 1, height: int = 420, **options: Any) ->
     from plotly.subplots import make_subplots
 
     figure = make_subplots(rows, columns, **options)
+    figure.update_layout(template=_look(), height=height)
+    return figure
+
+
+@lru_cache(maxsize=1)
+def _look() -> Any:
+    """The house look as a template, which the browser applies: many times faster than by axis."""
+    import plotly.graph_objects as go
+
     axis = {
         "showgrid": True, "gridcolor": "#E7E7E7", "zeroline": False, "linecolor": "#555",
         "showline": True, "ticks": "outside", "tickcolor": "#555", "automargin": True,
         "title": {"standoff": 8},
     }  # fmt: skip
-    figure.update_layout(
-        font={"family": FONT, "size": 14, "color": "#222"}, height=height, colorway=CYCLE,
-        paper_bgcolor="white", plot_bgcolor="white", hovermode="closest",
-        margin={"l": 70, "r": 24, "t": 46, "b": 56},
-        legend={"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom", "font": {"size": 13}},
-    )  # fmt: skip
-    figure.update_xaxes(**axis)
-    figure.update_yaxes(**axis)
-    figure.update_annotations(font={"size": 14})
-    return figure
+    legend = {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom", "font": {"size": 13}}
+    look = {
+        "font": {"family": FONT, "size": 14, "color": "#222"}, "colorway": CYCLE,
+        "paper_bgcolor": "white", "plot_bgcolor": "white", "hovermode": "closest",
+        "margin": {"l": 70, "r": 24, "t": 46, "b": 56}, "legend": legend,
+        "xaxis": axis, "yaxis": axis,
+    }  # fmt: skip
+    return go.layout.Template(layout=look)
+
+
+def decades(low: float, high: float) -> Any:
+    """The ticks of a logarithmic axis: decades, or 1, 2, 5 where there are few; log10 of both."""
+    return 1 if high - low > 1.7 else "D2"
 
 
 def line(

@@ -43,7 +43,10 @@ UNKNOWN = (
     "is left of it beside the model's own effects, the band holds the whole curve with 95 %. Bars "
     "show how often each value was visited."
 )
-EVIDENCE = "Bars in orange cannot be told from the effect admitted, on this record."
+EVIDENCE = (
+    "Bars in orange cannot be told from the effect admitted, on this record. p is the larger of "
+    "the classical value and the robust one."
+)
 COEFFICIENTS = "Standard errors are of samples that did not select the effects."
 FREE = BEFORE
 ORBIT = "The turns of largest motion; dots mark the passing of the once-per-turn mark."

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from spiral.report.style import BLUE, GREY, SKY, blank
+import numpy as np
+
+from spiral.report.style import BLUE, GREY, SKY, blank, scaled, titled
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -18,24 +20,27 @@ def curves(result: Mapping[str, Any]) -> go.Figure | None:
         return None
     panels = found["curves"]
     figure = blank(1, len(panels), 430, horizontal_spacing=0.12)
+    wide, state_unit = scaled(found["state_unit"], *(np.array(c["at"]) for c in panels))
+    high, force_unit = scaled(found["force_unit"], *(np.array(c["force"]) for c in panels))
     for column, c in enumerate(panels, 1):
         shown = column == 1
-        top = [f + b for f, b in zip(c["force"], c["band"], strict=True)]
-        low = [f - b for f, b in zip(c["force"], c["band"], strict=True)]
-        size = 0.25 * (max(top) - min(low)) / max(c["visited"])
+        at, force, band = wide * np.array(c["at"]), high * np.array(c["force"]), np.array(c["band"])
+        top, low = force + high * band, force - high * band
+        size = 0.25 * (top.max() - low.min()) / max(c["visited"])
         figure.add_bar(
-            x=c["at"], y=[size * v for v in c["visited"]], base=min(low), marker_color=GREY,
+            x=at, y=[size * v for v in c["visited"]], base=low.min(), marker_color=GREY,
             opacity=0.35, name="visited", showlegend=shown, hoverinfo="skip", row=1, col=column,
         )  # fmt: skip
         figure.add_scatter(
-            x=[*c["at"], *c["at"][::-1]], y=[*top, *low[::-1]], fill="toself", fillcolor=SKY,
+            x=[*at, *at[::-1]], y=[*top, *low[::-1]], fill="toself", fillcolor=SKY,
             opacity=0.35, line={"width": 0}, name="95 % band", showlegend=shown, hoverinfo="skip",
             row=1, col=column,
         )  # fmt: skip
         figure.add_scatter(
-            x=c["at"], y=c["force"], name="force", line={"color": BLUE, "width": 3},
+            x=at, y=force, name="force", line={"color": BLUE, "width": 3},
             showlegend=shown, row=1, col=column,
         )  # fmt: skip
-        figure.update_xaxes(title_text=f"{c['state']} ({found['state_unit']})", row=1, col=column)
-    figure.update_yaxes(title_text=f"force ({found['force_unit']})", row=1, col=1)
+        name = c["state"].replace("_rate", "'")
+        figure.update_xaxes(title_text=titled(name, state_unit), row=1, col=column)
+    figure.update_yaxes(title_text=titled("force", force_unit), row=1, col=1)
     return figure

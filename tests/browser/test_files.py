@@ -3,9 +3,32 @@
 import numpy as np
 import pytest
 
-from tests.browser.steps import choose
+from tests.browser.steps import SECOND, add, choose, error, ready, shows
 
 RATE, SAMPLES = 500.0, 3000
+
+
+def softening(time):
+    """A spring that gives way, driven five times harder in the part that becomes the test record.
+
+    A cubic spring fitted to the first part pushes outwards beyond it: its free run has no bound.
+    """
+    from scipy.integrate import solve_ivp
+
+    rng = np.random.default_rng(2)
+    tones = [(f, rng.uniform(0, 6.3)) for f in np.arange(1.0, 12.0, 0.6)]
+
+    def force(t):
+        return (
+            6 * (1 + 4 * (np.asarray(t) > 4.7)) * sum(np.sin(6.283 * f * t + p) for f, p in tones)
+        )
+
+    def rate(t, s):
+        return [s[1], force(t) - 6 * s[1] - 1000 * s[0] - 60 * np.tanh(s[0] / 0.02)]
+
+    x = solve_ivp(rate, (0, time[-1]), [0, 0], t_eval=time, rtol=1e-8, atol=1e-10, max_step=0.01)
+    noisy = x.y[0] + rng.normal(size=len(time)) * 0.01 * x.y[0].std()
+    return np.column_stack([time, noisy, force(time)])
 
 
 @pytest.fixture(scope="module")
@@ -14,7 +37,10 @@ def files(tmp_path_factory):
     from scipy.integrate import solve_ivp
 
     folder = tmp_path_factory.mktemp("files")
-    rng, time = np.random.default_rng(1), np.arange(SAMPLES) / RATE
+    time = np.arange(SAMPLES) / RATE
+    np.savetxt(folder / "soft.csv", softening(time), "%.9g", delimiter=",", header="t,x,force",
+               comments="")  # fmt: skip
+    rng = np.random.default_rng(1)
     tones = [(f, rng.uniform(0, 6.3)) for f in np.arange(2.0, 20.0, 0.7)]
 
     def force(t):
@@ -83,11 +109,11 @@ def test_an_effect_of_ones_own_is_tested_at_once(tab, served, picture):
     tab.goto(served.address)
     tab.click("td a:has-text('rig.csv')")
     tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
+    tab.click("text=Write an effect of your own")
     for formula, seen in (
         ("-k3*x**", ".trouble:visible"),
         ("-k3*x**3", "button[aria-label='Add hardening']:enabled"),
     ):
-        tab.click("text=Write an effect of your own")
         tab.fill("input[aria-label='Name']", "hardening")
         tab.fill("input[aria-label='Force on the machine']", formula)
         tab.click("button:has-text('Test it')")
@@ -96,6 +122,42 @@ def test_an_effect_of_ones_own_is_tested_at_once(tab, served, picture):
     picture(tab, "own-effect")
     tab.click("button[aria-label='Add hardening']:enabled")
     tab.wait_for_selector(".chip.added:has-text('hardening')")
+
+
+def test_aliases_are_compared_side_by_side(tab, served, picture):
+    """On the same study, from its seed: the effect and the formula that is equal to it."""
+    tab.goto(served.address)
+    tab.click("td a:has-text('rig.csv')")
+    tab.click("button:has-text('Undo'):enabled")
+    tab.click("button:has-text('Compare them'):enabled")
+    tab.wait_for_selector(".alike table")
+    rows = tab.eval_on_selector_all(".alike tr", "all => all.map(r => r.innerText.split('\\t'))")
+    assert [r[0] for r in rows[1:]] == ["cubic stiffness", "hardening"]
+    assert rows[1][1] == rows[2][1]  # the same test error, to the digits shown
+    picture(tab, "aliases-compared")
+    tab.click(".alike button:has-text('Add hardening'):enabled")
+    tab.wait_for_selector(".chip.added:has-text('hardening')")
+
+
+def test_a_model_that_runs_away_loses_nothing(tab, served, files, picture):
+    tab.goto(served.address)
+    tab.set_input_files("#drop-file", files / "soft.csv")
+    tab.click(".q-select >> nth=0")
+    tab.click(".q-menu .q-item:has-text('oscillator')")
+    tab.click("button:has-text('Compare with the model'):enabled")
+    ready(tab, SECOND)
+    before = error(tab)
+    add(tab, SECOND)
+    tab.wait_for_selector("#astray:has-text('With cubic stiffness the model runs away')")
+    assert "not finite" in tab.inner_text("#error-now")
+    tab.wait_for_selector("button:has-text('Undo'):enabled")
+    picture(tab, "ran-away")
+    tab.click("button:has-text('Undo')")
+    shows(tab, before)
+    tab.wait_for_selector("#plot-free_run .main-svg")  # all has been drawn: nothing moves any more
+    add(tab, "quadratic stiffness")
+    tab.wait_for_selector(".chip.added:has-text('quadratic stiffness')")
+    assert error(tab)[-1] == before[0]
 
 
 def test_an_address_that_names_nothing_says_so(tab, served):

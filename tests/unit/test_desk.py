@@ -155,6 +155,26 @@ def test_a_turn_that_was_not_written_down_is_caught_up_with(desk, ident, tmp_pat
     assert [(o["do"], o["serial"]) for o in again._scribe.orders] == [("write", 1)]
 
 
+def test_a_formula_becomes_an_override_with_the_values_of_its_widths(desk, ident):
+    serial = desk.scene(ident).study.turn.serial
+    desk.invent(ident, "rubbing", "-F*tanh(v/w)", serial, "w=0.01, g = 2e-4")
+    order = desk._bench.orders[-1]
+    assert order["overrides"][1:] == [
+        "effect.rubbing.expression='-F*tanh(v/w)'", "effect.rubbing.shape={w: 0.01, g: 0.0002}"
+    ]  # fmt: skip
+    desk._bench.on_event(order, "ranked", RANKED)
+    desk._bench.on_event(order, "done", {})
+    desk.invent(ident, "rubbing", "-F*v", serial)
+    assert desk._bench.orders[-1]["overrides"][1:] == ["effect.rubbing.expression='-F*v'"]
+
+
+@pytest.mark.parametrize("shape", ["w", "w=wide", "w=nan", "0.1", "a b=1", "w={x: 1}"])
+def test_a_width_that_is_no_number_is_refused(desk, ident, shape):
+    with pytest.raises(ConfigError, match="NAME=NUMBER"):
+        desk.invent(ident, "rubbing", "-F*tanh(v/w)", desk.scene(ident).study.turn.serial, shape)
+    assert desk.scene(ident).busy is None
+
+
 @pytest.mark.parametrize("name", ["../../etc", "a/b", "nosuchstudy", "", "20260101-000000-0abc"])
 def test_only_studies_have_pages(desk, name):
     with pytest.raises(ConfigError):
