@@ -244,11 +244,12 @@ class View:
         have = {name for name, _, _ in turn.figures}
         known = [t for t, names in TABS if have & set(names) or t == MODEL]
         shown = self.tab if self.tab in known else known[0]
-        with ui.tabs(value=shown, on_change=self._choose_tab).props(
-            "align=left no-caps outside-arrows mobile-arrows inline-label"
-        ):
+        look = "align=left no-caps outside-arrows mobile-arrows inline-label"
+        with ui.tabs().props(look) as tabs:
             for title in known:
                 ui.tab(title)
+        tabs.set_value(shown)
+        tabs.on_value_change(self._choose_tab)
         self.regions["tab"] = ui.element("div").style("width:100%")
         self._tab(shown)
 
