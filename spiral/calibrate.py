@@ -128,9 +128,9 @@ def _descended(
     substeps = max(t.series.substeps for t in tasks)
     assembly = with_records(assembly, problem.records, substeps, problem.settings.phase_knot)
     study = assembly.study
-    values = np.stack([t.values for t in tasks])
-    values = np.pad(values, ((0, 0), (0, study.corrections)))
     moving, bounds = columns(assembly, standing.keys(assembly))
+    values = np.pad(np.stack([t.values for t in tasks]), ((0, 0), (0, study.corrections)))
+    values = moving.joined(values)
     mix = _mixed(assembly, moving, values, together)
     states = [smoothed(task, levels)[:, : study.state_count] for task in tasks]
     longest = max(s.samples for s in study.series)

@@ -114,6 +114,16 @@ class Columns:
                 new[self.record[column], self.index[column]] += delta
         return new
 
+    def joined(self, values: Array) -> Array:
+        """Values (records, keys) with one value, the records' mean, where all share a column.
+
+        A step moves all rows of a shared column alike: rows which begin apart would stay apart.
+        """
+        new = values.copy()
+        shared = self.index[self.record < 0]
+        new[:, shared] = values[:, shared].mean(axis=0)
+        return new
+
     def current(self, values: Array) -> Array:
         """The present value of each column."""
         return np.array(

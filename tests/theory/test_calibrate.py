@@ -69,6 +69,15 @@ def test_one_common_factor_is_found_a_hundred_times_better():
     assert abs(factors[0] - 1) < 2e-3
 
 
+def test_records_whose_phase_is_measured_share_one_origin():
+    """Each record's filter finds its own to start from; a shared column would keep them apart."""
+    found = calibrated(0.2, 1, records(2, 7.0), together=BEARINGS)
+    origins = [m.values["system.phase_origin"] for m in found.models]
+    assert origins[0] == origins[1]
+    bound = cramer_rao(Problem(TRUE, records(2, 7.0), ()))["system.phase_origin"]
+    assert abs(origins[0] - TRUE.values["system.phase_origin"]) < 3 * bound
+
+
 def test_bound_is_that_of_the_design_and_falls_with_records():
     """Design, fact 7; four records of equal length halve every standard error."""
     one, four = (cramer_rao(Problem(TRUE, records(n), ())) for n in (1, 4))
