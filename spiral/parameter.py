@@ -39,6 +39,9 @@ class Parameter:
     grid : of a shape, the values tried while its effect is absent, as shares of the largest
         port position or velocity (by its unit) that the record shows; of another unit (a
         frequency), the values themselves.
+    loose : one of many coefficients of a curve, of which a record may show some hardly at all: it
+        is held at zero with a standard deviation at which, where it is seen best, it would make
+        the whole response.
     search : moves each value of such a grid, within this share of it, to the strongest line in
         the records' channels.
     spectrum : of a shape of an effect with states of its own, in Hz or s: its values are laid at
@@ -56,6 +59,7 @@ class Parameter:
     grid: tuple[float, ...] = ()
     search: float = 0.0
     spectrum: bool = False
+    loose: bool = False
 
     def __post_init__(self) -> None:
         _check_name("parameter", self.name)

@@ -152,13 +152,13 @@ class Registry:
 
     def dictionary(self, system: System) -> tuple[Effect, ...]:
         """Learned effects (``spiral.learned``) that fit the system's first port."""
-        from spiral.learned import LearnedForce
+        from spiral.learned import Learned
         from spiral.trace import check_effect
 
         found: list[Effect] = []
         for name in self.names("effect"):
             plugin = self.entry("effect", name).plugin
-            if issubclass(plugin, LearnedForce):
+            if issubclass(plugin, Learned):
                 with contextlib.suppress(ConfigError):
                     check_effect(system, plugin())
                     found.append(plugin())

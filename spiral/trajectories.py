@@ -13,7 +13,7 @@ import numpy as np
 
 from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared
-from spiral.evidence import Admitted, Masks, Standing, admit, begin, half_masks, tested_keys
+from spiral.evidence import Admitted, Masks, Standing, admit, half_masks, tested_keys
 from spiral.holding import carried, having, holding, moved
 from spiral.identifiability import entangled
 from spiral.problem import Problem, Progress
@@ -83,16 +83,7 @@ def curve_of(
     astray = proposal.diverged or not np.isfinite(comparison.fit_error + comparison.test_error)
     if white or not applies(assembly) or (proposal.diverged and standing.labels == seed):
         return None
-    if astray and standing.labels != seed:
-        gone = [x for x in standing.labels if x not in seed]
-        dropped = tuple(assembly.variant(x).original.label for x in gone)
-        standing = begin(assembly, seed)
-    else:
-        dropped = ()
-    found = unknown_shape(assembly, standing, half_masks(assembly), number, progress)
-    if found is None:
-        return None
-    return replace(found, proposal=replace(found.proposal, dropped=dropped))
+    return unknown_shape(assembly, standing, half_masks(assembly), number, progress, astray)
 
 
 def _details(proposal: Proposal) -> dict[str, Any]:

@@ -8,15 +8,15 @@ hidden states and feedback are dealt with. The best one that passes names the st
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from spiral.assembly import Assembly
-from spiral.evidence import Masks, Standing
+from spiral.evidence import Masks, Standing, begin
 from spiral.forcecurve import Unknown, described
 from spiral.holding import carried, held_variants, moved, reassembled
+from spiral.learned import Learned
 from spiral.problem import Progress
 from spiral.suggest import Proposal, propose
-from spiral.system import MechanicalSystem
 
 
 @dataclass(frozen=True)
@@ -34,32 +34,79 @@ def unknown_shape(
     masks: tuple[Masks, Masks],
     round_number: int,
     progress: Progress,
+    astray: bool = False,
 ) -> Found | None:
     """The curve that explains what is left, or nothing where none passes the gates.
+
+    Effects admitted before may only have stood in for the curve, so it is tried from the seed
+    first, where they compete with it: should a curve come first, they are let go (and may come
+    back in later rounds). Else it is looked for in what they leave.
 
     Parameters
     ----------
     assembly, standing : the study, none of whose candidates passes.
     masks : (select, judge), as in ``propose``; the curve is fitted on the half that judges.
+    astray : whether what was admitted before leads nowhere, so that only the seed is tried.
     """
+    firm = {*assembly.problem.model.labels, *_learned(assembly, standing)}
+    kept = tuple(x for x in standing.labels if x in firm)
+    starts = [] if astray else [standing]
+    if kept != standing.labels:
+        starts.insert(0, _fresh(assembly, standing, kept))
+    for start in starts or [standing]:
+        progress("trying curves over each state")
+        found = _found(assembly, standing, start, masks, round_number, progress)
+        if found is not None:
+            return found
+    return None
+
+
+def _fresh(assembly: Assembly, standing: Standing, kept: tuple[str, ...]) -> Standing:
+    """The first standing of some effects; shapes of the others as they were, to compete with."""
+    begun, study = begin(assembly, kept), assembly.study
+    values = begun.values.copy()
+    for i, (key, parameter) in enumerate(
+        zip(study.keys, study.compiled.traced.parameters, strict=True)
+    ):
+        if parameter.role == "shape" and key.rsplit(".", 1)[0] not in kept:
+            values[:, i] = standing.values[:, i]
+    return replace(begun, values=values)
+
+
+def _learned(assembly: Assembly, standing: Standing) -> list[str]:
+    """Compiled labels of the curves in a standing."""
+    own = {v.label: v.effect for v in assembly.variants}
+    return [x for x in standing.labels if isinstance(own.get(x), Learned)]
+
+
+def _found(
+    assembly: Assembly,
+    standing: Standing,
+    start: Standing,
+    masks: tuple[Masks, Masks],
+    round_number: int,
+    progress: Progress,
+) -> Found | None:
+    """The curve that comes first from ``start``, against all that ``standing`` has beyond it."""
     present = {v.original.label for v in assembly.variants if v.label in standing.labels}
     taken = {*present, *assembly.problem.model.labels}
     learned = tuple(e for e in assembly.problem.dictionary if e.label not in taken)
     if not learned:
         return None
-    progress("trying curves over each state")
     kept = tuple(c for c in assembly.problem.candidates if c.label in present)
     own = held_variants(assembly, standing.labels)
     wide = reassembled(assembly, (*kept, *learned), own)
-    first = propose(wide, carried(standing, assembly, wide), masks, round_number, progress)
-    if first.admitted is None:
+    first = propose(wide, carried(start, assembly, wide), masks, round_number, progress)
+    labels = [e.label for e in learned]
+    if first.admitted is None or first.admitted.variant.original.label not in labels:
         return None
-    label = first.admitted.variant.original.label
-    chosen = next(e for e in learned if e.label == label)
+    chosen = learned[labels.index(first.admitted.variant.original.label)]
     final = reassembled(assembly, (*assembly.problem.candidates, chosen), own)
+    gone = [v for v in assembly.variants if v.label in standing.labels]
     proposal = Proposal(
         first.evidence, first.stages, moved(first.admitted, wide, final), first.aliases,
         first.suggestions, first.rejected,
+        tuple(v.original.label for v in gone if v.label not in start.labels),
     )  # fmt: skip
     shape = described(wide, first.admitted, first.suggestions, masks[1])
     return Found(final, proposal, shape)
@@ -67,5 +114,4 @@ def unknown_shape(
 
 def applies(assembly: Assembly) -> bool:
     """Whether there is a dictionary to try."""
-    mechanical = isinstance(assembly.problem.model.system, MechanicalSystem)
-    return mechanical and bool(assembly.problem.dictionary)
+    return bool(assembly.problem.dictionary)

@@ -1,9 +1,9 @@
-"""Curves for a force that is in no catalog; tried where no effect with a name explains a record."""
+"""Curves for what is in no catalog; tried where no effect with a name explains a record."""
 
 from __future__ import annotations
 
-from spiral.learned import COUNT, LearnedForce, coefficients, curve
-from spiral.math import tanh
+from spiral.learned import COUNT, LearnedFlow, LearnedForce, coefficients, curve
+from spiral.math import length, tanh
 from spiral.parameter import Parameter
 
 
@@ -11,6 +11,11 @@ def _curves(states, span, p):
     """B(s_i / S) of every axis."""
     values = [getattr(p, f"c{k}") for k in range(COUNT)]
     return [curve(s / span, [c[i] for c in values]) for i, s in enumerate(states)]
+
+
+def _one(z, p):
+    """B(z) of a curve that all axes share."""
+    return curve(z, [getattr(p, f"c{k}") for k in range(COUNT)])
 
 
 class LearnedSpring(LearnedForce):
@@ -62,3 +67,62 @@ class LearnedDryFriction(LearnedForce):
         """B_i(q_i / S) tanh(v_i / w) per axis."""
         found = _curves(at.position, p.span, p)
         return [c * tanh(v / p.width) for c, v in zip(found, at.velocity, strict=True)]
+
+
+class LearnedRadialSpring(LearnedForce):
+    """A spring whose stiffness depends on the radius by a curve: F_i = B(|q| / S) q_i."""
+
+    axes = 2
+    follows = "radius"
+    parameters = coefficients("force/position", "position", per_axis=False)
+
+    def force(self, at, u, p):
+        """B(|q| / S) q_i per axis."""
+        stiffness = _one(length(at.position) / p.span, p)
+        return [stiffness * q for q in at.position]
+
+
+class LearnedTransfer(LearnedFlow):
+    """A flow from the upper tank into the lower one that follows the upper level by a curve.
+
+    x1' = ... - B(2 x1 / S - 1) and x2' = ... + B(2 x1 / S - 1).
+    """
+
+    channels = ("upper", "lower")
+    state, into = "upper", "lower"
+    parameters = coefficients("position/s", "position", per_axis=False, extent=1.2)
+
+    def flow(self, x, u, p):
+        """What leaves the upper tank enters the lower one."""
+        moved = _one(2 * x.upper / p.span - 1, p)
+        return {"upper": -moved, "lower": moved}
+
+
+class LearnedUpperFlow(LearnedFlow):
+    """A flow into (negative: out of) the upper tank that follows its level by a curve.
+
+    x1' = ... + B(2 x1 / S - 1).
+    """
+
+    channels = ("upper",)
+    state = into = "upper"
+    parameters = coefficients("position/s", "position", per_axis=False, extent=1.2)
+
+    def flow(self, x, u, p):
+        """B(2 x1 / S - 1)."""
+        return {"upper": _one(2 * x.upper / p.span - 1, p)}
+
+
+class LearnedLowerFlow(LearnedFlow):
+    """A flow into (negative: out of) the lower tank that follows its level by a curve.
+
+    x2' = ... + B(2 x2 / S - 1).
+    """
+
+    channels = ("lower",)
+    state = into = "lower"
+    parameters = coefficients("position/s", "position", per_axis=False)
+
+    def flow(self, x, u, p):
+        """B(2 x2 / S - 1)."""
+        return {"lower": _one(2 * x.lower / p.span - 1, p)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,6 +57,9 @@ def fit(
     """
     damping = 1e-6
     reduction = reduce(study, layouts, point, columns)
+    held = _held(study, layouts, columns, reduction)
+    if held is not columns:
+        columns, reduction = held, reduce(study, layouts, point, held)
     if not reduction.finite:
         return Fitted(point, np.inf, reduction.samples, reduction.nuisances, False, 0, None)
     for iteration in range(1, iterations + 1):
@@ -80,6 +83,30 @@ def fit(
         if cost - reduction.cost < worth:
             return Fitted.of(point, reduction, True, iteration)
     return Fitted.of(point, reduction, False, iterations)
+
+
+def _held(study: Study, layouts: Layouts, columns: Columns, reduction: Reduction) -> Columns:
+    """The columns with a weak hold on those that are loose (coefficients of a curve).
+
+    Of an effect whose best seen coefficient moves the response by s (in sigma, for one unit), each
+    is held at zero with the standard deviation |y| / s.
+    """
+    keys, known = study.keys, study.compiled.traced.parameters
+    loose = [c for c, i in enumerate(columns.index) if i < len(keys) and known[i].loose]
+    if not loose or not reduction.finite:
+        return columns
+    weighted = [
+        s.weight(layout.mask) * s.y for s, layout in zip(study.series, layouts, strict=True)
+    ]
+    whole = float(np.sqrt(sum(np.sum(w**2) for w in weighted)))
+    norms = np.linalg.norm(reduction.triangle[:-1, :-1], axis=0)
+    width = np.full(columns.count, np.inf)
+    owners = [keys[columns.index[c]].rsplit(".", 1)[0] for c in loose]
+    for owner in set(owners):
+        own = [c for c, o in zip(loose, owners, strict=True) if o == owner]
+        best = float(norms[own].max())
+        width[own] = whole / best if best > 0 else np.inf
+    return replace(columns, width=width)
 
 
 def damped_step(

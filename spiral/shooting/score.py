@@ -147,9 +147,10 @@ def projected(table: Table, kept: list[int]) -> Projected:
     before = np.where(table.norms[kept] == 0, 1.0, table.norms[kept])
     after = np.linalg.norm(group, axis=0)
     alias = float(np.sqrt(max(0.0, 1.0 - float(np.min(after / before)) ** 2)))
-    if np.all(after / before < _RANK):
+    own = after / before >= _RANK  # what is left of the others is rounding
+    if not own.any():
         return none
-    scale = np.where(after == 0, 1.0, after)
+    scale = np.where(own, after, np.inf)
     left, sizes, right = np.linalg.svd(group / scale, full_matrices=False)
     large = sizes > _RANK * sizes[0]
     along = left[:, large].T @ table.target

@@ -107,7 +107,8 @@ def reduce(
     width, n = columns.count + 1, study.state_count
     samples = int(sum(np.count_nonzero(w) for w in weights))
     elimination = tuple(np.zeros((len(x), n, width)) for x in point.starts)
-    prior = curvature_prior(study, columns, point.values)
+    priors = (curvature_prior(study, columns, point.values), columns.prior(point.values))
+    prior = np.concatenate(priors)
     cost = sum(found.cost for _, found in results) + float(np.sum(prior[:, -1] ** 2))
     if not np.isfinite(cost):
         empty = np.zeros((0, width, width))

@@ -89,11 +89,13 @@ class Columns:
     """The parameters that move: one global column each.
 
     ``index`` are positions of parameters; ``record`` is the record a column belongs to, or -1
-    where all records share it.
+    where all records share it; ``width`` the standard deviation with which each is held at zero
+    (infinite: not at all; none given: none is).
     """
 
     index: Array
     record: Array
+    width: Array | None = None
 
     @property
     def count(self) -> int:
@@ -123,6 +125,17 @@ class Columns:
         shared = self.index[self.record < 0]
         new[:, shared] = values[:, shared].mean(axis=0)
         return new
+
+    def prior(self, values: Array) -> Array:
+        """Rows [J | r] of what holds columns at zero."""
+        held = np.zeros(0, dtype=np.int64)
+        if self.width is not None:
+            held = np.flatnonzero(np.isfinite(self.width))
+        rows = np.zeros((len(held), self.count + 1))
+        if self.width is not None:
+            rows[np.arange(len(held)), held] = 1.0 / self.width[held]
+            rows[:, -1] = -self.current(values)[held] / self.width[held]
+        return rows
 
     def current(self, values: Array) -> Array:
         """The present value of each column."""
