@@ -35,7 +35,10 @@ class SlowRoll:
 
 @dataclass(frozen=True)
 class Layout:
-    """Name -> the file's column, its unit, factor to the system's unit, and reading at rest."""
+    """Name -> the file's column, its unit, factor to the system's unit, and reading at rest.
+
+    ``constant`` are inputs that have no column but one value throughout, in the system's unit.
+    """
 
     channels: Mapping[str, str]
     inputs: Mapping[str, str]
@@ -44,6 +47,7 @@ class Layout:
     units: Mapping[str, str]
     scale: Mapping[str, float]
     offset: Mapping[str, float]
+    constant: Mapping[str, float]
 
     def options(self) -> dict[str, str]:
         """Option, as messages call it -> column, for all columns in use."""
@@ -62,7 +66,8 @@ class Columns(Source):
     path : a file, or a list of files of one machine; also looked for under ``SPIRAL_DATA``.
     time : the column of time in s.
     rate : samples per s, where the file has no column of time.
-    channels, inputs : the system's name -> the file's column; names that agree may be left out.
+    channels, inputs : the system's name -> the file's column; names that agree may be left out. An
+        input may be a number instead (``0`` where nothing drives), in the system's unit.
     units : name of a channel or input (or ``time``) -> its unit; else the unit that the file names.
     rows : [start, stop], zero-based data rows, stop excluded.
     noise : channel -> standard deviation in the system's unit, where it is known.
@@ -177,6 +182,8 @@ class Columns(Source):
             if self.inputs is None:
                 known = tuple(n for n in known if n != "phase")
         inputs = self._mapped(table, "inputs", known, required=driving)
+        constant = {n: float(c) for n, c in inputs.items() if _is_number(c, table)}
+        inputs = {n: c for n, c in inputs.items() if n not in constant}
         clock = self._clock(table)
         units = self._units(system, table, {**channels, **inputs, **clock})
         scale = {
@@ -184,7 +191,7 @@ class Columns(Source):
         }
         offset = self._offsets((*channels, *inputs))
         pulse = {} if self.pulse is None else {"pulse": self.pulse}
-        return Layout(channels, inputs, clock, pulse, units, scale, offset)
+        return Layout(channels, inputs, clock, pulse, units, scale, offset, constant)
 
     def _series(
         self, system: System, table: Table, layout: Layout, start: int, stop: int
@@ -208,7 +215,10 @@ class Columns(Source):
             name,
             time,
             values("channels", layout.channels),
-            values("inputs", layout.inputs),
+            {
+                **values("inputs", layout.inputs),
+                **{n: np.full(len(time), value) for n, value in layout.constant.items()},
+            },
             pulse=pulse,
         )
         if self.resample is not None or self.fill_gaps is not None or self.pulse is not None:
@@ -339,6 +349,14 @@ def _inside(
     return start, stop
 
 
+def _is_number(given: str, table: Table) -> bool:
+    """Whether an input's column is a number, and no column is called so."""
+    try:
+        return given not in table.columns and bool(np.isfinite(float(given)))
+    except ValueError:
+        return False
+
+
 def _told(system: System, layout: Layout, rate: float | None) -> str:
     """What was taken for what, in words."""
     clock, units = layout.clock, layout.units
@@ -347,4 +365,6 @@ def _told(system: System, layout: Layout, rate: float | None) -> str:
     ]
     for name, column in (*layout.channels.items(), *layout.inputs.items()):
         words.append(f"{name} from {column!r} in {units.get(name, system.unit_of(name))}")
+    for name, value in layout.constant.items():
+        words.append(f"{name} {value:g} {system.unit_of(name)} throughout")
     return ", ".join(words)

@@ -35,10 +35,12 @@ from spiral.shooting.score import (
 from spiral.shooting.sensitivities import reduce, residuals
 from spiral.shooting.start import SMOOTHING, balance, first_values
 from spiral.shooting.study import Point
-from spiral.shooting.windows import block_length, halves
+from spiral.shooting.windows import block_length, fair_block, halves
 from spiral.trace import trace
 
 Masks = tuple[Array | None, ...]
+_FAR_OFF = 2.0  # chi2 per degree of freedom from which effects are started from afar as well
+_START, _STARTS = 0.1, 3  # share of its bound that an amplitude starts from; shapes refitted so
 _WORTH = 10.0  # fall of the sum of squares (sigma^2) for which a shape is set free
 
 
@@ -46,7 +48,8 @@ _WORTH = 10.0  # fall of the sum of squares (sigma^2) for which a shape is set f
 class Standing:
     """Where a study stands: active effects (compiled labels), values, shapes set free.
 
-    ``held`` are amplitudes of active effects that stay at zero, not admitted themselves.
+    ``held`` are amplitudes of active effects that stay at zero, not admitted themselves;
+    ``shortest`` the shortest windows of later fits: those on which an effect was found from afar.
     """
 
     labels: tuple[str, ...]
@@ -54,6 +57,7 @@ class Standing:
     freed: tuple[str, ...] = ()
     corrected: bool = True
     held: tuple[str, ...] = ()
+    shortest: int = 0
 
     def keys(self, assembly: Assembly) -> tuple[str, ...]:
         """Parameters that a fit of this standing moves."""
@@ -97,8 +101,10 @@ class Evidence:
 
 
 def half_masks(assembly: Assembly) -> tuple[Masks, Masks]:
-    """Blocks that select and blocks that judge, for every record."""
-    pairs = [halves(s.samples, block_length(s.samples)) for s in assembly.study.series]
+    """Blocks that select and blocks that judge, for every record (``fair_block``)."""
+    pairs = [
+        halves(s.samples, fair_block(s.y, block_length(s.samples))) for s in assembly.study.series
+    ]
     return tuple(a for a, _ in pairs), tuple(b for _, b in pairs)
 
 
@@ -122,9 +128,10 @@ def begin(assembly: Assembly, labels: tuple[str, ...]) -> Standing:
     known = Standing(labels, first_row(assembly))
     keys = known.keys(assembly)
     unknown = unknown_keys(assembly, keys)
-    if not unknown:
-        return known
     study, model = assembly.study, assembly.problem.model
+    if not unknown:
+        far = any(two_sided(e) for e in model.effects if e.label in labels)
+        return replace(known, shortest=stage_lengths(assembly)[-1]) if far else known
     own = tuple(e for e in model.effects if e.label in labels)
     equations = balance(study, trace(model.system, own), unknown)
     layouts = layouts_for(study, stage_lengths(assembly)[0], all_samples(assembly))
@@ -150,18 +157,20 @@ def grown(
     lengths: list[int] | None = None,
     patient: bool = False,
 ) -> Iterator[Stage]:
-    """Fit the standing model on growing windows; ``patient`` as in ``grow``."""
+    """Fit the standing model on growing windows; ``patient`` as in ``grow``.
+
+    Values found from afar are kept while the window starts find theirs.
+    """
     moving, bounds = columns(assembly, standing.keys(assembly))
-    sizes = lengths or stage_lengths(assembly)
-    yield from grow(assembly.study, standing.values, moving, bounds, masks, sizes, patient)
+    sizes = lengths or [n for n in stage_lengths(assembly) if n >= standing.shortest]
+    alone = columns(assembly, ()) if standing.shortest else None
+    yield from grow(assembly.study, standing.values, moving, bounds, masks, sizes, patient, alone)
 
 
 def score_stage(assembly: Assembly, standing: Standing, stage: Stage) -> Evidence:
     """Score all candidates that are not active, in one pass."""
     keys = standing.keys(assembly)
-    present = {
-        assembly.variant(x).original.label for x in standing.labels if _is_variant(assembly, x)
-    }
+    present = _labels(assembly, standing)
     absent = [v for v in assembly.variants if v.original.label not in present]
     groups = [(v, tested_keys(assembly, v)) for v in absent]
     candidate_keys = tuple(k for _, g in groups for k in g)
@@ -182,7 +191,7 @@ def score_stage(assembly: Assembly, standing: Standing, stage: Stage) -> Evidenc
         tied = inseparable(reduction.triangle, active.count, indices)
         names = [_owner(assembly, int(moving.index[i])) for i in tied.with_]
         ranked = Ranked(
-            variant, indices, found, _bic(table, found), variant.searched,
+            variant, indices, found, bic(table, found), variant.searched,
             tuple(dict.fromkeys(names)), tuple(owners[i] for i in tied.held), tied.whole,
         )  # fmt: skip
         scored.setdefault(variant.original.label, []).append(ranked)
@@ -219,8 +228,9 @@ def _best(table: Table, variants: list[Ranked]) -> Ranked:
     return replace(variants[best], tests=tests * variants[best].tests)
 
 
-def _is_variant(assembly: Assembly, label: str) -> bool:
-    return any(v.label == label for v in assembly.variants)
+def _labels(assembly: Assembly, standing: Standing) -> set[str]:
+    """Real names of the candidates that are active."""
+    return {v.original.label for v in assembly.variants if v.label in standing.labels}
 
 
 def tested_keys(assembly: Assembly, variant: Variant) -> tuple[str, ...]:
@@ -236,7 +246,7 @@ def tested_keys(assembly: Assembly, variant: Variant) -> tuple[str, ...]:
     )
 
 
-def _bic(table: Table, scored: Score) -> float:
+def bic(table: Table, scored: Score) -> float:
     """N log(1 - gain / rest) + q log N: twice the negative log-likelihood gain, plus its price."""
     left = max(1.0 - scored.gain / max(table.rest, 1e-300), 1e-12)
     return table.samples * float(np.log(left)) + scored.rank * float(np.log(table.samples))
@@ -262,7 +272,17 @@ class Admitted:
 
 
 def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) -> Admitted:
-    """Add a candidate, refit, and set its shapes free where that pays."""
+    """Add a candidate, refit, and set its shapes free where that pays.
+
+    Where the model is far off, an effect with bounds is started from afar as well (``afar``).
+    """
+    near = _near(assembly, standing, stage, ranked)
+    found = [near, *_refits_from_afar(assembly, standing, stage, ranked.variant.original.label)]
+    return min(found, key=lambda a: a.stage.fitted.cost)
+
+
+def _near(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) -> Admitted:
+    """A candidate refitted from zero amplitude."""
     variant = ranked.variant
     values = stepped(assembly, stage.fitted.point.values, variant, ranked.score.step)
     wider = replace(
@@ -282,14 +302,64 @@ def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) 
     return Admitted(wider, Stage(stage.length, stage.layouts, fitted), variant)
 
 
+def afar(assembly: Assembly, standing: Standing, stage: Stage, label: str) -> list[Variant]:
+    """Variants of an effect that may have a second basin: amplitudes bounded on both sides.
+
+    What a rim lets over, or a limit cuts off, is unseen from zero amplitude. Only where the model
+    is far off (chi2/dof of 2 and more): what it lacks there need not be small.
+    """
+    if stage.fitted.chi2_per_dof < _FAR_OFF:
+        return []
+    return [v for v in assembly.variants if v.original.label == label and two_sided(v.original)]
+
+
+def two_sided(effect: Effect) -> bool:
+    """Whether all amplitudes of an effect are bounded on both sides."""
+    return all(p.lower is not None and p.upper for p in effect.amplitudes())
+
+
+def _refits_from_afar(
+    assembly: Assembly, standing: Standing, stage: Stage, label: str
+) -> list[Admitted]:
+    """Refits from a tenth of the bounds, from the shapes whose first step promises most."""
+    study = assembly.study
+    found: list[tuple[float, Standing, Variant]] = []
+    for variant in afar(assembly, standing, stage, label):
+        values = stage.fitted.point.values.copy()
+        for key in tested_keys(assembly, variant):
+            position = study.index(key)
+            values[:, position] = _START * (study.compiled.traced.parameters[position].upper or 0)
+        wider = replace(
+            standing,
+            labels=(*standing.labels, variant.label),
+            values=values,
+            freed=(*standing.freed, *variant.tuned),
+            shortest=stage.length,
+        )
+        moving, _ = columns(assembly, wider.keys(assembly))
+        point = Point(values, stage.fitted.point.starts)
+        promised = reduce(study, stage.layouts, point, moving)
+        if promised.finite:
+            found.append((float(promised.triangle[-1, -1] ** 2), wider, variant))
+    refits = []
+    for _, wider, variant in sorted(found, key=lambda f: f[0])[:_STARTS]:
+        fitted = refit(assembly, wider, stage)
+        wider = replace(wider, values=fitted.point.values)
+        refits.append(Admitted(wider, Stage(stage.length, stage.layouts, fitted), variant))
+    return refits
+
+
 def with_effects(
     assembly: Assembly, standing: Standing, effects: tuple[Effect, ...], progress: Progress
 ) -> Standing:
-    """Admit effects one by one at the shortest windows, without gates, for a good start."""
+    """Admit effects one by one at the shortest windows, without gates, for a good start.
+
+    Those with a second basin are admitted at the longest windows.
+    """
     for effect in effects:
         progress(f"adding {effect.label}")
-        length = stage_lengths(assembly)[:1]
-        stage = next(iter(grown(assembly, standing, all_samples(assembly), length)))
+        lengths = stage_lengths(assembly) if two_sided(effect) else stage_lengths(assembly)[:1]
+        *_, stage = grown(assembly, standing, all_samples(assembly), lengths)
         evidence = score_stage(assembly, standing, stage)
         chosen = [r for r in evidence.ranked if r.variant.original.label == effect.label]
         if not chosen:

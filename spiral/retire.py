@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from spiral.assembly import Assembly
-from spiral.evidence import Admitted, Masks, Standing, refit
+from spiral.evidence import Admitted, Masks, Standing, refit, tested_keys
 from spiral.judge import held_out
 from spiral.model import Model
 from spiral.shooting.growth import Stage
@@ -31,7 +31,7 @@ def superfluous(
             continue
         if not _weak(model, assembly.variant(label).original.label):
             continue
-        smaller = _without(current, label)
+        smaller = _without(assembly, current, label)
         trial = refit(assembly, smaller, latest.stage)
         stage = Stage(latest.stage.length, latest.stage.layouts, trial)
         left = held_out(assembly, smaller.labels, stage, mask)[1]
@@ -41,16 +41,20 @@ def superfluous(
     return tuple(gone)
 
 
-def let_go(standing: Standing, labels: tuple[str, ...]) -> Standing:
-    """The standing without these effects."""
+def let_go(assembly: Assembly, standing: Standing, labels: tuple[str, ...]) -> Standing:
+    """The standing without these effects: their amplitudes are zero, as they stay compiled."""
     for label in labels:
-        standing = _without(standing, label)
+        standing = _without(assembly, standing, label)
     return standing
 
 
-def _without(standing: Standing, label: str) -> Standing:
+def _without(assembly: Assembly, standing: Standing, label: str) -> Standing:
+    values = standing.values.copy()
+    for key in tested_keys(assembly, assembly.variant(label)):
+        values[:, assembly.study.index(key)] = 0.0
     return replace(
         standing,
+        values=values,
         labels=tuple(x for x in standing.labels if x != label),
         freed=tuple(k for k in standing.freed if k.rsplit(".", 1)[0] != label),
         held=tuple(k for k in standing.held if k.rsplit(".", 1)[0] != label),

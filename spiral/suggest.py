@@ -20,6 +20,7 @@ from spiral.evidence import (
     grown,
     score_stage,
 )
+from spiral.farstart import from_afar
 from spiral.judge import held_out
 from spiral.problem import Progress, Settings, silent
 from spiral.run import Suggestion
@@ -121,7 +122,7 @@ def _longest_that_agrees(
         if not np.isfinite(stage.fitted.cost) or (kept is not None and not stage.fitted.converged):
             break
         progress(f"scoring candidates on windows of {stage.length} samples")
-        evidence = score_stage(assembly, standing, stage)
+        evidence = from_afar(assembly, standing, score_stage(assembly, standing, stage))
         tests = _tests(assembly, evidence)
         if kept is not None and not _agree(kept, evidence, tests, settings, round_number):
             break

@@ -160,7 +160,7 @@ def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
     gone = superfluous(assembly, latest, comparison.model, mask, proposal.evidence.block)
     if not gone:
         return Settled(latest.standing, comparison, proposal.dropped)
-    standing = let_go(latest.standing, gone)
+    standing = let_go(assembly, latest.standing, gone)
     comparison = _judge(assembly, standing, mask, progress)
     retired = tuple(assembly.variant(x).original.label for x in gone)
     return Settled(standing, comparison, (*proposal.dropped, *retired))

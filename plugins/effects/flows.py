@@ -58,8 +58,8 @@ class Overflow(FlowEffect):
 
     channels = ("upper", "lower")
     parameters = (
-        Parameter("spilled", "1/s", lower=0.0),
-        Parameter("caught", "1/s", lower=0.0),
+        Parameter("spilled", "1/s", lower=0.0, upper=1.0),
+        Parameter("caught", "1/s", lower=0.0, upper=1.0),
         Parameter("rim", "position", lower=0.0, role="shape", grid=(0.5, 0.6, 0.7, 0.8, 0.9, 1.0)),
         WIDTH,
     )

@@ -8,6 +8,9 @@ import numpy as np
 
 from spiral.record import Array
 
+_FAIR = 0.05  # how far either half's share of a quarter of the motion may be from one half
+_SHORTEST = 8  # samples in a block: noise correlated over a few samples still averages out
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -48,6 +51,24 @@ def halves(samples: int, block: int) -> tuple[Array, Array]:
 def block_length(samples: int) -> int:
     """Samples in a block: 256, or less (down to 32) where the record would give under 16 blocks."""
     return int(min(256, max(32, 2 ** int(np.log2(max(samples // 16, 32))))))
+
+
+def fair_block(values: Array, block: int) -> int:
+    """The longest block, halved from ``block`` down to 8, whose two halves saw the same motion.
+
+    Of every quarter of each channel's range of values (by rank; ``values`` is (samples, channels))
+    either half must hold its share, 50 +- 5 % (two standard errors of a fair draw where that is
+    more). Where a slow record has few episodes, long blocks would let one half see what the other
+    never meets, and nothing could be judged.
+    """
+    quarters = [np.array_split(np.argsort(c, kind="stable"), 4) for c in values.T]
+    while block > _SHORTEST:
+        even, _ = halves(len(values), block)
+        shares = [(even[q].mean(), max(_FAIR, 1.0 / np.sqrt(len(q)))) for c in quarters for q in c]
+        if all(abs(share - 0.5) <= allowed for share, allowed in shares):
+            break
+        block //= 2
+    return block
 
 
 def stage_lengths(samples: int, mask_block: int) -> list[int]:

@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
+from spiral.compare import prepared
 from spiral.errors import ConfigError
+from spiral.evidence import admit, all_samples, grown, score_stage
+from spiral.farstart import from_afar
 from spiral.latent import with_latent
 from spiral.model import seed_model
-from spiral.simulate import integrate
+from spiral.problem import Problem
+from spiral.retire import let_go
+from spiral.shooting.windows import fair_block, halves
+from spiral.simulate import integrate, simulate
 from spiral.trace import check_effect
 from tests.scenes import effect
 
@@ -66,3 +72,54 @@ def test_a_force_is_no_effect_of_tanks_and_a_flow_none_of_a_mechanical_system():
 def test_a_system_without_forces_has_no_missing_force():
     model = seed_model(CascadedTanks())
     assert with_latent(model) is model
+
+
+def test_blocks_are_shortened_until_both_halves_saw_the_same_motion():
+    """A slow wave of period 2 blocks is seen by one half alone; a fast one by both."""
+    samples = np.arange(4096)
+    fast, slow = np.sin(2 * np.pi * samples / 37), np.sin(2 * np.pi * samples / 512)
+    assert fair_block(fast[:, None], 256) == 256
+    assert fair_block(np.sign(slow)[:, None] + 1e-3 * fast[:, None], 256) < 256
+    fair = fair_block(slow[:, None], 256)
+    even, odd = halves(len(samples), fair)
+    top = np.argsort(slow)[-1024:]
+    assert even[top].mean() == pytest.approx(0.5, abs=0.05)
+    assert odd[top].mean() == pytest.approx(0.5, abs=0.05)
+
+
+def _spilling(noise=0.02):
+    """A pump in steps that lets the upper tank run over, and the model that knows no rim."""
+    values = {"overflow.spilled": 0.8, "overflow.caught": 0.4, "overflow.rim": 6.0}
+    model = seed_model(CascadedTanks(), (effect("overflow"),), values={**VALUES, **values})
+    rng = np.random.default_rng(3)
+    steps = np.repeat(rng.uniform(0.5, 4.0, 32), 32)
+    time = 4.0 * np.arange(len(steps))
+    start = {"upper": 4.0, "lower": 4.0}
+    record = simulate(model, time, {"pump": steps}, noise, rng, start=start, substeps=4)
+    seed = seed_model(CascadedTanks(), values={"outlets.width": 1e-3})
+    return Problem(seed, (record,), (), candidates=(effect("overflow"),))
+
+
+def test_a_rim_is_found_from_afar_where_a_step_from_zero_does_not_see_it():
+    """The refit from a tenth of the bounds reaches the noise; the rim lies where it was put."""
+    assembly, standing = prepared(_spilling())
+    *_, stage = grown(assembly, standing, all_samples(assembly))
+    evidence = from_afar(assembly, standing, score_stage(assembly, standing, stage))
+    found = admit(assembly, standing, stage, evidence.ranked[0])
+    assert found.standing.shortest == stage.length == 1024
+    assert found.stage.fitted.chi2_per_dof == pytest.approx(1.0, abs=0.15)
+    rim = found.standing.values[0, assembly.study.index(f"{found.variant.label}.rim")]
+    assert rim == pytest.approx(6.0, rel=0.02)
+
+
+def test_an_effect_that_is_let_go_no_longer_acts():
+    assembly, standing = prepared(_spilling())
+    *_, stage = grown(assembly, standing, all_samples(assembly))
+    evidence = score_stage(assembly, standing, stage)
+    found = admit(assembly, standing, stage, evidence.ranked[0])
+    label = found.variant.label
+    left = let_go(assembly, found.standing, (label,))
+    assert label not in left.labels
+    spilled, caught = (assembly.study.index(f"{label}.{k}") for k in ("spilled", "caught"))
+    assert found.standing.values[0, spilled] > 0
+    assert left.values[0, spilled] == left.values[0, caught] == 0
