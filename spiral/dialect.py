@@ -10,7 +10,7 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from spiral.errors import ConfigError, InputError
@@ -28,6 +28,8 @@ _NUMBER = {
 _NUMBER[","] = re.compile(r"[+-]?(\d+(,\d+)?|,\d+)([eE][+-]?\d+)?")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _NO_UNIT = ("", "-", "--", "1")
+_AT_END = re.compile(r".*?(?:\[([^][]+)\]|\(([^()]+)\))")
+_LETTERS = "smNVgAK°"  # one letter in round brackets is a unit only where it is usual
 _LINES = 300
 
 
@@ -246,6 +248,18 @@ def _are_units(cells: tuple[str, ...]) -> bool:
     """Whether every cell is a unit or says that there is none."""
     bare = [c.strip("[]() ") for c in cells]
     return any(c not in _NO_UNIT for c in bare) and all(c in _NO_UNIT or is_unit(c) for c in bare)
+
+
+def units_in(names: Iterable[str]) -> dict[str, str]:
+    """Units that names end with, in brackets: ``force [N]``, ``t (ms)``."""
+    found = {}
+    for name in names:
+        match = _AT_END.fullmatch(name.rstrip())
+        square, round_ = ((g or "").strip() for g in match.groups()) if match else ("", "")
+        unit = square or (round_ if len(round_) > 1 or round_ in _LETTERS else "")
+        if unit not in _NO_UNIT and is_unit(unit):
+            found[name] = unit
+    return found
 
 
 def is_unit(text: str) -> bool:

@@ -56,6 +56,18 @@ def time_map(
     return Spectrogram(dt * (starts + size / 2), axis, power, np.full(len(starts), every))
 
 
+def noise_power(found: Spectrogram, dt: float, channels: int, turning: bool = False) -> Array:
+    """What white noise of variance one in each channel makes of ``power``, (slices,).
+
+    Its one-sided density is 2 dt, and a Hann window 3/2 steps of the axis wide; over orders
+    (``turning``), 2 dt f at f turns a second, at least what lies within half of ``PER_TURN``.
+    """
+    density = 2.0 * dt * np.ones(len(found.at))
+    if turning:
+        density = np.maximum(density * np.abs(found.at) / (2 * np.pi), 2.0 / PER_TURN)
+    return 1.5 * channels * density * float(found.axis[1] - found.axis[0])
+
+
 def order_map(values: Array, phase: Array, speed: Array, dt: float) -> Spectrogram | None:
     """Speed x order of ``values`` (samples, channels), sampled anew at equal angles.
 

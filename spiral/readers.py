@@ -10,12 +10,13 @@ from __future__ import annotations
 import codecs
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from spiral.dialect import find_dialect
+from spiral.dialect import find_dialect, units_in
 from spiral.errors import ConfigError, InputError
 from spiral.files import Table, find_file, first_line_of
 
@@ -52,7 +53,7 @@ def read_table(
     head = _head(given, path)
     kind = format_of(head, path.suffix)
     if kind == "text" or (only_text and kind != "parquet"):
-        return read_text(given, path, head, separator, decimal)
+        return _named(read_text(given, path, head, separator, decimal))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -65,7 +66,12 @@ def read_table(
         ) from error
     if not table.columns:
         raise InputError(f"{given}: {_WORDS[kind]} without a series", "columns of numbers")
-    return table
+    return _named(table)
+
+
+def _named(table: Table) -> Table:
+    """The table with the units that its columns' names hold, where the file says no other."""
+    return replace(table, units={**units_in(table.columns), **table.units})
 
 
 def format_of(head: bytes, suffix: str) -> str:

@@ -278,7 +278,14 @@ def command(verb: str, request: Request, names: Sequence[str] = ()) -> str:
     words = [*names, *request.overrides]
     if request.plugins:
         words += ["--plugins", request.plugins]
-    return " ".join(["spiral", verb, *(shlex.quote(w) for w in words)])
+    return " ".join(["spiral", verb, *map(shell_word, words)])
+
+
+def shell_word(text: str) -> str:
+    """One word of a shell: within double quotes where it holds single ones, if these do no harm."""
+    if "'" in text and not set(text) & set('"$`\\!'):
+        return f'"{text}"'
+    return shlex.quote(text)
 
 
 def _errors(comparisons: dict[str, Comparison]) -> Table:
@@ -386,5 +393,5 @@ def _simulate(console: Console, outcome: Outcome) -> None:
     for written in outcome.parts["written"]:
         units = ", ".join(f"{k} in {u or '1'}" for k, u in written.units.items())
         console.print(Text(f"{written.file}: {written.rows} rows; {units}"), soft_wrap=True)
-    back = " ".join(["spiral discover", *(shlex.quote(w) for w in outcome.result["read_back"])])
+    back = " ".join(["spiral discover", *map(shell_word, outcome.result["read_back"])])
     _next(console, (back, "read it back and find what its model is made of"))

@@ -143,7 +143,7 @@ class Desk:
         ------
         ConfigError : no name, no formula, no numbers, or a study that has moved on.
         """
-        name, formula, given_shape = name.strip(), formula.strip(), _numbers(shape)
+        name, formula, given_shape = own_name(name), formula.strip(), _numbers(shape)
         if not _NAME.fullmatch(name) or not formula:
             raise ConfigError(
                 f"an effect {name!r} = {formula!r}",
@@ -285,6 +285,11 @@ class Desk:
                 self._put(replace(scene, study=study, writing=left))
             elif kind != "progress":
                 self._put(self._changed(order, kind, data, scene))
+
+
+def own_name(typed: str) -> str:
+    """The name of an effect as typed: ``Fifth power`` is ``fifth_power``."""
+    return re.sub(r"[\s-]+", "_", typed.strip().lower())
 
 
 def _numbers(text: str) -> dict[str, float]:

@@ -18,7 +18,7 @@ from spiral.storage import new_run_id, to_json, write_whole
 
 FILE = "draft.json"
 _ID = re.compile(r"[0-9a-f-]{8,40}")
-_TIMES = ("time", "t", "seconds", "zeit", "time (s)", "t (s)")
+_TIMES = ("time", "t", "seconds", "zeit", "clock")
 _NAMED = {"rpm": "rpm", "hz": "Hz", "um": "um", "µm": "um", "mm": "mm", "ms": "ms", "mv": "mV"}
 _SPEEDS = ("speed", "rpm", "omega", "drehzahl", "n")
 
@@ -112,32 +112,58 @@ def guessed(columns: Sequence[Mapping[str, Any]], system: Mapping[str, Any]) -> 
     left = dict.fromkeys(names)
     found: dict[str, str] = {}
 
-    def take(series: str, wanted: Sequence[str]) -> str:
-        for want in wanted:
-            for name in left:
-                if name.lower() == want or name.lower().split(" ")[0] == want:
-                    del left[name]
-                    return name
+    def take(wanted: Sequence[str]) -> str:
+        for fits in (_whole, _begins, _holds):
+            for want in wanted:
+                for name in left:
+                    if fits(name, want):
+                        del left[name]
+                        return name
         return ""
 
-    time = take("time", _TIMES)
+    unit_of = {c["name"]: c["unit"] for c in columns}
+    time = take(_TIMES)
     for series in (*system["channels"], *system["inputs"]):
         name = series["name"]
-        chosen = take(name, _SPEEDS if name == "speed" else (name.lower(),))
+        chosen = take(_SPEEDS if name == "speed" else (name.lower(),))
         if chosen:
             found[name] = chosen
+    for series in (*system["channels"], *system["inputs"]):
+        alike = [c for c in left if unit_of[c] == series["unit"]]
+        if series["name"] not in found and len(alike) == 1:  # the only one in its unit
+            found[series["name"]] = alike[0]
+            del left[alike[0]]
     for channel in system["channels"]:
         if channel["name"] not in found and left:
             found[channel["name"]] = next(iter(left))
             del left[found[channel["name"]]]
-    named = {c["name"] for c in columns if c["unit"]}
-    units = {k: u for k, c in found.items() if c not in named and (u := unit_in(c))}
+    units = {
+        k: u for k, c in {**found, "time": time}.items()
+        if c and not unit_of[c] and (u := unit_in(c))
+    }  # fmt: skip
     return Choice(system["name"], time, "", found, units)
+
+
+def _parts(name: str) -> list[str]:
+    """The words of a column's name: ``probeX_um`` has probe, x and um."""
+    return [w.lower() for w in re.findall(r"[A-Z]*[a-zµ]+|[A-Z]+", name)]
+
+
+def _whole(name: str, want: str) -> bool:
+    return name.lower() == want
+
+
+def _begins(name: str, want: str) -> bool:
+    return _parts(name)[:1] == [want]
+
+
+def _holds(name: str, want: str) -> bool:
+    return want in _parts(name)
 
 
 def unit_in(name: str) -> str:
     """The unit that a column's name says, as ``rpm`` or ``disp_um``; nothing where it says none."""
-    last = re.split(r"[^a-zµ]+", name.lower().strip(")] "))[-1]
+    last = re.split(r"[^a-zµ]+", name.lower().strip())[-1]
     return _NAMED.get(last, "")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from html import escape
@@ -18,6 +17,7 @@ from spiral.app.look import STYLE
 from spiral.app.study import Study
 from spiral.errors import SpiralError
 from spiral.report.style import BLUE
+from spiral.terminal import shell_word
 
 _CONFIG = {
     "displaylogo": False, "responsive": True, "displayModeBar": False,
@@ -99,11 +99,11 @@ def nothing_here(error: SpiralError) -> None:
 
 def command(study: Study) -> str:
     """What does the same from a terminal."""
-    given = " ".join(shlex.quote(o) for o in study.overrides)
+    given = "".join(f" \\\n    {shell_word(o)}" for o in study.overrides)
     added = [t.added for t in study.line if t.added]
     if not added:
-        return f"spiral diagnose {given}"
-    return f"spiral add {' '.join(added)} {given}"
+        return f"spiral diagnose{given}"
+    return f"spiral add {' '.join(added)}{given}"
 
 
 def links(desk: Desk, scene: Scene) -> None:

@@ -20,8 +20,9 @@ body {{ font-family:{FONT}; color:var(--ink); background:var(--ground); }}
   grid-template-columns:minmax(0,1fr); }}
 .card {{ background:var(--paper); border:1px solid var(--line); border-radius:10px;
   padding:18px 20px; box-sizing:border-box; min-width:0; }}
-.card:empty {{ display:none; }}
-.split {{ display:grid; grid-template-columns:minmax(340px,410px) minmax(0,1fr); gap:18px;
+.card:empty, .wrap > div:empty {{ display:none; }}
+.w-full {{ width:100%; box-sizing:border-box; }}
+.split {{ display:grid; grid-template-columns:minmax(340px,390px) minmax(0,1fr); gap:18px;
   align-items:start; }}
 h1.big {{ font-size:34px; line-height:1.15; font-weight:700; margin:18px 0 2px; }}
 h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
@@ -89,12 +90,13 @@ table.plain th, table.plain td {{ padding:5px 14px 5px 0; text-align:left; verti
 table.plain td.n, table.plain th.n {{ text-align:right; font-variant-numeric:tabular-nums;
   white-space:nowrap; }}
 .wide {{ overflow-x:auto; }}
+.nicegui-code {{ min-width:0; overflow-x:auto; }} .nicegui-code pre {{ white-space:pre-wrap; }}
 math {{ font-size:17px; }}
 .equation td {{ border:0; padding:3px 10px 3px 0; vertical-align:middle; }}
 .equation td.owner {{ color:var(--soft); font-size:14px; }}
 .q-btn {{ text-transform:none; letter-spacing:0; font-weight:600; }}
-.q-tab {{ text-transform:none; letter-spacing:0; min-height:40px; padding:0 7px; }}
-.q-tab__label {{ font-size:13.5px; font-weight:600; }}
+.q-tab {{ text-transform:none; letter-spacing:0; min-height:40px; padding:0 5px; }}
+.q-tab__label {{ font-size:13px; font-weight:600; }}
 .q-tab-panel {{ padding:10px 0 0; }}
 .js-plotly-plot {{ width:100%; }}
 .bar a.quiet {{ align-self:center; font-weight:600; }}

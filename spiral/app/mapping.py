@@ -47,7 +47,7 @@ class Form:
             (
                 "form",
                 self._form,
-                (len(draft.columns), draft.choice.system, bool(draft.choice.time)),
+                (len(draft.columns), draft.choice.system, draft.choice.time),
             ),
             ("seen", self._seen, (draft.seen, draft.choice, desktop.busy, draft.trouble)),
         ):
@@ -119,15 +119,21 @@ class Form:
         ui.html("<b>time</b>", sanitize=False)
         names = {"": _CLOCK, **{c["name"]: c["name"] for c in draft.columns}}
         with ui.element("div").props('data-for="time"'):
-            ui.select(names, value=draft.choice.time if draft.choice.time in names else "",
-                      on_change=lambda e: self._change(time=e.value)).props(
-                "outlined dense")  # fmt: skip
+            ui.select(
+                names,
+                value=draft.choice.time if draft.choice.time in names else "",
+                on_change=lambda e: self._timed(e.value),
+            ).props("outlined dense")
         if draft.choice.time:
             self._unit(draft, "time", "s")
         else:
             ui.input(value=draft.choice.rate, placeholder="in Hz",
                      on_change=lambda e: self._change(rate=e.value or "")).props(
                 'outlined dense debounce=500 aria-label="sample rate"')  # fmt: skip
+
+    def _timed(self, column: str) -> None:
+        units = self.desk.intake.look(self.ident).draft.choice.units
+        self._change(time=column, units={**units, "time": self._said(column)})
 
     def _series(self, draft: Draft, series: Mapping[str, Any], kind: str) -> None:
         name = series["name"]
@@ -137,7 +143,10 @@ class Form:
 
         def choose(event: Any) -> None:
             now = self.desk.intake.look(self.ident).draft.choice
-            self._change(columns={**now.columns, name: event.value})
+            said = self._said(event.value)
+            self._change(columns={**now.columns, name: event.value},
+                         units={**now.units, name: said})  # fmt: skip
+            unit.set_value(said)
             unit.props(f'placeholder="{self._named(event.value, series["unit"])}"')
 
         with ui.element("div").props(f'data-for="{name}"'):
@@ -161,6 +170,12 @@ class Form:
         draft = self.desk.intake.look(self.ident).draft
         named = {c["name"]: c["unit"] for c in draft.columns}
         return named.get(column) or usual or "no unit"
+
+    def _said(self, column: str) -> str:
+        """The unit in a column's name where the file names none, as in ``disp_um``."""
+        draft = self.desk.intake.look(self.ident).draft
+        named = any(c["name"] == column and c["unit"] for c in draft.columns)
+        return "" if named else kept.unit_in(column)
 
     def _seen(self, desktop: Desktop) -> None:
         draft = desktop.draft

@@ -10,7 +10,7 @@ from typing import Any
 from nicegui import ui
 
 from spiral.app import frame, panels
-from spiral.app.desk import Desk, Scene
+from spiral.app.desk import Desk, Scene, own_name
 from spiral.app.study import Turn, turn_place
 from spiral.errors import SpiralError
 from spiral.report.evidence import error_falling
@@ -109,7 +109,8 @@ class View:
         with ui.element("div").classes("working"):
             ui.spinner(size="20px")
             ui.label(f"{busy.what}: {busy.words}" if busy.words else busy.what).classes("words")
-            ui.button("Cancel", on_click=self._cancel).props("outline dense color=negative")
+            ui.button("Cancel", on_click=self._cancel).props(
+                "outline dense color=negative padding='2px 12px'")  # fmt: skip
         ui.linear_progress(busy.share, show_value=False, size="5px").props("instant-feedback")
 
     def _trouble(self, scene: Scene) -> None:
@@ -228,7 +229,7 @@ class View:
                 for effect in effects:
                     add = ui.button(f"Add {panels.words(effect)}")
                     add.on_click(functools.partial(self._add, effect, turn.serial))
-                    add.props("outline dense").set_enabled(scene.busy is None)
+                    add.props("outline dense padding='2px 10px'").set_enabled(scene.busy is None)
             return
         compare = ui.button("Compare them", on_click=lambda: self._contrast(effects, turn.serial))
         compare.props("flat dense").set_enabled(scene.busy is None)
@@ -292,6 +293,8 @@ class View:
 
     def _add(self, effect: str, serial: int) -> None:
         self.every = False
+        if effect.partition("@")[0] == own_name(self.typed.get("name", "")):
+            self.typed.clear()  # it is in the model now
         self._ask(lambda: self.desk.add(self.ident, effect, serial))
 
     def _contrast(self, effects: tuple[str, ...], serial: int) -> None:

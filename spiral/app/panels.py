@@ -84,9 +84,10 @@ def channels(turn: Turn, units: Mapping[str, str]) -> str:
     ]
     table = text.table(("channel", "rms error", "of its deviation"), rows,
                        ("rms error", "of its deviation"))  # fmt: skip
-    fit = (
-        f"χ² per degree of freedom {number(turn.result.get('chi2_per_dof'), 3)}; whiteness p "
-        f"{probability(turn.result.get('whiteness_p'))}; windows of "
+    chi2 = turn.result.get("chi2_per_dof")
+    fit = "" if chi2 is None else f"χ² per degree of freedom {number(chi2, 3)}; "
+    fit += (
+        f"whiteness p {probability(turn.result.get('whiteness_p'))}; windows of "
         f"{turn.result.get('horizon')} samples"
     )
     return plain(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'

@@ -66,7 +66,8 @@ def _draw(numbers: Mapping[str, Any], table: Table, target: Path) -> None:
         values = numbers[name]
         line(figure, np.arange(len(values)), values, name, CYCLE[(row - 1) % len(CYCLE)], row,
              width=1.1, showlegend=False)  # fmt: skip
-        title = titled(name[:18], table.units.get(name, "")).replace(" (", "<br>(")
+        said = "" if name.rstrip().endswith(("]", ")")) else table.units.get(name, "")
+        title = titled(name[:18], said).replace(" (", "<br>(")
         figure.update_yaxes(title_text=title, title_font_size=13, row=row, col=1)
     figure.update_xaxes(title_text="row", row=len(shown), col=1)
     figure.update_layout(margin={"t": 12})

@@ -43,7 +43,7 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
     Nothing for a history shorter than ``least`` rounds.
     """
     found = rounds(result)
-    if len(found) < least:
+    if len(found) < least or not _known(found):
         return None
     figure = blank(height=430)
     numbers = [r["round"] for r in found]
@@ -60,14 +60,12 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
         )  # fmt: skip
     for number, name, r in zip(numbers, names, found, strict=True):
         value = _percent(r.get("test_error"))
-        if value is None:
-            continue
-        said = f"<b>{percent(value / 100)}</b><br>{name}"
-        figure.add_annotation(
-            x=number, y=math.log10(value), text=said, align="left",
-            showarrow=False, xanchor="left", yanchor="bottom", xshift=7, yshift=5,
-            font={"size": 13},
-        )  # fmt: skip
+        at = {"y": 1, "yref": "paper", "yanchor": "top", "font": {"size": 13, "color": VERMILION}}
+        if value is not None:
+            at = {"y": math.log10(value), "yanchor": "bottom", "yshift": 5, "font": {"size": 13}}
+        said = "↑ not finite" if value is None else percent(value / 100)
+        figure.add_annotation(x=number, text=f"<b>{said}</b><br>{name}", align="left",
+                              showarrow=False, xanchor="left", xshift=7, **at)  # fmt: skip
     _floor_and_axes(figure, found, _percent(result.get("noise_floor")))
     return figure
 
@@ -87,13 +85,18 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], floor: floa
         )
     numbers = [r["round"] for r in found]
     figure.update_xaxes(title_text="round", tickmode="array", tickvals=numbers,
-                        range=[-0.15, numbers[-1] + max(0.6, 0.24 * numbers[-1])])  # fmt: skip
-    values = [v for r in found for k in ("fit_error", "test_error") if (v := _percent(r.get(k)))]
+                        range=[-0.15, numbers[-1] + max(0.8, 0.28 * numbers[-1])])  # fmt: skip
+    values = _known(found)
     low, high = min([*values, floor or math.inf]), max(values)
     span = [math.log10(low) - 0.25, math.log10(high) + 0.45]
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
                         range=span, dtick=decades(*span),
                         minor={"showgrid": True, "gridcolor": "#F3F3F3"})  # fmt: skip
+
+
+def _known(found: Sequence[Mapping[str, Any]]) -> list[float]:
+    """All errors that are finite, in percent."""
+    return [v for r in found for k in ("fit_error", "test_error") if (v := _percent(r.get(k)))]
 
 
 def _admitted(found: Mapping[str, Any]) -> str:
@@ -129,10 +132,10 @@ def candidates(result: Mapping[str, Any]) -> go.Figure | None:
         _bars(figure, group["suggestions"], admitted, index // width + 1, index % width + 1)
     figure.update_layout(margin={"l": 170, "t": 78}, showlegend=True, barmode="overlay",
                          legend={"y": 1 + 34 / figure.layout.height})  # fmt: skip
-    figure.update_xaxes(range=[0, 118], ticksuffix=" %")
+    figure.update_xaxes(range=[0, 118 if width == 1 else 150], tickvals=[0, 50, 100])
     for column in range(1, width + 1):
         last = (count - column) // width + 1  # a column may be one shorter
-        figure.update_xaxes(title_text="share of the residual explained", row=last, col=column)
+        figure.update_xaxes(title_text="residual explained (%)", row=last, col=column)
     return figure
 
 

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spiral.curves import FINAL, SEED, Curves
-from spiral.orders import correlations, first_order, full_spectrum, order_map, time_map
+from spiral.orders import (
+    correlations,
+    first_order,
+    full_spectrum,
+    noise_power,
+    order_map,
+    time_map,
+)
 from spiral.report.motion import COLOURS, NAMES
 from spiral.report.style import (
     CYCLE,
@@ -16,6 +23,7 @@ from spiral.report.style import (
     RPM,
     blank,
     decades,
+    decibels,
     heat,
     line,
     scaled,
@@ -30,6 +38,8 @@ Array = np.ndarray
 _BINS = 24
 _LAGS = 60
 _CASCADE = 45
+_LOUD = 20.0  # dB over the noise that a map reaches at least: noise alone stays dark
+_OVER = "dB above the noise"
 _SHOWN = 1e-5  # share of a spectrum's power above which frequencies are shown
 
 
@@ -47,7 +57,7 @@ def error(curves: Curves, record: int, model: str) -> Array | None:
 
 
 def where_map(curves: Curves, record: int, model: str) -> go.Figure | None:
-    """Energy of the free-run error over time x frequency, and over speed x order."""
+    """Energy of the free-run error over time x frequency and speed x order, over the noise's."""
     left = error(curves, record, model)
     if left is None:
         return None
@@ -61,17 +71,21 @@ def where_map(curves: Curves, record: int, model: str) -> go.Figure | None:
     found = time_map(left, about["dt"])
     top = _highest(found.axis, found.power.sum(axis=0))
     shown = found.axis <= top
-    first = heat(found.at + about["start"], found.axis[shown], found.power[:, shown].T, "dB", {})
-    first.showscale = orders is None  # both maps have one scale
-    figure.add_trace(
-        first,
-        row=1, col=1,
-    )  # fmt: skip
+    dt, channels = about["dt"], left.shape[1]
+    level = decibels(found.power[:, shown].T / noise_power(found, dt, channels))
+    turned = None
+    if orders is not None:
+        power = orders.power / noise_power(orders, dt, channels, turning=True)[:, None]
+        turned = _over_speed(np.abs(orders.at) * RPM, power)
+    top = max(_LOUD, level.max(), decibels(turned[1]).max() if turned else 0.0)
+    first = heat(found.at + about["start"], found.axis[shown], level, top, _OVER)
+    first.showscale = turned is None  # both maps have one scale
+    figure.add_trace(first, row=1, col=1)
     figure.update_xaxes(title_text="time (s)", row=1, col=1)
     figure.update_yaxes(title_text="frequency (Hz)", row=1, col=1)
-    if orders is not None:
-        rpm, power = _over_speed(np.abs(orders.at) * RPM, orders.power)
-        figure.add_trace(heat(rpm, orders.axis, power.T, "dB", {"x": 1.0}), row=1, col=2)
+    if orders is not None and turned is not None:
+        second = heat(turned[0], orders.axis, decibels(turned[1].T), top, _OVER)
+        figure.add_trace(second, row=1, col=2)
         figure.update_xaxes(title_text="speed (rpm)", row=1, col=2)
         figure.update_yaxes(title_text="order", row=1, col=2, range=[0, 6], dtick=1)
     return figure

@@ -60,12 +60,15 @@ def _before(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]
     """What is seen before anything is added."""
     model, test = maps.first_model(c), _test(c)
     number = c.meta["models"][model].get("record", 0)
+    turning = c.get(number, "phase") is not None
+    axes = ", frequency, speed, order" if turning else " and frequency"
+    against = ", angle, channel" if turning else " and channel"
     return [
         ("before", "Measured against the model as it was", text.BEFORE,
          lambda: motion.measured_against_model(c, test, model)),
-        ("where", "Where it fails: time, frequency, speed, order", text.WHERE,
+        ("where", f"Where it fails: time{axes}", text.WHERE if turning else text.WHEN,
          lambda: maps.where_map(c, number, model)),
-        ("amplitude", "Where it fails: amplitude, angle, channel", text.AMPLITUDE,
+        ("amplitude", f"Where it fails: amplitude{against}", text.AMPLITUDE,
          lambda: maps.amplitude_map(c, number)),
         ("missing_force", "The missing force", text.FORCE, lambda: motion.missing_force(c)),
         ("surface", "What the missing force follows", text.SURFACE,

@@ -169,13 +169,18 @@ def faint(colour: str, alpha: float = 0.28) -> str:
     return f"rgba({red},{green},{blue},{alpha})"
 
 
-def heat(x: Array, y: Array, z: Array, title: str, place: dict[str, Any]) -> Any:
-    """A map in decibels below its own maximum, 40 dB deep; z is (y, x)."""
+def decibels(power: Array) -> Array:
+    """10 lg of a ratio of powers."""
+    return 10 * np.log10(np.maximum(power, 1e-30))
+
+
+def heat(x: Array, y: Array, level: Array, top: float, title: str) -> Any:
+    """A map of decibels up to ``top``, 40 dB deep, never under zero; level is (y, x)."""
     import plotly.graph_objects as go
 
-    level = 10 * np.log10(np.maximum(z, 1e-300) / max(float(z.max()), 1e-300))
+    low = max(top - 40.0, 0.0)
     return go.Heatmap(
-        x=x.astype(np.float32), y=y.astype(np.float32), z=np.maximum(level, -40).astype(np.float32),
-        zmin=-40, zmax=0, colorscale=MAP,
-        colorbar={"title": {"text": title, "side": "right"}, "thickness": 14, **place},
+        x=x.astype(np.float32), y=y.astype(np.float32), zmin=low, zmax=top, colorscale=MAP,
+        z=np.maximum(level, low).astype(np.float32),
+        colorbar={"title": {"text": title, "side": "right"}, "thickness": 14, "x": 1.0},
     )  # fmt: skip

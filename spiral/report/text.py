@@ -8,9 +8,9 @@ from typing import Any
 
 from spiral.curves import SEED, Curves
 from spiral.report.evidence import rounds
-from spiral.report.style import pretty
+from spiral.report.style import pretty, words
 from spiral.run import estimate_rows
-from spiral.terminal import number, percent, plus_minus, probability
+from spiral.terminal import number, percent, plus_minus, probability, shell_word
 
 Saved = Mapping[str, Any]
 
@@ -25,9 +25,10 @@ BEFORE = (
     "Dotted: the noise, ±1.96 standard deviations."
 )
 WHERE = (
-    "Energy of the free-run error, 40 dB deep. Right: sampled anew at equal angles, so that what "
-    "turns with the rotor is a level line."
+    "Energy of the free-run error over that of the noise; a right model leaves it dark. Right: "
+    "sampled anew at equal angles, so that what turns with the rotor is a level line."
 )
+WHEN = "Energy of the free-run error over that of the noise; a right model leaves it dark."
 AMPLITUDE = "Root mean square of the error in units of the noise; a perfect model lies at 1."
 FORCE = (
     "All that a model does not explain, as a force: a random walk estimated with the states by a "
@@ -90,7 +91,7 @@ def header(saved: Saved, curves: Curves | None) -> str:
 def _headline(result: Mapping[str, Any]) -> str:
     found = [e for r in rounds(result) for e in r.get("admitted", ())]
     if found:
-        return f"Missing: {', '.join(found)}"
+        return f"Missing: {', '.join(map(words, found))}"
     verdicts = {
         "effect_missing": "An effect is missing",
         "nothing_missing": "Nothing is missing",
@@ -172,7 +173,7 @@ def model(saved: Saved, curves: Curves | None) -> str:
 def coefficients_table(result: Mapping[str, Any], mathml: Sequence[Mapping[str, Any]] = ()) -> str:
     """Every parameter with its standard error, under the equation where there is one."""
     rows = [
-        (r["effect"], r["parameter"], plus_minus(r["estimate"], r.get("se")),
+        (words(r["effect"]), words(r["parameter"]), plus_minus(r["estimate"], r.get("se")),
          _ratio(r.get("t")), pretty(r["unit"] or "1") or "1")
         for r in estimate_rows(result)
     ]  # fmt: skip
@@ -196,7 +197,7 @@ def _equation(found: Sequence[Mapping[str, Any]]) -> str:
             body = f'<math display="inline"><mrow>{term["math"]}</mrow></math>'
             rows.append(
                 f"<tr><td>{left}</td><td>{body}</td>"
-                f'<td class="owner">{escape(term["owner"])}</td></tr>'
+                f'<td class="owner">{escape(words(term["owner"]))}</td></tr>'
             )
     return f'<div class="wide"><table class="equation">{"".join(rows)}</table></div>'
 
@@ -268,9 +269,7 @@ def _of_the_data(saved: Saved) -> list[str]:
 
 def reproduce(saved: Saved) -> str:
     """The command, the versions, the hashes of the data."""
-    import shlex
-
-    given = " ".join(shlex.quote(str(w)) for w in saved.get("overrides", ()))
+    given = " ".join(shell_word(str(w)) for w in saved.get("overrides", ()))
     # The effects of ``add`` come before its overrides.
     names = [e for r in rounds(saved["result"]) for e in r.get("admitted", ())]
     named = " ".join(names) + " " if saved["verb"] == "add" else ""

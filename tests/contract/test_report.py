@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from html.parser import HTMLParser
 
 import numpy as np
@@ -9,9 +10,11 @@ import pytest
 
 from spiral.cli import main
 from spiral.curves import FILE, read_curves
+from spiral.report.evidence import error_falling
 from spiral.report.pictures import browser, picture
 from spiral.report.style import scaled, thinned
 from spiral.storage import load_run, read_run
+from spiral.terminal import shell_word
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
          "tracking.enabled=false")  # fmt: skip
@@ -104,6 +107,24 @@ def test_curves_agree_with_the_run_they_belong_to(curves, saved):
 def test_the_missing_force_shrinks_when_the_effects_are_added(curves):
     before, after = (curves.get(0, m, "force") for m in ("seed", "final"))
     assert after.std() < 0.2 * before.std()
+
+
+def test_a_round_that_runs_away_is_marked_and_drawn_beside_the_others():
+    rounds = [{"round": 0, "admitted": [], "fit_error": 0.4, "test_error": 1.1},
+              {"round": 1, "admitted": ["cubic_stiffness"], "fit_error": None,
+               "test_error": None}]  # fmt: skip
+    figure = error_falling({"rounds": rounds})
+    assert [a.text for a in figure.layout.annotations] == [
+        "<b>110 %</b><br>the seed", "<b>↑ not finite</b><br>+ cubic stiffness"
+    ]  # fmt: skip
+    assert error_falling({"rounds": rounds[1:]}, least=1) is None
+
+
+@pytest.mark.parametrize(
+    "word", ["record.time=t", "record.path='a b.csv'", "a=$HOME's", 'say="it\'s"', "a b", "x='\\'"]
+)
+def test_a_word_for_a_shell_is_read_back_as_it_was(word):
+    assert shlex.split(shell_word(word)) == [word]
 
 
 def test_it_needs_nothing_but_the_saved_run(place, tmp_path, monkeypatch, saved):

@@ -15,7 +15,7 @@ from spiral.effect import Effect
 from spiral.evidence import all_samples
 from spiral.latent import latent_keys, missing_force, with_latent
 from spiral.model import seed_model
-from spiral.orders import first_order, full_spectrum, order_map
+from spiral.orders import first_order, full_spectrum, noise_power, order_map, time_map
 from spiral.problem import Problem
 from spiral.simulate import simulate
 from spiral.where import where
@@ -197,3 +197,19 @@ def test_forward_whirl_stands_at_positive_frequency(backward):
     frequency, amplitude = full_spectrum(np.cos(angle), np.sin(angle), 1e-3, backward)
     assert frequency[np.argmax(amplitude)] == pytest.approx(125.0)
     assert amplitude.max() == pytest.approx(1.0, rel=1e-2)
+
+
+def test_maps_know_what_white_noise_makes_of_them():
+    """Mean power over time x frequency and over speed x order, of two channels of variance one."""
+    rng = np.random.default_rng(8)
+    dt, noise = 1e-3, rng.normal(size=(20000, 2))
+    time = dt * np.arange(len(noise))
+    found = time_map(noise, dt)
+    assert np.mean(found.power[:, 2:-2].T / noise_power(found, dt, 2)) == pytest.approx(1, abs=0.02)
+    angle, speed = 2 * np.pi * (10 * time + 0.5 * time**2), 2 * np.pi * (10 + time)
+    turned = order_map(noise, angle, speed, dt)
+    ratio = turned.power / noise_power(turned, dt, 2, turning=True)[:, None]
+    assert np.mean(ratio[:, 2:]) == pytest.approx(1, abs=0.05)
+    slow = order_map(noise, angle / 10, speed / 10, dt)  # less than one sample for each of its own
+    ratio = slow.power / noise_power(slow, dt, 2, turning=True)[:, None]
+    assert np.mean(ratio[:, 2:]) == pytest.approx(1, abs=0.2)

@@ -7,6 +7,7 @@ import pytest
 from spiral.app import desk as desks
 from spiral.app import study as kept
 from spiral.app.desk import Desk
+from spiral.app.draft import guessed
 from spiral.errors import ConfigError, InputError
 
 RANKED = {"candidates": [{"effect": "b"}], "proposed": ["b"], "verdict": "effect_missing"}
@@ -166,6 +167,42 @@ def test_a_formula_becomes_an_override_with_the_values_of_its_widths(desk, ident
     desk._bench.on_event(order, "done", {})
     desk.invent(ident, "rubbing", "-F*v", serial)
     assert desk._bench.orders[-1]["overrides"][1:] == ["effect.rubbing.expression='-F*v'"]
+
+
+def test_a_name_as_one_types_it_becomes_the_name_of_an_effect(desk, ident):
+    desk.invent(ident, " Fifth-power spring", "-k5*q**5", desk.scene(ident).study.turn.serial)
+    assert desk._bench.orders[-1]["name"] == "fifth_power_spring"
+
+
+ROTOR = {
+    "name": "planar_rotor",
+    "channels": [{"name": "x", "unit": "m"}, {"name": "y", "unit": "m"}],
+    "inputs": [{"name": "speed", "unit": "rad/s", "required": True}],
+}
+OSCILLATOR = {
+    "name": "oscillator",
+    "channels": [{"name": "x", "unit": "m"}],
+    "inputs": [{"name": "force", "unit": "N", "required": True}],
+}
+
+
+@pytest.mark.parametrize(
+    ("system", "columns", "time", "chosen", "units"),
+    [
+        (ROTOR, {"t_ms": "", "probeX_um": "", "probeY_um": "", "n_rpm": ""}, "t_ms",
+         {"x": "probeX_um", "y": "probeY_um", "speed": "n_rpm"},
+         {"time": "ms", "x": "um", "y": "um", "speed": "rpm"}),
+        (ROTOR, {"y": "", "x": "", "speed": "", "time": ""}, "time",
+         {"x": "x", "y": "y", "speed": "speed"}, {}),
+        (OSCILLATOR, {"Zeit [ms]": "ms", "Kraft [N]": "N", "Weg [mm]": "mm"}, "Zeit [ms]",
+         {"force": "Kraft [N]", "x": "Weg [mm]"}, {}),
+        (OSCILLATOR, {"a": "", "b": ""}, "", {"x": "a"}, {}),
+    ],
+)  # fmt: skip
+def test_columns_are_guessed_by_name_and_by_unit(system, columns, time, chosen, units):
+    listed = [{"name": name, "unit": unit} for name, unit in columns.items()]
+    found = guessed(listed, system)
+    assert (found.time, dict(found.columns), dict(found.units)) == (time, chosen, units)
 
 
 @pytest.mark.parametrize("shape", ["w", "w=wide", "w=nan", "0.1", "a b=1", "w={x: 1}"])

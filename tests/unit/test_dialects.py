@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spiral.dialect import units_in
 from spiral.errors import ConfigError, InputError
 from spiral.readers import read_table
 from spiral.registry import load_registry
@@ -104,6 +105,24 @@ def test_units_under_the_names_are_used_unless_others_are_given(tmp_path):
     assert "x from 'x' in um" in record.notes[1]
     record = load(path, ROTOR, **fields, units={"x": "mm"})
     np.testing.assert_allclose(record.channels["x"], 1e-3 * values["x"])
+
+
+def test_units_in_brackets_at_the_end_of_names(tmp_path):
+    names = ["t (ms)", "Weg [mm]", "Kraft [N]"]
+    path = write(tmp_path, text(";", ",", names=names))
+    fields = {"time": "t (ms)", "channels": {"x": "Weg [mm]"}, "inputs": {"force": "Kraft [N]"}}
+    record = load(path, **fields)
+    np.testing.assert_allclose(record.channels["x"], 1e-3 * VALUES["a"])
+    np.testing.assert_allclose(record.inputs["force"], VALUES["f"])
+    assert record.dt == pytest.approx(1e-5)
+    np.testing.assert_allclose(
+        load(path, **fields, units={"x": "um"}).channels["x"], 1e-6 * VALUES["a"]
+    )
+
+
+def test_brackets_that_hold_no_unit_are_part_of_a_name():
+    known = {"n [1/min]": "1/min", "phi (°)": "°", "v [mm/s]": "mm/s", "F (N)": "N"}
+    assert units_in((*known, "y (left)", "ch (a)", "x [-]", "F [foo]", "mm", "[]")) == known
 
 
 def test_rows_are_counted_below_the_units(tmp_path):
