@@ -1,15 +1,22 @@
-"""Backward step: an effect admitted earlier that a later one has made superfluous is let go."""
+"""Backward step: an effect admitted earlier that a later one has made superfluous is let go.
+
+Where look-alikes of the later one would make more superfluous than it does, the best of them is
+admitted in its place: a turned probe pair is a cross stiffness and a cross damping, so it explains
+alone what, once a cross stiffness came first, a cross damping explains beside it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from spiral.assembly import Assembly
-from spiral.evidence import Admitted, Masks, Standing, refit, tested_keys
+from spiral.assembly import Assembly, to_model
+from spiral.compare import standard_errors
+from spiral.evidence import Admitted, Masks, Standing, admit, refit, tested_keys
 from spiral.judge import held_out
 from spiral.model import Model
 from spiral.shooting.growth import Stage
 from spiral.statistics import paired_errors
+from spiral.suggest import Proposal, listed
 
 _WEAK = 2.0  # |t| under which every amplitude of an effect must lie before it is questioned
 
@@ -41,8 +48,36 @@ def superfluous(
     return tuple(gone)
 
 
+def simplest(assembly: Assembly, standing: Standing, proposal: Proposal, mask: Masks) -> Proposal:
+    """The proposal with the member of its alias group beside which the fewest effects are needed.
+
+    Aliases stay those that need as few.
+    """
+    first, evidence = proposal.admitted, proposal.evidence
+    news = [x for x in standing.labels if x not in assembly.problem.model.labels]
+    if first is None or evidence is None or proposal.wide or not proposal.aliases or not news:
+        return proposal
+    ranked = {r.variant.original.label: r for r in evidence.ranked}
+    others = (admit(assembly, standing, evidence.stage, ranked[x]) for x in proposal.aliases)
+    gone = []
+    for one in (group := [first, *others]):
+        model = _model(assembly, one)
+        gone.append(len(superfluous(assembly, one, model, mask, evidence.block)))
+    best = [a for a, count in zip(group, gone, strict=True) if count == max(gone)]
+    aliases = tuple(a.variant.original.label for a in best[1:])
+    shown = listed(evidence, best[0], aliases)
+    return replace(proposal, admitted=best[0], aliases=aliases, suggestions=shown)
+
+
+def _model(assembly: Assembly, found: Admitted) -> Model:
+    standing, stage = found.standing, found.stage
+    errors = standard_errors(assembly, standing, stage)
+    values = stage.fitted.point.values
+    return to_model(assembly, standing.labels, values, errors, standing.freed, standing.held)
+
+
 def let_go(assembly: Assembly, standing: Standing, labels: tuple[str, ...]) -> Standing:
-    """The standing without these effects: their amplitudes are zero, as they stay compiled."""
+    """The standing without these effects, whose amplitudes are zero again."""
     for label in labels:
         standing = _without(assembly, standing, label)
     return standing
@@ -51,7 +86,7 @@ def let_go(assembly: Assembly, standing: Standing, labels: tuple[str, ...]) -> S
 def _without(assembly: Assembly, standing: Standing, label: str) -> Standing:
     values = standing.values.copy()
     for key in tested_keys(assembly, assembly.variant(label)):
-        values[:, assembly.study.index(key)] = 0.0
+        values[:, assembly.study.index(key)] = 0.0  # else it would act on, unseen by the fit
     return replace(
         standing,
         values=values,

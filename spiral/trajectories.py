@@ -18,7 +18,7 @@ from spiral.holding import carried, having, holding, moved
 from spiral.identifiability import entangled
 from spiral.problem import Problem, Progress
 from spiral.resolved import remembered
-from spiral.retire import let_go, superfluous
+from spiral.retire import let_go, simplest, superfluous
 from spiral.run import Comparison, Stopped, Suggestion
 from spiral.strategy import Begun, Settled, Step, Strategy
 from spiral.suggest import Proposal, listed, propose
@@ -50,6 +50,7 @@ def _propose(
     level = assembly.problem.settings.whiteness_level
     white = comparison.whiteness_p >= level
     proposal = remembered(assembly, standing, proposal, white, masks, number, progress)
+    proposal = simplest(assembly, standing, proposal, masks[1])
     if proposal.admitted is not None:
         return _step(standing, _in_place(assembly, proposal))
     stopped = _why_stopped(proposal, comparison, level)

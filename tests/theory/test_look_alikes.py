@@ -1,0 +1,140 @@
+"""Pairs that look alike, tried in both orders: what was hidden is named, or both where none can."""
+
+from dataclasses import replace
+
+import pytest
+from spiral_plugins.systems.planar_rotor import PlanarRotor
+
+from spiral.discover import discover
+from spiral.model import Model, seed_model
+from spiral.problem import silent
+from spiral.turn import chosen, looked, started, strategy_for, turned
+from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record
+
+STIFF = SEED_TRUTH["linear_stiffness.stiffness_x"] - SEED_TRUTH["linear_stiffness.stiffness_y"]
+ANGLE = 0.05
+HIDDEN = {
+    "axis_rotation": {"axis_rotation.angle": ANGLE},
+    "cross_stiffness": {"cross_stiffness.stiffness": STIFF * ANGLE},
+    "cross_damping": {"cross_damping.damping": 0.5},
+    "runout": {"runout.cosine": 3e-6, "runout.sine": 2e-6},
+    "shaft_bow": {"shaft_bow.cosine": 0.1, "shaft_bow.sine": 0.05},
+}
+TURNED = ("axis_rotation", "cross_stiffness", "cross_damping")
+ROUND = ("runout", "shaft_bow", "unbalance")
+ORDERS = [
+    pytest.param(truth, first, marks=[pytest.mark.slow] if truth == first else [])
+    for group in (TURNED, ROUND[:2])
+    for truth in group
+    for first in group
+]
+
+
+def _problem(name, values=None, model=None, only=(), seed=1):
+    values = {**HIDDEN.get(name, {}), **(values or {})}
+    record, test = (
+        planar_record(s, (effect(name),), values, phase=phase, duration=6.0)
+        for s, phase in ((seed, 0.4), (seed + 100, 1.3))
+    )
+    problem = planar_problem(record, test, model)
+    kept = tuple(c for c in problem.candidates if not only or c.label in only)
+    return replace(problem, candidates=kept)
+
+
+def _led(problem, first, rounds=3):
+    """The rounds of a study whose first admission a person chose."""
+    strategy = strategy_for(problem)
+    begun = strategy.begin(problem, silent)
+    at = started(begun, 0.0)
+    for number in range(rounds):
+        at, step = looked(strategy, begun.assembly, at, silent)
+        if number == 0:
+            step = chosen(strategy, begun.assembly, at, step, first)
+        if not step.admitted:
+            return at
+        at = turned(strategy, begun.assembly, at, step, silent)
+    return looked(strategy, begun.assembly, at, silent)[0]
+
+
+def _ends_with(at, truth):
+    """The truth alone was added, unbiased, and as many standard errors off as noise makes it."""
+    model = at.rounds[-1].comparison.model
+    assert set(model.labels) == {*seed_model(PlanarRotor()).labels, truth}
+    assert at.rounds[-1].comparison.test_error <= 1.1 * at.rounds[-1].comparison.noise_floor
+    for key, value in HIDDEN[truth].items():
+        found = model.estimates()[truth][key.rsplit(".", 1)[1]]
+        assert abs(found.estimate - value) < 4.5 * found.se
+
+
+@pytest.mark.parametrize(("truth", "first"), ORDERS)
+def test_whichever_comes_first_the_hidden_one_remains_alone(truth, first):
+    """A turned probe pair reads K' = R K R^T and C' = R C R^T: a cross stiffness a (k_x - k_y) and
+    a cross damping a (c_x - c_y) at once. So the three span two directions, and each is a pair of
+    the others; what needs one effect goes before what needs two.
+    """  # fmt: skip
+    among = TURNED if truth in TURNED else ROUND
+    at = _led(_problem(truth, only=(*among, "cubic_stiffness", "gyroscopic")), first)
+    assert at.rounds[1].admitted == (first,)
+    _ends_with(at, truth)
+    if truth != first:
+        assert [r.retired for r in at.rounds[2:]] == [(first,)]
+        assert at.rounds[2].aliases[truth] == ()
+
+
+@pytest.mark.parametrize(("truth", "first"), [TURNED[:2], TURNED[1::-1]])
+def test_with_equal_damping_a_turned_probe_pair_and_a_cross_stiffness_are_one_alias_group(
+    truth, first
+):
+    """C = c I does not turn: nothing is left to tell them by, whichever is admitted."""
+    damping = {"linear_damping.damping_x": 3.0, "linear_damping.damping_y": 3.0}
+    at = _led(_problem(truth, damping, only=(*TURNED, "gyroscopic")), first)
+    other = next(x for x in TURNED[:2] if x != first)
+    assert [r.admitted for r in at.rounds[1:]] == [(first,)]
+    assert at.rounds[1].aliases[first] == (other,)
+    assert first in at.rounds[1].details["not_separable"][other]
+    assert at.rounds[1].comparison.test_error <= 1.1 * at.rounds[1].comparison.noise_floor
+
+
+def _without_unbalance():
+    model = seed_model(PlanarRotor())
+    values = {k: v for k, v in model.values.items() if not k.startswith("unbalance")}
+    return Model(model.system, tuple(e for e in model.effects if e.label != "unbalance"), values)
+
+
+COMMON = {"gain.error_x": 0.05, "gain.error_y": 0.05}
+AMONG = ("gain", "unbalance", "runout", "shaft_bow", "cubic_stiffness")
+
+
+def test_a_gain_error_is_no_unbalance_of_its_own_and_is_said_to_be_inseparable_from_it():
+    """Without an unbalance nothing moves that a gain could scale; beside it there is no telling."""
+    run = discover(_problem("gain", COMMON, _without_unbalance(), AMONG))
+    assert admitted(run) == ["unbalance"]
+    assert run.rounds[0].suggestions[0].effect == "unbalance"
+    assert run.rounds[-1].details["not_separable"]["gain"] == ["unbalance"]
+    assert run.final.test_error <= 1.1 * run.final.noise_floor
+
+
+def test_a_gain_error_is_found_where_the_unbalance_is_known():
+    """A trial weight tells the moment: then U' = (1 + e) U is a gain, of both channels."""
+    model = seed_model(PlanarRotor())
+    moment = {"unbalance.moment": SEED_TRUTH["unbalance.moment"]}
+    weighed = replace(model, values={**model.values, **moment}, fixed=tuple(moment))
+    run = discover(_problem("gain", COMMON, weighed, AMONG))
+    assert admitted(run) == ["gain"]
+    assert run.rounds[1].aliases["gain"] == ()
+    for found in run.model.estimates()["gain"].values():
+        assert abs(found.estimate - 0.05) < 4.5 * found.se
+
+
+@pytest.mark.parametrize("truth", ROUND[:2])
+def test_run_out_bow_and_unbalance_are_told_apart_by_a_sweep(truth):
+    """U W^2, a constant turning force, a constant turning reading: three things."""
+    run = discover(_problem(truth, model=_without_unbalance(), only=ROUND))
+    assert sorted(admitted(run)) == sorted(["unbalance", truth])
+    assert run.rounds[2].aliases[run.rounds[2].admitted[0]] == ()
+    assert not any({"runout"} & set(names) for r in run.rounds for names in r.aliases.values())
+    assert run.final.test_error <= 1.1 * run.final.noise_floor
+    known = {**HIDDEN[truth], "unbalance.moment": SEED_TRUTH["unbalance.moment"]}
+    for key, value in known.items():
+        found = run.model.estimates()[key.split(".")[0]][key.split(".")[1]]
+        assert abs(found.estimate - value) < 4.5 * found.se
