@@ -26,6 +26,7 @@ from typing import Any
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
+from spiral.memo import kept
 from spiral.trace import Traced
 
 _VERSION = "3"  # raise when the generated code's form changes
@@ -149,10 +150,15 @@ def _load(traced: Traced, by: tuple[str, ...] | None) -> ModuleType:
     return module
 
 
+@kept(128)
+def _words(traced: Traced) -> tuple[str, ...]:
+    groups = (traced.x, traced.u, traced.p, traced.rate, traced.output)
+    return tuple(sp.srepr(e) for group in groups for e in (*group, 0))
+
+
 def _digest(traced: Traced, by: tuple[str, ...] | None) -> str:
     """Of everything that the generated code depends on."""
-    groups = (traced.x, traced.u, traced.p, traced.rate, traced.output)
-    words = [_VERSION, sp.__version__, *(sp.srepr(e) for group in groups for e in (*group, 0))]
+    words = [_VERSION, sp.__version__, *_words(traced)]
     if by is not None:
         words += [str(k in by) for k in traced.keys]
     return hashlib.sha256("\n".join(words).encode()).hexdigest()[:24]

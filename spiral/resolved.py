@@ -25,7 +25,7 @@ import numpy as np
 from spiral.assembly import Assembly, Variant, to_model
 from spiral.compile import Compiled, compile_model
 from spiral.effect import Effect, SensorEffect
-from spiral.evidence import Masks, Standing, grown, stage_lengths
+from spiral.evidence import Admitted, Masks, Standing, grown, stage_lengths
 from spiral.holding import carried, held_variants, reassembled, variant_of
 from spiral.judge import held_out
 from spiral.latent import LatentForce, MissingForce, missing_force
@@ -35,10 +35,10 @@ from spiral.problem import Progress
 from spiral.record import Array
 from spiral.shooting.elimination import triangle_of
 from spiral.shooting.kernel import slopes_along
-from spiral.shooting.sensitivities import driven
+from spiral.shooting.sensitivities import driven, residuals
 from spiral.shooting.series import Series, splines
 from spiral.shooting.study import Study
-from spiral.statistics import paired_errors
+from spiral.statistics import paired_errors, whiteness
 from spiral.suggest import Proposal, propose
 from spiral.trace import trace
 
@@ -121,7 +121,8 @@ def called_for(
 
     They are tried where no other candidate passes and what is left is not white, and where the one
     that passes leaves more than three tenths of what is left beyond the noise, or is a sensor's (a
-    reading that comes late and a force that comes late look much the same).
+    reading that comes late and a force that comes late look much the same) and leaves no white
+    noise after its refit.
     """
     present = {label.split("#")[0] for label in standing.labels}
     waiting = tuple(e for e in assembly.later if e.label not in present)
@@ -132,8 +133,16 @@ def called_for(
     label, table = proposal.admitted.variant.label, proposal.evidence.table
     lead = next(r for r in proposal.evidence.ranked if r.variant.label == label)
     if isinstance(lead.variant.original, SensorEffect):
-        return waiting
+        return () if _leaves_noise(assembly, proposal.admitted) else waiting
     return waiting if lead.score.gain < _MOST_OF_IT * (table.rest - table.dof) else ()
+
+
+def _leaves_noise(assembly: Assembly, admitted: Admitted) -> bool:
+    """Whether the refit of an admission leaves white noise on the samples that selected it."""
+    settings = assembly.problem.settings
+    stage = admitted.stage
+    left = residuals(assembly.study, stage.layouts, stage.fitted.point)
+    return whiteness(left, settings.lags).p >= settings.whiteness_level
 
 
 @dataclass(frozen=True)

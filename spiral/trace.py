@@ -21,6 +21,7 @@ import sympy as sp
 
 from spiral.effect import Effect, FlowEffect, ForceEffect, SensorEffect, expand
 from spiral.errors import ConfigError, PluginError, SpiralError, did_you_mean
+from spiral.memo import kept
 from spiral.parameter import Parameter
 from spiral.port import At, Port
 from spiral.system import MechanicalSystem, System
@@ -149,6 +150,7 @@ def _check_channels(system: System, effect: Effect) -> None:
             )
 
 
+@kept(128)
 def trace(
     system: System, effects: tuple[Effect, ...], phase_shift: tuple[float, ...] = ()
 ) -> Traced:

@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ def study(job: Job) -> dict[str, Any]:
     """
     hidden, clock = job.hidden, time.process_time()
     case = hidden.case if hidden.effect else Case("", {}, SCENES[hidden.system])
-    run = discover(problem(case, load_registry(None), job.seed, job.noise, ROUNDS))
+    run = discover(problem(case, _registry(), job.seed, job.noise, ROUNDS))
     found = {
         "key": job.key,
         "system": hidden.system,
@@ -123,7 +124,12 @@ def jobs_of(given: argparse.Namespace, registry: Registry) -> list[Job]:
 
 
 def _strengths(system: str, label: str) -> list[Hidden]:
-    return strengths(system, label, load_registry(None))
+    return strengths(system, label, _registry())
+
+
+@cache
+def _registry() -> Registry:
+    return load_registry(None)
 
 
 def _nulls(full: list[Job]) -> list[Job]:
@@ -187,7 +193,7 @@ def main(words: list[str] | None = None) -> dict[str, Any]:
     given, clock = parsed(words), time.perf_counter()
     folder = Path(given.out)
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = jobs_of(given, load_registry(None))
+    jobs = jobs_of(given, _registry())
     print(f"{len(jobs)} studies, half of them null records", file=sys.stderr)
     rows = rows_of(jobs, folder / "rows.jsonl", given.jobs)
     return conclude(rows, folder, time.perf_counter() - clock, not given.no_tracking)

@@ -15,6 +15,7 @@ import numpy as np
 import sympy as sp
 
 from spiral.errors import ConfigError
+from spiral.memo import kept
 from spiral.record import Array
 from spiral.shooting.series import Series
 from spiral.shooting.study import Study
@@ -43,15 +44,14 @@ def motion(study: Study, series: Series, window: int) -> Motion:
     degree = min(3, window - 2)
     states = np.zeros((series.samples, len(traced.states)))
     acceleration = np.zeros((series.samples, len(traced.acceleration)))
+    smooth = [
+        savgol_filter(series.y, window, degree, deriv=k, delta=series.dt, axis=0) for k in range(3)
+    ]
     for channel, name in enumerate(traced.channels):
-        smooth = [
-            savgol_filter(series.y[:, channel], window, degree, deriv=k, delta=series.dt)
-            for k in range(3)
-        ]
-        states[:, traced.states.index(name)] = smooth[0]
+        states[:, traced.states.index(name)] = smooth[0][:, channel]
         if f"{name}_rate" in traced.states:
-            states[:, traced.states.index(f"{name}_rate")] = smooth[1]
-            acceleration[:, traced.states.index(name)] = smooth[2]
+            states[:, traced.states.index(f"{name}_rate")] = smooth[1][:, channel]
+            acceleration[:, traced.states.index(name)] = smooth[2][:, channel]
     for name, measured in traced.like:
         states[:, traced.states.index(name)] = states[:, traced.states.index(measured)]
     return Motion(states, acceleration)
@@ -88,21 +88,30 @@ def balance(study: Study, traced: Traced, unknown: tuple[str, ...]) -> Balance:
             "a start for every parameter of a system with hidden coordinates",
             f"give one: values='{{{unknown[0]}: 1.0}}'",
         )
-    symbols = [traced.p[traced.keys.index(k)] for k in unknown]
-    linear = sp.Matrix(traced.balance).jacobian(symbols)
-    rest = sp.Matrix(traced.balance).subs(dict.fromkeys(symbols, 0))
     origin = "system.phase_origin" if "system.phase_origin" in traced.keys else None
-    turning = _turning(traced, linear, origin)
-    arguments = [*traced.x, *traced.u, *traced.p, *traced.acceleration]
+    columns, rest, turning = _linear(traced, unknown, origin)
     return Balance(
         unknown=tuple(study.index(k) for k in unknown),
         origin=study.index(origin) if origin else None,
         turning=turning,
         used=tuple(study.index(k) for k in traced.keys),
-        columns=sp.lambdify(arguments, list(linear), "numpy", cse=True),
-        rest=sp.lambdify(arguments, list(rest), "numpy", cse=True),
-        rows=linear.rows,
+        columns=columns,
+        rest=rest,
+        rows=len(traced.balance),
     )
+
+
+@kept(32)
+def _linear(
+    traced: Traced, unknown: tuple[str, ...], origin: str | None
+) -> tuple[Callable[..., list[Any]], Callable[..., list[Any]], int | None]:
+    """Columns of the unknowns, the rest, and which unknown turns."""
+    symbols = [traced.p[traced.keys.index(k)] for k in unknown]
+    linear = sp.Matrix(traced.balance).jacobian(symbols)
+    rest = sp.Matrix(traced.balance).subs(dict.fromkeys(symbols, 0))
+    arguments = [*traced.x, *traced.u, *traced.p, *traced.acceleration]
+    made = [sp.lambdify(arguments, list(part), "numpy", cse=True) for part in (linear, rest)]
+    return made[0], made[1], _turning(traced, linear, origin)
 
 
 def _turning(traced: Traced, linear: sp.Matrix, origin: str | None) -> int | None:
