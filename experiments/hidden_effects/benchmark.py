@@ -14,13 +14,12 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from joblib import Parallel, delayed, parallel_config
 
-from experiments.hidden_effects.cases import Case, problem
+from experiments.hidden_effects.cases import Case, installed, problem
 from experiments.hidden_effects.strengths import (
     NOISES,
     SCENES,
@@ -31,7 +30,7 @@ from experiments.hidden_effects.strengths import (
 )
 from experiments.hidden_effects.summary import conclude
 from spiral.discover import discover
-from spiral.registry import Registry, load_registry
+from spiral.registry import Registry
 from spiral.run import Run
 
 ROUNDS = 2  # one for the hidden effect, one in which nothing more may be admitted
@@ -60,7 +59,7 @@ def study(job: Job) -> dict[str, Any]:
     """
     hidden, clock = job.hidden, time.process_time()
     case = hidden.case if hidden.effect else Case("", {}, SCENES[hidden.system])
-    run = discover(problem(case, _registry(), job.seed, job.noise, ROUNDS))
+    run = discover(problem(case, installed(), job.seed, job.noise, ROUNDS))
     found = {
         "key": job.key,
         "system": hidden.system,
@@ -124,12 +123,7 @@ def jobs_of(given: argparse.Namespace, registry: Registry) -> list[Job]:
 
 
 def _strengths(system: str, label: str) -> list[Hidden]:
-    return strengths(system, label, _registry())
-
-
-@cache
-def _registry() -> Registry:
-    return load_registry(None)
+    return strengths(system, label, installed())
 
 
 def _nulls(full: list[Job]) -> list[Job]:
@@ -193,7 +187,7 @@ def main(words: list[str] | None = None) -> dict[str, Any]:
     given, clock = parsed(words), time.perf_counter()
     folder = Path(given.out)
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = jobs_of(given, _registry())
+    jobs = jobs_of(given, installed())
     print(f"{len(jobs)} studies, half of them null records", file=sys.stderr)
     rows = rows_of(jobs, folder / "rows.jsonl", given.jobs)
     return conclude(rows, folder, time.perf_counter() - clock, not given.no_tracking)

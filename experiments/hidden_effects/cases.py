@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -11,9 +12,15 @@ from spiral.effect import Effect
 from spiral.model import Model
 from spiral.problem import Problem, Settings
 from spiral.record import Record
-from spiral.registry import Registry
+from spiral.registry import Registry, load_registry
 from spiral.simulate import simulate
 from spiral.system import System
+
+
+@cache
+def installed() -> Registry:
+    """The plugins that are installed, found once for a process."""
+    return load_registry(None)
 
 
 @dataclass(frozen=True)
