@@ -67,7 +67,8 @@ class Columns(Source):
     time : the column of time in s.
     rate : samples per s, where the file has no column of time.
     channels, inputs : the system's name -> the file's column; names that agree may be left out. An
-        input may be a number instead (``0`` where nothing drives), in the system's unit.
+        input may be a number instead (``0`` where nothing drives), in the system's unit. A star
+        stands for every number that makes a column, one record for each: ``Y_id[*][0]``.
     units : name of a channel or input (or ``time``) -> its unit; else the unit that the file names.
     rows : [start, stop], zero-based data rows, stop excluded.
     noise : channel -> standard deviation in the system's unit, where it is known.
@@ -138,17 +139,36 @@ class Columns(Source):
         """The table of one file."""
 
     def load(self, system: System) -> tuple[Record, ...]:
-        """One record for each file."""
+        """One record for each file, or for each series that a star in a column's name means."""
         if not self.path:
             name = self.plugin_name()
             raise ConfigError(
                 f"record={name} without a file", "record.path=FILE", "record.path=a.csv"
             )
         paths = [self.path] if isinstance(self.path, str) else list(self.path)
-        return tuple(self._one(system, path) for path in paths)
+        return tuple(record for path in paths for record in self._of_file(system, path))
 
-    def _one(self, system: System, path: str) -> Record:
+    def _of_file(self, system: System, path: str) -> tuple[Record, ...]:
         table = self.read(path)
+        return tuple(one._one(system, table, path) for one in self._numbered(table))
+
+    def _numbered(self, table: Table) -> list[Columns]:
+        """One source for each number that a star in a column's name stands for; else itself."""
+        names = [*(self.channels or {}).values(), *(self.inputs or {}).values(), self.time or ""]
+        starred = [c for c in map(str, names) if "*" in c and c not in table.columns]
+        if not starred:
+            return [self]
+        return [
+            replace(
+                self,
+                channels=_filled(self.channels, n),
+                inputs=_filled(self.inputs, n),
+                time=self.time and self.time.replace("*", n),
+            )
+            for n in table.numbers(starred[0])
+        ]
+
+    def _one(self, system: System, table: Table, path: str) -> Record:
         layout = self._layout(system, table)
         start, stop = _inside(table, layout.options(), self.rows, "record.rows")
         series = self._series(system, table, layout, start, stop)
@@ -347,6 +367,11 @@ def _inside(
             f"for instance {option}='[0,{count}]'",
         )
     return start, stop
+
+
+def _filled(names: Mapping[str, str] | None, number: str) -> Mapping[str, str] | None:
+    """Columns with a number in place of their star."""
+    return names and {k: str(c).replace("*", number) for k, c in names.items()}
 
 
 def _is_number(given: str, table: Table) -> bool:

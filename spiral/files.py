@@ -85,6 +85,25 @@ class Table:
         """Names of the columns."""
         return tuple(self.values)
 
+    def numbers(self, starred: str) -> list[str]:
+        """Numbers that the star in a column's name may stand for, in their order.
+
+        Raises
+        ------
+        InputError : no column has a number there.
+        """
+        head, tail = starred.split("*", 1)
+        fitting = (c for c in self.columns if c.startswith(head) and c.endswith(tail))
+        inner = [c[len(head) : len(c) - len(tail)] for c in fitting]
+        found = sorted((n for n in inner if n.isdigit()), key=int)
+        if not found:
+            raise InputError(
+                f"column {starred!r} of {self.name}",
+                "a column with a number in the star's place",
+                f"columns are {', '.join(self.columns[:12])}",
+            )
+        return found
+
     def rows(self, columns: Mapping[str, str]) -> int:
         """Number of rows, which the columns in use (option -> column) must share.
 

@@ -62,15 +62,17 @@ def unknown_shape(
 
 
 def _fresh(assembly: Assembly, standing: Standing, kept: tuple[str, ...]) -> Standing:
-    """The first standing of some effects; shapes of the others as they were, to compete with."""
-    begun, study = begin(assembly, kept), assembly.study
+    """The first standing of the seed; curves kept, and shapes of all others, as they were."""
+    known = tuple(x for x in kept if x in assembly.problem.model.labels)
+    begun, study = begin(assembly, known), assembly.study
     values = begun.values.copy()
     for i, (key, parameter) in enumerate(
         zip(study.keys, study.compiled.traced.parameters, strict=True)
     ):
-        if parameter.role == "shape" and key.rsplit(".", 1)[0] not in kept:
+        owner = key.rsplit(".", 1)[0]
+        if (parameter.role == "shape" or owner in kept) and owner not in known:
             values[:, i] = standing.values[:, i]
-    return replace(begun, values=values)
+    return replace(begun, values=values, labels=kept)
 
 
 def _learned(assembly: Assembly, standing: Standing) -> list[str]:

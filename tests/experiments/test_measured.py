@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from experiments.measured import problem_of, scored
+from spiral.compare import compare
 from spiral.discover import discover
 
 DATA = os.environ.get("SPIRAL_DATA")
@@ -35,3 +36,20 @@ def test_the_tanks_are_simulated_to_their_figure():
     rounds = scored(problem, discover(problem))
     assert [x for r in rounds for x in r.admitted] == ["overflow", "offset", "sensor_saturation"]
     assert rounds[-1].all <= 0.40
+
+
+@needs("multiarm_pendulum/SinglePendulumDataForParameterEstimation.mat")
+def test_the_pendulum_needs_dry_friction_and_drag_together():
+    """Neither alone helps on the smaller swings of the test; the pair halves the error and more."""
+    words = "effect=[{}]", "values={{coulomb_friction.width: 0.05}}"
+    dry, drag = "coulomb_friction", "quadratic_damping"
+
+    def error(*effects):
+        given = [words[0].format(",".join(effects))]
+        given += [words[1].format()] if dry in effects else []
+        return compare(problem_of("multiarm_pendulum", tuple(given))).test_error
+
+    seed = compare(problem_of("multiarm_pendulum")).test_error
+    assert seed == pytest.approx(0.083, abs=0.002)
+    assert min(error(dry), error(drag)) > 0.99 * seed
+    assert error(dry, drag) < 0.4 * seed

@@ -9,10 +9,12 @@ from scipy.interpolate import CubicSpline
 from spiral_plugins.systems.oscillator import Oscillator
 
 from experiments.unknown_physics.cases import CASES, coverage, problem
+from spiral.compare import prepared
 from spiral.diagnose import diagnose
 from spiral.discover import add, discover
 from spiral.forcecurve import beside
 from spiral.learned import COUNT, KNOTS, basis
+from spiral.unknown import _fresh
 from tests.scenes import admitted, effect, registry
 
 
@@ -98,3 +100,19 @@ def test_each_hidden_shape_is_named_covered_and_admitted(name, seed):
     assert CASES[name].learned in admitted(run)
     assert coverage(CASES[name], run.unknown).whole >= 0.95
     assert run.final.test_error <= 1.5 * run.final.noise_floor
+
+
+def test_starting_afresh_keeps_a_curve_that_was_admitted():
+    """The seed begins anew; of the rest only the curve stays, with the values that it had."""
+    known = (effect("learned_spring"), effect("quadratic_damping"))
+    assembly, standing = prepared(replace(_problem("tanh"), candidates=known))
+    labels = {v.original.label: v.label for v in assembly.variants}
+    spring, drag = labels["learned_spring"], labels["quadratic_damping"]
+    place = [assembly.study.index(k) for k in (f"{spring}.c3", f"{drag}.damping")]
+    values = standing.values.copy()
+    values[:, place] = 0.5
+    kept = (*standing.labels, spring)
+    wide = replace(standing, values=values, labels=(*kept, drag))
+    found = _fresh(assembly, wide, kept)
+    assert found.labels == kept
+    assert found.values[0, place].tolist() == [0.5, 0.0]

@@ -96,6 +96,16 @@ def test_several_files_are_several_records(tmp_path):
     assert first.sha256 != second.sha256
 
 
+def test_a_star_is_one_record_for_each_number(tmp_path):
+    wave = np.sin(np.arange(COUNT))
+    table = {"a[2]": 2 + wave, "a[10]": 10 + wave, "f": wave}
+    fields = {"rate": 100, "inputs": {"force": "f"}, "path": write(tmp_path / "a.csv", table)}
+    found = csv(channels={"x": "a[*]"}, **fields).load(OSCILLATOR)
+    assert [r.channels["x"][0] for r in found] == [2.0, 10.0]
+    with pytest.raises(InputError, match="number in the star's place"):
+        csv(channels={"x": "b[*]"}, **fields).load(OSCILLATOR)
+
+
 def test_columns_with_the_systems_names_need_no_mapping(tmp_path):
     table = columns()
     named = {"time": table["t"], "x": table["a"], "force": table["f"]}
