@@ -22,13 +22,14 @@ from spiral.assembly import (
     first_row,
     nuisance_keys,
     placed,
+    to_model,
 )
 from spiral.compare import refined, test_run
 from spiral.errors import InputError
 from spiral.evidence import Standing
 from spiral.filtering.task import linearised
 from spiral.judge import run_free
-from spiral.latent import LatentForce, with_latent
+from spiral.latent import LatentForce, smoothed_states, with_latent
 from spiral.model import Model
 from spiral.problem import Problem, Progress, silent
 from spiral.record import Array, Record
@@ -239,7 +240,27 @@ def _where_curves(
     about["where"] = where(assembly, stage, found).as_dict()
     if found.missing is not None and found.number < _RECORDS:
         about |= _force_curves(kept, assembly, found, name)
+    elif name == FINAL and found.number < _RECORDS:
+        about |= _state_curves(kept, assembly, stage, found.number)
     return about
+
+
+def _state_curves(
+    kept: dict[str, Array], assembly: Assembly, stage: Stage, number: int
+) -> dict[str, Any]:
+    """The states of a system without forces, smoothed."""
+    study, values = assembly.study, stage.fitted.point.values
+    if not np.isfinite(values).all():
+        return {}
+    model = to_model(assembly, assembly.problem.model.labels, values[number : number + 1], {})
+    series = study.series[number]
+    grid = study.inputs(number, values[number])
+    found = smoothed_states(model, series.record, grid, series.substeps)
+    if found is None:
+        return {}
+    for name, array in zip(("states", "states_sd"), found, strict=True):
+        kept[f"{number}.{FINAL}.{name}"] = array.astype(np.float32)
+    return {"hidden": {"record": number, "first": 0}}
 
 
 def _force_curves(

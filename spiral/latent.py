@@ -10,6 +10,7 @@ is found by maximum likelihood of the innovations. (Jazwinski 1970; Kennedy and 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,8 +18,10 @@ import numpy as np
 
 from spiral.effect import ForceEffect
 from spiral.filtering.extended import Settings, filtered, smoothed
+from spiral.filtering.noise import groups, intensity
 from spiral.filtering.setup import prepared
 from spiral.filtering.task import Task, prepare_task
+from spiral.filtering.tuning import most_likely
 from spiral.model import Model
 from spiral.parameter import Parameter
 from spiral.record import Array, Record
@@ -119,6 +122,33 @@ def missing_force(
 
     level = _most_likely(task, walking)
     return None if level is None else _smoothed(task, walking(level), 10.0**level, start)
+
+
+def smoothed_states(
+    model: Model, record: Record, inputs: Array | None = None, substeps: int | None = None
+) -> tuple[Array, Array] | None:
+    """States and their standard deviations, (samples, n) each, of a system without forces.
+
+    By the extended filter and its smoother, with the most likely process noise in place of a
+    missing force; nothing for more than ``MOST`` samples, and where the filter runs away.
+    """
+    if record.samples > MOST:
+        return None
+    task, settings = prepared(prepare_task(model, record, inputs=inputs, substeps=substeps))
+
+    def driven(levels: Mapping[str, float]) -> Settings:  # a level at rest is no point to linearise
+        return replace(settings, process=np.diag(record.dt * intensity(task, levels)))
+
+    def likelihood(levels: Mapping[str, float]) -> tuple[float, int]:
+        found = filtered(task, driven(levels))
+        return found.log_likelihood, found.done
+
+    levels = most_likely(tuple(groups(task)), record.samples, likelihood)
+    found = filtered(task, driven(levels), keep=True)
+    if found.done < record.samples:
+        return None
+    found, n = smoothed(found), len(task.states)
+    return found.means[:, :n].copy(), np.sqrt(np.maximum(found.variances[:, :n], 0.0))
 
 
 def _scales(task: Task, keys: tuple[str, ...]) -> tuple[Array, Array]:

@@ -225,7 +225,7 @@ def _sentence(found: Where, state: Shape | None, seen: Seen, system) -> str:
     elif turning:
         parts.append("at all speeds")
     elif found.time_s is not None:
-        parts.append(f"from {found.time_s[0]:.3g} to {found.time_s[1]:.3g} s")
+        parts.append(f"from {found.time_s[0]:.4g} to {found.time_s[1]:.4g} s")
     if found.order is not None:
         parts.append(f"at order {_line(found.order)}")
     elif found.frequency_hz is not None:

@@ -277,7 +277,8 @@ def draw(
 
     folder.mkdir(parents=True, exist_ok=True)
     run = concluded(at, "max_rounds", 0.0, "")
-    saved = {"result": finite({**run.as_dict(), "noise_floor": None})}
+    now_unknown = {"unknown": at.rounds[-1].details.get("unknown"), "noise_floor": None}
+    saved = {"result": finite({**run.as_dict(), **now_unknown})}
     names = [n for n in _ORDER if part(n)]
     compared = [n for n in names if n in _COMPARED]
     now = ["before" if n == "free_run" else n for n in names if n not in _COMPARED]
@@ -291,8 +292,8 @@ def draw(
 
 _COMPARED = ("amplitude", "missing_force")
 _ORDER = (
-    *FIRST, "missing_force", "surface", "evidence", "coefficients", "orbit", "bode", "waterfall",
-    "whirl", "correlation", "hidden", "campbell",
+    *FIRST, "missing_force", "surface", "unknown", "evidence", "coefficients", "orbit", "bode",
+    "waterfall", "whirl", "correlation", "hidden", "campbell",
 )  # fmt: skip
 
 
@@ -322,4 +323,5 @@ def _ranked(run: Run, step: Step | None, found: tuple[Any, ...]) -> dict[str, An
         "rejected": dict(step.rejected) if step else {},
         "verdict": run.verdict if step is None or step.admitted else step.stopped,
         "advice": run.advice,
+        "shape": (run.rounds[-1].details.get("unknown") or {}).get("sentence", ""),
     }

@@ -20,7 +20,7 @@ from spiral.app.crew import Event, Process
 from spiral.app.draft import quoted
 from spiral.app.intake import DOES, Intake
 from spiral.app.panels import words
-from spiral.app.study import Study, Turn
+from spiral.app.study import LEARNED, Study, Turn
 from spiral.errors import ConfigError
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -161,6 +161,19 @@ class Desk:
             self._ask(scene, "invent", f"Testing {words(name)}", base=serial,
                       overrides=wanted, name=name)  # fmt: skip
 
+    def learn(self, ident: str, serial: int) -> None:
+        """Rank anew with curves that are learned from the record, where nothing with a name passes.
+
+        Raises
+        ------
+        ConfigError : the study has moved on, or is busy.
+        """
+        with self._lock:
+            scene = self._free(ident, serial)
+            wanted = [o for o in scene.study.overrides if o.partition("=")[0] != LEARNED]
+            self._ask(scene, "invent", "Learning its curve", base=serial,
+                      overrides=[*wanted, f"{LEARNED}=true"], name="")  # fmt: skip
+
     def contrast(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
         """Refit with each of these, to see the difference; the study stays as it is."""
         with self._lock:
@@ -224,7 +237,8 @@ class Desk:
                 return
             scene = self._changed(order, kind, data, scene)
             if kind == "ranked" and order["do"] == "invent":
-                own = (*(n for n in scene.study.own if n != order["name"]), order["name"])
+                own = tuple(dict.fromkeys((*scene.study.own, order["name"])))
+                own = tuple(name for name in own if name)
                 given = tuple(order["overrides"])
                 scene = replace(scene, study=replace(scene.study, overrides=given, own=own))
             self._put(scene)

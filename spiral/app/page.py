@@ -21,7 +21,7 @@ _SHOWN = 5  # candidates before "show all"
 TABS = (
     ("Measured and model", ("free_run",)),
     ("Where it fails", ("where", "amplitude")),
-    ("Missing force", ("missing_force", "surface")),
+    ("Missing force", ("missing_force", "surface", "unknown")),
     ("Spectra", ("orbit", "bode", "waterfall", "whirl")),
     ("Residual", ("correlation",)),
     ("Hidden states", ("hidden",)),
@@ -169,10 +169,14 @@ class View:
             said = panels.ending(scene.study, turn)
             kind = "good" if turn.verdict == "whiteness" else "note"
             ui.html(f"<div class='{kind}' id='ending'>{said}</div>", sanitize=False)
+            if panels.learnable(scene.study, turn):
+                learn = ui.button("Offer its curve as an effect", on_click=lambda: self._ask(
+                    lambda: self.desk.learn(self.ident, turn.serial)))  # fmt: skip
+                learn.props("outline").style("margin:10px 0").set_enabled(scene.busy is None)
         else:
             said = "Ranked by evidence; the first passes all gates on data that did not rank it."
             ui.html(f"<p class='soft' style='margin-bottom:10px'>{said}</p>", sanitize=False)
-        few = _SHOWN if proposes else 0
+        few = 0 if turn.verdict == "whiteness" else _SHOWN
         count = len(turn.candidates) if self.every else few
         for found in turn.candidates[:count]:
             self._candidate(scene, turn, found)

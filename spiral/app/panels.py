@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from spiral.app.study import Study, Turn
+from spiral.app.study import LEARNED, Study, Turn
 from spiral.report import text
 from spiral.report.style import scaled, symbols, words
 from spiral.terminal import number, percent, probability
@@ -17,8 +17,7 @@ _BOTH = "the larger of the classical p-value and the robust one"
 _FAR = 3.0  # times the noise, above which a free run misses more than noise
 ENDINGS = {
     "whiteness": "Nothing more is missing: what is left is white noise.",
-    "no_candidate": "No further effect passes the gates. What is left is explained by none that is "
-    "known here; the list below says how far each comes.",
+    "no_candidate": "No further effect passes the gates; the list below says how far each comes.",
     "diverged": "The model runs away from the record even on short windows. Check units and signs "
     "of the channels, or undo.",
     "not_identifiable": "This record cannot tell the model's own effects apart.",
@@ -41,7 +40,15 @@ def ending(study: Study, turn: Turn) -> str:
     if turn.verdict == "whiteness" and error and floor and error > _FAR * floor:
         said += f" The free run on the test record still misses by {percent(error)}, though: such a"
         said += " model may be right and its motion hard to predict, or the test record differs."
+    if turn.shape:
+        said += f" What is left: {escape(turn.shape[:1].lower() + turn.shape[1:])}"
     return said
+
+
+def learnable(study: Study, turn: Turn) -> bool:
+    """Whether the curve of what is left can be offered as an effect, and is not yet."""
+    asked = any(o.partition("=")[0] == LEARNED for o in study.overrides)
+    return bool(turn.shape) and turn.verdict == "no_candidate" and not asked
 
 
 def headline(study: Study) -> str:

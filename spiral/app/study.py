@@ -18,6 +18,7 @@ from spiral.errors import ConfigError, InputError
 from spiral.storage import new_run_id, to_json, unwritable, write_whole
 
 FOLDER, FILE, UPLOADS = "studies", "study.json", "uploads"
+LEARNED = "settings.learned"
 _ID = re.compile(r"[0-9a-f-]{8,40}")
 
 
@@ -27,6 +28,7 @@ class Turn:
 
     ``added`` is the effect that made it; ``result`` its figures as a round of the JSON contract;
     ``candidates`` what may be missing next, best first; ``proposed`` what the gates would admit;
+    ``shape`` what the force is like that none of them explains, in words;
     ``figures`` what is drawn (name, heading, caption), one JSON file each; ``tracked`` its place in
     MLflow's page on ``store``, or ``untracked`` why it has none.
     """
@@ -39,6 +41,7 @@ class Turn:
     rejected: Mapping[str, str] = field(default_factory=dict)
     verdict: str = ""
     advice: str = ""
+    shape: str = ""
     sentence: str = ""
     equation: tuple[Mapping[str, Any], ...] = ()
     figures: tuple[tuple[str, str, str], ...] = ()

@@ -128,6 +128,7 @@ def missing_force(curves: Curves) -> go.Figure | None:
 def hidden_states(curves: Curves) -> go.Figure | None:
     """States that no sensor sees, smoothed, with their 95 % bands."""
     about = curves.meta["models"].get(FINAL, {})
+    about = about.get("hidden", about)
     hidden = [(i, s) for i, s in enumerate(curves.meta["states"]) if s["hidden"]]
     if "record" not in about or not hidden:
         return None

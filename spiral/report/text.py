@@ -59,7 +59,7 @@ BODE = (
 WATERFALL = "Each line is the spectrum of one slice, raised to its speed; dotted: orders 1 to 3."
 WHIRL = "Spectrum of x + i y, forward in the sense of rotation to the right."
 CORRELATION = "Dotted: the 95 % bounds of a white residual."
-HIDDEN = "Smoothed with the final model and its missing force, and their 95 % bands."
+HIDDEN = "Smoothed with the final model and what it lacks, and their 95 % bands."
 CAMPBELL = "Eigenvalues of the final model at rest, phase zero; dotted: orders 1 and 2."
 
 

@@ -19,6 +19,7 @@ def curves(result: Mapping[str, Any]) -> go.Figure | None:
     if not found:
         return None
     panels = found["curves"]
+    what = "flow" if str(found.get("sentence")).startswith("A flow") else "force"
     figure = blank(1, len(panels), 430, horizontal_spacing=0.12)
     wide, state_unit = scaled(found["state_unit"], *(np.array(c["at"]) for c in panels))
     high, force_unit = scaled(found["force_unit"], *(np.array(c["force"]) for c in panels))
@@ -37,10 +38,10 @@ def curves(result: Mapping[str, Any]) -> go.Figure | None:
             row=1, col=column,
         )  # fmt: skip
         figure.add_scatter(
-            x=at, y=force, name="force", line={"color": BLUE, "width": 3},
+            x=at, y=force, name=what, line={"color": BLUE, "width": 3},
             showlegend=shown, row=1, col=column,
         )  # fmt: skip
         name = c["state"].replace("_rate", "'")
         figure.update_xaxes(title_text=titled(name, state_unit), row=1, col=column)
-    figure.update_yaxes(title_text=titled("force", force_unit), row=1, col=1)
+    figure.update_yaxes(title_text=titled(what, force_unit), row=1, col=1)
     return figure

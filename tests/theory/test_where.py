@@ -7,13 +7,14 @@ import pytest
 from spiral_plugins.effects.dissipative import CoulombFriction
 from spiral_plugins.effects.restoring import ConstantLoad, CrossCoupledStiffness, CubicStiffness
 from spiral_plugins.effects.rotating import Crack
+from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.compare import last_stage, prepared
 from spiral.effect import Effect
 from spiral.evidence import all_samples
-from spiral.latent import latent_keys, missing_force, with_latent
+from spiral.latent import latent_keys, missing_force, smoothed_states, with_latent
 from spiral.model import seed_model
 from spiral.orders import first_order, full_spectrum, noise_power, order_map, time_map
 from spiral.problem import Problem
@@ -142,6 +143,20 @@ def test_the_missing_force_lies_in_its_band_as_often_as_the_band_says(walked):
     assert np.sqrt(np.mean(error**2)) < 0.1 * np.std(force)
     assert found.unit == "N"
     assert found.axes == ("x",)
+
+
+def test_a_hidden_level_lies_in_its_band_as_often_as_the_band_says():
+    """Two tanks whose pump gives more or less than it was told to, at random."""
+    values = {"pump.gain": 0.04, "outlets.upper": 0.06, "outlets.lower": 0.05, "outlets.width": 0.1}
+    rng, time = np.random.default_rng(0), 4.0 * np.arange(1000)
+    told = 2.8 + 3 * np.convolve(rng.normal(size=1000), np.ones(30) / 30, "same")
+    given = {"pump": told + 0.3 * rng.normal(size=1000)}
+    model = seed_model(CascadedTanks(), values=values)
+    record = simulate(model, time, given, 0.02, rng)
+    found = smoothed_states(model, replace(record, inputs={"pump": told}))
+    error = np.abs(found[0][:, 0] - record.truth["upper"])[50:]
+    assert 0.9 < np.mean(error < 1.96 * found[1][50:, 0]) < 0.99
+    assert np.mean(error) < 0.05 * record.truth["upper"].std()
 
 
 def test_a_right_model_lacks_no_force(walked):

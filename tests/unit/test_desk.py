@@ -8,6 +8,7 @@ from spiral.app import desk as desks
 from spiral.app import study as kept
 from spiral.app.desk import Desk
 from spiral.app.draft import guessed
+from spiral.app.panels import ending, learnable
 from spiral.errors import ConfigError, InputError
 
 RANKED = {"candidates": [{"effect": "b"}], "proposed": ["b"], "verdict": "effect_missing"}
@@ -167,6 +168,26 @@ def test_a_formula_becomes_an_override_with_the_values_of_its_widths(desk, ident
     desk._bench.on_event(order, "done", {})
     desk.invent(ident, "rubbing", "-F*v", serial)
     assert desk._bench.orders[-1]["overrides"][1:] == ["effect.rubbing.expression='-F*v'"]
+
+
+def test_curves_are_offered_where_nothing_with_a_name_passes(desk, ident):
+    bench = desk._bench
+    desk.rank(ident, desk.scene(ident).study.turn.serial)
+    nothing = {**RANKED, "proposed": [], "verdict": "no_candidate", "shape": "A force: smooth."}
+    bench.on_event(bench.orders[-1], "ranked", nothing)
+    bench.on_event(bench.orders[-1], "done", {})
+    study = desk.scene(ident).study
+    assert learnable(study, study.turn)
+    assert ending(study, study.turn).endswith("What is left: a force: smooth.")
+    desk.learn(ident, study.turn.serial)
+    order = bench.orders[-1]
+    assert order["overrides"] == ["experiment=rotor_coastdown", "settings.learned=true"]
+    bench.on_event(order, "ranked", {**RANKED, "proposed": ["learned_spring"]})
+    bench.on_event(order, "done", {})
+    study = desk.scene(ident).study
+    assert study.overrides[-1] == "settings.learned=true"
+    assert study.own == ()
+    assert not learnable(study, study.turn)
 
 
 def test_a_name_as_one_types_it_becomes_the_name_of_an_effect(desk, ident):
