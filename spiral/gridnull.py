@@ -16,7 +16,7 @@ the far tail too, where no bootstrap can count. (Dudbridge and Koeleman 2004; wi
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from spiral.record import Array
 from spiral.shooting.score import MINIMUM_BLOCKS, Table, projected
@@ -42,12 +42,14 @@ def effective_tests(
     if len(table.blocks) < MINIMUM_BLOCKS // 2 or not scores:
         return float(len(groups))
     signs = rng.choice([-1.0, 1.0], size=(_DRAWS, len(table.blocks)))
-    smallest = np.ones(_DRAWS)
+    largest: dict[int, Array] = {}  # by rank: the largest statistic has the smallest p-value
     for score in scores:
         spread = np.linalg.pinv(score.T @ score)
         total = signs @ score
         wald = np.einsum("di,ij,dj->d", total, spread, total)
-        smallest = np.minimum(smallest, stats.chi2.sf(wald, score.shape[1]))
+        rank = score.shape[1]
+        largest[rank] = np.maximum(largest.get(rank, 0.0), wald)
+    smallest = np.min([special.chdtrc(rank, wald) for rank, wald in largest.items()], axis=0)
     found = -_DRAWS / float(np.sum(np.log1p(-np.minimum(smallest, 1 - 1e-12))))
     return float(np.clip(found, 1.0, len(groups)))
 

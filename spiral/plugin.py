@@ -6,9 +6,11 @@ import inspect
 import re
 from abc import ABC
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, dataclass_transform
 
 
+@lru_cache(maxsize=1024)
 def snake_case(name: str) -> str:
     """``CubicStiffness`` -> ``cubic_stiffness``."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower()

@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from spiral.record import Array
 from spiral.shooting.sensitivities import Reduction
@@ -111,7 +111,7 @@ def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -
     q, dof = max(group.rank, 1), max(table.dof - group.rank, 1)
     rest = max(table.rest - group.gain, 1e-300)
     statistic = (group.gain / q) / (rest / dof)
-    log_p = float(stats.f.logsf(statistic, q, dof))
+    log_p = _log_p(statistic, q, dof)
     wald, wald_log_p = _wald(table, kept, group)
     if 0 < len(table.blocks) < MINIMUM_BLOCKS // 2:
         wald, wald_log_p = statistic, log_p  # too short for a robust test; the gates remain
@@ -120,6 +120,12 @@ def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -
         log_p + halved, wald, wald_log_p + halved,
         float(np.sqrt(group.gain / max(table.samples, 1))), group.alias, group.rank,
     )  # fmt: skip
+
+
+def _log_p(statistic: float, q: int, dof: int) -> float:
+    """Logarithm of the F distribution's upper tail (``scipy.stats.f.logsf``, unchecked)."""
+    with np.errstate(divide="ignore"):
+        return float(np.log(special.fdtrc(q, dof, max(statistic, 0.0))))
 
 
 @dataclass(frozen=True)
@@ -172,7 +178,7 @@ def _wald(table: Table, kept: list[int], group: Projected) -> tuple[float, float
     except np.linalg.LinAlgError:
         return 0.0, 0.0
     ratio = wald * (count - q) / (count - 1)
-    return wald, float(stats.f.logsf(ratio, q, count - q))
+    return wald, _log_p(ratio, q, count - q)
 
 
 def block_scores(table: Table, kept: list[int], group: Projected) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -52,6 +53,26 @@ class Series:
     def samples(self) -> int:
         """Number of samples."""
         return self.y.shape[0]
+
+    def smoothed(self, window: int) -> tuple[Array, ...]:
+        """Local cubics through the readings: value, first and second derivative.
+
+        The last window's are kept, because one fit after another begins with them.
+        """
+        from scipy.signal import savgol_filter
+
+        if window not in self._smoothed:
+            degree = min(3, window - 2)
+            self._smoothed.clear()
+            self._smoothed[window] = tuple(
+                np.asarray(savgol_filter(self.y, window, degree, deriv=k, delta=self.dt, axis=0))
+                for k in range(3)
+            )
+        return self._smoothed[window]
+
+    @cached_property
+    def _smoothed(self) -> dict[int, tuple[Array, ...]]:
+        return {}
 
     def weight(self, mask: Array | None) -> Array:
         """(samples, channels): 1/sigma where the mask holds, else 0."""

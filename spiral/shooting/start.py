@@ -38,15 +38,10 @@ def motion(study: Study, series: Series, window: int) -> Motion:
     A state that is not measured, nor the rate of one that is, is taken as zero, or as the measured
     one that it is said to be like.
     """
-    from scipy.signal import savgol_filter
-
     traced = study.compiled.traced
-    degree = min(3, window - 2)
     states = np.zeros((series.samples, len(traced.states)))
     acceleration = np.zeros((series.samples, len(traced.acceleration)))
-    smooth = [
-        savgol_filter(series.y, window, degree, deriv=k, delta=series.dt, axis=0) for k in range(3)
-    ]
+    smooth = series.smoothed(window)
     for channel, name in enumerate(traced.channels):
         states[:, traced.states.index(name)] = smooth[0][:, channel]
         if f"{name}_rate" in traced.states:
