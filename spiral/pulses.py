@@ -62,7 +62,7 @@ def turning(
     sign = 1.0 if edge == "rising" else -1.0
     marks = _crossings(time, sign * values, sign * threshold, _ARMED * height)
     _check(column, time, marks)
-    phase, speed, scatter = _smoothed(marks, time)
+    phase, speed, scatter = smoothed(marks, time)
     rates = np.sort(1.0 / np.diff(marks))
     words = (
         f"phase from {len(marks)} pulses of {column!r} ({edge} edge at {threshold:.4g}), "
@@ -141,7 +141,7 @@ def _check(column: str, time: Array, marks: Array) -> None:
             )
 
 
-def _smoothed(marks: Array, time: Array) -> tuple[Array, Array, float]:
+def smoothed(marks: Array, time: Array) -> tuple[Array, Array, float]:
     """Phase, speed, and the rms distance of the marks from the phase, in rad."""
     from scipy.interpolate import make_smoothing_spline
 

@@ -370,7 +370,14 @@ def test_plugins_list(capsys):
     code, result = run_json(capsys, "plugins", "source", "cubic_stiffness")
     assert code == 0
     names = [p["name"] for p in result["plugins"]]
-    assert names == ["cubic_stiffness", "csv", "file", "rotor_coastdown", "simulation"]
+    assert names == [
+        "cubic_stiffness",
+        "csv",
+        "file",
+        "order_table",
+        "rotor_coastdown",
+        "simulation",
+    ]
     assert result["plugins"][0]["meaning"].startswith("Stiffness that grows")
     assert result["plugins"][0]["parameters"] == {"stiffness": "force/position^3"}
     assert main(["plugins"]) == 0

@@ -3,9 +3,11 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiments.measured import problem_of, scored
+from experiments.rk4_rotor_runup import sweep
 from spiral.compare import compare
 from spiral.discover import discover
 
@@ -53,3 +55,19 @@ def test_the_pendulum_needs_dry_friction_and_drag_together():
     assert seed == pytest.approx(0.083, abs=0.002)
     assert min(error(dry), error(drag)) > 0.99 * seed
     assert error(dry, drag) < 0.4 * seed
+
+
+@needs("rk4_rotor_runup/runup_1x_1037_2615rpm.csv")
+def test_the_run_up_is_a_sweep_of_two_axes():
+    """Beats where the measured amplitude has them; steady speeds have none and move the mode."""
+    problem = problem_of(sweep.PRESET, (sweep.WHOLE,))
+    record = problem.test[0]
+    still, one = sweep.steady(record), sweep.swept(problem, "one mode")
+    pair, words = sweep.two_axes(record)
+    assert still.critical - one.critical > 50
+    assert len(sweep.beats(record, still.slow)) == 0
+    left = [np.sqrt(np.mean(np.abs(r.slow - sweep.measured(record)) ** 2)) for r in (one, pair)]
+    assert left[1] < 0.5 * left[0] < 1.0
+    seen = sweep.beats(record, sweep.measured(record))
+    np.testing.assert_allclose(sweep.beats(record, pair.slow)[:8], seen[:8], atol=9)
+    assert "-84 degrees" in words
