@@ -106,7 +106,13 @@ def add(
     labels = tuple(e.label for e in effects)
     meaning = "; ".join(e.meaning() for e in effects)
     rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock, meaning=meaning))
-    run = Run("effect_missing", "max_rounds", tuple(rounds), after.model, "added by hand")
+    run = Run(
+        "effect_missing",
+        "max_rounds",
+        tuple(rounds),
+        after.model,
+        "The effects were added by hand.",
+    )
     return before, after, run
 
 

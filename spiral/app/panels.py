@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-import numpy as np
-
 from spiral.app.study import LEARNED, Study, Turn
 from spiral.report import text
-from spiral.report.style import scaled, symbols, words
+from spiral.report.style import symbols, words
 from spiral.terminal import number, percent, probability
 
 _BOTH = "the larger of the classical p-value and the robust one"
@@ -86,7 +84,7 @@ def chips(study: Study) -> str:
 def channels(turn: Turn, units: Mapping[str, str]) -> str:
     """Errors of each channel in its unit, chi2 and whiteness of the fit."""
     rows = [
-        (name, _sized(v["rmse"], units.get(name, "")), _shown(v["relative"]))
+        (name, text.sized(v["rmse"], units.get(name, "")), _shown(v["relative"]))
         for name, v in (turn.result.get("channels") or {}).items()
     ]
     table = text.table(("channel", "rms error", "of its deviation"), rows,
@@ -111,14 +109,6 @@ def astray(turn: Turn) -> str:
         f"the record</b> when it runs freely: its error is not finite. {said}; nothing is lost."
         "</div>"
     )
-
-
-def _sized(value: float | None, unit: str) -> str:
-    """``20.04 µm`` for 2.004e-5 m."""
-    if value is None:
-        return "not finite"
-    factor, name = scaled(unit, np.array([value]))
-    return f"{number(factor * value)} {name}".strip()
 
 
 def units(found: Sequence[Mapping[str, Any]]) -> dict[str, str]:

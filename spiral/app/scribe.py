@@ -21,6 +21,8 @@ from spiral.run import Run
 from spiral.storage import save_result
 from spiral.turn import Checkpoint, concluded
 
+_BY_HAND = "The effects were added by hand."
+
 
 @dataclass
 class Scribe:
@@ -104,7 +106,7 @@ class Scribe:
 
 def _run(at: Checkpoint, problem: Problem) -> Run:
     """The history up to this turn; its advice names what was added by hand."""
-    run = concluded(at, "max_rounds", problem.settings.whiteness_level, "added by hand")
+    run = concluded(at, "max_rounds", problem.settings.whiteness_level, _BY_HAND)
     first = at.rounds[0]
     if len(at.rounds) > 1:
         return run

@@ -118,7 +118,7 @@ def page(saved: Mapping[str, Any], curves: Curves | None) -> tuple[str, list[str
         _chapter("What is missing", text.suggested(saved), [parts[n] for n in second]),
         _chapter("The model", text.model(saved, curves),
                  [parts[n] for n in ("coefficients",) if n in parts]),
-        _chapter("How well it does", text.errors(saved), [parts[n] for n in third]),
+        _chapter("How well it does", text.errors(saved, curves), [parts[n] for n in third]),
         _chapter("Caveats", text.caveats(saved, curves), []),
         _chapter("How to reproduce it", text.reproduce(saved), []),
     ]  # fmt: skip

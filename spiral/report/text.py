@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from spiral.curves import SEED, Curves
 from spiral.report.evidence import rounds
-from spiral.report.style import pretty, words
+from spiral.report.style import pretty, scaled, words
 from spiral.run import estimate_rows
 from spiral.terminal import number, percent, plus_minus, probability, shell_word
 
@@ -202,12 +204,24 @@ def _equation(found: Sequence[Mapping[str, Any]]) -> str:
     return f'<div class="wide"><table class="equation">{"".join(rows)}</table></div>'
 
 
-def errors(saved: Saved) -> str:
-    """Errors of each channel on the test record."""
+def sized(value: float | None, unit: str) -> str:
+    """``20.04 µm`` for 2.004e-5 m."""
+    if value is None:
+        return "not finite"
+    factor, name = scaled(unit, np.array([value]))
+    return f"{number(factor * value)} {name}".strip()
+
+
+def errors(saved: Saved, curves: Curves | None) -> str:
+    """Errors of each channel on the test record, in its unit where the curves know it."""
     result = saved["result"]
     last = result.get("test") or result.get("channels")
     last = last or (result.get("comparison") or result.get("after") or {}).get("channels") or {}
-    rows = [(name, number(v["rmse"]), percent(v["relative"])) for name, v in last.items()]
+    units = {} if curves is None else {c["name"]: c["unit"] for c in curves.meta["channels"]}
+    rows = [
+        (name, sized(v["rmse"], units.get(name, "")), percent(v["relative"]))
+        for name, v in last.items()
+    ]
     columns = ("channel", "rms error", "of its deviation")
     return table(columns, rows, columns[1:]) if rows else ""
 
@@ -258,7 +272,8 @@ def _of_the_data(saved: Saved) -> list[str]:
     found = []
     for records in saved["data"].values():
         for r in records:
-            found += [f"{r['name']}: {note}" for note in r.get("notes", ())]
+            file = r["name"].split(" (last ")[0]  # the part kept apart was read as the rest was
+            found += [n if n.startswith(f"{file}:") else f"{file}: {n}" for n in r.get("notes", ())]
             if r["samples"] < _SHORT:
                 found.append(f"{r['name']} is short ({r['samples']} samples): its tests rest on "
                              f"few blocks.")  # fmt: skip
@@ -269,17 +284,17 @@ def _of_the_data(saved: Saved) -> list[str]:
 
 def reproduce(saved: Saved) -> str:
     """The command, the versions, the hashes of the data."""
-    given = " ".join(shell_word(str(w)) for w in saved.get("overrides", ()))
+    given = "".join(f" \\\n    {shell_word(str(w))}" for w in saved.get("overrides", ()))
     # The effects of ``add`` come before its overrides.
     names = [e for r in rounds(saved["result"]) for e in r.get("admitted", ())]
-    named = " ".join(names) + " " if saved["verb"] == "add" else ""
+    named = " " + " ".join(names) if saved["verb"] == "add" else ""
     hashes = [
         (part, r["name"], r["sha256"]) for part, group in saved["data"].items() for r in group
     ]
     used = {saved["model"]["system"]["name"], *(e["name"] for e in saved["model"]["effects"])}
     plugins = [(k, v) for k, v in saved["plugins"].items() if k.split("/")[-1] in used]
     return (
-        f"<pre>spiral {escape(saved['verb'])} {escape(named)}{escape(given)}</pre>"
+        f"<pre>spiral {escape(saved['verb'])}{escape(named)}{escape(given)}</pre>"
         + table(("part", "record", "SHA-256 of its numbers"), hashes)
         + table(("plugin", "from"), plugins)
         + f"<p>Run <code>{escape(saved['run_id'])}</code>; the composed configuration is in its "
