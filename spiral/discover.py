@@ -14,6 +14,7 @@ from spiral.holding import carried, having, holding
 from spiral.problem import Problem, Progress, silent
 from spiral.resolved import widened
 from spiral.run import Comparison, Round, Run, Stopped
+from spiral.shooting.growth import Stage
 from spiral.strategy import Strategy
 from spiral.threads import one_blas_thread
 from spiral.turn import Checkpoint, concluded, looked, refused, started, strategy_for, turned
@@ -98,7 +99,7 @@ def add(
     before = judged(assembly, before_standing, stage, progress)
     rounds = [Round(0, (), {}, {}, (), before, time.perf_counter() - clock)]
     clock = time.perf_counter()
-    assembly, standing = _with_all(assembly, before_standing, effects, progress)
+    assembly, standing = _with_all(assembly, before_standing, stage, effects, progress)
     progress("fitting after")
     stage = last_stage(assembly, standing, masks)
     standing = replace(standing, values=stage.fitted.point.values)
@@ -117,7 +118,11 @@ def add(
 
 
 def _with_all(
-    assembly: Assembly, standing: Standing, effects: tuple[Effect, ...], progress: Progress
+    assembly: Assembly,
+    standing: Standing,
+    stage: Stage,
+    effects: tuple[Effect, ...],
+    progress: Progress,
 ) -> tuple[Assembly, Standing]:
     """Admit effects without gates; those with states of their own bring a study that holds them.
 
@@ -126,8 +131,8 @@ def _with_all(
     late = tuple(e for e in effects if e.states)
     if not late:
         return assembly, with_effects(assembly, standing, effects, progress)
-    progress("resolving the missing force into resonances and lags")
-    wide, _ = widened(assembly, standing, late)
+    progress("resolving what is left into resonances and lags")
+    wide, _ = widened(assembly, standing, stage, late)
     found = with_effects(wide, carried(standing, assembly, wide), effects, progress)
     final = having(assembly, found.labels)
     chosen = (v for v in final.variants if v.label in found.labels and v.original in late)

@@ -184,7 +184,7 @@ def score_stage(assembly: Assembly, standing: Standing, stage: Stage) -> Evidenc
     scored: dict[str, list[Ranked]] = {}
     first = 0
     for variant, group in groups:
-        sides, owners = _sides(assembly, variant, group)
+        sides, owners = one_sided(assembly, variant, group)
         indices = tuple(range(first, first + len(sides)))
         first += len(sides)
         found = score(table, indices, sides)
@@ -199,7 +199,7 @@ def score_stage(assembly: Assembly, standing: Standing, stage: Stage) -> Evidenc
     return Evidence(stage, tuple(sorted(best, key=lambda r: r.rank)), table, block)
 
 
-def _sides(
+def one_sided(
     assembly: Assembly, variant: Variant, group: tuple[str, ...]
 ) -> tuple[tuple[bool, ...], tuple[str, ...]]:
     """Of every column of a group: whether it is one-sided, and its key (one for each record)."""

@@ -309,23 +309,3 @@ def drive(rate, states, own, p, inputs, substeps, dt):
         for i in range(count):
             states[k + 1, own[i]] = now[i]
     return True
-
-
-@nb.njit(
-    types.void(MODEL_FUNCTION, _F2, _I1, _F1, _F2, types.int64, _I1, _I1, _F3),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def slopes_along(rate, states, samples, p, inputs, stride, rows, columns, out):
-    """out (samples, rows, columns): f_p at some samples of a motion; ``stride`` input rows each."""
-    n = states.shape[1]
-    f, a, b = np.empty(n), np.zeros((n, n)), np.zeros((n, p.shape[0]))
-    x = np.empty(n)
-    for k in range(samples.shape[0]):
-        for i in range(n):
-            x[i] = states[samples[k], i]
-        rate(x, inputs[samples[k] * stride], p, f, a, b)
-        for i in range(rows.shape[0]):
-            for j in range(columns.shape[0]):
-                out[k, i, j] = b[rows[i], columns[j]]

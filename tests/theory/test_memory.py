@@ -7,21 +7,28 @@ import pytest
 from spiral_plugins.effects.dissipative import LinearDamping
 from spiral_plugins.effects.restoring import LinearStiffness
 from spiral_plugins.sources.simulation import Simulation
+from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 
+from experiments.hidden_effects.cases import record_of
+from experiments.hidden_effects.strengths import SCENES
 from spiral.assembly import assemble
 from spiral.compare import last_stage, prepared
 from spiral.discover import add, discover
+from spiral.effect import FlowEffect
 from spiral.evidence import begin, half_masks
 from spiral.holding import carried, reassembled, variant_of
 from spiral.model import Model, seed_model
 from spiral.parameter import Input, Parameter, State
 from spiral.port import Port
+from spiral.problem import Problem, Settings
 from spiral.resolved import peaks, scanned, widened
 from spiral.shooting.growth import first_starts, layouts_for
 from spiral.simulate import integrate
 from spiral.suggest import propose
 from spiral.system import MechanicalSystem
+from spiral.trace import trace
+from spiral.units import check_units
 from tests.scenes import admitted, effect, planar_problem, planar_record
 
 BASE = {"system.mass": 1.0, "linear_stiffness.stiffness": 4e4, "linear_damping.damping": 20.0}
@@ -136,11 +143,11 @@ def test_peaks_are_the_local_maxima_the_largest_first():
 
 
 @pytest.mark.parametrize("name", HIDDEN)
-def test_the_missing_force_has_its_peak_where_the_hidden_frequency_is(name):
+def test_the_residual_has_its_peak_where_the_hidden_frequency_is(name):
     assembly, standing = prepared(_problem(name))
     stage = last_stage(assembly, standing, half_masks(assembly)[0])
     standing = replace(standing, values=stage.fitted.point.values)
-    scan = scanned(assembly, standing, (effect(name),))[0]
+    scan = scanned(assembly, standing, stage, (effect(name),))[0]
     true = MODE["natural_frequency"] if name == "hidden_mode" else 1 / (2 * np.pi * 0.008)
     found = scan.frequency[np.argmax(scan.share)]
     assert abs(np.log(found / true)) < (0.1 if name == "hidden_mode" else 0.7)
@@ -198,9 +205,56 @@ def _looked(problem):
     masks = half_masks(assembly)
     stage = last_stage(assembly, standing, masks[0])
     standing = replace(standing, values=stage.fitted.point.values)
-    wide, _ = widened(assembly, standing, assembly.later)
+    wide, _ = widened(assembly, standing, stage, assembly.later)
     found = propose(wide, carried(standing, assembly, wide), masks, 1)
     return () if found.admitted is None else found.admitted.variant.label
+
+
+class InflowLag(FlowEffect):
+    """A pump whose flow follows its voltage late: x1' = ... - k (u - z), T z' = u - z."""
+
+    channels = ("upper",)
+    inputs = ("pump",)
+    states = (State("lagged", "V"),)
+    parameters = (
+        Parameter("gain", "1/s", lower=0.0),
+        Parameter("time_constant", "s", lower=0.0, role="shape", start=10.0, spectrum=True),
+    )
+
+    def flow(self, x, u, p):
+        return {"upper": -p.gain * (u.pump - x.own.lagged)}
+
+    def rate(self, at, u, p):
+        return {"lagged": (u.pump - at.own.lagged) / p.time_constant}
+
+
+def test_a_flow_has_states_of_its_own_too():
+    check_units(CascadedTanks(), InflowLag())
+    traced = trace(CascadedTanks(), (InflowLag(),))
+    at = {**dict(zip(traced.keys, traced.p, strict=True)), "pump": traced.u[0], "z": traced.x[2]}
+    late = at["pump"] - at["z"]
+    assert traced.states[2] == "inflow_lag.lagged"
+    assert traced.rate[0] == -at["inflow_lag.gain"] * late
+    assert traced.rate[2] == late / at["inflow_lag.time_constant"]
+
+
+@pytest.mark.slow
+def test_a_late_pump_is_found():
+    """A pump that is late by 40 s, all of it: k is the pump's own gain."""
+    scene, system = SCENES["cascaded_tanks"], CascadedTanks()
+    true = {**scene.truth, "inflow_lag.gain": 0.04, "inflow_lag.time_constant": 40.0}
+    hidden = Model(system, (*system.seed, InflowLag()), true)
+    record, test = (record_of(scene, hidden, s, 0.0, 0.02, s) for s in (1, 2))
+    others = (effect("linear_loss"), effect("overflow"), effect("delay"))
+    found = Problem(
+        seed_model(system), (record,), (test,), candidates=(*others, InflowLag()),
+        settings=Settings(max_rounds=1),
+    )  # fmt: skip
+    run = discover(found)
+    assert admitted(run) == ["inflow_lag"]
+    last = run.rounds[-1].comparison
+    assert last.test_error < 1.2 * last.noise_floor
+    _covered(run.model, "inflow_lag", {"gain": 0.04, "time_constant": 40.0})
 
 
 def test_add_lays_the_shapes_by_itself():
