@@ -117,7 +117,7 @@ CASES = (
         "hidden_mode",
         {"mass_x": 0.05, "mass_y": 0.05, "natural_frequency": 24.0, "damping_ratio": 0.03},
     ),
-    Case("lag", {"stiffness_x": 3000.0, "stiffness_y": 3000.0, "time_constant": 0.01}),
+    Case("lag", {"stiffness_x": 4000.0, "stiffness_y": 4000.0, "time_constant": 0.01}),
     Case("gravity_torque", {"torque": 0.5}, SWING),
 )
 
