@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,8 +62,6 @@ def drawn(problem: Problem, rounds: list[Scored], target: Path) -> None:
     from plotly import graph_objects as go
     from plotly.subplots import make_subplots
 
-    from spiral.report.pictures import picture
-
     record, name = problem.test[0], problem.model.system.observed[0]
     unit = problem.model.system.unit_of(name)
     figure = make_subplots(
@@ -85,8 +84,15 @@ def drawn(problem: Problem, rounds: list[Scored], target: Path) -> None:
     figure.update_yaxes(title_text=f"{name} ({unit})", row=1, col=1)
     figure.update_yaxes(title_text=f"model - measured ({unit})", row=2, col=1)
     figure.update_xaxes(title_text="time (s)", row=2, col=1)
+    photographed(figure, target)
+
+
+def photographed(figure: Any, target: Path) -> None:
+    """A figure of its own width and height as a PNG, with a little air."""
+    from spiral.report.pictures import picture
+
     page = figure.to_html(include_plotlyjs=True, config={"displayModeBar": False})
-    picture(page, target, 1020, 580)
+    picture(page, target, figure.layout.width + 20, figure.layout.height + 20)
 
 
 def main(words: list[str] | None = None) -> list[Scored]:

@@ -8,7 +8,7 @@ origin yet, is compiled with a companion a quarter turn ahead.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
@@ -198,7 +198,7 @@ def active_keys(
     """Parameters that a fit moves when these effects (compiled labels) are active."""
     model = assembly.problem.model
     movable = set(model.active)
-    effects = _effects(assembly, labels)
+    effects = effects_of(assembly, labels)
     turning = any("phase" in e.inputs for e in effects)
     corrections = assembly.study.correction_keys if corrected and turning else ()
     keys = []
@@ -217,7 +217,7 @@ def active_keys(
 
 def nuisance_keys(assembly: Assembly, labels: tuple[str, ...]) -> tuple[str, ...]:
     """Parameters that belong to a record and that these effects depend on."""
-    effects = _effects(assembly, labels)
+    effects = effects_of(assembly, labels)
     traced = assembly.study.compiled.traced
     keys = []
     for key, parameter in zip(traced.keys, traced.parameters, strict=True):
@@ -230,7 +230,8 @@ def nuisance_keys(assembly: Assembly, labels: tuple[str, ...]) -> tuple[str, ...
     return tuple(keys)
 
 
-def _effects(assembly: Assembly, labels: tuple[str, ...]) -> list[Effect]:
+def effects_of(assembly: Assembly, labels: Collection[str]) -> list[Effect]:
+    """The effects behind compiled labels, the model's own first."""
     own = [e for e in assembly.problem.model.effects if e.label in labels]
     return own + [v.effect for v in assembly.variants if v.label in labels]
 

@@ -96,14 +96,18 @@ def standard_errors(assembly: Assembly, standing: Standing, stage: Stage) -> dic
     return errors
 
 
+def fitted_model(assembly: Assembly, standing: Standing, stage: Stage) -> Model:
+    """The model of a standing with a stage's values and their standard errors."""
+    values, errors = stage.fitted.point.values, standard_errors(assembly, standing, stage)
+    return to_model(assembly, standing.labels, values, errors, standing.freed, standing.held)
+
+
 def judged(
     assembly: Assembly, standing: Standing, stage: Stage, progress: Progress = silent
 ) -> Comparison:
     """The comparison of a fitted standing: free runs, chi2 and whiteness on all samples."""
-    values = stage.fitted.point.values
-    errors = standard_errors(assembly, standing, stage)
-    model = to_model(assembly, standing.labels, values, errors, standing.freed, standing.held)
-    fitted = replace(standing, values=values)
+    fitted = replace(standing, values=stage.fitted.point.values)
+    model = fitted_model(assembly, standing, stage)
     return compared(assembly, fitted, model, stage.length, stage.fitted.converged, progress)
 
 

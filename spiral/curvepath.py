@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.assembly import Assembly, at_port
+from spiral.assembly import Assembly, at_port, effects_of
 from spiral.effect import Effect, FlowEffect, ForceEffect, expand
 from spiral.learned import Learned, LearnedFlow
 from spiral.port import At
@@ -97,7 +97,7 @@ class Path:
 
     def _total(self, row: Array, labels: list[str], velocity: float) -> Array:
         total = np.zeros(len(self.at))
-        for effect in _effects(self.assembly, labels):
+        for effect in effects_of(self.assembly, labels):
             alike = isinstance(effect, FlowEffect) == isinstance(self.learned, LearnedFlow)
             if effect.inputs or effect.states or effect.port != self.learned.port or not alike:
                 continue
@@ -133,8 +133,3 @@ class Path:
             v[self.course.number] = still + velocity
         given = effect.force(At(tuple(q), tuple(v), SimpleNamespace()), SimpleNamespace(), p)
         return given[self.course.number]
-
-
-def _effects(assembly: Assembly, labels: list[str]) -> list[Effect]:
-    own: list[Effect] = [e for e in assembly.problem.model.effects if e.label in labels]
-    return own + [v.effect for v in assembly.variants if v.label in labels]

@@ -181,33 +181,30 @@ def score_stage(assembly: Assembly, standing: Standing, stage: Stage) -> Evidenc
     active, _ = columns(assembly, keys)
     reduction = reduce(assembly.study, stage.layouts, stage.fitted.point, moving, block)
     table = tabulate(reduction, active.count)
-    scored: dict[str, list[Ranked]] = {}
-    first = 0
-    for variant, group in groups:
-        sides, owners = one_sided(assembly, variant, group)
-        indices = tuple(range(first, first + len(sides)))
-        first += len(sides)
-        found = score(table, indices, sides)
-        tied = inseparable(reduction.triangle, active.count, indices)
+    ranks: dict[str, list[Ranked]] = {}
+    for variant, owners, found in scored(assembly, table, groups):
+        tied = inseparable(reduction.triangle, active.count, found.columns)
         names = [_owner(assembly, int(moving.index[i])) for i in tied.with_]
         ranked = Ranked(
-            variant, indices, found, bic(table, found), variant.searched,
+            variant, found.columns, found, bic(table, found), variant.searched,
             tuple(dict.fromkeys(names)), tuple(owners[i] for i in tied.held), tied.whole,
         )  # fmt: skip
-        scored.setdefault(variant.original.label, []).append(ranked)
-    best = [_best(table, variants) for variants in scored.values()]
+        ranks.setdefault(variant.original.label, []).append(ranked)
+    best = [_best(table, variants) for variants in ranks.values()]
     return Evidence(stage, tuple(sorted(best, key=lambda r: r.rank)), table, block)
 
 
-def one_sided(
-    assembly: Assembly, variant: Variant, group: tuple[str, ...]
-) -> tuple[tuple[bool, ...], tuple[str, ...]]:
-    """Of every column of a group: whether it is one-sided, and its key (one for each record)."""
-    found, _ = columns(assembly, group)
-    keys = tuple(assembly.study.keys[i] for i in found.index)
-    parameters = assembly.study.compiled.traced.parameters
-    lower = [parameters[i].lower for i in found.index]
-    return tuple(low == 0.0 and variant.companion is None for low in lower), keys
+def scored(
+    assembly: Assembly, table: Table, groups: list[tuple[Variant, tuple[str, ...]]]
+) -> Iterator[tuple[Variant, tuple[str, ...], Score]]:
+    """Each variant with the keys of its columns (one for each record) and their score."""
+    parameters, first = assembly.study.compiled.traced.parameters, 0
+    for variant, group in groups:
+        index = columns(assembly, group)[0].index
+        sides = tuple(parameters[i].lower == 0.0 and variant.companion is None for i in index)
+        found = score(table, tuple(range(first, first + len(sides))), sides)
+        first += len(sides)
+        yield variant, tuple(assembly.study.keys[i] for i in index), found
 
 
 def _owner(assembly: Assembly, index: int) -> str:

@@ -18,11 +18,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from spiral.assembly import Assembly
 from spiral.evidence import Evidence, Ranked, Standing, admit, afar, bic
 from spiral.record import Array
+from spiral.shooting.score import log_tail
 from spiral.shooting.sensitivities import residuals
 from spiral.statistics import paired_errors
 
@@ -60,7 +60,7 @@ def _rescored(
         gain=gain,
         explains=gain / table.rest,
         statistic=statistic,
-        log_p=float(stats.f.logsf(statistic, q, dof)),
+        log_p=log_tail(statistic, q, dof),
         wald=wald,
         wald_log_p=wald_log_p,
         effect_size=float(np.sqrt(gain / max(table.samples, 1))),
@@ -80,4 +80,4 @@ def _wald(
         return 0.0, 0.0
     spread = (paired.share - 0.5) / paired.t
     wald = (paired.share / spread) ** 2 / q
-    return wald, float(stats.f.logsf(wald * (count - q) / (count - 1), q, count - q))
+    return wald, log_tail(wald * (count - q) / (count - 1), q, count - q)

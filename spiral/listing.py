@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from spiral.shell import spoken
 from spiral.terminal import (
     _about,
     _heading,
@@ -104,11 +104,11 @@ def _new(console: Console, outcome: Outcome) -> None:
         console.print(Text(f"written: {file}"), soft_wrap=True)
     if parts["similar"]:
         console.print(Text(f"similar plugins: {', '.join(parts['similar'])}", style="dim"))
-    where = f" --plugins {shlex.quote(parts['plugins'])}" if parts["plugins"] else ""
+    where = ["--plugins", parts["plugins"]] if parts["plugins"] else []
     _next(
         console,
-        (f"spiral check {parts['name']}{where}", "after each change of the first file"),
-        (f"pytest {shlex.quote(str(parts['files'][1]))}", "its own test"),
+        (spoken("spiral", "check", parts["name"], *where), "after each change of the first file"),
+        (spoken("pytest", str(parts["files"][1])), "its own test"),
     )
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from spiral.shell import spoken
 from spiral.terminal import _heading, _next, _table, number, percent
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def show(verb: str, outcome: Outcome) -> None:
     console.print()
     console.print(Text(found.advice), soft_wrap=True)
     if found.suffices:
-        words = [shlex.quote(w) for w in outcome.result["tests"][0]["overrides"]]
+        words = outcome.result["tests"][0]["overrides"]
         _next(console, (_simulated(outcome.parts["request"], words), "try it before it is run"))
 
 
@@ -70,4 +70,4 @@ def _simulated(request: Request, words: list[str]) -> str:
     own = [w for w in request.overrides if not w.startswith(("plan.", "record.", "record="))]
     if not any(w.startswith("run=") for w in own):
         own = [w for w in request.overrides if not w.startswith("plan.")]
-    return " ".join(["spiral simulate", *map(shlex.quote, own), *words, "--out planned.csv"])
+    return spoken("spiral", "simulate", *own, *words, "--out", "planned.csv")

@@ -29,7 +29,7 @@ from spiral.evidence import (
     Masks,
     Standing,
     grown,
-    one_sided,
+    scored,
     stage_lengths,
     tested_keys,
 )
@@ -39,7 +39,7 @@ from spiral.parameter import Parameter
 from spiral.problem import Progress
 from spiral.record import Array
 from spiral.shooting.growth import Stage, first_starts
-from spiral.shooting.score import score, tabulate
+from spiral.shooting.score import tabulate
 from spiral.shooting.sensitivities import reduce, residuals
 from spiral.shooting.series import Series
 from spiral.shooting.study import Point
@@ -234,19 +234,14 @@ class _Scan:
             for name, value in trial.items():
                 values[:, study.index(f"{copy.label}.{name}")] = value
         keys = self.standing.keys(self.wide)
-        groups = [tested_keys(self.wide, copy) for copy in self.copies]
-        moving, _ = columns(self.wide, (*keys, *(k for group in groups for k in group)))
+        groups = [(copy, tested_keys(self.wide, copy)) for copy in self.copies]
+        moving, _ = columns(self.wide, (*keys, *(k for _, group in groups for k in group)))
         point = Point(values, self._starts(values))
         reduction = reduce(study, self.stage.layouts, point, moving)
         if not reduction.finite:
             return [0.0] * len(trials)
         table = tabulate(reduction, columns(self.wide, keys)[0].count)
-        found, first = [], 0
-        for copy, group in zip(self.copies, groups, strict=True):
-            sides, _ = one_sided(self.wide, copy, group)
-            found.append(score(table, tuple(range(first, first + len(sides))), sides).explains)
-            first += len(sides)
-        return found
+        return [found.explains for _, _, found in scored(self.wide, table, groups)]
 
     def _starts(self, values: Array) -> tuple[Array, ...]:
         """The fit's own states where its windows begin, those of the copies driven to there."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from spiral.assembly import Assembly, to_model
-from spiral.compare import standard_errors
+from spiral.assembly import Assembly
+from spiral.compare import fitted_model
 from spiral.evidence import Admitted, Masks, Standing, admit, refit, tested_keys
 from spiral.judge import held_out
 from spiral.model import Model
@@ -61,19 +61,12 @@ def simplest(assembly: Assembly, standing: Standing, proposal: Proposal, mask: M
     others = (admit(assembly, standing, evidence.stage, ranked[x]) for x in proposal.aliases)
     gone = []
     for one in (group := [first, *others]):
-        model = _model(assembly, one)
+        model = fitted_model(assembly, one.standing, one.stage)
         gone.append(len(superfluous(assembly, one, model, mask, evidence.block)))
     best = [a for a, count in zip(group, gone, strict=True) if count == max(gone)]
     aliases = tuple(a.variant.original.label for a in best[1:])
     shown = listed(evidence, best[0], aliases)
     return replace(proposal, admitted=best[0], aliases=aliases, suggestions=shown)
-
-
-def _model(assembly: Assembly, found: Admitted) -> Model:
-    standing, stage = found.standing, found.stage
-    errors = standard_errors(assembly, standing, stage)
-    values = stage.fitted.point.values
-    return to_model(assembly, standing.labels, values, errors, standing.freed, standing.held)
 
 
 def let_go(assembly: Assembly, standing: Standing, labels: tuple[str, ...]) -> Standing:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from spiral.findings import not_separable, unknown
+from spiral.shell import spoken
 
 if TYPE_CHECKING:
     from spiral.run import Comparison, Diagnosis, Round, Run, Suggestion
@@ -275,17 +275,8 @@ def _next(console: Console, *commands: tuple[str, str]) -> None:
 
 def command(verb: str, request: Request, names: Sequence[str] = ()) -> str:
     """A command line with the overrides of a request, quoted for a shell."""
-    words = [*names, *request.overrides]
-    if request.plugins:
-        words += ["--plugins", request.plugins]
-    return " ".join(["spiral", verb, *map(shell_word, words)])
-
-
-def shell_word(text: str) -> str:
-    """One word of a shell: within double quotes where it holds single ones, if these do no harm."""
-    if "'" in text and not set(text) & set('"$`\\!'):
-        return f'"{text}"'
-    return shlex.quote(text)
+    plugins = ["--plugins", request.plugins] if request.plugins else []
+    return spoken("spiral", verb, *names, *request.overrides, *plugins)
 
 
 def _errors(comparisons: dict[str, Comparison]) -> Table:
@@ -393,5 +384,5 @@ def _simulate(console: Console, outcome: Outcome) -> None:
     for written in outcome.parts["written"]:
         units = ", ".join(f"{k} in {u or '1'}" for k, u in written.units.items())
         console.print(Text(f"{written.file}: {written.rows} rows; {units}"), soft_wrap=True)
-    back = " ".join(["spiral discover", *map(shell_word, outcome.result["read_back"])])
+    back = spoken("spiral", "discover", *outcome.result["read_back"])
     _next(console, (back, "read it back and find what its model is made of"))

@@ -12,15 +12,14 @@ from typing import Any
 
 from joblib import Parallel, delayed
 
-from experiments.hidden_effects.cases import CASES, Case, problem
+from experiments.hidden_effects.cases import CASES, Case, installed, problem
 from spiral.discover import discover
-from spiral.registry import load_registry
 
 
 def outcome(case: Case, seed: int, noise: float) -> dict[str, Any]:
     """One study: what was suggested first, and how the test error moved."""
     clock = time.perf_counter()
-    run = discover(problem(case, load_registry(None), seed, noise))
+    run = discover(problem(case, installed(), seed, noise))
     last = run.rounds[-1]
     first = run.rounds[0].suggestions[0].effect if run.rounds[0].suggestions else None
     group = [*last.admitted, *last.aliases.get(first or "", ())]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.measured import problem_of
+from experiments.measured import photographed, problem_of
 from spiral.compare import compare
 from spiral.model import Model
 from spiral.problem import Problem
@@ -60,8 +60,6 @@ def drawn(found: list[Stretch], fitted: int, model: Model, target: Path) -> None
     """Damping of the stretches over their rate, and c_eq of the friction fitted to the first."""
     from plotly import graph_objects as go
 
-    from spiral.report.pictures import picture
-
     line = np.linspace(2.0, 11.5, 200)
     figure = go.Figure()
     figure.add_trace(
@@ -81,8 +79,7 @@ def drawn(found: list[Stretch], fitted: int, model: Model, target: Path) -> None
         xaxis_title="amplitude of the rate (rad/s)", yaxis_title="damping, as if viscous (1/s)",
         yaxis_rangemode="tozero", xaxis_range=[1.8, 11.7], legend={"x": 0.3, "y": 0.98},
     )  # fmt: skip
-    page = figure.to_html(include_plotlyjs=True, config={"displayModeBar": False})
-    picture(page, target, 820, 420)
+    photographed(figure, target)
 
 
 def main(words: list[str] | None = None) -> None:

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from experiments.measured import problem_of
+from experiments.measured import photographed, problem_of
 from spiral.compare import compare, predict
 from spiral.model import seed_model
 from spiral.problem import Problem
@@ -146,8 +146,6 @@ def drawn(record: Record, readings: Sequence[Reading], target: Path) -> None:
     from plotly import graph_objects as go
     from plotly.subplots import make_subplots
 
-    from spiral.report.pictures import picture
-
     rpm, figure = record.inputs["speed"] * RPM, make_subplots(
         rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.62, 0.38]
     )  # fmt: skip
@@ -170,8 +168,7 @@ def drawn(record: Record, readings: Sequence[Reading], target: Path) -> None:
     figure.update_yaxes(title_text="amplitude (µm)", row=1, col=1)
     figure.update_yaxes(title_text="phase (degrees)", dtick=90, range=[-360, 0], row=2, col=1)
     figure.update_xaxes(title_text="speed (rpm)", row=2, col=1)
-    page = figure.to_html(include_plotlyjs=True, config={"displayModeBar": False})
-    picture(page, target, 920, 580)
+    photographed(figure, target)
 
 
 def main(given_words: list[str] | None = None) -> None:

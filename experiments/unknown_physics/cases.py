@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from spiral_plugins.sources.simulation import Simulation
 
+from experiments.hidden_effects.cases import ROTOR
 from spiral.effect import Effect, FlowEffect, ForceEffect
 from spiral.forcecurve import beside
 from spiral.math import length, sin, sqrt, tanh
@@ -135,14 +136,7 @@ def _shaken(hidden: Effect | None = None, **fields: Any) -> Case:
 def _run_down(hidden: Effect | None = None, **fields: Any) -> Case:
     return Case(
         "planar_rotor",
-        {
-            "linear_stiffness.stiffness_x": 8085.0,
-            "linear_stiffness.stiffness_y": 9672.0,
-            "linear_damping.damping_x": 3.5,
-            "linear_damping.damping_y": 2.1,
-            "unbalance.moment": 1.565e-5,
-            "system.phase_origin": 0.4,
-        },
+        {**ROTOR.truth, "system.phase_origin": 0.4},
         {"inputs": {"speed": {"sweep": [30, 3], "unit": "Hz"}}, "duration": 8.0, "rate": 500.0},
         hidden, **fields,
     )  # fmt: skip

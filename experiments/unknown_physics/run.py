@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
+from experiments.hidden_effects.cases import installed
 from experiments.unknown_physics.cases import CASES, coverage, problem
 from spiral.discover import discover
-from spiral.registry import load_registry
 
 Row = dict[str, Any]
 NEAR = 1.5  # noise floors
@@ -29,7 +29,7 @@ NEAR = 1.5  # noise floors
 def study(name: str, seed: int) -> Row:
     """One study with ``settings.learned=true``; ``seconds`` are of one processor."""
     case, clock = CASES[name], time.process_time()
-    run = discover(problem(name, load_registry(None), seed, learned=True))
+    run = discover(problem(name, installed(), seed, learned=True))
     row: Row = {
         "case": name,
         "seed": seed,

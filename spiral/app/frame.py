@@ -17,7 +17,7 @@ from spiral.app.look import STYLE
 from spiral.app.study import Study
 from spiral.errors import SpiralError
 from spiral.report.style import BLUE
-from spiral.terminal import shell_word
+from spiral.shell import option_lines
 
 _CONFIG = {
     "displaylogo": False, "responsive": True, "displayModeBar": False,
@@ -99,7 +99,7 @@ def nothing_here(error: SpiralError) -> None:
 
 def command(study: Study) -> str:
     """What does the same from a terminal."""
-    given = "".join(f" \\\n    {shell_word(o)}" for o in study.overrides)
+    given = option_lines(study.overrides)
     added = [t.added for t in study.line if t.added]
     if not added:
         return f"spiral diagnose{given}"

@@ -12,7 +12,8 @@ from spiral.curves import SEED, Curves
 from spiral.report.evidence import rounds
 from spiral.report.style import pretty, scaled, words
 from spiral.run import estimate_rows
-from spiral.terminal import number, percent, plus_minus, probability, shell_word
+from spiral.shell import option_lines
+from spiral.terminal import number, percent, plus_minus, probability
 
 Saved = Mapping[str, Any]
 
@@ -284,7 +285,7 @@ def _of_the_data(saved: Saved) -> list[str]:
 
 def reproduce(saved: Saved) -> str:
     """The command, the versions, the hashes of the data."""
-    given = "".join(f" \\\n    {shell_word(str(w))}" for w in saved.get("overrides", ()))
+    given = option_lines(saved.get("overrides", ()))
     # The effects of ``add`` come before its overrides.
     names = [e for r in rounds(saved["result"]) for e in r.get("admitted", ())]
     named = " " + " ".join(names) if saved["verb"] == "add" else ""

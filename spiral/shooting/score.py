@@ -111,7 +111,7 @@ def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -
     q, dof = max(group.rank, 1), max(table.dof - group.rank, 1)
     rest = max(table.rest - group.gain, 1e-300)
     statistic = (group.gain / q) / (rest / dof)
-    log_p = _log_p(statistic, q, dof)
+    log_p = log_tail(statistic, q, dof)
     wald, wald_log_p = _wald(table, kept, group)
     if 0 < len(table.blocks) < MINIMUM_BLOCKS // 2:
         wald, wald_log_p = statistic, log_p  # too short for a robust test; the gates remain
@@ -122,7 +122,7 @@ def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -
     )  # fmt: skip
 
 
-def _log_p(statistic: float, q: int, dof: int) -> float:
+def log_tail(statistic: float, q: int, dof: int) -> float:
     """Logarithm of the F distribution's upper tail (``scipy.stats.f.logsf``, unchecked)."""
     with np.errstate(divide="ignore"):
         return float(np.log(special.fdtrc(q, dof, max(statistic, 0.0))))
@@ -178,7 +178,7 @@ def _wald(table: Table, kept: list[int], group: Projected) -> tuple[float, float
     except np.linalg.LinAlgError:
         return 0.0, 0.0
     ratio = wald * (count - q) / (count - 1)
-    return wald, _log_p(ratio, q, count - q)
+    return wald, log_tail(ratio, q, count - q)
 
 
 def block_scores(table: Table, kept: list[int], group: Projected) -> Array:
