@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from scipy import stats
+
 from spiral.assembly import Assembly
 from spiral.compare import fitted_model
 from spiral.evidence import Admitted, Masks, Standing, admit, refit, tested_keys
@@ -18,31 +20,31 @@ from spiral.shooting.growth import Stage
 from spiral.statistics import paired_errors
 from spiral.suggest import Proposal, listed
 
-_WEAK = 2.0  # |t| under which every amplitude of an effect must lie before it is questioned
-
 
 def superfluous(
     assembly: Assembly, latest: Admitted, model: Model, mask: Masks, block: int
 ) -> tuple[str, ...]:
     """Compiled labels of admitted effects whose absence does not cost held-out accuracy.
 
-    Questioned are effects (not the seed's, not the latest) whose amplitudes all have |t| < 2 in the
-    refitted model; each is let go where the model without it, refitted on the windows of the
-    latest admission, is not significantly worse on the half that did not select.
+    Questioned are effects (not the seed's, not the latest) none of whose amplitudes is significant
+    at the study's level (1 %, shared by them) in the refitted model; each is let go where the model
+    without it, refitted on the windows of the latest admission, is not significantly worse on the
+    half that did not select.
     """
     gone: list[str] = []
+    level = assembly.problem.settings.level
     current = latest.standing
     kept = held_out(assembly, current.labels, latest.stage, mask)[1]
     for label in latest.standing.labels:
         if label in assembly.problem.model.labels or label == latest.variant.label:
             continue
-        if not _weak(model, assembly.variant(label).original.label):
+        if not _weak(model, assembly.variant(label).original.label, level):
             continue
         smaller = _without(assembly, current, label)
         trial = refit(assembly, smaller, latest.stage)
         stage = Stage(latest.stage.length, latest.stage.layouts, trial)
         left = held_out(assembly, smaller.labels, stage, mask)[1]
-        if paired_errors(left, kept, block).p_fall >= assembly.problem.settings.level:
+        if paired_errors(left, kept, block).p_fall >= level:
             gone.append(label)
             current = replace(smaller, values=trial.point.values)
     return tuple(gone)
@@ -89,8 +91,9 @@ def _without(assembly: Assembly, standing: Standing, label: str) -> Standing:
     )
 
 
-def _weak(model: Model, label: str) -> bool:
+def _weak(model: Model, label: str, level: float) -> bool:
     names = {p.name for e in model.effects if e.label == label for p in e.amplitudes()}
     rows = model.estimates()[label]
     tested = [e for n, e in rows.items() if any(n == k or n.startswith(f"{k}_") for k in names)]
-    return bool(tested) and all(e.t is not None and abs(e.t) < _WEAK for e in tested)
+    largest = stats.norm.isf(level / (2 * max(len(tested), 1)))
+    return bool(tested) and all(e.t is not None and abs(e.t) < largest for e in tested)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from spiral.errors import InputError
-from spiral.record import JITTER
+from spiral.record import JITTER, MINIMUM_SAMPLES
 from spiral.system import System
 
 Array = np.ndarray
@@ -196,6 +196,14 @@ def _check_rate(series: Series, steps: Array, own: float, rate: float) -> None:
             f"record.resample={rate:g} of {series.name}",
             f"at most its own rate, {own:.6g} samples per s",
             "more samples than were measured hold nothing new, and their noise is not white",
+        )
+    lowest = (MINIMUM_SAMPLES + 2 * _TAPS) / float(series.time[-1] - series.time[0])
+    if rate < min(lowest, own * (1 - 1e-3)):
+        raise InputError(
+            f"record.resample={rate:g} of {series.name}",
+            f"at least {lowest:.6g} samples per s: {MINIMUM_SAMPLES} samples, and the "
+            f"{2 * _TAPS} at the ends that the anti-alias filter cannot fill",
+            "a higher rate, or a longer record",
         )
     usual = float(np.median(steps))
     at = int(np.argmax(steps))

@@ -384,6 +384,9 @@ def test_rates_that_cannot_be():
     record = rotor()
     table = columns(record, "speed")
     assert "1000 samples per s" in refusal(table, resample=2000).expected
+    for slow in (13.9, 1 / 64):  # 6 s of record would leave 63 samples, or none
+        assert "at least 14 samples per s" in refusal(table, resample=slow).expected
+    assert len(load(table, resample=14.2).time) >= 64
     kept = np.r_[0:1000, 1005:6001]
     gap = refusal({k: v[kept] for k, v in table.items()}, resample=500)
     assert "record.fill_gaps=5" in gap.try_
