@@ -31,7 +31,7 @@ def measured(samples: int) -> dict[str, float]:
     from spiral_plugins.systems.planar_rotor import PlanarRotor
 
     from spiral.compare import judged, prepared
-    from spiral.evidence import grown, half_masks, score_stage
+    from spiral.evidence.trajectories import grown, half_masks, score_stage
     from spiral.model import seed_model
     from spiral.problem import Problem
     from spiral.registry import load_registry

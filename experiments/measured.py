@@ -19,7 +19,7 @@ import numpy as np
 from spiral.compare import predict
 from spiral.config import build_problem, compose
 from spiral.discover import discover
-from spiral.judge import FreeRun
+from spiral.evidence.judge import FreeRun
 from spiral.problem import Problem
 from spiral.registry import load_registry
 from spiral.run import Run

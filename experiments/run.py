@@ -29,7 +29,7 @@ def main(_: DictConfig) -> float:
 
     from spiral.tracking.store import tracking_of
     from spiral.tracking.track import track
-    from spiral.verbs import Request, perform
+    from spiral.verbs.study import Request, perform
 
     given = tuple(HydraConfig.get().overrides.task)
     outcome = perform(Request("discover", overrides=given), print)

@@ -17,7 +17,7 @@ from typing import Any
 
 from experiments.evidence import TRUTH, row
 from spiral.storage import FILE, LATEST, load_run
-from spiral.verbs import Request, perform
+from spiral.verbs.study import Request, perform
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from spiral import __version__
 from spiral.errors import ConfigError, SpiralError, did_you_mean
-from spiral.verbs import BAD_INPUT, Outcome, Request, in_worker, perform
+from spiral.verbs.study import BAD_INPUT, Outcome, Request, in_worker, perform
 
 if TYPE_CHECKING:
     from spiral.tracking.track import Tracked
@@ -162,7 +162,7 @@ def _parsed(given: list[str]) -> argparse.Namespace:
 
 def _verb_help(options: argparse.Namespace) -> int:
     """The verb's own help with the options of each group, or what is in the groups named."""
-    from spiral.grouphelp import groups_help
+    from spiral.screen.grouphelp import groups_help
 
     found = groups_help(options.plugins, options.words)
     if not options.words:
@@ -202,20 +202,20 @@ def _app(request: Request, port: str | None, browser: bool) -> int:
 
 
 def _single(request: Request, target: str | None) -> int:
-    from spiral import terminal
+    from spiral.screen import parts
 
-    with terminal.progress() as tell:
+    with parts.progress() as tell:
 
         def on_round(found: Any) -> None:
-            terminal.round_line(found, tell)
+            parts.round_line(found, tell)
 
         outcome = perform(request, tell, on_round)
     _write_json(outcome.result, target)
     if target != "-":
-        from spiral import estimate_screen, listing, plan_screen
+        from spiral.screen import estimate, plan, plugins, study
 
-        screens = {v: s for s in (listing, estimate_screen, plan_screen) for v in s.VERBS}
-        screens.get(request.verb, terminal).show(request.verb, outcome)
+        screens = {v: s for s in (plugins, estimate, plan) for v in s.VERBS}
+        screens.get(request.verb, study).show(request.verb, outcome)
     _say_tracked(_tracked(outcome), target)
     return outcome.exit
 
@@ -224,7 +224,7 @@ def _tracked(outcome: Outcome) -> Tracked | None:
     """Tell MLflow about the run that was saved, where there is one."""
     if "run_id" not in outcome.result:
         return None
-    from spiral import terminal
+    from spiral.screen.parts import progress
     from spiral.tracking.store import tracking_of
     from spiral.tracking.track import track
 
@@ -232,7 +232,7 @@ def _tracked(outcome: Outcome) -> Tracked | None:
     tracking = tracking_of(config)
     if not tracking.enabled:
         return None
-    with terminal.progress() as tell:
+    with progress() as tell:
         tell("telling MLflow")
         return track(tracking, config["out"], (outcome.result["run_id"],))
 
@@ -252,22 +252,22 @@ def _say_tracked(tracked: Tracked | None, target: str | None) -> None:
 
 
 def _multirun(request: Request, target: str | None) -> int:
-    from spiral import multirun
-    from spiral.jobs import planned
     from spiral.registry import load_registry
-    from spiral.sweep import run_sweep
+    from spiral.screen import sweep as screen
+    from spiral.sweeps.jobs import planned
+    from spiral.sweeps.sweep import run_sweep
     from spiral.tracking.store import tracking_of
     from spiral.tracking.sweeps import SweepTracker
 
     registry = load_registry(request.plugins)
     plan = planned(request.verb, request.names, request.overrides, request.plugins, registry)
-    with multirun.progress() as (tell, watch):
+    with screen.progress() as (tell, watch):
         tracker = SweepTracker(tracking_of(plan.config), plan.out, tell)
         sweep = run_sweep(in_worker, plan, tell, watch, tracker.on_row)
         tracked = tracker.finish()
     _write_json(sweep.as_dict(), target)
     if target != "-":
-        multirun.show(sweep)
+        screen.show(sweep)
     elif sweep.error:
         print("\n".join(f"{k + ':':<10}{v}" for k, v in sweep.error.items()), file=sys.stderr)
     _say_tracked(tracked, target)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.assembly import Assembly, assemble, columns, first_row, to_model, with_records
 from spiral.effect import Effect
-from spiral.evidence import Masks, Standing, all_samples, begin, grown
-from spiral.judge import FreeRun, free_run, run_free, whole
+from spiral.evidence.assembly import Assembly, assemble, columns, first_row, to_model, with_records
+from spiral.evidence.judge import FreeRun, free_run, run_free, whole
+from spiral.evidence.trajectories import Masks, Standing, all_samples, begin, grown
 from spiral.model import Model
 from spiral.problem import Problem, Progress, silent
 from spiral.record import Record

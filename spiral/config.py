@@ -16,7 +16,7 @@ from spiral import custom
 from spiral.errors import ConfigError, did_you_mean
 from spiral.fields import by_name, construct, defaults_of, field_names, is_open, plain
 from spiral.overrides import Assignment, parse, set_value
-from spiral.paperconfig import gate_chain, gate_fields, with_published, with_strategy
+from spiral.paper.options import gate_chain, gate_fields, with_published, with_strategy
 from spiral.problem import Problem, Sampling, Settings
 from spiral.registry import Registry
 from spiral.wishes import Wishes

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spiral.assembly import (
+from spiral.compare import refined, test_run
+from spiral.errors import InputError
+from spiral.evidence.assembly import (
     Assembly,
     assemble,
     columns,
@@ -24,20 +26,18 @@ from spiral.assembly import (
     placed,
     to_model,
 )
-from spiral.compare import refined, test_run
-from spiral.errors import InputError
-from spiral.evidence import Standing
+from spiral.evidence.judge import run_free
+from spiral.evidence.trajectories import Standing
 from spiral.filtering.task import linearised
-from spiral.judge import run_free
-from spiral.latent import LatentForce, smoothed_states, with_latent
 from spiral.model import Model
 from spiral.problem import Problem, Progress, silent
 from spiral.record import Array, Record
 from spiral.shooting.growth import Stage, grow, lengths_for
 from spiral.shooting.sensitivities import residuals
-from spiral.surface import shapes
 from spiral.threads import one_blas_thread
-from spiral.where import Seen, seen, where
+from spiral.where.latent import LatentForce, smoothed_states, with_latent
+from spiral.where.regions import Seen, seen, where
+from spiral.where.surface import shapes
 
 if TYPE_CHECKING:
     from spiral.run import Comparison

@@ -84,7 +84,7 @@ def defining(
     ------
     ConfigError : a formula that is not allowed, or whose units do not fit the system.
     """
-    from spiral.expression import class_of
+    from spiral.formulas.expression import class_of
 
     made = []
     for name, given in definitions.items():
@@ -124,7 +124,7 @@ def _turns(item: Assignment, names: Iterable[str]) -> bool:
 
 
 def _blank() -> dict[str, Any]:
-    from spiral.expression import Definition
     from spiral.fields import defaults_of
+    from spiral.formulas.expression import Definition
 
     return defaults_of(Definition)

@@ -6,21 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared, test_run
-from spiral.evidence import Standing, admit, all_samples, half_masks
-from spiral.holding import carried
-from spiral.identifiability import entangled
-from spiral.innovations import INNOVATION
-from spiral.judge import whole
+from spiral.evidence.assembly import Assembly
+from spiral.evidence.judge import whole
+from spiral.evidence.trajectories import Standing, admit, all_samples, half_masks
+from spiral.identifiability.parameters import entangled
 from spiral.problem import Problem, Progress, silent
-from spiral.resolved import remembered
 from spiral.run import Diagnosis, Round, Stopped, Suggestion
+from spiral.strategies.innovation import INNOVATION
+from spiral.strategies.resolved import remembered
+from spiral.strategies.shooting import curve_of
 from spiral.suggest import Proposal, propose
 from spiral.threads import one_blas_thread
-from spiral.trajectories import curve_of
+from spiral.unknown.holding import carried
 from spiral.verdict import advice_for, seed_verdict
-from spiral.where import where
+from spiral.where.regions import where
 
 _TRIED = 3  # suggestions whose test error is worked out
 

@@ -6,18 +6,18 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from spiral.assembly import Assembly
 from spiral.compare import judged, last_stage, prepared
 from spiral.effect import Effect
-from spiral.evidence import Standing, all_samples, with_effects
-from spiral.holding import carried, having, holding
+from spiral.evidence.assembly import Assembly
+from spiral.evidence.trajectories import Standing, all_samples, with_effects
 from spiral.problem import Problem, Progress, silent
-from spiral.resolved import widened
 from spiral.run import Comparison, Round, Run, Stopped
 from spiral.shooting.growth import Stage
-from spiral.strategy import Strategy
+from spiral.strategies.base import Strategy
+from spiral.strategies.resolved import widened
 from spiral.threads import one_blas_thread
 from spiral.turn import Checkpoint, concluded, looked, refused, started, strategy_for, turned
+from spiral.unknown.holding import carried, having, holding
 
 OnRound = Callable[[Round], None]
 

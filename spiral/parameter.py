@@ -45,7 +45,7 @@ class Parameter:
     search : moves each value of such a grid, within this share of it, to the strongest line in
         the records' channels.
     spectrum : of a shape of an effect with states of its own, in Hz or s: its values are laid at
-        the peaks of the residual's spectrum (``spiral.resolved``), in s as 1 / (2 pi f).
+        the peaks of the residual's spectrum (``spiral.strategies.resolved``), in s as 1 / (2 pi f).
     """
 
     name: str

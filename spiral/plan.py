@@ -1,7 +1,7 @@
 """Which test to run next: planned tests are simulated and ranked by what they would tell.
 
 Each is a record of one of the machines that may be the true one, with the noise of the records at
-hand; ``spiral.information`` says what such a record tells.
+hand; ``spiral.identifiability.information`` says what such a record tells.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from spiral.assembly import Assembly, assemble, first_row, to_model, with_records
 from spiral.compare import last_stage, prepared, refined
 from spiral.effect import Effect
 from spiral.errors import ConfigError, SpiralError, did_you_mean
-from spiral.evidence import Standing, all_samples, with_effects
-from spiral.information import Pair, View, separation
-from spiral.judge import whole
+from spiral.evidence.assembly import Assembly, assemble, first_row, to_model, with_records
+from spiral.evidence.judge import whole
+from spiral.evidence.trajectories import Standing, all_samples, with_effects
+from spiral.identifiability.information import Pair, View, separation
 from spiral.model import Model
 from spiral.problem import Problem, Progress, silent
 from spiral.record import Record

@@ -127,7 +127,7 @@ class Diagnosis:
 
     ``not_separable`` are candidates that effects of the model take over on this record, in part or
     whole: had they been there, they could not have been found. ``unknown`` is the shape of what no
-    candidate explains (``spiral.unknown``).
+    candidate explains (``spiral.unknown.shape``).
     """
 
     verdict: Verdict

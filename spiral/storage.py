@@ -160,7 +160,7 @@ def unwritable(folder: str | os.PathLike[str], error: OSError) -> InputError:
 
 def model_data(model: Model) -> dict[str, Any]:
     """Enough to build a model again: plugin names, fields, values, errors, formulas."""
-    from spiral.expression import definitions_of
+    from spiral.formulas.expression import definitions_of
 
     return {
         "system": plain(model.system),

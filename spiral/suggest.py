@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
-from spiral.assembly import Assembly
 from spiral.effect import SensorEffect
-from spiral.evidence import (
+from spiral.evidence.assembly import Assembly
+from spiral.evidence.farstart import from_afar
+from spiral.evidence.judge import held_out
+from spiral.evidence.trajectories import (
     Admitted,
     Evidence,
     Masks,
@@ -20,8 +22,6 @@ from spiral.evidence import (
     grown,
     score_stage,
 )
-from spiral.farstart import from_afar
-from spiral.judge import held_out
 from spiral.problem import Progress, Settings, silent
 from spiral.run import Suggestion
 from spiral.shooting.growth import Stage

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spiral.errors import ConfigError, InputError, did_you_mean
-from spiral.estimate import BAND
+from spiral.reconstruction.estimate import BAND
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from spiral.estimate import Reconstructed
+    from spiral.reconstruction.estimate import Reconstructed
     from spiral.record import Record
     from spiral.system import System
 

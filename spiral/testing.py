@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from spiral import conformance as look
-from spiral import lookout, probe, rehearsal
+from spiral.conformance import derivatives, observers, physics, rehearsal
 from spiral.derivative import Derivative
 from spiral.effect import Effect, FlowEffect, ForceEffect, SensorEffect
 from spiral.errors import ConfigError, InputError, PluginError, SpiralError
@@ -68,52 +67,52 @@ def check_effect(effect: Effect, system: System) -> list[Check]:
     """
     still = isinstance(effect, SensorEffect) and not isinstance(system, MechanicalSystem)
     beside = system.seed if still else ()  # flows that a reading of rates may show
-    whole, bare = look.Physics(system, (*beside, effect)), look.Physics(system, beside)
+    whole, bare = physics.Physics(system, (*beside, effect)), physics.Physics(system, beside)
     return _run(
         f"{effect.label} on {system.plugin_name()}",
         [
-            ("docstring", lambda: look.docstring(effect), _SAY),
+            ("docstring", lambda: physics.docstring(effect), _SAY),
             (
                 "fits",
-                lambda: look.fits(effect, system),
+                lambda: physics.fits(effect, system),
                 "another system, or another port: NAME@PORT",
             ),
-            ("parameters", lambda: look.effect_units(effect, system), _UNITS),
-            ("traces", lambda: look.traces(whole), _TRACE),
+            ("parameters", lambda: physics.effect_units(effect, system), _UNITS),
+            ("traces", lambda: physics.traces(whole), _TRACE),
             (
                 "own states",
-                lambda: look.own_states(effect, whole),
+                lambda: physics.own_states(effect, whole),
                 "return their rates from rate()",
             ),
-            ("units", lambda: look.units(system, (effect,)), _UNITS),
-            ("jacobians", lambda: look.jacobians(whole), _SMOOTH),
-            ("finite at rest", lambda: look.finite(whole), _REST),
-            ("linear in amplitudes", lambda: look.linear(effect, whole), _LINEAR),
-            ("absent at zero", lambda: look.absent(effect, whole, bare), _LINEAR),
+            ("units", lambda: physics.units(system, (effect,)), _UNITS),
+            ("jacobians", lambda: physics.jacobians(whole), _SMOOTH),
+            ("finite at rest", lambda: physics.finite(whole), _REST),
+            ("linear in amplitudes", lambda: physics.linear(effect, whole), _LINEAR),
+            ("absent at zero", lambda: physics.absent(effect, whole, bare), _LINEAR),
         ],
     )
 
 
 def check_system(system: System) -> list[Check]:
     """A system with its seed: names, units, tracing, mass, Jacobians, rest, a short record."""
-    whole = look.Physics(system)
+    whole = physics.Physics(system)
     return _run(
         system.plugin_name(),
         [
-            ("docstring", lambda: look.docstring(system), _SAY),
-            ("names", lambda: look.names(system), ""),
-            ("parameters", lambda: look.system_units(system), _UNITS),
-            ("traces", lambda: look.traces(whole), _TRACE),
-            ("units of the seed", lambda: look.units(system, system.seed), _UNITS),
+            ("docstring", lambda: physics.docstring(system), _SAY),
+            ("names", lambda: physics.names(system), ""),
+            ("parameters", lambda: physics.system_units(system), _UNITS),
+            ("traces", lambda: physics.traces(whole), _TRACE),
+            ("units of the seed", lambda: physics.units(system, system.seed), _UNITS),
             (
                 "mass",
-                lambda: look.mass(system),
+                lambda: physics.mass(system),
                 "one row and column for each coordinate, symmetric",
             ),
-            ("units of mass and force", lambda: look.mechanical_units(system), _UNITS),
-            ("jacobians", lambda: look.jacobians(whole), _SMOOTH),
-            ("finite at rest", lambda: look.finite(whole), _REST),
-            ("simulates", lambda: look.simulates(system), "nominal values of a stable motion"),
+            ("units of mass and force", lambda: physics.mechanical_units(system), _UNITS),
+            ("jacobians", lambda: physics.jacobians(whole), _SMOOTH),
+            ("finite at rest", lambda: physics.finite(whole), _REST),
+            ("simulates", lambda: physics.simulates(system), "nominal values of a stable motion"),
         ],
     )
 
@@ -123,7 +122,7 @@ def check_source(source: Source, system: System) -> list[Check]:
     return _run(
         f"{source.plugin_name()} for {system.plugin_name()}",
         [
-            ("docstring", lambda: look.said(source), _SAY),
+            ("docstring", lambda: physics.said(source), _SAY),
             ("fields", lambda: _fields(source), "fields of plain values, each with a default"),
             (
                 "loads",
@@ -145,12 +144,16 @@ def check_derivative(derivative: Derivative) -> list[Check]:
     return _run(
         derivative.plugin_name(),
         [
-            ("docstring", lambda: look.docstring(derivative), _SAY),
+            ("docstring", lambda: physics.docstring(derivative), _SAY),
             ("fields", lambda: _fields(derivative), "fields of plain values, each with a default"),
-            ("follows a sine", lambda: probe.sine_followed(derivative), "derivatives per second"),
+            (
+                "follows a sine",
+                lambda: derivatives.sine_followed(derivative),
+                "slopes per second",
+            ),
             (
                 "repeatable",
-                lambda: probe.estimate_repeatable(derivative),
+                lambda: derivatives.estimate_repeatable(derivative),
                 "no hidden state, and no writing into the samples",
             ),
         ],
@@ -159,17 +162,25 @@ def check_derivative(derivative: Derivative) -> list[Check]:
 
 def check_observer(observer: Observer, systems: Sequence[System]) -> list[Check]:
     """An observer over short records of systems with nominal values; it may refuse some."""
-    watched = lookout.Watched(observer, systems)
+    watched = observers.Watched(observer, systems)
     return _run(
         observer.plugin_name(),
         [
-            ("docstring", lambda: look.docstring(observer), _SAY),
+            ("docstring", lambda: physics.docstring(observer), _SAY),
             ("fields", lambda: _fields(observer), "fields of plain values, each with a default"),
-            ("reconstructs", lambda: lookout.reconstructs(watched), "(samples, states) arrays"),
-            ("covariances", lambda: lookout.covariances(watched), "0.5 * (P + P.T), Joseph's form"),
-            ("innovations", lambda: lookout.innovations(watched), "S = C P C^T + R"),
-            ("follows", lambda: lookout.follows(watched), "signs and order of the states"),
-            ("repeatable", lambda: lookout.reconstructs_again(watched), "copies; no hidden state"),
+            ("reconstructs", lambda: observers.reconstructs(watched), "(samples, states) arrays"),
+            (
+                "covariances",
+                lambda: observers.covariances(watched),
+                "0.5 * (P + P.T); Joseph",
+            ),
+            ("innovations", lambda: observers.innovations(watched), "S = C P C^T + R"),
+            ("follows", lambda: observers.follows(watched), "signs and order of the states"),
+            (
+                "repeatable",
+                lambda: observers.reconstructs_again(watched),
+                "copies, no memory",
+            ),
         ],
     )
 
@@ -177,7 +188,7 @@ def check_observer(observer: Observer, systems: Sequence[System]) -> list[Check]
 def check_evidence(plugin: Plugin, registry: Registry) -> list[Check]:
     """A learner, a library or a gate: what it is for, and that it repeats itself."""
     steps: list[Step] = [
-        ("docstring", lambda: look.docstring(plugin), _SAY),
+        ("docstring", lambda: physics.docstring(plugin), _SAY),
         ("fields", lambda: _fields(plugin), "fields of plain values, each with a default"),
     ]
     if isinstance(plugin, Learner):
@@ -208,7 +219,7 @@ def check_plugin(entry: Entry, registry: Registry) -> list[Check]:
     if entry.kind == "source":
         source = registry.make("source", entry.name)
         return [c for system in systems for c in check_source(source, system)]
-    return _run(entry.name, [("docstring", lambda: look.said(entry.plugin), _SAY)])
+    return _run(entry.name, [("docstring", lambda: physics.said(entry.plugin), _SAY)])
 
 
 def misfit(effect: Effect, system: System) -> str:

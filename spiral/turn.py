@@ -9,16 +9,16 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
-from spiral.assembly import Assembly, to_model
 from spiral.errors import ConfigError, did_you_mean
-from spiral.evidence import Standing
-from spiral.innovations import INNOVATION
+from spiral.evidence.assembly import Assembly, to_model
+from spiral.evidence.trajectories import Standing
 from spiral.model import Model
 from spiral.problem import Problem, Progress
-from spiral.published import PAPER
 from spiral.run import Round, Run, Stopped, Suggestion, Verdict
-from spiral.strategy import Begun, Settled, Step, Strategy
-from spiral.trajectories import SHOOTING
+from spiral.strategies.base import Begun, Settled, Step, Strategy
+from spiral.strategies.innovation import INNOVATION
+from spiral.strategies.paper import PAPER
+from spiral.strategies.shooting import SHOOTING
 from spiral.verdict import advice_for, seed_verdict
 
 

@@ -12,12 +12,12 @@ from functools import partial
 import numpy as np
 
 from experiments.hidden_effects.cases import ROTOR, SWING, Case, Scene, record_of, truth_of
-from spiral.assembly import assemble, first_row
 from spiral.compare import refined
 from spiral.effect import Effect
 from spiral.errors import SpiralError
-from spiral.evidence import Standing
-from spiral.information import View
+from spiral.evidence.assembly import assemble, first_row
+from spiral.evidence.trajectories import Standing
+from spiral.identifiability.information import View
 from spiral.problem import Problem
 from spiral.record import Record
 from spiral.registry import Registry

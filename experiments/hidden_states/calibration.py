@@ -20,10 +20,10 @@ from spiral_plugins.observers.kalman import Ekf
 from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.calibrate import calibrate, cramer_rao
-from spiral.estimate import estimate
 from spiral.model import Model, seed_model
 from spiral.problem import Problem
+from spiral.reconstruction.calibrate import calibrate, cramer_rao
+from spiral.reconstruction.estimate import estimate
 from spiral.record import Record
 from spiral.simulate import with_defaults
 

@@ -19,9 +19,9 @@ from joblib import Parallel, delayed
 from spiral_plugins.sources.simulation import Simulation
 
 from experiments.hidden_states.calibration import BEARINGS, SYSTEM, TRUE
-from spiral.calibrate import calibrate, cramer_rao
 from spiral.model import Model
 from spiral.problem import Problem
+from spiral.reconstruction.calibrate import calibrate, cramer_rao
 from spiral.record import Record
 
 UNEQUAL = 0.2

@@ -18,9 +18,9 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from spiral.config import build_problem, compose
-from spiral.innovations import INNOVATION
 from spiral.problem import silent
 from spiral.registry import load_registry
+from spiral.strategies.innovation import INNOVATION
 
 TRUE = "cubic_stiffness@bearing_2"
 STIFFNESS = 1e11 / (0.75**4 + 0.25**4)  # N/m^3

@@ -21,8 +21,8 @@ from spiral_plugins.derivatives.kalman_smoother import KalmanSmoother
 
 from experiments.peers.cases import Answer, free_run
 from spiral.derivative import differentiate
+from spiral.identifiability.signatures import equation_rows, signatures
 from spiral.problem import Problem
-from spiral.signatures import equation_rows, signatures
 
 THRESHOLDS = (0.001, 0.003, 0.005, 0.01, 0.02, 0.05, 0.1, 0.3)
 _BLOCK = 256  # samples of the interleaved blocks that fit and validate

@@ -27,7 +27,7 @@ from experiments.peers.regressions import METHODS, regressed
 from spiral.compare import compare
 from spiral.problem import Problem
 from spiral.registry import load_registry
-from spiral.verbs import in_worker
+from spiral.verbs.study import in_worker
 
 STRATEGIES = ("shooting", "paper")
 ALL = ("seed only", *METHODS, *DELAYS, *STRATEGIES)

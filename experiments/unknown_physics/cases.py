@@ -11,13 +11,13 @@ from spiral_plugins.sources.simulation import Simulation
 
 from experiments.hidden_effects.cases import ROTOR
 from spiral.effect import Effect, FlowEffect, ForceEffect
-from spiral.forcecurve import beside
 from spiral.math import length, sin, sqrt, tanh
 from spiral.model import seed_model
 from spiral.parameter import Parameter
 from spiral.problem import Problem, Settings
 from spiral.registry import Registry
 from spiral.system import System
+from spiral.unknown.forcecurve import beside
 
 Array = np.ndarray
 _SHAPE = Parameter("length", "position", role="shape", start=1.0)

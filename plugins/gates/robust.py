@@ -6,7 +6,7 @@ import numpy as np
 
 from spiral.gate import Gate, Judgement, Trial
 from spiral.leastsquares import ratio
-from spiral.robust import automatic_lags, bootstrap_errors, hac_errors
+from spiral.paper.robust import automatic_lags, bootstrap_errors, hac_errors
 
 
 class HacT(Gate):

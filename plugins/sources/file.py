@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from spiral.columns import Columns
-from spiral.files import Table
-from spiral.readers import read_table
+from spiral.reading.columns import Columns
+from spiral.reading.files import Table
+from spiral.reading.readers import read_table
 
 
 class File(Columns):

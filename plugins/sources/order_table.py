@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from spiral.errors import ConfigError, InputError
-from spiral.files import Table
-from spiral.pulses import smoothed
-from spiral.readers import read_table
+from spiral.reading.files import Table
+from spiral.reading.pulses import smoothed
+from spiral.reading.readers import read_table
 from spiral.record import Record, make_record
 from spiral.source import Source
 from spiral.system import System

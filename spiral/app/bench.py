@@ -15,16 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from spiral.app.study import turn_place
-from spiral.assembly import Assembly, first_row
 from spiral.checkpoint import read_checkpoint, write_checkpoint
 from spiral.curves import FINAL, Curves, beside, free_curves, read_curves, write_curves
 from spiral.discover import Checkpoint
-from spiral.holding import having, holding
+from spiral.evidence.assembly import Assembly, first_row
 from spiral.problem import Problem
 from spiral.registry import Registry
 from spiral.run import Round, Run
 from spiral.storage import finite, to_json, write_whole
-from spiral.strategy import Begun, Step, Strategy
+from spiral.strategies.base import Begun, Step, Strategy
 from spiral.threads import one_blas_thread
 from spiral.turn import (
     candidates,
@@ -36,6 +35,7 @@ from spiral.turn import (
     strategy_for,
     turned,
 )
+from spiral.unknown.holding import having, holding
 
 Tell = Callable[[str, Mapping[str, Any]], None]
 """Told what happened: a kind (``progress``, ``turn``, ``ranked``, ``figures``) and plain data."""
@@ -134,8 +134,8 @@ class Bench:
         from spiral.config import build_problem, compose, options
         from spiral.custom import bound
         from spiral.errors import ConfigError
-        from spiral.preview import described
         from spiral.registry import load_registry
+        from spiral.screen.preview import described
 
         overrides = tuple(order["overrides"])
         if self.overrides == overrides and self.ident == order["study"]:

@@ -17,7 +17,7 @@ from spiral.app.look import STYLE
 from spiral.app.study import Study
 from spiral.errors import SpiralError
 from spiral.report.style import BLUE
-from spiral.shell import option_lines
+from spiral.screen.shell import option_lines
 
 _CONFIG = {
     "displaylogo": False, "responsive": True, "displayModeBar": False,

@@ -13,7 +13,7 @@ from spiral.app import draft as kept
 from spiral.app.crew import Event
 from spiral.app.draft import Choice, Draft
 from spiral.errors import ConfigError
-from spiral.files import find_file
+from spiral.reading.files import find_file
 
 Give = Callable[[Mapping[str, Any]], None]
 DOES = ("peek", "check")

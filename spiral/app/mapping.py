@@ -17,7 +17,7 @@ from spiral.app.intake import Desktop
 from spiral.app.peek import PICTURE
 from spiral.errors import SpiralError
 from spiral.report import text
-from spiral.terminal import number
+from spiral.screen.parts import number
 
 _TICK = 0.2
 _NONE = "none"

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from spiral.errors import InputError
-from spiral.files import Table
-from spiral.readers import read_table
+from spiral.reading.files import Table
+from spiral.reading.readers import read_table
 from spiral.storage import finite, write_whole
 
 PICTURE = "columns.json"

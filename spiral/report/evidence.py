@@ -20,7 +20,7 @@ from spiral.report.style import (
     decades,
     words,
 )
-from spiral.terminal import percent
+from spiral.screen.parts import percent
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

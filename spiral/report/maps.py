@@ -7,14 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spiral.curves import FINAL, SEED, Curves
-from spiral.orders import (
-    correlations,
-    first_order,
-    full_spectrum,
-    noise_power,
-    order_map,
-    time_map,
-)
 from spiral.report.motion import COLOURS, NAMES
 from spiral.report.style import (
     CYCLE,
@@ -28,6 +20,14 @@ from spiral.report.style import (
     line,
     scaled,
     titled,
+)
+from spiral.where.orders import (
+    correlations,
+    first_order,
+    full_spectrum,
+    noise_power,
+    order_map,
+    time_map,
 )
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def _over_speed(rpm: Array, power: Array) -> tuple[Array, Array]:
 
 def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
     """Rms error over the noise, against amplitude, against the rotor's angle, and per channel."""
-    from spiral.where import envelope
+    from spiral.where.regions import envelope
 
     y, phase = curves.get(record, "y"), curves.get(record, "phase")
     models = [m for m in curves.meta["models"] if error(curves, record, m) is not None]

@@ -12,8 +12,8 @@ from spiral.curves import SEED, Curves
 from spiral.report.evidence import rounds
 from spiral.report.style import pretty, scaled, words
 from spiral.run import estimate_rows
-from spiral.shell import option_lines
-from spiral.terminal import number, percent, plus_minus, probability
+from spiral.screen.parts import number, percent, plus_minus, probability
+from spiral.screen.shell import option_lines
 
 Saved = Mapping[str, Any]
 

@@ -12,7 +12,7 @@ from spiral.tracking.store import Tracking
 from spiral.tracking.track import Failed, Tracked
 
 if TYPE_CHECKING:
-    from spiral.sweep import Row
+    from spiral.sweeps.sweep import Row
 
 _WAITS = 3  # rows that may fail before the rest is left to the end
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from spiral import reporting
 from spiral.tracking import track
+from spiral.verbs import report as reporting
 
 
 @pytest.fixture(autouse=True)

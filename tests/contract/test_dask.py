@@ -12,7 +12,7 @@ import pytest
 
 from spiral.cli import main
 from spiral.registry import load_registry
-from spiral.sweep import run_sweep
+from spiral.sweeps.sweep import run_sweep
 from tests.sweep_jobs import RECORD, echo, lost, plan_of, without_clock
 
 pytest.importorskip("distributed")

@@ -7,8 +7,8 @@ import pytest
 
 import spiral.compare
 from spiral.cli import main
-from spiral.multirun import columns_of, duration
 from spiral.run import ChannelError, Comparison
+from spiral.screen.sweep import columns_of, duration
 
 EMBEDDED = ("experiment=rotor_coastdown", "record.duration=0.2", "test.duration=0.2")
 SIMULATED = (

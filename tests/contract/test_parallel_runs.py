@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from spiral.jobs import planned
 from spiral.registry import load_registry
-from spiral.sweep import run_sweep
+from spiral.sweeps.jobs import planned
+from spiral.sweeps.sweep import run_sweep
 from spiral.tracking.store import Tracking, opened
 from spiral.tracking.sweeps import SweepTracker
-from spiral.verbs import in_worker
+from spiral.verbs.study import in_worker
 from tests.sweep_jobs import RECORD, without_clock
 
 SEEDS = range(8)

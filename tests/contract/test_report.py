@@ -13,7 +13,7 @@ from spiral.curves import FILE, read_curves
 from spiral.report.evidence import error_falling
 from spiral.report.pictures import browser, picture
 from spiral.report.style import scaled, thinned
-from spiral.shell import word as shell_word
+from spiral.screen.shell import word as shell_word
 from spiral.storage import load_run, read_run
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",

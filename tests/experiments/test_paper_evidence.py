@@ -6,7 +6,7 @@ import pytest
 
 from experiments.evidence import TRUTH, gates_told, load, row, summary, table
 from experiments.side_by_side import lines
-from spiral.verbs import Request, perform
+from spiral.verbs.study import Request, perform
 
 SHORT = ("record.duration=3", "record.start_hz=25", "record.stop_hz=10", "library=core",
          "paper.points=20000", "learner.epochs=20")  # fmt: skip

@@ -9,9 +9,9 @@ from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
 from experiments.hidden_states import several_records
 from experiments.hidden_states.several_records import MACHINE
-from spiral.calibrate import calibrate, cramer_rao
 from spiral.model import seed_model
 from spiral.problem import Problem
+from spiral.reconstruction.calibrate import calibrate, cramer_rao
 from spiral.simulate import with_defaults
 
 SYSTEM = TiltingRotor()

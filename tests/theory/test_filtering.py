@@ -13,8 +13,6 @@ from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.consistency import bounded, normalised_squares
-from spiral.estimate import reconstructed
 from spiral.filtering.extended import filtered
 from spiral.filtering.noise import groups, intensity, sampled
 from spiral.filtering.setup import chosen_levels, prepared, with_level
@@ -23,7 +21,9 @@ from spiral.filtering.static import static_map
 from spiral.filtering.stochastic import disturbed
 from spiral.filtering.task import linearised, prepare_task, with_record
 from spiral.model import seed_model
-from spiral.observability import observability
+from spiral.reconstruction.consistency import bounded, normalised_squares
+from spiral.reconstruction.estimate import reconstructed
+from spiral.reconstruction.observability import observability
 from spiral.simulate import simulate, with_defaults
 
 OSCILLATOR = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0,

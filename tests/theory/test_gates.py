@@ -12,7 +12,7 @@ from spiral_plugins.gates.whiteness import LjungBox
 
 from spiral.gate import Surface, Trial
 from spiral.leastsquares import least_squares
-from spiral.robust import bootstrap_errors, hac_errors
+from spiral.paper.robust import bootstrap_errors, hac_errors
 
 CANDIDATES = 5
 

@@ -10,8 +10,7 @@ from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.cli import main
-from spiral.model import seed_model
-from spiral.richness import (
+from spiral.identifiability.richness import (
     alias_groups,
     bias_bound,
     detection_margin,
@@ -20,7 +19,8 @@ from spiral.richness import (
     snr_min,
     spread_bound,
 )
-from spiral.signatures import signatures
+from spiral.identifiability.signatures import signatures
+from spiral.model import seed_model
 from tests.scenes import registry
 
 STEADY = (

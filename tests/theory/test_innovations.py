@@ -11,6 +11,7 @@ from spiral_plugins.gates.innovation import Innovation
 from spiral_plugins.gates.joint import ValidationRollback
 from spiral_plugins.systems.oscillator import Oscillator
 
+from spiral.conformance.rehearsal import trial
 from spiral.discover import discover
 from spiral.errors import ConfigError
 from spiral.filtering.likelihood import climbed
@@ -21,7 +22,6 @@ from spiral.filtering.whitened import whitened
 from spiral.gate import Trial
 from spiral.model import seed_model
 from spiral.problem import Problem
-from spiral.rehearsal import trial
 from spiral.simulate import simulate
 
 CUBIC, LOAD = "cubic_stiffness.stiffness", "constant_load.force"

@@ -12,23 +12,23 @@ from spiral_plugins.systems.oscillator import Oscillator
 
 from experiments.hidden_effects.cases import record_of
 from experiments.hidden_effects.strengths import SCENES
-from spiral.assembly import assemble
 from spiral.compare import last_stage, prepared
 from spiral.discover import add, discover
 from spiral.effect import FlowEffect
-from spiral.evidence import begin, half_masks
-from spiral.holding import carried, reassembled, variant_of
+from spiral.evidence.assembly import assemble
+from spiral.evidence.trajectories import begin, half_masks
 from spiral.model import Model, seed_model
 from spiral.parameter import Input, Parameter, State
 from spiral.port import Port
 from spiral.problem import Problem, Settings
-from spiral.resolved import peaks, scanned, widened
 from spiral.shooting.growth import first_starts, layouts_for
 from spiral.simulate import integrate
+from spiral.strategies.resolved import peaks, scanned, widened
 from spiral.suggest import propose
 from spiral.system import MechanicalSystem
 from spiral.trace import trace
 from spiral.units import check_units
+from spiral.unknown.holding import carried, reassembled, variant_of
 from tests.scenes import admitted, effect, planar_problem, planar_record
 
 BASE = {"system.mass": 1.0, "linear_stiffness.stiffness": 4e4, "linear_damping.damping": 20.0}

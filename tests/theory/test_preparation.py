@@ -1,8 +1,6 @@
 """What is done to a user's numbers on request: a known rotor comes back from a spoilt record."""
 
-import tempfile
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,67 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spiral.errors import SpiralError
-from tests.scenes import SEED_TRUTH, planar_record, registry
-
-REGISTRY = registry()
-ROTOR = REGISTRY.make("system", "planar_rotor")
-OSCILLATOR = REGISTRY.make("system", "oscillator")
-NOISE = 0.01
-
-
-@lru_cache(maxsize=2)
-def rotor(direction=1):
-    """A run-down from 40 to 5 Hz in 6 s at 1 kHz, with phase; negative: turning clockwise."""
-    hertz = (40.0 * direction, 5.0 * direction)
-    return planar_record(3, noise=NOISE, duration=6.0, hertz=hertz)
-
-
-def columns(record, *names):
-    """The record as a file has it: t, probes a and b, and what else is asked for."""
-    found = {"t": record.time, "a": record.channels["x"], "b": record.channels["y"]}
-    found.update({n: record.inputs[n] for n in names})
-    return found
-
-
-def load(table, system=ROTOR, **fields):
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "rotor.parquet"
-        pd.DataFrame(table).to_parquet(path)
-        usual = {"path": str(path), "channels": {"x": "a", "y": "b"}, "time": "t"}
-        return REGISTRY.make("source", "file", {**usual, **fields}, "record").load(system)[0]
-
-
-def refusal(table, **fields):
-    with pytest.raises(SpiralError) as caught:
-        load(table, **fields)
-    return caught.value
-
-
-def note(record, word):
-    return next(n for n in record.notes if word in n)
-
-
-def key_phasor(phase, duty=0.06, depth=7.0, noise=0.02):
-    """A notch in the shaft: the probe's voltage falls for a share of each turn."""
-    inside = ((phase - 1.0) / (2 * np.pi)) % 1.0 < duty
-    rng = np.random.default_rng(0)
-    return -9.0 - depth * inside + noise * depth * rng.normal(size=len(phase))
-
-
-def with_key(record, *names):
-    return {**columns(record, *names), "key": key_phasor(record.inputs["phase"])}
-
-
-def angle_error(found, true):
-    """Rms and largest difference of two phases but for a constant, the mark's place."""
-    left = found - true
-    left = left - np.mean(left)
-    return float(np.sqrt(np.mean(left**2))), float(np.max(np.abs(left)))
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
-
+from tests.scenes import SEED_TRUTH, planar_record
+from tests.spoilt import (
+    NOISE,
+    OSCILLATOR,
+    ROTOR,
+    angle_error,
+    columns,
+    key_phasor,
+    load,
+    note,
+    refusal,
+    rms,
+    rotor,
+    with_key,
+)
 
 # --- pulses and the sense of rotation ------------------------------------------------------------
 
@@ -291,109 +243,6 @@ def test_slow_rolls_that_are_none(fields, word):
     error = refusal(run_out(run_up()), **fields)
     assert word in error.given
     assert error.expected
-
-
-# --- gaps and rates ------------------------------------------------------------------------------
-
-
-def test_gaps_are_filled_only_when_asked():
-    """Three missing values at 1 kHz, of a motion below 40 Hz, come back within the noise."""
-    record = rotor()
-    table = {k: v.copy() for k, v in columns(record, "speed", "phase").items()}
-    holes = np.concatenate([np.arange(i, i + 3) for i in (500, 1500, 4000)])
-    table["a"][holes] = np.nan
-    error = refusal(table)
-    assert "record.fill_gaps=3" in error.try_
-    assert "row 500" in error.given
-    found = load(table, fill_gaps=3)
-    left = found.channels["x"] - record.channels["x"]
-    assert rms(left[holes]) < 3 * record.sigma()["x"]
-    assert np.count_nonzero(left) == len(holes)
-    assert "9 values" in note(found, "gaps")
-    longer = refusal(table, fill_gaps=2)
-    assert "3 samples" in longer.given
-    assert "row 500" in longer.given
-    assert "record.rows" in longer.try_
-    table["a"][-2:] = np.nan
-    assert "at the end" in refusal(table, fill_gaps=3).given
-
-
-def test_rows_that_a_file_lacks_are_a_gap():
-    record = rotor()
-    kept = np.ones(record.samples, dtype=bool)
-    kept[[700, 701, 2000, 3000, 3001, 3002]] = False
-    table = {k: v[kept] for k, v in columns(record, "speed", "phase").items()}
-    assert "record.fill_gaps=3" in refusal(table).try_
-    found = load(table, fill_gaps=3)
-    np.testing.assert_allclose(found.time, record.time, atol=1e-9)
-    np.testing.assert_array_equal(found.channels["y"][kept], record.channels["y"][kept])
-    left = found.channels["y"] - record.channels["y"]
-    assert rms(left[~kept]) < 3 * record.sigma()["y"]
-    assert "6 rows" in note(found, "gaps")
-    error = refusal(table, fill_gaps=2)
-    assert "3 samples" in error.given
-    assert "2.999 s" in error.given
-
-
-def test_a_lower_rate_keeps_motion_and_phase_and_drops_the_rest():
-    """1000 -> 240 Hz: 40 Hz and below pass, a tone at 310 Hz does not alias to 70 Hz."""
-    record = rotor()
-    table = columns(record, "speed", "phase")
-    table["a"] = table["a"] + 1e-4 * np.sin(2 * np.pi * 310 * record.time)
-    found = load(table, resample=240)
-    assert found.dt == pytest.approx(1 / 240)
-    quiet = load(columns(record, "speed", "phase"), resample=240)
-    assert rms(found.channels["x"] - quiet.channels["x"]) < 1e-3 * 1e-4
-    at = np.interp(found.time, record.time, record.inputs["phase"])
-    np.testing.assert_allclose(found.inputs["phase"], at, atol=1e-3)
-    smooth = np.interp(quiet.time, record.time, record.channels["y"])
-    assert rms(quiet.channels["y"] - smooth) < 2 * record.sigma()["y"]
-    assert "from 1000 to 240 Hz" in note(found, "resampled")
-
-
-def test_declared_noise_passes_the_filter():
-    rng = np.random.default_rng(0)
-    count = 40_000
-    table = {"t": 1e-3 * np.arange(count), "a": rng.normal(size=count),
-             "b": rng.normal(size=count), "speed": np.full(count, 100.0)}  # fmt: skip
-    found = load(table, resample=370.0, noise={"x": 1.0, "y": 1.0})
-    assert found.noise["x"] < 0.62
-    for name in "xy":
-        assert np.std(found.channels[name]) == pytest.approx(found.noise[name], rel=0.03)
-
-
-def test_uneven_steps_are_made_even():
-    """Steps of 0.5 to 1.5 ms become 2 ms; what is left is the noise."""
-    record = rotor()
-    rng = np.random.default_rng(0)
-    time = np.cumsum(rng.uniform(0.5e-3, 1.5e-3, 5800))
-    table = {
-        k: np.interp(time, record.time, v) for k, v in columns(record, "speed", "phase").items()
-    }
-    error = refusal(table)
-    assert "record.resample" in error.try_
-    found = load(table, resample=500)
-    assert found.dt == pytest.approx(1 / 500)
-    for name in "xy":
-        true = np.interp(found.time, record.time, record.channels[name])
-        assert rms(found.channels[name] - true) < 3 * record.sigma()[name]
-    assert "uneven steps" in note(found, "resampled")
-
-
-def test_rates_that_cannot_be():
-    record = rotor()
-    table = columns(record, "speed")
-    assert "1000 samples per s" in refusal(table, resample=2000).expected
-    for slow in (13.9, 1 / 64):  # 6 s of record would leave 63 samples, or none
-        assert "at least 14 samples per s" in refusal(table, resample=slow).expected
-    assert len(load(table, resample=14.2).time) >= 64
-    kept = np.r_[0:1000, 1005:6001]
-    gap = refusal({k: v[kept] for k, v in table.items()}, resample=500)
-    assert "record.fill_gaps=5" in gap.try_
-    both = load({k: v[kept] for k, v in table.items()}, resample=500, fill_gaps=5)
-    assert both.dt == pytest.approx(1 / 500)
-    assert "resample" in refusal(table, resample=0).given
-    assert "fill_gaps" in refusal(table, fill_gaps=0).given
 
 
 # --- together ------------------------------------------------------------------------------------

@@ -15,10 +15,10 @@ from spiral.derivative import Derivative, Derivatives
 from spiral.discover import discover
 from spiral.errors import ConfigError
 from spiral.library import terms_of
-from spiral.paperconfig import GATES
+from spiral.paper.options import GATES
 from spiral.problem import Published, Sampling
-from spiral.published import ENDED, PAPER
 from spiral.storage import to_json
+from spiral.strategies.paper import ENDED, PAPER
 from tests.scenes import PROJECTION, coastdown_problem, registry
 
 REGISTRY = registry()

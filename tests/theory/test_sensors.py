@@ -11,9 +11,9 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.discover import discover
 from spiral.errors import ConfigError
-from spiral.gridnull import effective_tests
-from spiral.inseparable import inseparable
-from spiral.lines import strongest_line
+from spiral.evidence.gridnull import effective_tests
+from spiral.evidence.inseparable import inseparable
+from spiral.evidence.lines import strongest_line
 from spiral.math import ramp
 from spiral.model import seed_model
 from spiral.shooting.score import Table

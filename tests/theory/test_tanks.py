@@ -6,15 +6,15 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 from spiral.compare import prepared
 from spiral.errors import ConfigError
-from spiral.evidence import admit, all_samples, grown, score_stage
-from spiral.farstart import from_afar
-from spiral.latent import with_latent
+from spiral.evidence.farstart import from_afar
+from spiral.evidence.trajectories import admit, all_samples, grown, score_stage
 from spiral.model import seed_model
 from spiral.problem import Problem
-from spiral.retire import let_go
 from spiral.shooting.windows import fair_block, halves
 from spiral.simulate import integrate, simulate
+from spiral.strategies.retire import let_go
 from spiral.trace import check_effect
+from spiral.where.latent import with_latent
 from tests.scenes import effect
 
 GAIN, UPPER, LOWER, PUMP = 0.05, 0.06, 0.055, 3.0

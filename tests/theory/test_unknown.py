@@ -12,9 +12,9 @@ from experiments.unknown_physics.cases import CASES, coverage, problem
 from spiral.compare import prepared
 from spiral.diagnose import diagnose
 from spiral.discover import add, discover
-from spiral.forcecurve import beside
 from spiral.learned import COUNT, KNOTS, basis
-from spiral.unknown import _fresh
+from spiral.unknown.forcecurve import beside
+from spiral.unknown.shape import _fresh
 from tests.scenes import admitted, effect, registry
 
 

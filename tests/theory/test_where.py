@@ -13,13 +13,13 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.compare import last_stage, prepared
 from spiral.effect import Effect
-from spiral.evidence import all_samples
-from spiral.latent import latent_keys, missing_force, smoothed_states, with_latent
+from spiral.evidence.trajectories import all_samples
 from spiral.model import seed_model
-from spiral.orders import first_order, full_spectrum, noise_power, order_map, time_map
 from spiral.problem import Problem
 from spiral.simulate import simulate
-from spiral.where import where
+from spiral.where.latent import latent_keys, missing_force, smoothed_states, with_latent
+from spiral.where.orders import first_order, full_spectrum, noise_power, order_map, time_map
+from spiral.where.regions import where
 from tests.scenes import planar_record
 
 CRITICAL = 60 * np.sqrt([8085.0, 9672.0]) / (2 * np.pi)  # rpm, of x and of y

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spiral.dialect import units_in
 from spiral.errors import ConfigError, InputError
-from spiral.readers import read_table
+from spiral.reading.dialect import units_in
+from spiral.reading.readers import read_table
 from spiral.registry import load_registry
 
 REGISTRY = load_registry()

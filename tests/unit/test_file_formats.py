@@ -17,7 +17,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from spiral.errors import ConfigError, InputError
-from spiral.readers import read_table
+from spiral.reading.readers import read_table
 from spiral.registry import load_registry
 
 REGISTRY = load_registry()

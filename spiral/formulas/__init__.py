@@ -1,0 +1,1 @@
+"""Effects as formulas: read by an allow-list, units inferred and checked, made into classes."""

@@ -1,0 +1,1 @@
+"""Hidden states from channels: calibrated on whole records, filtered, and judged."""

@@ -1,0 +1,1 @@
+"""What a person sees in a terminal: one module for each family of verbs, built from ``parts``."""

@@ -1,0 +1,5 @@
+"""Where a model fails: speeds, orders, frequencies, amplitudes, and the state behind it.
+
+``regions``: the ranges and their sentence. ``orders``: spectra by order. ``latent``: the missing
+force with its uncertainty. ``surface``: the state that the force follows.
+"""
