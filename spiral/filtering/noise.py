@@ -7,7 +7,7 @@ A state whose rate the model does not know exactly is driven by white noise of i
 s_i and a_i the settled standard deviations of the state and of its rate: an error of the share
 ``level`` of the rate that lasts the state's own time s_i / a_i. Rates that hold by definition
 (q' = v) get none. Over one sample the covariance is the exact integral (Van Loan 1978) of the
-linearisation at rest.
+linearisation at the mean of the settled states: a tank is linear nowhere near its empty state.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def sampled(task: Task, continuous: Array) -> Array:
 
     n, size = len(continuous), task.scales
     mean = task.inputs.mean(axis=0) if task.inputs.size else np.zeros(task.inputs.shape[1])
-    a = linearised(task.compiled, task.values, mean) * size / size[:, None]
+    a = linearised(task.compiled, task.values, mean, task.centre) * size / size[:, None]
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[n:, n:] = -a, a.T
     block[:n, n:] = np.diag(continuous / size**2)

@@ -26,6 +26,7 @@ from spiral.trace import Traced, trace
 
 _STEP = 0.7  # largest phase advance per Runge-Kutta step, rad
 _QUIET = 1e-9  # share of the measured deviation under which a free run says nothing
+_REST = 1e-12  # a state at rest: a root has no slope at zero itself
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,9 @@ class Task:
 
     ``compiled`` has derivatives for the record's own parameters only (see ``compiled_for``);
     ``values`` (parameters,); ``inputs`` on the half-step grid; ``start`` and ``spread`` (n,) mean
-    and standard deviation before the first sample; ``scales`` and ``rates`` (n,) the settled
-    standard deviations of states and of their rates; ``static`` the static map, where there is one.
+    and standard deviation before the first sample; ``centre`` and ``scales`` (n,) mean and standard
+    deviation of the settled states, ``rates`` (n,) that of their rates; ``static`` the static map,
+    where there is one.
     """
 
     model: Model
@@ -45,6 +47,7 @@ class Task:
     inputs: Array
     start: Array
     spread: Array
+    centre: Array
     scales: Array
     rates: Array
     static: StaticMap | None
@@ -123,9 +126,11 @@ def task_with(
     series = prepare(model.system, record, substeps)
     mapping = static_map(compiled.traced, values)
     grid = series.inputs if inputs is None else inputs
-    scales, rates = _scales(compiled, series, grid, values, mapping)
+    centre, scales, rates = _settled(compiled, series, grid, values, mapping)
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
-    return Task(model, compiled, series, values, grid, begin, scales.copy(), scales, rates, mapping)
+    return Task(
+        model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping
+    )
 
 
 def enough_substeps(compiled: Compiled, values: Array, series: Series) -> int:
@@ -139,16 +144,19 @@ def linearised(compiled: Compiled, values: Array, inputs: Array, at: Array | Non
     """f_x (n, n) at a state, by default rest; zero where it is not finite."""
     n = len(compiled.traced.states)
     a, b = np.zeros((n, n)), np.zeros((n, len(values)))
-    x = np.full(n, 1e-12) if at is None else np.array(at, dtype=float)
+    x = np.full(n, _REST) if at is None else np.array(at, dtype=float)
     u = np.ascontiguousarray(inputs, dtype=float)
     compiled.rate(x, u, np.ascontiguousarray(values), np.empty(n), a, b)
     return a if np.all(np.isfinite(a)) else np.zeros((n, n))
 
 
-def _scales(
+def _settled(
     compiled: Compiled, series: Series, grid: Array, values: Array, mapping: StaticMap | None
-) -> tuple[Array, Array]:
-    """Standard deviations of states and rates: of the free run, or guessed from what was seen."""
+) -> tuple[Array, Array, Array]:
+    """Mean and standard deviation of states, and that of their rates.
+
+    They are those of the free run, or guessed from what was seen.
+    """
     states = free_run(compiled, series, grid, values)
     seen = [compiled.traced.states.index(c) for c in compiled.traced.channels]
     measured = series.y.std(axis=0)
@@ -158,7 +166,9 @@ def _scales(
     scales = states.std(axis=0)
     typical = np.median(scales[scales > 0]) if np.any(scales > 0) else 1.0
     scales = np.where(scales > 0, scales, typical)
-    return scales, np.where(rates > 0, rates, scales / (series.dt * series.samples))
+    rates = np.where(rates > 0, rates, scales / (series.dt * series.samples))
+    mean = states.mean(axis=0)
+    return np.where(mean == 0, _REST, mean), scales, rates
 
 
 def free_run(compiled: Compiled, series: Series, grid: Array, values: Array) -> Array | None:

@@ -33,14 +33,15 @@ class Observability:
 
 
 def observability(task: Task) -> Observability:
-    """Singular values of [C; C A; ...; C A^(n-1)] at rest and the record's mean inputs.
+    """Singular values of [C; C A; ...; C A^(n-1)] at the mean of settled states and inputs.
 
     States are scaled by their settled standard deviations, channels by theirs, time by the fastest
     mode, so that the values do not depend on units.
     """
     n = len(task.states)
     mean = task.inputs.mean(axis=0) if task.inputs.size else np.zeros(task.inputs.shape[1])
-    a = linearised(task.compiled, task.values, mean) * task.scales / task.scales[:, None]
+    a = linearised(task.compiled, task.values, mean, task.centre)
+    a = a * task.scales / task.scales[:, None]
     c = _output_slopes(task, mean) * task.scales
     norms = np.linalg.norm(c, axis=1, keepdims=True)
     c = c / np.where(norms > 0, norms, 1.0)
@@ -55,9 +56,9 @@ def observability(task: Task) -> Observability:
 
 
 def _output_slopes(task: Task, inputs: Array) -> Array:
-    """h_x (channels, n) at rest."""
+    """h_x (channels, n) at the mean of the settled states."""
     n, m = len(task.states), len(task.compiled.traced.channels)
     c, d = np.zeros((m, n)), np.zeros((m, len(task.values)))
     values = np.ascontiguousarray(task.values)
-    task.compiled.output(np.full(n, 1e-12), np.ascontiguousarray(inputs), values, np.empty(m), c, d)
+    task.compiled.output(task.centre, np.ascontiguousarray(inputs), values, np.empty(m), c, d)
     return c

@@ -10,7 +10,6 @@ is found by maximum likelihood of the innovations. (Jazwinski 1970; Kennedy and 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,10 +17,8 @@ import numpy as np
 
 from spiral.effect import ForceEffect
 from spiral.filtering.extended import Settings, filtered, smoothed
-from spiral.filtering.noise import groups, intensity
-from spiral.filtering.setup import prepared
+from spiral.filtering.setup import chosen_levels, prepared, with_level
 from spiral.filtering.task import Task, prepare_task
-from spiral.filtering.tuning import most_likely
 from spiral.model import Model
 from spiral.parameter import Parameter
 from spiral.record import Array, Record
@@ -135,16 +132,8 @@ def smoothed_states(
     if record.samples > MOST:
         return None
     task, settings = prepared(prepare_task(model, record, inputs=inputs, substeps=substeps))
-
-    def driven(levels: Mapping[str, float]) -> Settings:  # a level at rest is no point to linearise
-        return replace(settings, process=np.diag(record.dt * intensity(task, levels)))
-
-    def likelihood(levels: Mapping[str, float]) -> tuple[float, int]:
-        found = filtered(task, driven(levels))
-        return found.log_likelihood, found.done
-
-    levels = most_likely(tuple(groups(task)), record.samples, likelihood)
-    found = filtered(task, driven(levels), keep=True)
+    levels = chosen_levels(task, settings, None)
+    found = filtered(task, with_level(task, settings, levels), keep=True)
     if found.done < record.samples:
         return None
     found, n = smoothed(found), len(task.states)
