@@ -64,7 +64,8 @@ def passes() -> list[tuple[str, float, str]]:
     from threadpoolctl import threadpool_limits
 
     from spiral.compare import prepared
-    from spiral.evidence.trajectories import grown, half_masks, score_stage
+    from spiral.evidence.scoring import score_stage
+    from spiral.evidence.standing import grown, half_masks
     from spiral.shooting.growth import first_starts, layouts_for
     from spiral.shooting.sensitivities import reduce, residuals
     from spiral.shooting.study import Columns, Point

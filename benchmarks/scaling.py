@@ -31,7 +31,8 @@ def measured(samples: int) -> dict[str, float]:
     from spiral_plugins.systems.planar_rotor import PlanarRotor
 
     from spiral.compare import judged, prepared
-    from spiral.evidence.trajectories import grown, half_masks, score_stage
+    from spiral.evidence.scoring import score_stage
+    from spiral.evidence.standing import grown, half_masks
     from spiral.model import seed_model
     from spiral.problem import Problem
     from spiral.registry import load_registry

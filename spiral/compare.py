@@ -9,12 +9,12 @@ import numpy as np
 from spiral.effect import Effect
 from spiral.evidence.assembly import Assembly, assemble, columns, first_row, to_model, with_records
 from spiral.evidence.judge import FreeRun, free_run, run_free, whole
-from spiral.evidence.trajectories import Masks, Standing, all_samples, begin, grown
+from spiral.evidence.standing import Masks, Standing, all_samples, begin, grown
 from spiral.model import Model
 from spiral.problem import Problem, Progress, silent
 from spiral.record import Record
 from spiral.run import Comparison
-from spiral.shooting.fit import covariance
+from spiral.shooting.fit import standard_deviations
 from spiral.shooting.growth import Stage
 from spiral.shooting.sensitivities import residuals
 from spiral.statistics import Whiteness, whiteness
@@ -84,10 +84,7 @@ def standard_errors(assembly: Assembly, standing: Standing, stage: Stage) -> dic
     moving, _ = columns(assembly, standing.keys(assembly))
     if stage.fitted.reduction is None:
         return {}
-    spread = np.sqrt(np.maximum(np.diag(covariance(stage.fitted)), 0.0))
-    seen = np.linalg.norm(stage.fitted.reduction.triangle[:-1, :-1], axis=0) > 0
-    spread = np.where(seen, spread, np.inf)
-    spread = spread * np.sqrt(max(stage.fitted.chi2_per_dof, 1.0))
+    spread = standard_deviations(stage.fitted) * np.sqrt(max(stage.fitted.chi2_per_dof, 1.0))
     errors: dict[str, float] = {}
     for i, position in enumerate(moving.index):
         if position >= len(assembly.study.keys):

@@ -27,7 +27,7 @@ from spiral.evidence.assembly import (
     to_model,
 )
 from spiral.evidence.judge import run_free
-from spiral.evidence.trajectories import Standing
+from spiral.evidence.standing import Standing
 from spiral.filtering.task import linearised
 from spiral.model import Model
 from spiral.problem import Problem, Progress, silent

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.compare import judged, last_stage, prepared, test_run
+from spiral.evidence.admission import admit
 from spiral.evidence.assembly import Assembly
 from spiral.evidence.judge import whole
-from spiral.evidence.trajectories import Standing, admit, all_samples, half_masks
+from spiral.evidence.standing import Standing, all_samples, half_masks
 from spiral.identifiability.parameters import entangled
 from spiral.problem import Problem, Progress, silent
 from spiral.run import Diagnosis, Round, Stopped, Suggestion

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 from spiral.compare import judged, last_stage, prepared
 from spiral.effect import Effect
+from spiral.evidence.admission import with_effects
 from spiral.evidence.assembly import Assembly
-from spiral.evidence.trajectories import Standing, all_samples, with_effects
+from spiral.evidence.standing import Standing, all_samples
 from spiral.problem import Problem, Progress, silent
 from spiral.run import Comparison, Round, Run, Stopped
 from spiral.shooting.growth import Stage

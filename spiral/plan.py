@@ -15,9 +15,10 @@ import numpy as np
 from spiral.compare import last_stage, prepared, refined
 from spiral.effect import Effect
 from spiral.errors import ConfigError, SpiralError, did_you_mean
+from spiral.evidence.admission import with_effects
 from spiral.evidence.assembly import Assembly, assemble, first_row, to_model, with_records
 from spiral.evidence.judge import whole
-from spiral.evidence.trajectories import Standing, all_samples, with_effects
+from spiral.evidence.standing import Standing, all_samples
 from spiral.identifiability.information import Pair, View, separation
 from spiral.model import Model
 from spiral.problem import Problem, Progress, silent

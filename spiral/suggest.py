@@ -9,19 +9,12 @@ import numpy as np
 from scipy import stats
 
 from spiral.effect import SensorEffect
+from spiral.evidence.admission import Admitted, admit
 from spiral.evidence.assembly import Assembly
 from spiral.evidence.farstart import from_afar
 from spiral.evidence.judge import held_out
-from spiral.evidence.trajectories import (
-    Admitted,
-    Evidence,
-    Masks,
-    Ranked,
-    Standing,
-    admit,
-    grown,
-    score_stage,
-)
+from spiral.evidence.scoring import Evidence, Ranked, score_stage
+from spiral.evidence.standing import Masks, Standing, grown
 from spiral.problem import Progress, Settings, silent
 from spiral.run import Suggestion
 from spiral.shooting.growth import Stage

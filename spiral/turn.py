@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from spiral.errors import ConfigError, did_you_mean
 from spiral.evidence.assembly import Assembly, to_model
-from spiral.evidence.trajectories import Standing
+from spiral.evidence.standing import Standing
 from spiral.model import Model
 from spiral.problem import Problem, Progress
 from spiral.run import Round, Run, Stopped, Suggestion, Verdict

@@ -16,7 +16,7 @@ from spiral.compare import refined
 from spiral.effect import Effect
 from spiral.errors import SpiralError
 from spiral.evidence.assembly import assemble, first_row
-from spiral.evidence.trajectories import Standing
+from spiral.evidence.standing import Standing
 from spiral.identifiability.information import View
 from spiral.problem import Problem
 from spiral.record import Record

@@ -2,7 +2,7 @@
 
 A rim over which a tank spills, or a limit at which a sensor stops, has no small version: far from
 zero lies another basin. Where the model is far off such candidates are refitted from a tenth of
-their bounds (``trajectories.admit``), and the fall of the cost that the refit reaches replaces that
+their bounds (``admission.admit``), and the fall of the cost that the refit reaches replaces that
 of the linear step, where it is larger:
 
     F    = (fall / q) / (rest / dof),
@@ -19,8 +19,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from spiral.evidence.admission import admit, afar
 from spiral.evidence.assembly import Assembly
-from spiral.evidence.trajectories import Evidence, Ranked, Standing, admit, afar, bic
+from spiral.evidence.scoring import Evidence, Ranked, bic
+from spiral.evidence.standing import Standing
 from spiral.record import Array
 from spiral.shooting.score import log_tail
 from spiral.shooting.sensitivities import residuals

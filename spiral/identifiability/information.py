@@ -24,7 +24,8 @@ import numpy as np
 from spiral.effect import Effect
 from spiral.errors import ConfigError
 from spiral.evidence.assembly import Assembly, columns, first_row
-from spiral.evidence.trajectories import Standing, tested_keys
+from spiral.evidence.scoring import tested_keys
+from spiral.evidence.standing import Standing
 from spiral.record import Array
 from spiral.shooting.sensitivities import reduce
 from spiral.shooting.study import Columns, Layouts, Point

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.evidence.assembly import Assembly, columns
-from spiral.evidence.trajectories import Standing, all_samples, grown, tested_keys
+from spiral.evidence.scoring import tested_keys
+from spiral.evidence.standing import Standing, all_samples, grown
 from spiral.record import Array
 from spiral.shooting.growth import Stage
 from spiral.shooting.sensitivities import reduce

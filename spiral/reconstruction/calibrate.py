@@ -27,8 +27,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.compare import last_stage, prepared, standard_errors
+from spiral.evidence.admission import TOLD
 from spiral.evidence.assembly import ORIGIN, Assembly, columns, to_model, unknown_keys, with_records
-from spiral.evidence.trajectories import Standing, all_samples
+from spiral.evidence.standing import Standing, all_samples
 from spiral.filtering.extended import filtered
 from spiral.filtering.setup import chosen_levels, smoothed, with_level
 from spiral.filtering.setup import prepared as filter_prepared
@@ -49,7 +50,6 @@ _SCAN = 0.03  # the same where one common factor is looked for
 _DOUBT = 0.3  # first doubt of a parameter, as a share of its value
 _TURN = 0.2  # the same of an angle, rad
 _LENGTH = 1024
-_TOLD = 0.5  # relative standard error above which a record does not tell a parameter
 
 
 @dataclass(frozen=True)
@@ -275,5 +275,5 @@ def untold(model: Model) -> tuple[str, ...]:
     return tuple(
         key
         for key, error in model.errors.items()
-        if not error <= _TOLD * (1.0 if known[key].unit == "rad" else abs(model.values[key]))
+        if not error <= TOLD * (1.0 if known[key].unit == "rad" else abs(model.values[key]))
     )

@@ -151,6 +151,15 @@ def _move(point: Point, columns: Columns, reduction: Reduction, step: Array) -> 
     return Point(columns.moved(point.values, step), starts)
 
 
+def standard_deviations(fitted: Fitted) -> Array:
+    """Square roots of the covariance's diagonal; infinite for a column that nothing depends on."""
+    if fitted.reduction is None:
+        return np.zeros(0)
+    spread = np.sqrt(np.maximum(np.diag(covariance(fitted)), 0.0))
+    seen = np.linalg.norm(fitted.reduction.triangle[:-1, :-1], axis=0) > 0
+    return np.where(seen, spread, np.inf)
+
+
 def covariance(fitted: Fitted) -> Array:
     """Covariance of the columns, sigma as declared: (R^T R)^-1, pseudo-inverse where deficient."""
     if fitted.reduction is None:

@@ -89,15 +89,15 @@ def grow(
     lengths: list[int],
     patient: bool = False,
     first: tuple[Columns, tuple[Array, Array]] | None = None,
+    stage: Stage | None = None,
 ) -> Iterator[Stage]:
     """Yield a stage for each window length, as long as the fits converge.
 
     The caller may stop taking stages; the last stage that converged is where the model stands.
     A stage that does not converge is yielded too (its ``fitted.converged`` is false) and ends it,
     unless ``patient`` and the model stayed finite. ``first`` are columns that alone move, beside
-    the window starts, before all others do.
+    the window starts, before all others do. ``stage`` is one of shorter windows to go on from.
     """
-    stage: Stage | None = None
     for length in lengths:
         layouts = layouts_for(study, length, masks)
         if stage is None:

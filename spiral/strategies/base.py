@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from spiral.evidence.assembly import Assembly
-from spiral.evidence.trajectories import Standing
+from spiral.evidence.standing import Standing
 from spiral.problem import Problem, Progress
 from spiral.run import Comparison, Stopped, Suggestion
 

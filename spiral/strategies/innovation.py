@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 
 from spiral.compare import compared, prepared, refined
+from spiral.evidence.admission import stepped
 from spiral.evidence.assembly import Assembly, Variant, columns, to_model
-from spiral.evidence.trajectories import Standing, stepped, tested_keys
+from spiral.evidence.scoring import tested_keys
+from spiral.evidence.standing import Standing
 from spiral.filtering.likelihood import Climbed, Prepared, climbed
 from spiral.filtering.setup import prepared as filter_prepared
 from spiral.filtering.task import compiled_for, task_with

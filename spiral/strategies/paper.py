@@ -15,7 +15,7 @@ import numpy as np
 
 from spiral.compare import compared, refined
 from spiral.evidence.assembly import Assembly, assemble, first_row, to_model
-from spiral.evidence.trajectories import Standing
+from spiral.evidence.standing import Standing
 from spiral.gate import Judgement, Trial, through
 from spiral.learner import Learned, learned
 from spiral.library import Term, terms_of

@@ -23,17 +23,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.effect import Effect, SensorEffect
+from spiral.evidence.admission import Admitted
 from spiral.evidence.assembly import Assembly, Variant, columns
 from spiral.evidence.judge import held_out
-from spiral.evidence.trajectories import (
-    Admitted,
-    Masks,
-    Standing,
-    grown,
-    scored,
-    stage_lengths,
-    tested_keys,
-)
+from spiral.evidence.scoring import scored, tested_keys
+from spiral.evidence.standing import Masks, Standing, grown, stage_lengths
 from spiral.parameter import Parameter
 from spiral.problem import Progress
 from spiral.record import Array

@@ -12,9 +12,11 @@ from dataclasses import replace
 from scipy import stats
 
 from spiral.compare import fitted_model
+from spiral.evidence.admission import Admitted, admit, refit
 from spiral.evidence.assembly import Assembly
 from spiral.evidence.judge import held_out
-from spiral.evidence.trajectories import Admitted, Masks, Standing, admit, refit, tested_keys
+from spiral.evidence.scoring import tested_keys
+from spiral.evidence.standing import Masks, Standing
 from spiral.model import Model
 from spiral.shooting.growth import Stage
 from spiral.statistics import paired_errors

@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from spiral.compare import judged, last_stage, prepared
+from spiral.evidence.admission import Admitted, admit
 from spiral.evidence.assembly import Assembly
-from spiral.evidence.trajectories import Admitted, Masks, Standing, admit, half_masks, tested_keys
+from spiral.evidence.scoring import tested_keys
+from spiral.evidence.standing import Masks, Standing, half_masks
 from spiral.identifiability.parameters import entangled
 from spiral.problem import Problem, Progress
 from spiral.run import Comparison, Stopped, Suggestion

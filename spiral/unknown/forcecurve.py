@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from spiral.compare import last_stage
+from spiral.evidence.admission import Admitted
 from spiral.evidence.assembly import Assembly, columns
-from spiral.evidence.trajectories import Admitted, Masks, Standing
+from spiral.evidence.standing import Masks, Standing
 from spiral.learned import Learned, LearnedFlow, LearnedForce, spacing
 from spiral.record import Array
 from spiral.run import Suggestion

@@ -11,8 +11,9 @@ from dataclasses import replace
 
 from spiral.compare import substeps_for
 from spiral.effect import Effect
+from spiral.evidence.admission import Admitted
 from spiral.evidence.assembly import Assembly, Variant, assemble, first_row, with_records
-from spiral.evidence.trajectories import Admitted, Standing
+from spiral.evidence.standing import Standing
 
 
 def holding(assembly: Assembly, standing: Standing) -> Assembly:

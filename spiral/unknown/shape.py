@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from spiral.evidence.assembly import Assembly
-from spiral.evidence.trajectories import Masks, Standing, begin
+from spiral.evidence.standing import Masks, Standing, begin
 from spiral.learned import Learned
 from spiral.problem import Progress
 from spiral.suggest import Proposal, propose

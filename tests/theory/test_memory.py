@@ -16,7 +16,7 @@ from spiral.compare import last_stage, prepared
 from spiral.discover import add, discover
 from spiral.effect import FlowEffect
 from spiral.evidence.assembly import assemble
-from spiral.evidence.trajectories import begin, half_masks
+from spiral.evidence.standing import begin, half_masks
 from spiral.model import Model, seed_model
 from spiral.parameter import Input, Parameter, State
 from spiral.port import Port

@@ -6,8 +6,10 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 from spiral.compare import prepared
 from spiral.errors import ConfigError
+from spiral.evidence.admission import admit
 from spiral.evidence.farstart import from_afar
-from spiral.evidence.trajectories import admit, all_samples, grown, score_stage
+from spiral.evidence.scoring import score_stage
+from spiral.evidence.standing import all_samples, grown
 from spiral.model import seed_model
 from spiral.problem import Problem
 from spiral.shooting.windows import fair_block, halves

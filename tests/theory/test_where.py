@@ -13,7 +13,7 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.compare import last_stage, prepared
 from spiral.effect import Effect
-from spiral.evidence.trajectories import all_samples
+from spiral.evidence.standing import all_samples
 from spiral.model import seed_model
 from spiral.problem import Problem
 from spiral.simulate import simulate
