@@ -95,8 +95,9 @@ class Input:
     """A known input, and how it runs between samples.
 
     ``smooth`` is a cubic spline (speed, phase), ``band_limited`` a polyphase FIR interpolation
-    (a measured force), ``zero_order`` holds each value. ``derived_from`` names another input that
-    this one follows from where it is not measured (``phase`` from ``speed``).
+    (a measured force), ``zero_order`` holds each value until the next sample. ``derived_from``
+    names another input that this one follows from where it is not measured (``phase`` from
+    ``speed``).
     """
 
     name: str

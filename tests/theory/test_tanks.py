@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 from spiral.compare import prepared
@@ -125,3 +126,20 @@ def test_an_effect_that_is_let_go_no_longer_acts():
     spilled, caught = (assembly.study.index(f"{label}.{k}") for k in ("spilled", "caught"))
     assert found.standing.values[0, spilled] > 0
     assert left.values[0, spilled] == left.values[0, caught] == 0
+
+
+def test_a_pump_that_jumps_fills_by_the_value_it_held():
+    """Against an adaptive integration interval by interval, for a pump drawn anew every 4 s."""
+    time, held = 4.0 * np.arange(100), 3.0 + np.random.default_rng(0).normal(size=100)
+    model = seed_model(CascadedTanks(), values=VALUES)
+    record = simulate(model, time, {"pump": held}, 0.0)
+    states = np.array([[0.0, 0.0]])
+
+    def rate(_, x, pump):
+        out = np.sqrt(np.abs(x)) * (UPPER, LOWER)
+        return [GAIN * pump - out[0], out[0] - out[1]]
+
+    for pump in held[:-1]:
+        found = solve_ivp(rate, (0, 4), np.maximum(states[-1], 0), args=(pump,), rtol=1e-9)
+        states = np.vstack([states, found.y[:, -1]])
+    assert record.truth["lower"] == pytest.approx(states[:, 1], abs=3e-4 * states[:, 1].std())
