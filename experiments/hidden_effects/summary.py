@@ -99,23 +99,32 @@ def _grouped(rows: Sequence[Row], keys: tuple[str, ...]) -> dict[str, Any]:
     }
 
 
+_COLUMNS = (
+    "case", "studies", "first", "top 3", "false admissions", "error falls by",
+    "test error / floor", "within 1.2 floors", "coefficient error (se)", "within 2 se", "s",
+)  # fmt: skip
+
+
 def table(found: dict[str, Any]) -> str:
     """The tables in Markdown."""
     lines = []
     for title in ("all identifiable", "by strength and noise", "by system, strength and noise"):
-        lines += [f"\n**{title}**\n", "| case | studies | first | top 3 | false admissions | "
-                  "error falls by | test error / floor | coefficient error (se) | s |",
-                  "|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
+        lines += [f"\n**{title}**\n", f"| {' | '.join(_COLUMNS)} |", "|" + "---|" * len(_COLUMNS)]
         for name, row in found[title].items():
-            numbers = [row["fall"], row["over_floor"], row["coefficient_error_se"], row["seconds"]]
-            cells = [_rate(row["first"]), _rate(row["top3"]), _rate(row["false"])]
-            cells += ["-" if v is None else f"{v:.3g}" for v in numbers]
+            cells = [_rate(row[k]) for k in ("first", "top3", "false")]
+            cells += [_number(row["fall"]), _number(row["over_floor"]), _rate(row["near_floor"])]
+            cells += [_number(row["coefficient_error_se"]), _rate(row["within_2_se"])]
+            cells.append(_number(row["seconds"]))
             lines.append(f"| {name} | {row['first']['count']} | {' | '.join(cells)} |")
     null, unseen = found["null"], found["not_identifiable"]["named_or_nothing"]
     lines += [f"\nNull records: something admitted in {_rate(null['false'])} of "
               f"{null['false']['count']}.", f"Not identifiable: named, or nothing admitted, in "
               f"{_rate(unseen)} of {unseen['count']}."]  # fmt: skip
     return "\n".join(lines)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
 
 
 def _rate(found: dict[str, Any]) -> str:
