@@ -7,7 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.effect import Effect
-from spiral.evidence.assembly import Assembly, assemble, columns, first_row, to_model, with_records
+from spiral.evidence.assembly import (
+    Assembly,
+    assemble,
+    columns,
+    first_row,
+    to_model,
+    with_records,
+    with_steps,
+)
 from spiral.evidence.judge import FreeRun, free_run, run_free, whole
 from spiral.evidence.standing import Masks, Standing, all_samples, begin, grown
 from spiral.model import Model
@@ -17,7 +25,7 @@ from spiral.run import Comparison
 from spiral.shooting.fit import standard_deviations
 from spiral.shooting.growth import Stage
 from spiral.shooting.sensitivities import residuals
-from spiral.statistics import Whiteness, whiteness
+from spiral.statistics import whiteness
 from spiral.threads import one_blas_thread
 
 _SETTLE = 0.1  # share of a test record that settles its nuisances, where no time is given
@@ -47,10 +55,7 @@ def prepared(
 def refined(assembly: Assembly, standing: Standing) -> Assembly:
     """The same study with steps fine enough for the fastest mode of a standing."""
     substeps = substeps_for(assembly, standing.values[0])
-    if substeps <= 1:
-        return assembly
-    problem = assembly.problem
-    return with_records(assembly, problem.records, substeps, problem.settings.phase_knot)
+    return assembly if substeps <= 1 else with_steps(assembly, substeps)
 
 
 def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
@@ -131,7 +136,7 @@ def compared(
     run = test_run(assembly, labels, values)
     channels = run.errors(names) if run is not None else own
     dof = full.fitted.samples - full.fitted.nuisances - len(standing.keys(assembly))
-    white = _whiteness(left, problem.settings.lags)
+    white = whiteness(left, problem.settings.lags)
     return Comparison(
         model=model,
         fit_error=float(np.mean([e.relative for e in own.values()])),
@@ -145,10 +150,6 @@ def compared(
         converged=converged,
         notes=tuple(n for r in problem.records for n in r.notes),
     )
-
-
-def _whiteness(left: tuple[np.ndarray, ...], lags: int) -> Whiteness:
-    return whiteness(left, min(lags, max(2, min(len(r) for r in left) // 5)))
 
 
 @one_blas_thread

@@ -21,8 +21,10 @@ class Whiteness:
 def whiteness(residuals: tuple[Array, ...], lags: int) -> Whiteness:
     """Ljung-Box Q = N (N + 2) sum_k rho_k^2 / (N - k) of every channel (paper, eq. ljungbox).
 
-    Q/N is about the summed squared autocorrelation: the size of what is left, whatever N.
+    Q/N is about the summed squared autocorrelation: the size of what is left, whatever N. Of a
+    short record at most a fifth as many lags are taken as it has samples.
     """
+    lags = min([lags, *(max(2, len(values) // 5) for values in residuals)])
     p_values, effects = [], []
     for values in residuals:
         for channel in values.T:

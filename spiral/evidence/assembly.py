@@ -110,6 +110,12 @@ def with_records(
     return replace(assembly, study=replace(assembly.study, series=series))
 
 
+def with_steps(assembly: Assembly, substeps: int) -> Assembly:
+    """The same study with so many integration steps per sample."""
+    problem = assembly.problem
+    return with_records(assembly, problem.records, substeps, problem.settings.phase_knot)
+
+
 def _variants(
     model: Model, effect: Effect, extremes: Mapping[str, float], problem: Problem
 ) -> list[Variant]:

@@ -28,7 +28,7 @@ import numpy as np
 
 from spiral.compare import last_stage, prepared, standard_errors
 from spiral.evidence.admission import TOLD
-from spiral.evidence.assembly import ORIGIN, Assembly, columns, to_model, unknown_keys, with_records
+from spiral.evidence.assembly import ORIGIN, Assembly, columns, to_model, unknown_keys, with_steps
 from spiral.evidence.standing import Standing, all_samples
 from spiral.filtering.extended import filtered
 from spiral.filtering.setup import chosen_levels, smoothed, with_level
@@ -126,7 +126,7 @@ def _descended(
     problem = assembly.problem
     tasks, levels = _tasks(problem, first, ORIGIN in standing.keys(assembly))
     substeps = max(t.series.substeps for t in tasks)
-    assembly = with_records(assembly, problem.records, substeps, problem.settings.phase_knot)
+    assembly = with_steps(assembly, substeps)
     study = assembly.study
     moving, bounds = columns(assembly, standing.keys(assembly))
     values = np.pad(np.stack([t.values for t in tasks]), ((0, 0), (0, study.corrections)))
@@ -229,7 +229,7 @@ def cramer_rao(problem: Problem) -> dict[str, float]:
     assembly, standing = prepared(problem, ())
     tasks = [prepare_task(problem.model, r) for r in problem.records]
     substeps = max(t.series.substeps for t in tasks)
-    assembly = with_records(assembly, problem.records, substeps, problem.settings.phase_knot)
+    assembly = with_steps(assembly, substeps)
     study = assembly.study
     names = study.compiled.traced.states
     starts = tuple(

@@ -12,7 +12,7 @@ from dataclasses import replace
 from spiral.compare import substeps_for
 from spiral.effect import Effect
 from spiral.evidence.admission import Admitted
-from spiral.evidence.assembly import Assembly, Variant, assemble, first_row, with_records
+from spiral.evidence.assembly import Assembly, Variant, assemble, first_row, with_steps
 from spiral.evidence.standing import Standing
 
 
@@ -28,8 +28,7 @@ def holding(assembly: Assembly, standing: Standing) -> Assembly:
     substeps = substeps_for(made, standing.values[0])
     if substeps <= now:
         return made
-    problem = made.problem
-    return with_records(made, problem.records, substeps, problem.settings.phase_knot)
+    return with_steps(made, substeps)
 
 
 def having(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
@@ -68,7 +67,7 @@ def reassembled(
     substeps = assembly.study.series[0].substeps
     if substeps == 1:
         return made
-    return with_records(made, problem.records, substeps, problem.settings.phase_knot)
+    return with_steps(made, substeps)
 
 
 def carried(standing: Standing, old: Assembly, new: Assembly) -> Standing:
