@@ -56,14 +56,16 @@ def motion(study: Study, series: Series, window: int) -> Motion:
 class Balance:
     """The balance of forces of one model as regression: columns for the unknowns, and the rest.
 
-    ``unknown`` are parameter positions in the study's arrays; ``turning`` is the one unknown whose
-    column turns with the phase origin (an unbalance), if there is one.
+    ``unknown`` are parameter positions in the study's arrays, ``states`` those of its states (a
+    study may have more, which effects bring); ``turning`` is the one unknown whose column turns
+    with the phase origin (an unbalance), if there is one.
     """
 
     unknown: tuple[int, ...]
     origin: int | None
     turning: int | None
     used: tuple[int, ...]
+    states: tuple[int, ...]
     columns: Callable[..., list[Any]]
     rest: Callable[..., list[Any]]
     rows: int
@@ -90,6 +92,7 @@ def balance(study: Study, traced: Traced, unknown: tuple[str, ...]) -> Balance:
         origin=study.index(origin) if origin else None,
         turning=turning,
         used=tuple(study.index(k) for k in traced.keys),
+        states=tuple(study.compiled.traced.states.index(x) for x in traced.states),
         columns=columns,
         rest=rest,
         rows=len(traced.balance),
@@ -184,7 +187,8 @@ def _equations(
         if equations.origin is not None:
             shifted[equations.origin] += shift
         known = shifted[list(equations.used)]
-        given = function(*moving.states.T, *u.T, *known, *moving.acceleration.T)
+        states = moving.states[:, equations.states]
+        given = function(*states.T, *u.T, *known, *moving.acceleration.T)
         flat = np.array([np.broadcast_to(v, (len(u),))[edge] for v in given])
         return np.moveaxis(flat.reshape(equations.rows, width, -1), -1, 0).reshape(-1, width)
 

@@ -15,13 +15,14 @@ from experiments.hidden_effects.strengths import SCENES
 from spiral.compare import last_stage, prepared
 from spiral.discover import add, discover
 from spiral.effect import FlowEffect
-from spiral.evidence.assembly import assemble
+from spiral.evidence.assembly import assemble, first_row
 from spiral.evidence.standing import begin, half_masks
 from spiral.model import Model, seed_model
 from spiral.parameter import Input, Parameter, State
 from spiral.port import Port
 from spiral.problem import Problem, Settings
 from spiral.shooting.growth import first_starts, layouts_for
+from spiral.shooting.start import balance, first_values
 from spiral.simulate import integrate
 from spiral.strategies.resolved import peaks, scanned, widened
 from spiral.suggest import propose
@@ -135,6 +136,23 @@ def test_states_of_an_effect_are_driven_by_the_motion_of_its_port():
     truth = states[layouts[0].starts]
     for at in (2, 3):
         assert np.std(starts[2:, at] - truth[2:, at]) < 0.05 * np.std(truth[2:, at])
+
+
+def test_first_values_do_not_depend_on_states_that_effects_bring():
+    """A study that goes on with a resonance may begin anew from the seed (a curve's does)."""
+    problem = _problem(duration=4.0)
+    base = assemble(problem)
+    study = reassembled(base, (), (variant_of(effect("hidden_mode"), "1", MODE),))
+    seed = trace(Oscillator(), problem.model.effects)
+    unknown = tuple(k for k, p in problem.model.pairs if p.start is None)
+    found = []
+    for each in (base, study):
+        equations = balance(each.study, seed, unknown)
+        values = first_values(each.study, equations, first_row(each), 11)
+        found.append([values[0, each.study.index(k)] for k in unknown])
+    assert len(unknown) == 3
+    assert found[0] == found[1]
+    assert begin(study, problem.model.labels).labels == problem.model.labels
 
 
 def test_peaks_are_the_local_maxima_the_largest_first():
