@@ -94,6 +94,7 @@ def reduce(
     columns : the parameters differentiated.
     block : samples in a Gram block; 0 makes none.
     """
+    point.fits(study)
     weights = [s.weight(layout.mask) for s, layout in zip(study.series, layouts, strict=True)]
     batches = list(_batches(layouts))
 
@@ -161,6 +162,7 @@ def residuals(study: Study, layouts: Layouts, point: Point) -> tuple[Array, ...]
 
 def run_windows(study: Study, record: int, layout: Layout, point: Point) -> tuple[Array, Array]:
     """States and readings of one record, window by window; infinite throughout on divergence."""
+    point.fits(study)
     series = study.series[record]
     states = np.full((series.samples, study.state_count), np.nan)
     readings = np.full_like(series.y, np.nan)

@@ -83,6 +83,21 @@ class Point:
     values: Array
     starts: tuple[Array, ...]
 
+    def fits(self, study: Study) -> None:
+        """Refuse a point of another study: compiled loops do not look where they write.
+
+        Raises
+        ------
+        ValueError : other numbers of records or states, or too few parameters.
+        """
+        (records, count), states = self.values.shape, {x.shape[1] for x in self.starts}
+        wanted, known = len(study.series), len(study.keys)
+        if records != wanted or count < known or states - {study.state_count}:
+            raise ValueError(
+                f"a point of {records} records, {count} values and {sorted(states)} states in a "
+                f"study of {wanted}, {known} and {study.state_count}"
+            )
+
 
 @dataclass(frozen=True)
 class Columns:

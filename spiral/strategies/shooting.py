@@ -46,7 +46,7 @@ def _propose(
     number: int,
     progress: Progress,
 ) -> Step:
-    assembly = holding(assembly, standing)
+    begun, assembly = assembly, holding(assembly, standing)
     masks = half_masks(assembly)
     proposal = propose(assembly, standing, masks, number, progress)
     level = assembly.problem.settings.whiteness_level
@@ -54,14 +54,14 @@ def _propose(
     proposal = remembered(assembly, standing, proposal, white, masks, number, progress)
     proposal = simplest(assembly, standing, proposal, masks[1])
     if proposal.admitted is not None:
-        return _step(standing, _in_place(assembly, proposal))
+        return _step(standing, _in_place(begun, proposal.wide or assembly, proposal))
     stopped = _why_stopped(proposal, comparison, level)
     details = _details(proposal)
     found = curve_of(assembly, standing, proposal, comparison, number, progress)
     if found is not None:
         details["unknown"] = found.shape.as_dict()
     if found is not None and assembly.problem.settings.learned:
-        step = _step(standing, found.proposal)
+        step = _step(standing, _in_place(begun, found.assembly, found.proposal))
         return replace(step, details={**step.details, **details})
     return Step(
         proposal.suggestions, proposal.rejected, stopped=stopped, details=details, found=proposal
@@ -99,13 +99,18 @@ def _details(proposal: Proposal) -> dict[str, Any]:
     return details
 
 
-def _in_place(assembly: Assembly, proposal: Proposal) -> Proposal:
-    """The proposal with its admission in the study that goes on: with the one effect more."""
+def _in_place(begun: Assembly, place: Assembly, proposal: Proposal) -> Proposal:
+    """The proposal with its admission in the study that goes on, not in that of its evidence.
+
+    It has what was compiled at first and what the new standing holds beyond it: no curves or
+    resonances tried beside it, none that it lets go.
+    """
     admitted = proposal.admitted
-    if proposal.wide is None or admitted is None:
+    assert admitted is not None
+    final = having(begun, admitted.standing.labels)
+    if final is place:
         return proposal
-    final = having(assembly, admitted.standing.labels)
-    return replace(proposal, admitted=moved(admitted, proposal.wide, final))
+    return replace(proposal, admitted=moved(admitted, place, final))
 
 
 def _step(standing: Standing, proposal: Proposal) -> Step:
@@ -136,7 +141,7 @@ def _choose(assembly: Assembly, standing: Standing, step: Step, label: str) -> S
     proposal: Proposal = step.found
     evidence = proposal.evidence
     assert evidence is not None
-    assembly = holding(assembly, standing)
+    begun, assembly = assembly, holding(assembly, standing)
     study, there = assembly, standing
     if proposal.wide is not None:
         study, there = proposal.wide, carried(standing, assembly, proposal.wide)
@@ -145,7 +150,7 @@ def _choose(assembly: Assembly, standing: Standing, step: Step, label: str) -> S
     others = (*step.admitted, *proposal.aliases)
     aliases = tuple(o for o in others if o != label) if label in others else ()
     chosen = replace(proposal, admitted=admitted, aliases=aliases)
-    return _step(standing, _in_place(assembly, chosen))
+    return _step(standing, _in_place(begun, study, chosen))
 
 
 def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
@@ -153,7 +158,7 @@ def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
     proposal: Proposal = step.found
     latest = proposal.admitted
     assert latest is not None
-    assembly = holding(assembly, latest.standing)
+    begun, assembly = assembly, holding(assembly, latest.standing)
     mask = half_masks(assembly)[1]
     assert proposal.evidence is not None
     comparison = _judge(assembly, latest.standing, mask, progress)
@@ -166,6 +171,7 @@ def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
     standing = let_go(assembly, latest.standing, gone)
     comparison = _judge(assembly, standing, mask, progress)
     retired = tuple(assembly.variant(x).original.label for x in gone)
+    standing = carried(standing, assembly, having(begun, standing.labels))
     return Settled(standing, comparison, (*proposal.dropped, *retired))
 
 

@@ -260,3 +260,12 @@ def test_windows_of_a_trajectory_agree_with_one_run():
     many = layouts_for(study, 64, (None,))
     pieces = run_windows(study, 0, many[0], Point(values, (states[many[0].starts],)))[1]
     np.testing.assert_allclose(pieces, readings, rtol=1e-9, atol=1e-15)
+
+
+def test_a_point_of_another_study_is_refused_before_compiled_loops_see_it():
+    study = _study()[0]
+    wide = Point(np.ones((1, len(study.keys))), (np.zeros((1, study.state_count + 1)),))
+    narrow = Point(np.ones((1, len(study.keys) - 1)), (np.zeros((1, study.state_count)),))
+    for point in (wide, narrow):
+        with pytest.raises(ValueError, match="a point of 1 records"):
+            point.fits(study)
