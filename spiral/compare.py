@@ -20,7 +20,7 @@ from spiral.evidence.judge import FreeRun, free_run, run_free, whole
 from spiral.evidence.standing import Masks, Standing, all_samples, begin, grown
 from spiral.model import Model
 from spiral.problem import Problem, Progress, silent
-from spiral.record import Record
+from spiral.record import Record, estimate_noise
 from spiral.run import Comparison
 from spiral.shooting.fit import standard_deviations
 from spiral.shooting.growth import Stage
@@ -149,6 +149,7 @@ def compared(
         horizon=int(full.length),
         converged=converged,
         notes=tuple(n for r in problem.records for n in r.notes),
+        noise_ratio=_noise_ratio(problem.records),
     )
 
 
@@ -178,6 +179,17 @@ def test_run(assembly: Assembly, labels: tuple[str, ...], values: np.ndarray) ->
     if settle is None:
         settle = _SETTLE * min(r.samples * r.dt for r in problem.test)
     return free_run(other, labels, values, settle)
+
+
+def _noise_ratio(records: tuple[Record, ...]) -> float | None:
+    """Noise that the records show without a model over what they declare, rms over channels."""
+    ratios = [
+        estimate_noise(r.channels[name]) / declared
+        for r in records
+        for name, declared in r.noise.items()
+        if declared
+    ]
+    return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
 
 
 def _noise_floor(records: tuple[Record, ...], model: Model, run: FreeRun | None) -> float:

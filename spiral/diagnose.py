@@ -20,7 +20,7 @@ from spiral.strategies.shooting import curve_of
 from spiral.suggest import Proposal, propose
 from spiral.threads import one_blas_thread
 from spiral.unknown.holding import carried
-from spiral.verdict import advice_for, seed_verdict
+from spiral.verdict import advice_for, seed_verdict, verdict_sentence
 from spiral.where.regions import where
 
 _TRIED = 3  # suggestions whose test error is worked out
@@ -44,10 +44,19 @@ def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
     comparison = judged(assembly, standing, stage, progress)
     first = Round(0, (), {}, {}, (), comparison, 0.0)
     if tangle is not None:
-        advice = advice_for("not_identifiable", "not_identifiable", [first], tangle.groups)
+        advice = advice_for(
+            "not_identifiable", "not_identifiable", [first], tangle.groups, problem.settings
+        )
         groups = tuple(Suggestion(g[0], "", g[1:], 1.0, 0.0, 1.0, 0.0) for g in tangle.groups)
         return Diagnosis(
-            "not_identifiable", comparison, groups, where(assembly, stage), advice, stage.length
+            "not_identifiable",
+            comparison,
+            groups,
+            where(assembly, stage),
+            advice,
+            stage.length,
+            left_out=assembly.left_out,
+            summary=verdict_sentence("not_identifiable", comparison, problem.settings),
         )
     masks = half_masks(assembly)
     proposal = propose(assembly, standing, masks, 1, progress)
@@ -64,8 +73,8 @@ def _by_innovations(problem: Problem, progress: Progress) -> Diagnosis:
     comparison, standing = begun.comparison, begun.standing
     step = INNOVATION.propose(begun.assembly, standing, comparison, 1, progress)
     first = Round(0, (), {}, {}, (), comparison, 0.0)
-    rounds = [first, first] if step.admitted else [first]
-    verdict = seed_verdict(rounds, step.stopped, problem.settings.whiteness_level)
+    settings = problem.settings
+    verdict = seed_verdict(first, step.stopped, settings, bool(step.admitted))
     suggestions = () if verdict == "nothing_missing" else step.suggestions
     if step.admitted:
         after = INNOVATION.settle(begun.assembly, step, progress).comparison.test_error
@@ -73,12 +82,13 @@ def _by_innovations(problem: Problem, progress: Progress) -> Diagnosis:
         best = replace(best, test_error_before=comparison.test_error, test_error_after=after)
         suggestions = (best, *others)
     stage = whole(begun.assembly, standing.labels, standing.values)
-    advice = advice_for(verdict, step.stopped, [first], ())
+    advice = advice_for(verdict, step.stopped, [first], (), settings)
     if step.admitted:
         advice = _advice(next(iter(suggestions)))
     return Diagnosis(
         verdict, comparison, suggestions, where(begun.assembly, stage), advice, stage.length,
-        step.stopped == "diverged",
+        step.stopped == "diverged", left_out=begun.assembly.left_out,
+        summary=verdict_sentence(verdict, comparison, settings),
     )  # fmt: skip
 
 
@@ -90,21 +100,20 @@ def _advice(best: Suggestion) -> str:
 def _diagnosis(
     assembly: Assembly, standing: Standing, comparison, proposal: Proposal, first: Round, progress
 ) -> Diagnosis:
-    level = assembly.problem.settings.whiteness_level
+    settings = assembly.problem.settings
     stopped: Stopped = "diverged" if proposal.diverged else "no_candidate"
     shape = None
-    if proposal.admitted is None and comparison.whiteness_p < level:
+    if proposal.admitted is None and comparison.whiteness_p < settings.whiteness_level:
         found = curve_of(assembly, standing, proposal, comparison, 1, progress)
         shape = None if found is None else found.shape.as_dict()
         first = replace(first, details={} if shape is None else {"unknown": shape})
-    rounds = [first] if proposal.admitted is None else [first, first]
-    verdict = seed_verdict(rounds, stopped, level)
+    verdict = seed_verdict(first, stopped, settings, proposal.admitted is not None)
     evidence = proposal.evidence
     suggestions = _with_test_errors(assembly, standing, comparison.test_error, proposal, progress)
     if verdict == "nothing_missing":
         suggestions = ()
     shown = evidence.stage if evidence is not None else proposal.stages[-1]
-    advice = advice_for(verdict, stopped, [first], ())
+    advice = advice_for(verdict, stopped, [first], (), settings)
     if verdict == "effect_missing":
         advice = _advice(next(iter(suggestions)))
     return Diagnosis(
@@ -117,6 +126,8 @@ def _diagnosis(
         proposal.diverged,
         proposal.not_separable,
         shape,
+        assembly.left_out,
+        verdict_sentence(verdict, comparison, settings),
     )
 
 

@@ -83,7 +83,7 @@ def _loop(
             stopped = step.stopped
             break
         at = turned(strategy, assembly, at, step, progress, time.perf_counter() - clock)
-    return concluded(at, stopped, settings.whiteness_level)
+    return concluded(at, stopped, settings)
 
 
 @one_blas_thread

@@ -36,6 +36,9 @@ class Settings:
     lags : lags of the Ljung-Box statistic.
     share : smallest contribution of a term that a test is planned for, of the acceleration's rms.
     miss : probability of missing such a term.
+    chi2_limit : chi2 per degree of freedom, and its inverse, beyond which the noise does not
+        explain what a model leaves: evidence relies on a noise model that is right within this.
+    least_t : |estimate| over standard error under which an effect is not called missing.
     learned : whether ``discover`` admits a learned curve where no candidate explains what is left.
     phase_knot : seconds between knots of the smooth phase correction that a fitted record gets
         where its phase is integrated from a measured speed; 0 switches it off.
@@ -47,6 +50,8 @@ class Settings:
     alias_level: float = 0.01
     whiteness_level: float = 0.001
     lags: int = 40
+    chi2_limit: float = 2.0
+    least_t: float = 3.0
     share: float = 0.1
     miss: float = 0.05
     phase_knot: float = 1.0

@@ -5,7 +5,8 @@ One effect with 0/0 at rest (v/|v|) makes every column of a study NaN, so it is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +42,45 @@ def check_rest(compiled: Compiled, system: System, effects: Sequence[Effect]) ->
             raise _restless(f"effect {effect.label!r}", effect.plugin_name())
 
 
+def finite_along(compiled: Compiled, row: Array, states: Array, inputs: Array) -> bool:
+    """Whether a compiled model and its slopes are numbers at some states and inputs.
+
+    Parameters
+    ----------
+    row : (parameters,) values, 0 where none is known; a parameter of the system then takes 1 or
+        what its bounds allow. states : (points, n) of the system, states that effects bring are at
+        zero. inputs : (points, columns).
+    """
+    traced = compiled.traced
+    x = np.zeros((len(states), len(traced.states)))
+    x[:, : states.shape[1]] = states
+    given = zip(traced.keys, row, traced.parameters, strict=False)
+    p = np.array([v or _value(q) if k.startswith("system.") else v for k, v, q in given])
+    return all(_finite(_evaluated(compiled, at, u, p)) for at, u in zip(x, inputs, strict=True))
+
+
+def undefined_along(
+    system: System,
+    effects: Sequence[Effect],
+    values: Mapping[str, float],
+    states: Array,
+    inputs: Array,
+) -> tuple[str, ...]:
+    """Labels of the effects that are no numbers, values or slopes, at some of these states."""
+    found = []
+    for effect in effects:
+        traced = trace(system, (effect,))
+        p = [
+            (values.get(k) or _value(q)) if k.startswith("system.") else values.get(k, 0.0)
+            for k, q in zip(traced.keys, traced.parameters, strict=True)
+        ]
+        own = np.zeros((len(traced.x) - states.shape[1], len(states)))
+        given = [*states.T, *own, *inputs.T, *np.array(p, float)]
+        if not _finite(_traced_at(traced, given)):
+            found.append(effect.label)
+    return tuple(found)
+
+
 def _restless(who: str, name: str) -> PluginError:
     return PluginError(
         f"{who} is no number at rest (zero states and inputs)",
@@ -65,7 +105,12 @@ def _compiled_at_rest(compiled: Compiled) -> list[Array]:
     """f, h, then their slopes."""
     traced = compiled.traced
     x, u = np.zeros(len(traced.states)), np.zeros(len(traced.inputs))
-    p = np.array([_value(q) for q in traced.parameters], dtype=float)
+    return _evaluated(compiled, x, u, np.array([_value(q) for q in traced.parameters], float))
+
+
+def _evaluated(compiled: Compiled, x: Array, u: Array, p: Array) -> list[Array]:
+    traced = compiled.traced
+    x, u = np.ascontiguousarray(x), np.ascontiguousarray(u)
     values, slopes = [], []
     for function, count in (
         (compiled.rate, len(x)),
@@ -81,14 +126,19 @@ def _compiled_at_rest(compiled: Compiled) -> list[Array]:
 
 def _traced_at_rest(traced: Traced) -> list[Array]:
     """The same from expressions, without compiling."""
+    given = [*np.zeros(len(traced.x) + len(traced.u)), *(_value(q) for q in traced.parameters)]
+    return _traced_at(traced, [np.float64(v) for v in given])
+
+
+def _traced_at(traced: Traced, given: Sequence[Any]) -> list[Array]:
+    """Values of f and h, then their slopes, each (entries, points) where points are given."""
     import sympy as sp
 
-    given = [*np.zeros(len(traced.x) + len(traced.u)), *(_value(q) for q in traced.parameters)]
     symbols = [*traced.x, *traced.u, *traced.p]
     found = []
     slopes = (traced.rate_x, traced.rate_p, traced.output_x, traced.output_p)
     for flat in ([*traced.rate, *traced.output], *(m.flat() for m in slopes)):
         with np.errstate(all="ignore"):
-            numbers = sp.lambdify(symbols, flat, "numpy")(*map(np.float64, given)) if flat else []
-        found.append(np.array([float(v) for v in numbers]))
+            numbers = sp.lambdify(symbols, flat, "numpy")(*given) if flat else []
+        found.append(np.array(np.broadcast_arrays(*numbers), dtype=float))
     return found

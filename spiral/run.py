@@ -30,7 +30,9 @@ class Comparison:
 
     ``fit_error`` and ``test_error`` are relative free-run errors, mean over channels;
     ``chi2_per_dof`` and ``whiteness_p`` are of the fitted records at window length ``horizon``;
-    ``noise_floor`` is the test error that a perfect model would have.
+    ``noise_floor`` is the test error that a perfect model would have; ``noise_ratio`` the noise
+    that the fitted records show without a model (high-order differences) over what they declare,
+    rms over channels, and nothing where they declare none.
     """
 
     model: Model
@@ -44,6 +46,7 @@ class Comparison:
     horizon: int
     converged: bool
     notes: tuple[str, ...] = ()
+    noise_ratio: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -51,6 +54,7 @@ class Comparison:
             "fit_error": self.fit_error,
             "test_error": self.test_error,
             "noise_floor": self.noise_floor,
+            "noise_ratio": self.noise_ratio,
             "channels": {k: v.as_dict() for k, v in self.channels.items()},
             "chi2_per_dof": self.chi2_per_dof,
             "whiteness_p": self.whiteness_p,
@@ -127,7 +131,8 @@ class Diagnosis:
 
     ``not_separable`` are candidates that effects of the model take over on this record, in part or
     whole: had they been there, they could not have been found. ``unknown`` is the shape of what no
-    candidate explains (``spiral.unknown.shape``).
+    candidate explains (``spiral.unknown.shape``). ``left_out`` are candidates that these records
+    cannot be asked about, and why. ``summary`` is the verdict with its figures.
     """
 
     verdict: Verdict
@@ -139,11 +144,14 @@ class Diagnosis:
     diverged: bool = False
     not_separable: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     unknown: Mapping[str, Any] | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    summary: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
         return {
             "verdict": self.verdict,
+            "summary": self.summary,
             "suggestions": [s.as_dict() for s in self.suggestions],
             "where": self.where.as_dict(),
             "advice": self.advice,
@@ -151,6 +159,7 @@ class Diagnosis:
             "comparison": self.comparison.as_dict(),
             "not_separable": {k: list(v) for k, v in self.not_separable.items()},
             "unknown": self.unknown,
+            "left_out": dict(self.left_out),
         }
 
 
@@ -200,7 +209,10 @@ class Round:
 
 @dataclass(frozen=True)
 class Run:
-    """The frozen history of a study: tried, admitted, rejected, on which evidence."""
+    """The frozen history of a study: tried, admitted, rejected, on which evidence.
+
+    ``missing`` are the effects that the verdict names, ``summary`` says it with its figures.
+    """
 
     verdict: Verdict
     stopped: Stopped
@@ -210,6 +222,8 @@ class Run:
     alias_groups: tuple[tuple[str, ...], ...] = ()
     run_id: str = ""
     context: Mapping[str, Any] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+    summary: str = ""
 
     @property
     def final(self) -> Comparison:
@@ -226,6 +240,8 @@ class Run:
         """As the JSON contract writes it."""
         return {
             "verdict": self.verdict,
+            "summary": self.summary,
+            "missing": list(self.missing),
             "stopped": self.stopped,
             "rounds": [r.as_dict() for r in self.rounds],
             "model": estimates_dict(self.model),

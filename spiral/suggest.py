@@ -26,7 +26,6 @@ _RIVAL_SHARE = 0.5  # least share of the first one's gain to be a rival
 _TWIN, _TWIN_SHARE = 0.999, 0.99  # cosine and share of the gain from which two are one
 _LISTED = 5
 _HINT = 0.95
-_NEARLY_RIGHT = 2.0  # chi2 per degree of freedom
 _STAGES = 4  # looks at the data, over which the level is shared
 
 
@@ -146,7 +145,7 @@ def _agree(
     new = _leaders(after, tests, settings, round_number)
     if not old:
         return True
-    nearly_right = after.stage.fitted.chi2_per_dof < _NEARLY_RIGHT
+    nearly_right = after.stage.fitted.chi2_per_dof < settings.chi2_limit
     kept = old[0] in new[:1] or (bool(new) and old[0] in _twins(after))
     return kept and (nearly_right or set(old) <= set(new))
 

@@ -13,13 +13,13 @@ from spiral.errors import ConfigError, did_you_mean
 from spiral.evidence.assembly import Assembly, to_model
 from spiral.evidence.standing import Standing
 from spiral.model import Model
-from spiral.problem import Problem, Progress
+from spiral.problem import Problem, Progress, Settings
 from spiral.run import Round, Run, Stopped, Suggestion, Verdict
 from spiral.strategies.base import Begun, Settled, Step, Strategy
 from spiral.strategies.innovation import INNOVATION
 from spiral.strategies.paper import PAPER
 from spiral.strategies.shooting import SHOOTING
-from spiral.verdict import advice_for, seed_verdict
+from spiral.verdict import advice_for, missing, study_verdict, summary
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def looked(
     ranked = replace(
         last,
         suggestions=step.suggestions,
-        rejected=dict(step.rejected),
+        rejected={**assembly.left_out, **step.rejected},
         details={**last.details, **step.details},
     )
     return Checkpoint((*at.rounds[:-1], ranked), at.standing), step
@@ -115,12 +115,17 @@ def _round(number: int, step: Step, settled: Settled, seconds: float) -> Round:
     )
 
 
-def concluded(at: Checkpoint, stopped: Stopped, level: float, advice: str | None = None) -> Run:
-    """The history of a study that ends here; ``level`` is that of the whiteness."""
-    rounds = list(at.rounds)
-    verdict = seed_verdict(rounds, stopped, level)
-    said = advice_for(verdict, stopped, rounds, ()) if advice is None else advice
-    return Run(verdict, stopped, at.rounds, rounds[-1].comparison.model, said)
+def concluded(
+    at: Checkpoint, stopped: Stopped, settings: Settings, advice: str | None = None
+) -> Run:
+    """The history of a study that ends here."""
+    rounds = at.rounds
+    verdict = study_verdict(rounds, stopped, settings)
+    said = advice_for(verdict, stopped, rounds, (), settings) if advice is None else advice
+    return Run(
+        verdict, stopped, rounds, rounds[-1].comparison.model, said,
+        missing=missing(rounds, settings), summary=summary(rounds, verdict, stopped, settings),
+    )  # fmt: skip
 
 
 def refused(begun: Begun, first: Round) -> Run:
@@ -128,7 +133,9 @@ def refused(begun: Begun, first: Round) -> Run:
     standing = begun.standing
     model: Model = to_model(begun.assembly, standing.labels, standing.values, {})
     verdict: Verdict = "not_identifiable"
+    settings = begun.assembly.problem.settings
     return Run(
         verdict, "not_identifiable", (first,), model,
-        advice_for(verdict, "not_identifiable", [first], begun.groups), begun.groups,
+        advice_for(verdict, "not_identifiable", [first], begun.groups, settings), begun.groups,
+        summary=summary([first], verdict, "not_identifiable", settings),
     )  # fmt: skip

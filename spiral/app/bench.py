@@ -19,7 +19,7 @@ from spiral.checkpoint import read_checkpoint, write_checkpoint
 from spiral.curves import FINAL, Curves, beside, free_curves, read_curves, write_curves
 from spiral.discover import Checkpoint
 from spiral.evidence.assembly import Assembly, first_row
-from spiral.problem import Problem
+from spiral.problem import Problem, Settings
 from spiral.registry import Registry
 from spiral.run import Round, Run
 from spiral.storage import finite, to_json, write_whole
@@ -220,9 +220,9 @@ class Bench:
         self._told(at, step)
 
     def _told(self, at: Checkpoint, step: Step) -> None:
-        level = self._assembly().problem.settings.whiteness_level
+        settings = self._assembly().problem.settings
         stopped = "max_rounds" if step.admitted else step.stopped
-        run = concluded(at, stopped, level)
+        run = concluded(at, stopped, settings)
         self.tell("ranked", _ranked(run, step, tuple(_candidates(self._strategy(), step))))
 
     def _strategy(self) -> Strategy:
@@ -276,7 +276,7 @@ def draw(
     from spiral.report.page import figures
 
     folder.mkdir(parents=True, exist_ok=True)
-    run = concluded(at, "max_rounds", 0.0, "")
+    run = concluded(at, "max_rounds", Settings(), "")
     now_unknown = {"unknown": at.rounds[-1].details.get("unknown"), "noise_floor": None}
     saved = {"result": finite({**run.as_dict(), **now_unknown})}
     names = [n for n in _ORDER if part(n)]

@@ -16,8 +16,8 @@ from spiral.app.draft import Choice, Draft
 from spiral.app.intake import Desktop
 from spiral.app.peek import PICTURE
 from spiral.errors import SpiralError
+from spiral.formatting import number
 from spiral.report import text
-from spiral.screen.parts import number
 
 _TICK = 0.2
 _NONE = "none"

@@ -106,7 +106,7 @@ class Scribe:
 
 def _run(at: Checkpoint, problem: Problem) -> Run:
     """The history up to this turn; its advice names what was added by hand."""
-    run = concluded(at, "max_rounds", problem.settings.whiteness_level, _BY_HAND)
+    run = concluded(at, "max_rounds", problem.settings, _BY_HAND)
     first = at.rounds[0]
     if len(at.rounds) > 1:
         return run

@@ -12,7 +12,7 @@ from spiral.app.desk import Desk
 from spiral.app.drop import drop_zone
 from spiral.app.study import Study
 from spiral.errors import SpiralError
-from spiral.screen.parts import percent
+from spiral.formatting import percent
 
 _LISTED = 12
 

@@ -23,7 +23,6 @@ from spiral.shooting.growth import Stage
 from spiral.shooting.sensitivities import reduce
 from spiral.shooting.study import Point
 
-_FAR_OFF = 2.0  # chi2 per degree of freedom from which effects are started from afar as well
 _START, _STARTS = 0.1, 3  # share of its bound that an amplitude starts from; shapes refitted so
 _WORTH = 10.0  # fall of the sum of squares (sigma^2) for which a shape is set free
 TOLD = 0.5  # relative standard error up to which a record tells a parameter
@@ -94,7 +93,7 @@ def afar(assembly: Assembly, standing: Standing, stage: Stage, label: str) -> li
     What a rim lets over, or a limit cuts off, is unseen from zero amplitude. Only where the model
     is far off (chi2/dof of 2 and more): what it lacks there need not be small.
     """
-    if stage.fitted.chi2_per_dof < _FAR_OFF:
+    if stage.fitted.chi2_per_dof < assembly.problem.settings.chi2_limit:
         return []
     return [v for v in assembly.variants if v.original.label == label and two_sided(v.original)]
 

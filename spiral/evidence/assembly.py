@@ -8,28 +8,25 @@ origin yet, is compiled with a companion a quarter turn ahead.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
-from types import SimpleNamespace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import sympy as sp
 
 from spiral.compile import compile_model
 from spiral.effect import Effect
 from spiral.evidence.lines import strongest_line
+from spiral.evidence.scales import extremes, scale, spread_out, usable, visited
 from spiral.model import Model
 from spiral.parameter import Parameter
 from spiral.port import Port
 from spiral.problem import Problem
 from spiral.record import Array, Record
-from spiral.rest import check_rest
+from spiral.rest import check_rest, finite_along, undefined_along
 from spiral.shooting.series import prepare
-from spiral.shooting.start import motion
 from spiral.shooting.study import ORIGIN, Columns, Study, columns_for
-from spiral.system import MechanicalSystem, System
-from spiral.trace import Traced, trace
+from spiral.trace import trace
 
 
 @dataclass(frozen=True)
@@ -57,13 +54,15 @@ class Variant:
 class Assembly:
     """One compiled study with what it was made from.
 
-    ``regression`` is what ``strategy=paper`` keeps with it: differentiated samples and equations.
+    ``left_out`` are candidates that these records cannot be asked about, and why; ``regression``
+    is what ``strategy=paper`` keeps with it: differentiated samples and equations.
     """
 
     problem: Problem
     study: Study
     variants: tuple[Variant, ...]
     regression: Any = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def later(self) -> tuple[Effect, ...]:
@@ -78,14 +77,32 @@ class Assembly:
 def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()) -> Assembly:
     """Trace and compile the model with all variants of all candidates, and prepare the records.
 
-    Candidates with states of their own are left out; ``more`` are variants of such, with their
-    shapes (``spiral.strategies.resolved``).
+    Candidates with states of their own wait for their round; ``more`` are variants of such, with
+    their shapes (``spiral.strategies.resolved``). Candidates that are no numbers along the records
+    are left out, by name: compiled in with the others they would make no numbers of all.
     """
-    model = problem.model
-    extremes = _extremes(model, problem.records)
     now = [c for c in problem.candidates if not c.states]
-    variants = [v for c in now for v in _variants(model, c, extremes, problem)]
+    states = visited(problem.model, problem.records) if now else ()
+    largest = extremes(problem.model.system, problem.records, states) if now else {}
+    variants: list[Variant] = []
+    left_out: dict[str, str] = {}
+    for candidate in now:
+        found = _variants(problem.model, candidate, largest, problem)
+        variants += found
+        if not found:
+            left_out[candidate.label] = _unaskable(problem.model, candidate, largest)
     variants += more
+    assembly = _compiled(problem, variants, substeps)
+    undefined = _undefined(assembly, states)
+    if undefined:
+        left_out |= dict.fromkeys(undefined, "it is no number (0/0, overflow) along these records")
+        kept = [v for v in variants if v.original.label not in undefined]
+        assembly = _compiled(problem, kept, substeps)
+    return replace(assembly, left_out=left_out)
+
+
+def _compiled(problem: Problem, variants: Sequence[Variant], substeps: int) -> Assembly:
+    model = problem.model
     effects = [*model.effects]
     shifts = [0.0] * len(effects)
     for variant in variants:
@@ -99,6 +116,34 @@ def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()
     knot = problem.settings.phase_knot
     series = tuple(prepare(model.system, r, substeps, knot) for r in problem.records)
     return Assembly(problem, Study(compiled, series), tuple(variants))
+
+
+def _undefined(assembly: Assembly, states: Sequence[Array]) -> tuple[str, ...]:
+    """Candidates whose force or slopes are no numbers somewhere along the records."""
+    study = assembly.study
+    rows = first_row(assembly)
+    inputs = [s.inputs[:: 2 * s.substeps] for s in study.series]
+    for record, (x, u) in enumerate(zip(states, inputs, strict=False)):
+        where = spread_out(x)
+        if finite_along(study.compiled, rows[record], x[where], u[where]):
+            continue
+        values = dict(zip(study.keys, rows[record], strict=False))
+        effects = {v.effect.label: v.effect for v in assembly.variants}
+        system = assembly.problem.model.system
+        bad = undefined_along(system, tuple(effects.values()), values, x[where], u[where])
+        return tuple(dict.fromkeys(assembly.variant(x).original.label for x in bad))
+    return ()
+
+
+def _unaskable(model: Model, effect: Effect, largest: Mapping[str, float]) -> str:
+    """Why no value of an effect's shapes can be tried on these records."""
+    port = model.system.place(effect)
+    for parameter in effect.parameters:
+        if parameter.grid and not usable(scale(parameter, largest, port)):
+            return (
+                f"nothing moves at {port.name} in these records: its {parameter.name} has no scale"
+            )
+    return "the sample rate of these records cannot show it"
 
 
 def with_records(
@@ -117,7 +162,7 @@ def with_steps(assembly: Assembly, substeps: int) -> Assembly:
 
 
 def _variants(
-    model: Model, effect: Effect, extremes: Mapping[str, float], problem: Problem
+    model: Model, effect: Effect, largest: Mapping[str, float], problem: Problem
 ) -> list[Variant]:
     port = model.system.place(effect)
     shapes = [p for p in effect.parameters if p.role == "shape"]
@@ -127,7 +172,7 @@ def _variants(
     for number, shares in enumerate(itertools.product(*(p.grid or (1.0,) for p in shapes))):
         tag = str(number + 1) if shapes else ""
         copy = replace(effect, variant=tag)
-        tried = [_tried(p, s, extremes, port, problem) for p, s in zip(shapes, shares, strict=True)]
+        tried = [_tried(p, s, largest, port, problem) for p, s in zip(shapes, shares, strict=True)]
         if not all(count for _, count in tried):
             continue
         keys = [f"{copy.label}.{p.name}" for p in shapes]
@@ -140,56 +185,15 @@ def _variants(
 
 
 def _tried(
-    parameter: Parameter, share: float, extremes: Mapping[str, float], port: Port, problem: Problem
+    parameter: Parameter, share: float, largest: Mapping[str, float], port: Port, problem: Problem
 ) -> tuple[float, int]:
     """A shape's value and among how many it was looked for; 0 where the records cannot show it."""
-    value = share * _scale(parameter, extremes, port)
+    value = share * scale(parameter, largest, port)
+    if parameter.grid and not usable(value):
+        return value, 0
     if not parameter.search:
         return value, 1
     return strongest_line(problem.records, value, parameter.search) or (value, 0)
-
-
-def _scale(parameter: Parameter, extremes: Mapping[str, float], port: Port) -> float:
-    """What a grid's values are shares of; a parameter without a grid has its start."""
-    if not parameter.grid:
-        return parameter.start or 1.0
-    for kind in ("velocity", "position"):
-        if kind in parameter.unit:
-            return extremes[f"{port.name}.{kind}"]
-    return 1.0
-
-
-def _extremes(model: Model, records: tuple[Record, ...]) -> dict[str, float]:
-    """Largest position and velocity seen at every port, from smoothed measurements."""
-    system = model.system
-    compiled = compile_model(trace(system, ()))
-    series = tuple(prepare(system, r, 1) for r in records)
-    study = Study(compiled, series)
-    states = np.concatenate([motion(study, s, 11).states for s in series])
-    found = {}
-    for port in system.ports:
-        for kind, expressions in at_port(system, port, compiled.traced):
-            values = sp.lambdify(compiled.traced.x, expressions, "numpy")(*states.T)
-            found[f"{port.name}.{kind}"] = max(
-                float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
-            )
-    seen = [np.abs(c).max() for r in records for c in r.channels.values()]
-    return {**found, "sensors.position": float(max(seen))}
-
-
-def at_port(system: System, port: Port, traced: Traced) -> list[tuple[str, list[Any]]]:
-    """A port's position, and in a mechanical system its velocity, as expressions of the states."""
-    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    own = zip(traced.keys, traced.parameters, strict=True)
-    p = SimpleNamespace(**{k.split(".", 1)[1]: sp.Float(v.start or 1.0) for k, v in own})
-    if not isinstance(system, MechanicalSystem):
-        return [("position", list(port.coordinates(x, p)))]
-    q, v = system.split(x)
-    position = sp.Matrix(port.coordinates(q, p))
-    names = [c.name for c in system.coordinates]
-    velocity = position.jacobian([getattr(q, n) for n in names])
-    velocity = velocity * sp.Matrix([getattr(v, n) for n in names])
-    return [("position", sp.flatten(position)), ("velocity", sp.flatten(velocity))]
 
 
 # --- columns -------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
+from spiral.formatting import percent
 from spiral.report.style import (
     AFTER,
     BEFORE,
@@ -20,7 +21,6 @@ from spiral.report.style import (
     decades,
     words,
 )
-from spiral.screen.parts import percent
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

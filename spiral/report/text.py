@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from spiral.curves import SEED, Curves
+from spiral.formatting import number, percent, plus_minus, probability
 from spiral.report.evidence import rounds
 from spiral.report.style import pretty, scaled, words
 from spiral.run import estimate_rows
-from spiral.screen.parts import number, percent, plus_minus, probability
 from spiral.screen.shell import option_lines
 
 Saved = Mapping[str, Any]
@@ -92,7 +92,8 @@ def header(saved: Saved, curves: Curves | None) -> str:
 
 
 def _headline(result: Mapping[str, Any]) -> str:
-    found = [e for r in rounds(result) for e in r.get("admitted", ())]
+    admitted = [e for r in rounds(result) for e in r.get("admitted", ())]
+    found = result.get("missing", admitted)  # runs of older versions name what they admitted
     if found:
         return f"Missing: {', '.join(map(words, found))}"
     verdicts = {
@@ -106,6 +107,8 @@ def _headline(result: Mapping[str, Any]) -> str:
 
 def _outcome(result: Mapping[str, Any]) -> str:
     done = rounds(result)
+    if result.get("summary"):
+        return f"{result['summary']} {result.get('advice') or ''}".strip()
     if not done:
         return str(result.get("advice", ""))
     first, last = done[0]["test_error"], done[-1]["test_error"]

@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.text import Text
 
+from spiral.formatting import number, percent, plus_minus, probability
 from spiral.screen.parts import (
     command,
     heading,
     next_steps,
-    number,
     parameter_table,
-    percent,
-    plus_minus,
-    probability,
     ruled,
     warn_unconverged,
 )

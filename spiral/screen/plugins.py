@@ -8,16 +8,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from spiral.screen.parts import (
-    about,
-    command,
-    heading,
-    next_steps,
-    number,
-    percent,
-    ruled,
-    warn_unconverged,
-)
+from spiral.formatting import number, percent
+from spiral.screen.parts import about, command, heading, next_steps, ruled, warn_unconverged
 from spiral.screen.shell import spoken
 
 if TYPE_CHECKING:

@@ -9,16 +9,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from spiral.formatting import number, percent, probability
 from spiral.screen.findings import not_separable, unknown
 from spiral.screen.parts import (
     about,
     command,
     heading,
     next_steps,
-    number,
     parameter_table,
-    percent,
-    probability,
     ruled,
     warn_unconverged,
 )
@@ -50,7 +48,7 @@ def _discover(console: Console, outcome: Outcome) -> None:
         not_separable(console, details.get("not_separable", {}))
         unknown(console, run.unknown)
     heading(console, "Verdict")
-    console.print(Text(f"{_sentence(run)} {run.advice}"))
+    console.print(Text(f"{run.summary} {run.advice}"))
     if not refused:
         next_steps(console, *_after_discover(run, outcome.parts["config"]))
 
@@ -108,18 +106,6 @@ def _model(console: Console, run: Run) -> None:
     console.print(Text(equation(run.model)), soft_wrap=True)
     console.print()
     console.print(parameter_table(run.model))
-
-
-def _sentence(run: Run) -> str:
-    found = [x for r in run.rounds for x in r.admitted if x in run.model.labels]
-    if not found:
-        return _VERDICTS[run.verdict] if run.stopped != "diverged" else "The fit diverged."
-    first, last = run.rounds[0].comparison, run.final
-    return (
-        f"Missing {'was' if len(found) == 1 else 'were'} {', '.join(found)}: test error "
-        f"{percent(first.test_error)} -> {percent(last.test_error)} "
-        f"(noise floor {percent(last.noise_floor)})."
-    )
 
 
 def _after_discover(run: Run, config: dict[str, Any]) -> list[tuple[str, str]]:
@@ -192,18 +178,10 @@ def _add(console: Console, outcome: Outcome) -> None:
     next_steps(console, (f"spiral diagnose {given}", "what is still missing"), another)
 
 
-_VERDICTS = {
-    "effect_missing": "An effect is missing.",
-    "nothing_missing": "Nothing is missing: no candidate passes and what is left is white.",
-    "not_identifiable": "This record cannot tell the effects of the model apart.",
-    "unknown_structure": "Something is missing that no known effect explains.",
-}
-
-
 def _diagnose(console: Console, outcome: Outcome) -> None:
     diagnosis: Diagnosis = outcome.parts["diagnosis"]
     about(console, outcome)
-    heading(console, _VERDICTS[diagnosis.verdict])
+    heading(console, diagnosis.summary)
     if diagnosis.where.sentence:
         console.print(Text(diagnosis.where.sentence))
     if diagnosis.suggestions:

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
-from spiral.screen.parts import Tell, heading, number, percent, ruled
+from spiral.formatting import number, percent
+from spiral.screen.parts import Tell, heading, ruled
 
 if TYPE_CHECKING:
     from spiral.sweeps.sweep import Row, Status, Sweep

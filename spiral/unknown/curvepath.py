@@ -10,7 +10,8 @@ import numpy as np
 import sympy as sp
 
 from spiral.effect import Effect, FlowEffect, ForceEffect, expand
-from spiral.evidence.assembly import Assembly, at_port, effects_of
+from spiral.evidence.assembly import Assembly, effects_of
+from spiral.evidence.scales import at_port
 from spiral.learned import Learned, LearnedFlow
 from spiral.port import At
 from spiral.record import Array

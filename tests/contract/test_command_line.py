@@ -77,7 +77,8 @@ def steps(monkeypatch):
         )  # fmt: skip
         for item in rounds:
             on_round(item)
-        return Run("effect_missing", "whiteness", rounds, after.model, "Done.")
+        return Run("effect_missing", "whiteness", rounds, after.model, "Done.",
+                   summary="Missing was cubic_stiffness.")  # fmt: skip
 
     def add(problem, effects, progress):
         asked.append(problem)

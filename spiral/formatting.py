@@ -1,0 +1,52 @@
+"""Numbers as people read them: shares, p-values, estimates with their errors."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+
+def percent(value: float | None) -> str:
+    """A share as people read it: ``1.99 %``."""
+    if not _finite(value):
+        return "-"
+    share = 100 * float(value)  # type: ignore[arg-type]
+    return f"{share:.0f} %" if abs(share) >= 1000 else f"{share:#.3g} %".replace(". ", " ")
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A few significant digits, ``-`` where there is no number."""
+    return "-" if not _finite(value) else f"{float(value):.{digits}g}"  # type: ignore[arg-type]
+
+
+def probability(value: float | None) -> str:
+    """A p-value: ``0.32``, ``2e-09``, ``< 1e-99``."""
+    if not _finite(value):
+        return "-"
+    p = float(value)  # type: ignore[arg-type]
+    if p < 1e-99:
+        return "< 1e-99"
+    return f"{p:.2f}" if p >= 0.01 else f"{p:.0e}"
+
+
+def plus_minus(value: float | None, se: float | None) -> str:
+    """An estimate with its standard error to the digits that it supports."""
+    if not _finite(value):
+        return "-"
+    size = float(value)  # type: ignore[arg-type]
+    if not _finite(se) or not se:
+        return f"{size:.5g}"
+    error = float(se)
+    power = _power(max(abs(size), error))
+    scale = 10.0**power if abs(power) >= 5 or power <= -3 else 1.0
+    places = max(0, 1 - _power(error / scale))
+    text = f"{size / scale:.{places}f} ± {error / scale:.{places}f}"
+    return text if scale == 1.0 else f"({text})e{power}"
+
+
+def _power(value: float) -> int:
+    return math.floor(math.log10(abs(value))) if value else 0
+
+
+def _finite(value: Any) -> bool:
+    return value is not None and math.isfinite(float(value))

@@ -1,0 +1,161 @@
+"""Shapes are tried at shares of what the records visit, also where only hidden states move."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from spiral_plugins.effects.dissipative import LinearDamping
+from spiral_plugins.effects.restoring import LinearStiffness
+from spiral_plugins.sources.simulation import Simulation
+from spiral_plugins.systems.oscillator import Oscillator
+
+from spiral.discover import discover
+from spiral.effect import ForceEffect
+from spiral.evidence.assembly import assemble, first_row
+from spiral.evidence.scales import extremes, visited
+from spiral.math import sqrt
+from spiral.model import seed_model
+from spiral.parameter import Input, Parameter, State
+from spiral.port import Port
+from spiral.problem import Problem
+from spiral.system import MechanicalSystem
+from tests.scenes import admitted, effect
+
+DRIVE = {"linear_stiffness.stiffness": 50.0, "linear_damping.damping": 1.0}
+
+
+class FlexibleDrive(MechanicalSystem):
+    """A motor whose angle is measured turns a hidden load through a shaft; ``wall`` never moves."""
+
+    @property
+    def coordinates(self):
+        return (State("motor", "rad"), State("load", "rad"))
+
+    @property
+    def injections(self):
+        return (State("motor", "N*m"), State("load", "N*m"))
+
+    @property
+    def observed(self):
+        return ("motor",)
+
+    @property
+    def inputs(self):
+        return (Input("torque", "N*m", interpolation="band_limited"),)
+
+    @property
+    def parameters(self):
+        return (Parameter("motor_inertia", "kg*m^2", lower=0.0, start=0.01),
+                Parameter("load_inertia", "kg*m^2", lower=0.0, start=0.05),
+                Parameter("shaft", "N*m/rad", lower=0.0, start=80.0),
+                Parameter("loss", "N*m*s/rad", lower=0.0, start=0.02))  # fmt: skip
+
+    @property
+    def ports(self):
+        def at(f):
+            return lambda q, p: [f(q)]
+
+        return (Port("motor", ("phi",), at(lambda q: q.motor), "rad", "N*m"),
+                Port("load", ("phi",), at(lambda q: q.load), "rad", "N*m"),
+                Port("wall", ("phi",), at(lambda q: 0 * q.load), "rad", "N*m"))  # fmt: skip
+
+    @property
+    def seed(self):
+        return (LinearStiffness(), LinearDamping())
+
+    def mass(self, q, p):
+        return [[p.motor_inertia, 0], [0, p.load_inertia]]
+
+    def force(self, q, v, u, p):
+        twist, slip = q.motor - q.load, v.motor - v.load
+        inner = p.shaft * twist + p.loss * slip
+        return [u.torque - inner, inner]
+
+
+class ShortRoot(ForceEffect):
+    """F = -k sqrt(r^2 - q^2): a number at rest, and none at any angle beyond r."""
+
+    parameters = (Parameter("stiffness", "force/position"),
+                  Parameter("reach", "position", start=1e-6, role="shape"))  # fmt: skip
+
+    def force(self, at, u, p):
+        return [-p.stiffness * sqrt(p.reach**2 - q * q) for q in at.position]
+
+
+def drive_records(friction=0.0, noise=0.01, duration=20.0):
+    hidden = effect("coulomb_friction", port="load")
+    source = Simulation(
+        system=FlexibleDrive(),
+        effects=(hidden,) if friction else (),
+        values={**DRIVE, **({"coulomb_friction@load.level": friction,
+                             "coulomb_friction@load.width": 0.05} if friction else {})},
+        inputs={"torque": {"noise": 2.0, "band": [0.2, 8]}},
+        duration=duration,
+        rate=200.0,
+        noise_level=noise,
+        seed=3,
+    )  # fmt: skip
+    return tuple(s.load(FlexibleDrive())[0] for s in (source, source.as_test()))
+
+
+@pytest.fixture(scope="module")
+def records():
+    return drive_records(friction=0.6)
+
+
+def test_hidden_states_are_inferred_not_taken_as_zero(records):
+    """Scales at the hidden port agree with the simulated truth, though the seed lacks friction."""
+    model = replace(seed_model(FlexibleDrive()), values=DRIVE)
+    along = visited(model, records[:1])
+    largest = extremes(model.system, records[:1], along)
+    for port, state in (("load.position", "load"), ("load.velocity", "load_rate")):
+        truth = np.abs(records[0].truth[state]).max()
+        assert 0.5 * truth < largest[port] < 2.0 * truth
+    assert largest["wall.velocity"] == 0.0
+
+
+def test_values_that_are_unknown_do_not_stop_the_inference(records):
+    largest = extremes(
+        FlexibleDrive(), records[:1], visited(seed_model(FlexibleDrive()), records[:1])
+    )
+    assert largest["load.velocity"] > 0.0
+
+
+def test_a_port_where_nothing_moves_leaves_its_candidate_out_by_name(records):
+    model = replace(seed_model(FlexibleDrive()), values=DRIVE)
+    names = [effect("coulomb_friction", port=p) for p in ("load", "wall")]
+    assembly = assemble(Problem(model, records[:1], records[1:], None, tuple(names)))
+    assert "nothing moves at wall" in assembly.left_out["coulomb_friction@wall"]
+    assert {v.original.label for v in assembly.variants} == {"coulomb_friction@load"}
+    assert np.isfinite(first_row(assembly)).all()
+
+
+def test_a_candidate_that_is_no_number_leaves_the_study_to_the_others(records):
+    model = replace(seed_model(FlexibleDrive()), values=DRIVE)
+    candidates = (effect("cubic_stiffness"), ShortRoot(port="load"))
+    assembly = assemble(Problem(model, records[:1], records[1:], None, candidates))
+    assert list(assembly.left_out) == ["short_root@load"]
+    assert "no number" in assembly.left_out["short_root@load"]
+    assert {v.original.label for v in assembly.variants} == {"cubic_stiffness"}
+
+
+def test_measured_states_are_those_of_the_polynomial():
+    """Where every state is measured no filter runs and nothing depends on the model."""
+    source = Simulation(system=Oscillator(), values={"system.mass": 1.0,
+        "linear_stiffness.stiffness": 4e4, "linear_damping.damping": 20.0},
+        inputs={"force": {"noise": 1.0, "band": [5, 60]}}, duration=2.0, rate=1000.0)  # fmt: skip
+    record = source.load(Oscillator())[0]
+    known = replace(seed_model(Oscillator()), values={"system.mass": 7.0})
+    first, second = (visited(m, (record,))[0] for m in (seed_model(Oscillator()), known))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_friction_at_a_hidden_load_is_found_and_the_still_wall_named(records):
+    """Before, its width was zero there, 0/0 made the whole study 'diverged'."""
+    names = ("coulomb_friction@load", "cubic_stiffness@load", "quadratic_damping@load")
+    candidates = tuple(effect(n) for n in (*names, "coulomb_friction@wall"))
+    model = replace(seed_model(FlexibleDrive()), values={k: 0.7 * v for k, v in DRIVE.items()})
+    run = discover(Problem(model, records[:1], records[1:], None, candidates))
+    assert run.stopped != "diverged"
+    assert admitted(run)[:1] == ["coulomb_friction@load"]
+    assert "nothing moves" in run.rounds[0].rejected["coulomb_friction@wall"]

@@ -1,0 +1,176 @@
+"""Verdicts: what is said of a study follows from its figures, and from nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from spiral_plugins.systems.cascaded_tanks import CascadedTanks
+from spiral_plugins.systems.oscillator import Oscillator
+
+from spiral.model import Model, seed_model
+from spiral.problem import Settings
+from spiral.run import Comparison, Round
+from spiral.verdict import (
+    advice_for,
+    doubts,
+    missing,
+    near_noise,
+    noise_factor,
+    seed_verdict,
+    shortfalls,
+    study_verdict,
+    summary,
+)
+from tests.scenes import effect
+
+SETTINGS = Settings()
+WORDS_OF_SUCCESS = ("Missing was", "Missing were", "Nothing is missing", "white noise")
+
+
+def model(*effects, **estimates):
+    """An oscillator with effects; ``NAME__parameter=(value, error)``."""
+    base = seed_model(Oscillator())
+    keys = {k.replace("__", "."): v for k, v in estimates.items()}
+    return Model(
+        base.system,
+        (*base.effects, *effects),
+        values={k: v for k, (v, _) in keys.items()},
+        errors={k: e for k, (_, e) in keys.items()},
+    )
+
+
+CUBIC = effect("cubic_stiffness")
+TOLD = model(CUBIC, cubic_stiffness__stiffness=(3.0, 0.1))
+GOOD = Comparison(TOLD, 0.02, 0.0201, {}, 0.02, 1.01, 0.4, 0.003, 1024, True)
+POOR = replace(GOOD, model=seed_model(Oscillator()), fit_error=0.5, test_error=0.6,
+               chi2_per_dof=900.0, whiteness_p=0.0, whiteness_effect=8.0)  # fmt: skip
+
+
+def rounds(last, first=POOR):
+    return (Round(0, (), {}, {}, (), first, 1.0),
+            Round(1, ("cubic_stiffness",), {}, {}, (), last, 1.0))  # fmt: skip
+
+
+def said(found, stopped="no_candidate"):
+    verdict = study_verdict(found, stopped, SETTINGS)
+    words = summary(found, verdict, stopped, SETTINGS)
+    return verdict, words, advice_for(verdict, stopped, found, (), SETTINGS)
+
+
+def test_an_effect_that_leaves_noise_is_named_with_its_figures():
+    verdict, words, advice = said(rounds(GOOD), "whiteness")
+    assert verdict == "effect_missing"
+    assert words == ("Missing was cubic_stiffness: test error 60.0 % -> 2.01 % "
+                     "(noise floor 2.00 %).")  # fmt: skip
+    assert advice == "What is left is white noise."
+
+
+def test_more_is_missing_where_the_rest_is_far_from_noise():
+    far = replace(GOOD, chi2_per_dof=798.0, whiteness_p=0.0, whiteness_effect=3.0, test_error=0.13)
+    verdict, words, advice = said(rounds(far))
+    assert verdict == "effect_missing"
+    assert "More is missing: chi2 per degree of freedom is 798" in words
+    assert "13.0 %" in words
+    assert "not quite white" not in words + advice
+    assert "white noise" not in words + advice
+
+
+def test_a_fit_that_did_not_converge_is_not_judged():
+    _, words, advice = said(rounds(replace(GOOD, converged=False, chi2_per_dof=1435.0)))
+    assert "Whether more is missing cannot be told: the fit did not converge" in words
+    assert "white noise" not in words + advice
+
+
+def test_an_error_that_grew_on_unseen_data_is_no_success():
+    worse = replace(GOOD, test_error=22.9)
+    verdict, words, advice = said(rounds(worse), "whiteness")
+    assert verdict == "unknown_structure"
+    assert "error grew: test error 60.0 % -> 2290 %" in words
+    assert missing(rounds(worse), SETTINGS) == ()
+    assert not any(s in words + advice for s in WORDS_OF_SUCCESS)
+
+
+@pytest.mark.parametrize("estimate", [(1.9, 3.3), (0.0, 1.0), (np.nan, 1.0)])
+def test_an_effect_within_three_standard_errors_of_zero_is_never_what_was_missing(estimate):
+    doubtful = model(CUBIC, cubic_stiffness__stiffness=estimate)
+    found = rounds(replace(GOOD, model=doubtful))
+    verdict, words, _ = said(found, "whiteness")
+    assert verdict == "unknown_structure"
+    assert "does not determine cubic_stiffness: stiffness is" in words
+    assert not any(s in words for s in WORDS_OF_SUCCESS)
+
+
+def test_an_amplitude_at_its_bound_is_not_determined():
+    tank = seed_model(CascadedTanks()).add(effect("overflow"))
+    uppers = {f"overflow.{p.name}": p.upper for p in effect("overflow").amplitudes()}
+    errors = {k: v / 50 for k, v in uppers.items()}
+    at_bound = replace(tank, values=uppers, errors=errors)
+    inside = replace(at_bound, values={k: v / 2 for k, v in uppers.items()})
+    assert "bound" in doubts(at_bound, "overflow", SETTINGS)
+    assert doubts(inside, "overflow", SETTINGS) == ""
+
+
+def test_one_determined_axis_is_enough():
+    friction = effect("coulomb_friction")
+    held = model(friction, coulomb_friction__level=(2.0, 0.1), coulomb_friction__width=(1e-3, 1e-3))
+    assert doubts(held, "coulomb_friction", SETTINGS) == ""
+
+
+def test_nothing_is_missing_only_near_the_noise():
+    assert near_noise(GOOD, SETTINGS)
+    for change in ({"chi2_per_dof": 3.96}, {"test_error": 0.05}, {"converged": False},
+                   {"whiteness_p": 1e-9, "whiteness_effect": 0.5},
+                   {"chi2_per_dof": np.inf}, {"test_error": np.nan}):  # fmt: skip
+        bad = replace(GOOD, **change)
+        assert not near_noise(bad, SETTINGS)
+        assert len(shortfalls(bad, SETTINGS)) == 1
+        seed = Round(0, (), {}, {}, (), bad, 1.0)
+        assert seed_verdict(seed, "no_candidate", SETTINGS) == "unknown_structure"
+
+
+def test_colour_smaller_than_the_smallest_effect_is_harmless():
+    """N = 65000: Ljung-Box is certain of a colour that predicts half a percent of the rest."""
+    faint = replace(GOOD, whiteness_p=1e-12, whiteness_effect=0.005)
+    assert near_noise(faint, SETTINGS)
+    assert not near_noise(faint, replace(SETTINGS, smallest=0.05))
+
+
+@pytest.mark.parametrize(("declared", "chi2"), [(0.5, 3.96), (2.0, 0.25)])
+def test_noise_declared_wrong_is_said_and_not_taken_for_physics(declared, chi2):
+    wrong = replace(GOOD, chi2_per_dof=chi2, noise_ratio=1 / declared,
+                    noise_floor=0.02 * declared)  # fmt: skip
+    assert noise_factor(wrong, SETTINGS) == pytest.approx(1 / declared, rel=0.02)
+    seed = Round(0, (), {}, {}, (), wrong, 1.0)
+    verdict, _, advice = said((seed,), "whiteness")
+    assert verdict == "nothing_missing"
+    assert "what the record declares" in advice
+    assert "record.noise" in advice
+
+
+def test_white_but_larger_than_any_estimate_of_the_noise_is_not_noise():
+    wide = replace(GOOD, chi2_per_dof=9.0, noise_ratio=1.0)
+    assert noise_factor(wide, SETTINGS) == 1.0
+    assert not near_noise(wide, SETTINGS)
+
+
+def test_a_record_of_another_machine_is_recognised():
+    other = replace(GOOD, model=seed_model(Oscillator()), fit_error=0.02, test_error=1.56)
+    seed = Round(0, (), {}, {}, (), other, 1.0)
+    verdict, words, _ = said((seed,), "whiteness")
+    assert verdict == "unknown_structure"
+    assert "not the test record" in words
+    assert "Another machine" in words
+
+
+@pytest.mark.parametrize("stopped", ["whiteness", "no_candidate", "max_rounds", "diverged"])
+@pytest.mark.parametrize("chi2", [0.1, 1.0, 4.0, 1e10, np.inf, np.nan])
+@pytest.mark.parametrize("error", [0.02, 0.5, 50.0, np.inf, np.nan])
+def test_no_words_of_success_beside_figures_of_failure(stopped, chi2, error):
+    last = replace(GOOD, chi2_per_dof=chi2, test_error=error)
+    for found in (rounds(last), (replace(rounds(last)[0], comparison=last),)):
+        _, words, advice = said(found, stopped)
+        success = [s for s in WORDS_OF_SUCCESS if s in words + " " + advice]
+        if not near_noise(last, SETTINGS) and "ore is missing" not in words:
+            assert not success
+        if not error <= POOR.test_error:
+            assert not success
