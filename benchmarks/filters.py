@@ -21,11 +21,11 @@ def filters(best: Callable[[Callable[[], object]], float]) -> list[Row]:
     from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
     from benchmarks.peer_filter import compiled_functions, filterpy_run, numpy_functions
-    from spiral.filtering.extended import filtered
-    from spiral.filtering.setup import prepared, with_level
-    from spiral.filtering.task import prepare_task
-    from spiral.model import seed_model
-    from spiral.simulate import with_defaults
+    from spiral.engine.filter.extended import filtered
+    from spiral.engine.filter.setup import prepared, with_level
+    from spiral.engine.filter.task import prepare_task
+    from spiral.inference.simulate import with_defaults
+    from spiral.types.model import seed_model
 
     system = TiltingRotor()
     record = RotorCoastdown(rate=2000.0).load(system)[0]

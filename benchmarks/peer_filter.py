@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.filtering.extended import Settings
-from spiral.filtering.task import Task
+from spiral.engine.filter.extended import Settings
+from spiral.engine.filter.task import Task
 
 
 @dataclass(frozen=True)

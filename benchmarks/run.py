@@ -44,9 +44,9 @@ def _problem():
     from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
     from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-    from spiral.model import seed_model
-    from spiral.problem import Problem
-    from spiral.registry import load_registry
+    from spiral.inference.problem import Problem
+    from spiral.io.registry import load_registry
+    from spiral.types.model import seed_model
 
     model = seed_model(PlanarRotor())
     source = RotorCoastdown()
@@ -63,12 +63,12 @@ def passes() -> list[tuple[str, float, str]]:
     """The compiled pass, the pass with its reduction, a fit, and a round."""
     from threadpoolctl import threadpool_limits
 
-    from spiral.compare import prepared
-    from spiral.evidence.scoring import score_stage
-    from spiral.evidence.standing import grown, half_masks
-    from spiral.shooting.growth import first_starts, layouts_for
-    from spiral.shooting.sensitivities import reduce, residuals
-    from spiral.shooting.study import Columns, Point
+    from spiral.engine.growth import first_starts, layouts_for
+    from spiral.engine.sensitivities import reduce, residuals
+    from spiral.engine.study import Columns, Point
+    from spiral.inference.compare import prepared
+    from spiral.inference.evidence.scoring import score_stage
+    from spiral.inference.evidence.standing import grown, half_masks
 
     problem = _problem()
     assembly, standing = prepared(problem)
@@ -97,7 +97,7 @@ def passes() -> list[tuple[str, float, str]]:
 
 def _kernel_only(study, layouts, point, columns) -> Callable[[], object]:
     """All windows through the integrator by two threads, rows written and dropped."""
-    from spiral.shooting import sensitivities
+    from spiral.engine import sensitivities
 
     weight = study.series[0].weight(None)
     batches = list(sensitivities._batches(layouts))

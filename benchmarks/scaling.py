@@ -30,13 +30,13 @@ def measured(samples: int) -> dict[str, float]:
     from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
     from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-    from spiral.compare import judged, prepared
-    from spiral.evidence.scoring import score_stage
-    from spiral.evidence.standing import grown, half_masks
-    from spiral.model import seed_model
-    from spiral.problem import Problem
-    from spiral.registry import load_registry
-    from spiral.threads import one_blas_thread
+    from spiral.engine.threads import one_blas_thread
+    from spiral.inference.compare import judged, prepared
+    from spiral.inference.evidence.scoring import score_stage
+    from spiral.inference.evidence.standing import grown, half_masks
+    from spiral.inference.problem import Problem
+    from spiral.io.registry import load_registry
+    from spiral.types.model import seed_model
 
     model = seed_model(PlanarRotor())
     source = RotorCoastdown(duration=samples / 1000)

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from spiral.compare import predict
-from spiral.config import build_problem, compose
-from spiral.discover import discover
-from spiral.evidence.judge import FreeRun
-from spiral.problem import Problem
-from spiral.registry import load_registry
-from spiral.run import Run
+from spiral.inference.compare import predict
+from spiral.inference.discover import discover
+from spiral.inference.evidence.judge import FreeRun
+from spiral.inference.problem import Problem
+from spiral.io.config import build_problem, compose
+from spiral.io.registry import load_registry
+from spiral.types.run import Run
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def drawn(problem: Problem, rounds: list[Scored], target: Path) -> None:
 
 def photographed(figure: Any, target: Path) -> None:
     """A figure of its own width and height as a PNG, with a little air."""
-    from spiral.report.pictures import picture
+    from spiral.view.report.pictures import picture
 
     page = figure.to_html(include_plotlyjs=True, config={"displayModeBar": False})
     picture(page, target, figure.layout.width + 20, figure.layout.height + 20)

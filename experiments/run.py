@@ -15,8 +15,8 @@ from __future__ import annotations
 import hydra
 from omegaconf import DictConfig
 
-from spiral.config import register
-from spiral.registry import load_registry
+from spiral.io.config import register
+from spiral.io.registry import load_registry
 
 REGISTRY = load_registry()
 register(REGISTRY)
@@ -27,14 +27,17 @@ def main(_: DictConfig) -> float:
     """Discover what is missing; the relative free-run error on the test record."""
     from hydra.core.hydra_config import HydraConfig
 
-    from spiral.tracking.store import tracking_of
-    from spiral.tracking.track import track
-    from spiral.verbs.study import Request, perform
+    from spiral.commands.perform import perform
+    from spiral.io.request import Request
+    from spiral.io.tracking.store import tracking_of
+    from spiral.io.tracking.track import track
+    from spiral.view.report.page import report_of
 
     given = tuple(HydraConfig.get().overrides.task)
     outcome = perform(Request("discover", overrides=given), print)
     config, result = outcome.parts["config"], outcome.result
-    tracked = track(tracking_of(config), config["out"], (result["run_id"],), catch_up=False)
+    wanted = (result["run_id"],)
+    tracked = track(tracking_of(config), config["out"], wanted, catch_up=False, draw=report_of)
     if tracked.failure is not None:
         print(f"saved, but not told to MLflow: {tracked.failure}")
     error = result["rounds"][-1]["test_error"]

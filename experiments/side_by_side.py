@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evidence import TRUTH, row
-from spiral.storage import FILE, LATEST, load_run
-from spiral.verbs.study import Request, perform
+from spiral.commands.perform import perform
+from spiral.io.request import Request
+from spiral.io.storage import FILE, LATEST, load_run
 
 
 def main() -> None:

@@ -13,11 +13,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from spiral import __version__
-from spiral.errors import ConfigError, SpiralError, did_you_mean
-from spiral.verbs.study import BAD_INPUT, Outcome, Request, in_worker, perform
+from spiral.commands.perform import in_worker, perform
+from spiral.io.request import BAD_INPUT, Outcome, Request
+from spiral.types.errors import ConfigError, SpiralError, did_you_mean
 
 if TYPE_CHECKING:
-    from spiral.tracking.track import Tracked
+    from spiral.io.tracking.track import Tracked
 
 VERBS = {
     "discover": "find what the model is missing, add it, and repeat: the main job",
@@ -162,7 +163,7 @@ def _parsed(given: list[str]) -> argparse.Namespace:
 
 def _verb_help(options: argparse.Namespace) -> int:
     """The verb's own help with the options of each group, or what is in the groups named."""
-    from spiral.screen.grouphelp import groups_help
+    from spiral.view.terminal.grouphelp import groups_help
 
     found = groups_help(options.plugins, options.words)
     if not options.words:
@@ -202,7 +203,7 @@ def _app(request: Request, port: str | None, browser: bool) -> int:
 
 
 def _single(request: Request, target: str | None) -> int:
-    from spiral.screen import parts
+    from spiral.view.terminal import parts
 
     with parts.progress() as tell:
 
@@ -212,7 +213,7 @@ def _single(request: Request, target: str | None) -> int:
         outcome = perform(request, tell, on_round)
     _write_json(outcome.result, target)
     if target != "-":
-        from spiral.screen import estimate, plan, plugins, study
+        from spiral.view.terminal import estimate, plan, plugins, study
 
         screens = {v: s for s in (plugins, estimate, plan) for v in s.VERBS}
         screens.get(request.verb, study).show(request.verb, outcome)
@@ -224,9 +225,10 @@ def _tracked(outcome: Outcome) -> Tracked | None:
     """Tell MLflow about the run that was saved, where there is one."""
     if "run_id" not in outcome.result:
         return None
-    from spiral.screen.parts import progress
-    from spiral.tracking.store import tracking_of
-    from spiral.tracking.track import track
+    from spiral.io.tracking.store import tracking_of
+    from spiral.io.tracking.track import track
+    from spiral.view.report.page import report_of
+    from spiral.view.terminal.parts import progress
 
     config = outcome.parts["config"]
     tracking = tracking_of(config)
@@ -234,7 +236,7 @@ def _tracked(outcome: Outcome) -> Tracked | None:
         return None
     with progress() as tell:
         tell("telling MLflow")
-        return track(tracking, config["out"], (outcome.result["run_id"],))
+        return track(tracking, config["out"], (outcome.result["run_id"],), draw=report_of)
 
 
 def _say_tracked(tracked: Tracked | None, target: str | None) -> None:
@@ -252,17 +254,18 @@ def _say_tracked(tracked: Tracked | None, target: str | None) -> None:
 
 
 def _multirun(request: Request, target: str | None) -> int:
-    from spiral.registry import load_registry
-    from spiral.screen import sweep as screen
-    from spiral.sweeps.jobs import planned
-    from spiral.sweeps.sweep import run_sweep
-    from spiral.tracking.store import tracking_of
-    from spiral.tracking.sweeps import SweepTracker
+    from spiral.io.registry import load_registry
+    from spiral.io.sweeps.jobs import planned
+    from spiral.io.sweeps.sweep import run_sweep
+    from spiral.io.sweeps.tracker import SweepTracker
+    from spiral.io.tracking.store import tracking_of
+    from spiral.view.report.page import report_of
+    from spiral.view.terminal import sweep as screen
 
     registry = load_registry(request.plugins)
     plan = planned(request.verb, request.names, request.overrides, request.plugins, registry)
     with screen.progress() as (tell, watch):
-        tracker = SweepTracker(tracking_of(plan.config), plan.out, tell)
+        tracker = SweepTracker(tracking_of(plan.config), plan.out, tell, report_of)
         sweep = run_sweep(in_worker, plan, tell, watch, tracker.on_row)
         tracked = tracker.finish()
     _write_json(sweep.as_dict(), target)
@@ -279,7 +282,7 @@ def _write_json(result: dict[str, Any], target: str | None) -> None:
         return
     from pathlib import Path
 
-    from spiral.storage import to_json, write_whole
+    from spiral.io.storage import to_json, write_whole
 
     text = to_json(result) + "\n"
     if target == "-":

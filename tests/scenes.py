@@ -6,11 +6,11 @@ import numpy as np
 from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.effect import Effect
-from spiral.model import Model, seed_model
-from spiral.problem import Problem, Settings
-from spiral.registry import load_registry
-from spiral.simulate import simulate
+from spiral.inference.problem import Problem, Settings
+from spiral.inference.simulate import simulate
+from spiral.io.registry import load_registry
+from spiral.types.effect import Effect
+from spiral.types.model import Model, seed_model
 
 SEED_TRUTH = {
     "linear_stiffness.stiffness_x": 8085.0,

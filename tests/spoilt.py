@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from spiral.errors import SpiralError
+from spiral.types.errors import SpiralError
 from tests.scenes import planar_record, registry
 
 REGISTRY = registry()

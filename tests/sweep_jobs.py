@@ -5,7 +5,7 @@ import signal
 import time
 from pathlib import Path
 
-from spiral.sweeps.jobs import planned
+from spiral.io.sweeps.jobs import planned
 
 RECORD = (
     "system=oscillator", "record=simulation", "record.duration=1", "record.rate=500",

@@ -9,10 +9,10 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 from spiral.cli import main
-from spiral.curves import read_curves
-from spiral.report.page import figures, single
-from spiral.report.pictures import browser, picture
-from spiral.storage import load_run
+from spiral.io.curves import read_curves
+from spiral.io.storage import load_run
+from spiral.view.report.page import figures, single
+from spiral.view.report.pictures import browser, picture
 
 SHOWN = ("error_falling", "where", "surface")
 

@@ -29,10 +29,10 @@ from experiments.hidden_effects.strengths import (
     strengths,
 )
 from experiments.hidden_effects.summary import conclude
-from spiral.discover import discover
-from spiral.errors import ConfigError
-from spiral.registry import Registry
-from spiral.run import Run
+from spiral.inference.discover import discover
+from spiral.io.registry import Registry
+from spiral.types.errors import ConfigError
+from spiral.types.run import Run
 
 ROUNDS = 2  # one for the hidden effect, one in which nothing more may be admitted
 _TOP = 3

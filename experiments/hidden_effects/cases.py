@@ -8,13 +8,13 @@ from functools import cache
 
 import numpy as np
 
-from spiral.effect import Effect
-from spiral.model import Model
-from spiral.problem import Problem, Settings
-from spiral.record import Record
-from spiral.registry import Registry, load_registry
-from spiral.simulate import simulate
-from spiral.system import System
+from spiral.inference.problem import Problem, Settings
+from spiral.inference.simulate import simulate
+from spiral.io.registry import Registry, load_registry
+from spiral.types.effect import Effect
+from spiral.types.model import Model
+from spiral.types.record import Record
+from spiral.types.system import System
 
 
 @cache

@@ -13,7 +13,7 @@ from typing import Any
 from joblib import Parallel, delayed
 
 from experiments.hidden_effects.cases import CASES, Case, installed, problem
-from spiral.discover import discover
+from spiral.inference.discover import discover
 
 
 def outcome(case: Case, seed: int, noise: float) -> dict[str, Any]:

@@ -12,18 +12,18 @@ from functools import partial
 import numpy as np
 
 from experiments.hidden_effects.cases import ROTOR, SWING, Case, Scene, record_of, truth_of
-from spiral.compare import refined
-from spiral.effect import Effect
-from spiral.errors import SpiralError
-from spiral.evidence.assembly import assemble, first_row
-from spiral.evidence.standing import Standing
-from spiral.identifiability.information import View
-from spiral.problem import Problem
-from spiral.record import Record
-from spiral.registry import Registry
-from spiral.shooting.growth import layouts_for
-from spiral.shooting.study import Point
-from spiral.system import System
+from spiral.engine.growth import layouts_for
+from spiral.engine.study import Point
+from spiral.inference.compare import refined
+from spiral.inference.evidence.assembly import assemble, first_row
+from spiral.inference.evidence.standing import Standing
+from spiral.inference.identifiability.information import View
+from spiral.inference.problem import Problem
+from spiral.io.registry import Registry
+from spiral.types.effect import Effect
+from spiral.types.errors import SpiralError
+from spiral.types.record import Record
+from spiral.types.system import System
 
 SHARES = {"weak": 0.05, "medium": 0.2, "strong": 0.5}
 NOISES = (0.005, 0.02, 0.05)

@@ -20,12 +20,12 @@ from spiral_plugins.observers.kalman import Ekf
 from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.model import Model, seed_model
-from spiral.problem import Problem
-from spiral.reconstruction.calibrate import calibrate, cramer_rao
-from spiral.reconstruction.estimate import estimate
-from spiral.record import Record
-from spiral.simulate import with_defaults
+from spiral.inference.problem import Problem
+from spiral.inference.reconstruction.calibrate import calibrate, cramer_rao
+from spiral.inference.reconstruction.estimate import estimate
+from spiral.inference.simulate import with_defaults
+from spiral.types.model import Model, seed_model
+from spiral.types.record import Record
 
 SYSTEM = TiltingRotor()
 TRUE = with_defaults(seed_model(SYSTEM))

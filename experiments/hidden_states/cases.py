@@ -12,12 +12,12 @@ from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
 from spiral_plugins.sources.simulation import Simulation
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.filtering.stochastic import disturbed
-from spiral.filtering.task import Task, prepare_task, with_record
-from spiral.model import seed_model
-from spiral.observer import Observer
-from spiral.record import Record
-from spiral.simulate import with_defaults
+from spiral.engine.filter.observer import Observer
+from spiral.engine.filter.stochastic import disturbed
+from spiral.engine.filter.task import Task, prepare_task, with_record
+from spiral.inference.simulate import with_defaults
+from spiral.types.model import seed_model
+from spiral.types.record import Record
 
 PHASE = 1.3  # of the records here; the model was made for another mark on the shaft
 RATE = 2000.0

@@ -15,7 +15,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from experiments.hidden_states.cases import CASES, Case, observer, task
-from spiral.reconstruction.estimate import estimation, reconstructed
+from spiral.inference.reconstruction.estimate import estimation, reconstructed
 
 STATES = ("alpha", "beta")
 

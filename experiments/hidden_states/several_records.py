@@ -19,10 +19,10 @@ from joblib import Parallel, delayed
 from spiral_plugins.sources.simulation import Simulation
 
 from experiments.hidden_states.calibration import BEARINGS, SYSTEM, TRUE
-from spiral.model import Model
-from spiral.problem import Problem
-from spiral.reconstruction.calibrate import calibrate, cramer_rao
-from spiral.record import Record
+from spiral.inference.problem import Problem
+from spiral.inference.reconstruction.calibrate import calibrate, cramer_rao
+from spiral.types.model import Model
+from spiral.types.record import Record
 
 UNEQUAL = 0.2
 OFF = 0.1  # share by which every bearing parameter starts wrong, with a sign of its own

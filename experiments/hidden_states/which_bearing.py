@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from spiral.config import build_problem, compose
-from spiral.problem import silent
-from spiral.registry import load_registry
-from spiral.strategies.innovation import INNOVATION
+from spiral.inference.problem import silent
+from spiral.inference.strategies.innovation import INNOVATION
+from spiral.io.config import build_problem, compose
+from spiral.io.registry import load_registry
 
 TRUE = "cubic_stiffness@bearing_2"
 STIFFNESS = 1e11 / (0.75**4 + 0.25**4)  # N/m^3

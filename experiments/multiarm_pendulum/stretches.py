@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from experiments.measured import photographed, problem_of
-from spiral.compare import compare
-from spiral.model import Model
-from spiral.problem import Problem
+from spiral.inference.compare import compare
+from spiral.inference.problem import Problem
+from spiral.types.model import Model
 
 PRESET = "multiarm_pendulum"
 FRICTION = ("effect=[coulomb_friction,quadratic_damping]", "values={coulomb_friction.width: 0.05}")

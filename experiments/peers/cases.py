@@ -11,12 +11,12 @@ import numpy as np
 from spiral_plugins.libraries.projection import Projection
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.compare import predict
-from spiral.config import build_problem, compose
-from spiral.errors import SpiralError
-from spiral.model import Model
-from spiral.problem import Problem
-from spiral.registry import Registry
+from spiral.inference.compare import predict
+from spiral.inference.problem import Problem
+from spiral.io.config import build_problem, compose
+from spiral.io.registry import Registry
+from spiral.types.errors import SpiralError
+from spiral.types.model import Model
 
 HIDDEN = ("cross_stiffness", "cubic_stiffness", "gyroscopic")
 _ROTOR = ("linear_stiffness.stiffness_x=8085", "linear_stiffness.stiffness_y=9672",

@@ -16,8 +16,8 @@ import numpy as np
 
 from experiments.peers.cases import Answer
 from experiments.peers.regressions import bic
-from spiral.problem import Problem
-from spiral.record import Record
+from spiral.inference.problem import Problem
+from spiral.types.record import Record
 
 DELAYS, STRIDE = 24, 2
 _KEPT = 0.8  # share of the record that a choice of rank and degree is fitted on

@@ -20,9 +20,9 @@ import numpy as np
 from spiral_plugins.derivatives.kalman_smoother import KalmanSmoother
 
 from experiments.peers.cases import Answer, free_run
-from spiral.derivative import differentiate
-from spiral.identifiability.signatures import equation_rows, signatures
-from spiral.problem import Problem
+from spiral.inference.identifiability.signatures import equation_rows, signatures
+from spiral.inference.problem import Problem
+from spiral.types.derivative import differentiate
 
 THRESHOLDS = (0.001, 0.003, 0.005, 0.01, 0.02, 0.05, 0.1, 0.3)
 _BLOCK = 256  # samples of the interleaved blocks that fit and validate

@@ -24,10 +24,10 @@ from experiments.peers.cases import HIDDEN, Answer, Case, scored
 from experiments.peers.delays import METHODS as DELAYS
 from experiments.peers.delays import in_delays
 from experiments.peers.regressions import METHODS, regressed
-from spiral.compare import compare
-from spiral.problem import Problem
-from spiral.registry import load_registry
-from spiral.verbs.study import in_worker
+from spiral.commands.perform import in_worker
+from spiral.inference.compare import compare
+from spiral.inference.problem import Problem
+from spiral.io.registry import load_registry
 
 STRATEGIES = ("shooting", "paper")
 ALL = ("seed only", *METHODS, *DELAYS, *STRATEGIES)

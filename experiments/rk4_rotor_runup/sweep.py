@@ -22,11 +22,11 @@ import numpy as np
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from experiments.measured import photographed, problem_of
-from spiral.compare import compare, predict
-from spiral.model import seed_model
-from spiral.problem import Problem
-from spiral.record import Record
-from spiral.simulate import simulate
+from spiral.inference.compare import compare, predict
+from spiral.inference.problem import Problem
+from spiral.inference.simulate import simulate
+from spiral.types.model import seed_model
+from spiral.types.record import Record
 
 PRESET = "rk4_rotor_runup"
 WHOLE = "test=order_table"  # the whole run-up is fitted; nothing is kept apart

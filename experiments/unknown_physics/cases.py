@@ -10,14 +10,14 @@ import numpy as np
 from spiral_plugins.sources.simulation import Simulation
 
 from experiments.hidden_effects.cases import ROTOR
-from spiral.effect import Effect, FlowEffect, ForceEffect
+from spiral.inference.problem import Problem, Settings
+from spiral.inference.unknown.forcecurve import beside
+from spiral.io.registry import Registry
 from spiral.math import length, sin, sqrt, tanh
-from spiral.model import seed_model
-from spiral.parameter import Parameter
-from spiral.problem import Problem, Settings
-from spiral.registry import Registry
-from spiral.system import System
-from spiral.unknown.forcecurve import beside
+from spiral.types.effect import Effect, FlowEffect, ForceEffect
+from spiral.types.model import seed_model
+from spiral.types.parameter import Parameter
+from spiral.types.system import System
 
 Array = np.ndarray
 _SHAPE = Parameter("length", "position", role="shape", start=1.0)

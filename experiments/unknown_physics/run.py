@@ -20,7 +20,7 @@ from joblib import Parallel, delayed, parallel_config
 
 from experiments.hidden_effects.cases import installed
 from experiments.unknown_physics.cases import CASES, coverage, problem
-from spiral.discover import discover
+from spiral.inference.discover import discover
 
 Row = dict[str, Any]
 NEAR = 1.5  # noise floors
@@ -125,7 +125,7 @@ def rows_of(names: list[str], seeds: int, file: Path, workers: int) -> list[Row]
 
 def tell(rows: list[Row], folder: Path) -> None:
     """One run of MLflow: the figures of each case as metrics, rows and table as artifacts."""
-    from spiral.tracking.store import Tracking, in_force, opened
+    from spiral.io.tracking.store import Tracking, in_force, opened
 
     with opened(Tracking(experiment="unknown_physics"), folder.parent) as store, in_force(store):
         number = store.client.create_run(store.experiment, run_name=folder.name).info.run_id

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from spiral.derivative import Derivative, Derivatives, at_least, in_range
-from spiral.errors import ConfigError, InputError
-from spiral.record import Array
+from spiral.types.derivative import Derivative, Derivatives, at_least, in_range
+from spiral.types.errors import ConfigError, InputError
+from spiral.types.record import Array
 
 
 class Fourier(Derivative):

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from spiral.derivative import Derivative, Derivatives, at_least, in_range
-from spiral.record import Array
+from spiral.types.derivative import Derivative, Derivatives, at_least, in_range
+from spiral.types.record import Array
 
 _DECADES = (-24.0, 6.0)  # of the ratio that the likelihood looks through
 

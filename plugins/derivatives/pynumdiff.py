@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from spiral.derivative import Derivative, Derivatives, at_least
-from spiral.errors import ConfigError, InputError, did_you_mean
-from spiral.record import Array
+from spiral.types.derivative import Derivative, Derivatives, at_least
+from spiral.types.errors import ConfigError, InputError, did_you_mean
+from spiral.types.record import Array
 
 _USUAL: dict[str, dict[str, Any]] = {
     "butterdiff": {"filter_order": 4, "cutoff_freq": 0.2},

@@ -1,8 +1,8 @@
 """The estimator savitzky_golay."""
 
-from spiral.derivative import Derivative, Derivatives, at_least, in_range
-from spiral.errors import ConfigError
-from spiral.record import Array
+from spiral.types.derivative import Derivative, Derivatives, at_least, in_range
+from spiral.types.errors import ConfigError
+from spiral.types.record import Array
 
 
 class SavitzkyGolay(Derivative):

@@ -3,9 +3,9 @@
 import numpy as np
 from spiral_plugins.derivatives.kalman_smoother import KalmanSmoother
 
-from spiral.derivative import Derivative, Derivatives, differentiate
-from spiral.errors import ConfigError, InputError
-from spiral.record import Array
+from spiral.types.derivative import Derivative, Derivatives, differentiate
+from spiral.types.errors import ConfigError, InputError
+from spiral.types.record import Array
 
 
 class ShapeFunctions(Derivative):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from spiral.derivative import Derivative, Derivatives, at_least, in_range
-from spiral.record import Array
+from spiral.types.derivative import Derivative, Derivatives, at_least, in_range
+from spiral.types.record import Array
 
 
 class SmoothingSpline(Derivative):

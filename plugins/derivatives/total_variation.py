@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-from spiral.derivative import Derivative, Derivatives, at_least, in_range
-from spiral.record import Array
+from spiral.types.derivative import Derivative, Derivatives, at_least, in_range
+from spiral.types.record import Array
 
 _DEGREE = {"velocity": 2, "acceleration": 3, "jerk": 4}  # differences that are penalised
 _SMOOTH = 1e-3  # of the mean difference: where |d| is rounded off to sqrt(d^2 + e^2)

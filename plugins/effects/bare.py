@@ -6,9 +6,9 @@ has a coefficient of its own in every equation. Coefficients are signed as the t
 
 from __future__ import annotations
 
-from spiral.effect import ForceEffect
 from spiral.math import cos, sin
-from spiral.parameter import Parameter
+from spiral.types.effect import ForceEffect
+from spiral.types.parameter import Parameter
 
 
 class QuadraticCoupling(ForceEffect):

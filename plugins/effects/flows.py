@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from spiral_plugins.effects.restoring import WIDTH
 
-from spiral.effect import FlowEffect, SensorEffect
 from spiral.math import ramp, sqrt
-from spiral.parameter import Parameter
+from spiral.types.effect import FlowEffect, SensorEffect
+from spiral.types.parameter import Parameter
 
 
 class Pump(FlowEffect):

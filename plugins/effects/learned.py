@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from spiral.learned import COUNT, LearnedFlow, LearnedForce, coefficients, curve
 from spiral.math import length, tanh
-from spiral.parameter import Parameter
+from spiral.physics.learned import COUNT, LearnedFlow, LearnedForce, coefficients, curve
+from spiral.types.parameter import Parameter
 
 
 def _curves(states, span, p):

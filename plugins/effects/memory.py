@@ -6,8 +6,8 @@ enters as a plain factor of what they exert.
 
 from __future__ import annotations
 
-from spiral.effect import ForceEffect
-from spiral.parameter import Parameter, State
+from spiral.types.effect import ForceEffect
+from spiral.types.parameter import Parameter, State
 
 _TURN = 6.283185307179586
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from spiral.effect import ForceEffect
 from spiral.math import length, ramp, sin
-from spiral.parameter import Parameter
+from spiral.types.effect import ForceEffect
+from spiral.types.parameter import Parameter
 
 WIDTH = Parameter("width", "position", lower=0.0, start=0.0, role="shape", grid=(0.02,))
 """Half the stretch over which a corner is rounded: 2 % of the largest motion while a candidate."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from spiral.effect import ForceEffect
 from spiral.math import cos, sin
-from spiral.parameter import Parameter
+from spiral.types.effect import ForceEffect
+from spiral.types.parameter import Parameter
 
 
 class Unbalance(ForceEffect):

@@ -5,9 +5,9 @@ A reading y is one value for each measured channel; q and q' are the true values
 
 from __future__ import annotations
 
-from spiral.effect import SensorEffect
 from spiral.math import cos, sin
-from spiral.parameter import Parameter
+from spiral.types.effect import SensorEffect
+from spiral.types.parameter import Parameter
 
 _TURN = 6.283185307179586
 

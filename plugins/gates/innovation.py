@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.errors import ConfigError
-from spiral.gate import Gate, Judgement, Trial
+from spiral.engine.gate import Gate, Judgement, Trial
+from spiral.types.errors import ConfigError
 
 
 class Innovation(Gate):

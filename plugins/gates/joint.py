@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.gate import Gate, Judgement, Trial
-from spiral.leastsquares import Fit, partial_f, solve_triangle, triangle
-from spiral.record import Array
+from spiral.engine.gate import Gate, Judgement, Trial
+from spiral.engine.leastsquares import Fit, partial_f, solve_triangle, triangle
+from spiral.types.record import Array
 
 _BLOCK = 64  # samples that go into one fold together
 

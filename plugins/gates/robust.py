@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.gate import Gate, Judgement, Trial
-from spiral.leastsquares import ratio
-from spiral.paper.robust import automatic_lags, bootstrap_errors, hac_errors
+from spiral.engine.gate import Gate, Judgement, Trial
+from spiral.engine.leastsquares import ratio
+from spiral.inference.paper.robust import automatic_lags, bootstrap_errors, hac_errors
 
 
 class HacT(Gate):

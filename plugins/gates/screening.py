@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.gate import Gate, Judgement, Trial
-from spiral.leastsquares import least_squares
+from spiral.engine.gate import Gate, Judgement, Trial
+from spiral.engine.leastsquares import least_squares
 
 
 class BonferroniT(Gate):

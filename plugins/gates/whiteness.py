@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.gate import Gate, Judgement, Trial
+from spiral.engine.gate import Gate, Judgement, Trial
 
 
 class LjungBox(Gate):

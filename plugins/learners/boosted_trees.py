@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.learner import Learned, Learner, Tell
-from spiral.record import Array
+from spiral.types.learner import Learned, Learner, Tell
+from spiral.types.record import Array
 
 
 class BoostedTrees(Learner):

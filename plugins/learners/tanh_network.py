@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from spiral.learner import Learned, Learner, Tell
-from spiral.record import Array
+from spiral.types.learner import Learned, Learner, Tell
+from spiral.types.record import Array
 
 
 class TanhNetwork(Learner):

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from spiral_plugins.effects import bare, dissipative, restoring, rotating
 
-from spiral.effect import Effect
-from spiral.errors import ConfigError
-from spiral.library import Term
-from spiral.system import System
-from spiral.units import units_fit
+from spiral.types.effect import Effect
+from spiral.types.errors import ConfigError
+from spiral.types.library import Term
+from spiral.types.system import System
+from spiral.types.units import units_fit
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def expanded(categories: tuple[Category, ...], system: System) -> tuple[Term, ..
 
 def fits(system: System, effect: Effect) -> bool:
     """Whether the system has the axes, inputs and units that an effect needs."""
-    from spiral.trace import check_effect
+    from spiral.types.placement import check_effect
 
     try:
         check_effect(system, effect)

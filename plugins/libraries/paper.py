@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from spiral_plugins.libraries.categories import TABLE, expanded
 
-from spiral.library import Library, Term
-from spiral.system import System
+from spiral.types.library import Library, Term
+from spiral.types.system import System
 
 
 class Paper(Library):

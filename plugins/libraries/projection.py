@@ -9,9 +9,9 @@ from spiral_plugins.effects.restoring import SpeedStiffness
 from spiral_plugins.libraries.categories import TABLE, Category, expanded
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.errors import ConfigError
-from spiral.library import Library, Term
-from spiral.system import MechanicalSystem, System
+from spiral.types.errors import ConfigError
+from spiral.types.library import Library, Term
+from spiral.types.system import MechanicalSystem, System
 
 _SECOND = Category(
     "speed stiffness", ((SpeedStiffness, "gyroscopic moment of the hidden tilt, second order"),)
@@ -39,7 +39,7 @@ class Projection(Library):
 
     def terms(self, system: System) -> tuple[Term, ...]:
         """Terms whose projected coefficient is not zero, the seed's own included."""
-        from spiral.projection import project
+        from spiral.physics.projection import project
 
         whole = self.system
         if not isinstance(system, MechanicalSystem) or not isinstance(whole, MechanicalSystem):

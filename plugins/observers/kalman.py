@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
-from spiral.observer import Observer, Reconstruction
+from spiral.engine.filter.observer import Observer, Reconstruction
 
 if TYPE_CHECKING:
-    from spiral.filtering.extended import Pass, Settings
-    from spiral.filtering.task import Task
+    from spiral.engine.filter.extended import Pass, Settings
+    from spiral.engine.filter.task import Task
 
 
 class Tuned(Observer):
@@ -36,8 +36,8 @@ class Tuned(Observer):
 
     def reconstruct(self, task: Task) -> Reconstruction:
         """Choose the process noise, then run once."""
-        from spiral.filtering.extended import as_reconstruction
-        from spiral.filtering.setup import chosen_levels, prepared, with_level
+        from spiral.engine.filter.extended import as_reconstruction
+        from spiral.engine.filter.setup import chosen_levels, prepared, with_level
 
         clock = time.perf_counter()
         task, settings = prepared(task, self.track, self.doubt, self.spread)
@@ -68,7 +68,7 @@ class Ekf(Tuned):
 
     def run(self, task: Task, settings: Settings) -> Pass:
         """Filter the record."""
-        from spiral.filtering.extended import filtered
+        from spiral.engine.filter.extended import filtered
 
         settings = replace(settings, second_order=self.transition == "second_order")
         return filtered(task, settings, keep=bool(task.series.record.truth))
@@ -77,12 +77,12 @@ class Ekf(Tuned):
 class Rts(Tuned):
     """Rauch-Tung-Striebel smoother over the extended filter: each sample judged by all.
 
-    x_s = x - P l, P_s = P - P L P, in the Bryson-Frazier form (``spiral.filtering.smoother``).
+    x_s = x - P l, P_s = P - P L P, in the Bryson-Frazier form (``spiral.engine.filter.smoother``).
     """
 
     def run(self, task: Task, settings: Settings) -> Pass:
         """Filter, then go back from the record's end; innovations stay those of the filter."""
-        from spiral.filtering.extended import filtered, smoothed
+        from spiral.engine.filter.extended import filtered, smoothed
 
         found = filtered(task, settings, keep=True)
         return found if found.done < task.series.samples else smoothed(found)
@@ -105,7 +105,7 @@ class Ukf(Tuned):
 
     def run(self, task: Task, settings: Settings) -> Pass:
         """Filter the record."""
-        from spiral.filtering.sigma_points import sigma_filtered
+        from spiral.engine.filter.sigma_points import sigma_filtered
 
         shape = (self.alpha, self.beta, self.kappa)
         return sigma_filtered(task, settings, shape, keep=bool(task.series.record.truth))

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spiral.observer import Observer, Reconstruction
+from spiral.engine.filter.observer import Observer, Reconstruction
 
 if TYPE_CHECKING:
-    from spiral.filtering.task import Task
+    from spiral.engine.filter.task import Task
 
 
 class EkfPaper(Observer):
@@ -31,7 +31,7 @@ class EkfPaper(Observer):
 
     def reconstruct(self, task: Task) -> Reconstruction:
         """Filter the record with the paper's numbers."""
-        from spiral.filtering.extended import Settings, as_reconstruction, filtered
+        from spiral.engine.filter.extended import Settings, as_reconstruction, filtered
 
         names, channels = task.states, task.compiled.traced.channels
         rate = np.array([f"{n}_rate" not in names for n in names])

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spiral.errors import ConfigError
-from spiral.observer import Observer, Reconstruction
+from spiral.engine.filter.observer import Observer, Reconstruction
+from spiral.types.errors import ConfigError
 
 if TYPE_CHECKING:
-    from spiral.filtering.task import Task
+    from spiral.engine.filter.task import Task
 
 
 class Static(Observer):

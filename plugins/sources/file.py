@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from spiral.reading.columns import Columns
-from spiral.reading.files import Table
-from spiral.reading.readers import read_table
+from spiral.io.readers.columns import Columns
+from spiral.io.readers.files import Table
+from spiral.io.readers.readers import read_table
 
 
 class File(Columns):

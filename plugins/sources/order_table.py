@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from spiral.errors import ConfigError, InputError
-from spiral.reading.files import Table
-from spiral.reading.pulses import smoothed
-from spiral.reading.readers import read_table
-from spiral.record import Record, make_record
-from spiral.source import Source
-from spiral.system import System
-from spiral.units import factor
+from spiral.io.readers.files import Table
+from spiral.io.readers.pulses import smoothed
+from spiral.io.readers.readers import read_table
+from spiral.types.errors import ConfigError, InputError
+from spiral.types.record import Record, make_record
+from spiral.types.source import Source
+from spiral.types.system import System
+from spiral.types.units import factor
 
 _FEWEST = 8  # turns
 

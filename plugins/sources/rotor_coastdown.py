@@ -7,9 +7,9 @@ from dataclasses import replace
 from spiral_plugins.sources.simulation import Simulation
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.record import Record
-from spiral.source import Source
-from spiral.system import System
+from spiral.types.record import Record
+from spiral.types.source import Source
+from spiral.types.system import System
 
 
 class RotorCoastdown(Source):

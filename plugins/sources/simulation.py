@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spiral.effect import Effect
-from spiral.errors import ConfigError, did_you_mean
-from spiral.excitation import excite
-from spiral.record import Array, Record, make_record
-from spiral.source import Source
-from spiral.system import System
-from spiral.units import factor
+from spiral.inference.excitation import excite
+from spiral.types.effect import Effect
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.record import Array, Record, make_record
+from spiral.types.source import Source
+from spiral.types.system import System
+from spiral.types.units import factor
 
 if TYPE_CHECKING:
-    from spiral.model import Model
+    from spiral.types.model import Model
 
 _DECAY = np.log(1e4)  # the start-up transient is left at a ten-thousandth
 _LONGEST_RUN_IN = 600.0  # s
@@ -83,8 +83,8 @@ class Simulation(Source):
 
     def truth(self, system: System) -> Model:
         """The model that is integrated."""
-        from spiral.model import Model
-        from spiral.simulate import with_defaults
+        from spiral.inference.simulate import with_defaults
+        from spiral.types.model import Model
 
         labels = [e.label for e in system.seed]
         for label in self.without:
@@ -125,7 +125,7 @@ class Simulation(Source):
         self, truth: Model, time: Array, inputs: dict[str, Array]
     ) -> tuple[Array, Array, dict[str, Array]]:
         """States, readings and completed inputs on ``time``, after a run-in where asked."""
-        from spiral.simulate import integrate
+        from spiral.inference.simulate import integrate
 
         before = self._run_in(truth, inputs) if self.settled else 0
         dt = 1.0 / self.rate
@@ -194,7 +194,7 @@ def _between(source: System, target: System, name: str) -> float:
 
 def _slowest_decay(truth: Model, first: dict[str, float]) -> float:
     """Smallest -Re(eigenvalue) of f_x at rest, 1/s."""
-    from spiral.trace import trace
+    from spiral.physics.trace import trace
 
     traced = trace(truth.system, truth.effects)
     at = dict.fromkeys(traced.x, 0.0)

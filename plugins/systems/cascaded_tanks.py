@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from spiral_plugins.effects.flows import Outlets, Pump
 
-from spiral.parameter import Input, State
-from spiral.port import Port
-from spiral.system import System
+from spiral.types.parameter import Input, State
+from spiral.types.port import Port
+from spiral.types.system import System
 
 
 class CascadedTanks(System):

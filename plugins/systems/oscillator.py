@@ -5,9 +5,9 @@ from __future__ import annotations
 from spiral_plugins.effects.dissipative import LinearDamping
 from spiral_plugins.effects.restoring import LinearStiffness
 
-from spiral.parameter import Input, Parameter, State
-from spiral.port import Port
-from spiral.system import MechanicalSystem
+from spiral.types.parameter import Input, Parameter, State
+from spiral.types.port import Port
+from spiral.types.system import MechanicalSystem
 
 
 class Oscillator(MechanicalSystem):

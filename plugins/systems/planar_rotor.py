@@ -7,9 +7,9 @@ from spiral_plugins.effects.restoring import LinearStiffness
 from spiral_plugins.effects.rotating import Unbalance
 from spiral_plugins.systems.rotor import ROTOR_INPUTS, turned
 
-from spiral.parameter import Input, Parameter, State
-from spiral.port import Port
-from spiral.system import MechanicalSystem
+from spiral.types.parameter import Input, Parameter, State
+from spiral.types.port import Port
+from spiral.types.system import MechanicalSystem
 
 
 class PlanarRotor(MechanicalSystem):

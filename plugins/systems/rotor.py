@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from spiral.parameter import Input
+from spiral.types.parameter import Input
 
 ROTOR_INPUTS = (
     Input("speed", "rad/s", derivative=True),

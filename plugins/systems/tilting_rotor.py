@@ -7,9 +7,9 @@ from spiral_plugins.effects.restoring import CrossStiffness, CubicStiffness, Lin
 from spiral_plugins.effects.rotating import Unbalance
 from spiral_plugins.systems.rotor import ROTOR_INPUTS, turned
 
-from spiral.parameter import Input, Parameter, State
-from spiral.port import Port
-from spiral.system import MechanicalSystem
+from spiral.types.parameter import Input, Parameter, State
+from spiral.types.port import Port
+from spiral.types.system import MechanicalSystem
 
 # Paper, appendix: both bearings have 1.6 times the target translational matrices, and the cubic
 # stiffness of each is 1e11 / (0.75^4 + 0.25^4).

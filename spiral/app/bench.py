@@ -1,8 +1,8 @@
 """The steps of a study with everything in memory: fit the seed, rank, admit, refit.
 
-Runs in a process of its own. The steps are the loop's (``spiral.turn``); between them the compiled
-study and the last ranking are kept, so that adding an effect compiles nothing. What a turn comes to
-is written into its folder first and told afterwards.
+Runs in a process of its own. The steps are the loop's (``spiral.inference.rounds``); between them
+the compiled study and the last ranking are kept, so that adding an effect compiles nothing. What a
+turn comes to is written into its folder first and told afterwards.
 """
 
 from __future__ import annotations
@@ -15,17 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from spiral.app.study import turn_place
-from spiral.checkpoint import read_checkpoint, write_checkpoint
-from spiral.curves import FINAL, Curves, beside, free_curves, read_curves, write_curves
-from spiral.discover import Checkpoint
-from spiral.evidence.assembly import Assembly, first_row
-from spiral.problem import Problem, Settings
-from spiral.registry import Registry
-from spiral.run import Round, Run
-from spiral.storage import finite, to_json, write_whole
-from spiral.strategies.base import Begun, Step, Strategy
-from spiral.threads import one_blas_thread
-from spiral.turn import (
+from spiral.engine.threads import one_blas_thread
+from spiral.inference.discover import Checkpoint
+from spiral.inference.evidence.assembly import Assembly, first_row
+from spiral.inference.problem import Problem, Settings
+from spiral.inference.rounds import (
     candidates,
     chosen,
     concluded,
@@ -35,7 +29,13 @@ from spiral.turn import (
     strategy_for,
     turned,
 )
-from spiral.unknown.holding import having, holding
+from spiral.inference.strategies.base import Begun, Step, Strategy
+from spiral.inference.unknown.holding import having, holding
+from spiral.io.checkpoint import read_checkpoint, write_checkpoint
+from spiral.io.curves import FINAL, Curves, beside, free_curves, read_curves, write_curves
+from spiral.io.registry import Registry
+from spiral.io.storage import finite, to_json, write_whole
+from spiral.types.run import Round, Run
 
 Tell = Callable[[str, Mapping[str, Any]], None]
 """Told what happened: a kind (``progress``, ``turn``, ``ranked``, ``figures``) and plain data."""
@@ -131,11 +131,11 @@ class Bench:
 
     def _open(self, order: Order) -> None:
         """Read the records and compile, unless this study is at hand."""
-        from spiral.config import build_problem, compose, options
-        from spiral.custom import bound
-        from spiral.errors import ConfigError
-        from spiral.registry import load_registry
-        from spiral.screen.preview import described
+        from spiral.io.config import build_problem, compose, options
+        from spiral.io.custom import bound
+        from spiral.io.registry import load_registry
+        from spiral.types.errors import ConfigError
+        from spiral.view.terminal.preview import described
 
         overrides = tuple(order["overrides"])
         if self.overrides == overrides and self.ident == order["study"]:
@@ -273,7 +273,7 @@ def draw(
 
     ``alone`` are the curves of this turn's model; ``both`` with those of the first beside them.
     """
-    from spiral.report.page import figures
+    from spiral.view.report.page import figures
 
     folder.mkdir(parents=True, exist_ok=True)
     run = concluded(at, "max_rounds", Settings(), "")

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from spiral.errors import SpiralError
+from spiral.types.errors import SpiralError
 
 Event = Mapping[str, Any]
 OnEvent = Callable[[Mapping[str, Any], str, Event], None]
@@ -142,7 +142,7 @@ def serve(kind: str, out: str, pipe: Connection, parent: int) -> None:
 
 def _worker(kind: str, out: Path, tell: Any) -> Any:
     """The one who does the work, with all that it needs imported."""
-    from spiral.registry import load_registry
+    from spiral.io.registry import load_registry
 
     load_registry(None)
     if kind == "scribe":
@@ -150,7 +150,7 @@ def _worker(kind: str, out: Path, tell: Any) -> Any:
         from spiral.app.scribe import Scribe
 
         return Scribe(out, tell)
-    import spiral.shooting.kernel  # noqa: F401  (compiled, or read from the cache, before a click)
+    import spiral.engine.kernel  # noqa: F401  (compiled, or read from the cache, before a click)
     from spiral.app.bench import Bench
 
     return Bench(out, tell)

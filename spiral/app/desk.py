@@ -21,7 +21,7 @@ from spiral.app.draft import quoted
 from spiral.app.intake import DOES, Intake
 from spiral.app.panels import words
 from spiral.app.study import LEARNED, Study, Turn
-from spiral.errors import ConfigError
+from spiral.types.errors import ConfigError
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from spiral.app.study import FOLDER, UPLOADS
-from spiral.errors import ConfigError
-from spiral.storage import new_run_id, to_json, write_whole
+from spiral.io.storage import new_run_id, to_json, write_whole
+from spiral.types.errors import ConfigError
 
 FILE = "draft.json"
 _ID = re.compile(r"[0-9a-f-]{8,40}")

@@ -15,9 +15,9 @@ from spiral.app import panels
 from spiral.app.desk import Desk, Scene
 from spiral.app.look import STYLE
 from spiral.app.study import Study
-from spiral.errors import SpiralError
-from spiral.report.style import BLUE
-from spiral.screen.shell import option_lines
+from spiral.types.errors import SpiralError
+from spiral.view.report.style import BLUE
+from spiral.view.terminal.shell import option_lines
 
 _CONFIG = {
     "displaylogo": False, "responsive": True, "displayModeBar": False,

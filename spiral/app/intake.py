@@ -12,8 +12,8 @@ from typing import Any
 from spiral.app import draft as kept
 from spiral.app.crew import Event
 from spiral.app.draft import Choice, Draft
-from spiral.errors import ConfigError
-from spiral.reading.files import find_file
+from spiral.io.readers.files import find_file
+from spiral.types.errors import ConfigError
 
 Give = Callable[[Mapping[str, Any]], None]
 DOES = ("peek", "check")

@@ -1,6 +1,6 @@
 """The look of the page: that of the report, with room for a list beside the figures."""
 
-from spiral.report.style import BLUE, FONT, GREEN, ORANGE, VERMILION
+from spiral.view.report.style import BLUE, FONT, GREEN, ORANGE, VERMILION
 
 STYLE = f"""
 :root {{ --blue:{BLUE}; --vermilion:{VERMILION}; --orange:{ORANGE}; --green:{GREEN};

@@ -15,9 +15,9 @@ from spiral.app.desk import Desk
 from spiral.app.draft import Choice, Draft
 from spiral.app.intake import Desktop
 from spiral.app.peek import PICTURE
-from spiral.errors import SpiralError
-from spiral.formatting import number
-from spiral.report import text
+from spiral.types.errors import SpiralError
+from spiral.types.formatting import number
+from spiral.view.report import text
 
 _TICK = 0.2
 _NONE = "none"

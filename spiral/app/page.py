@@ -12,8 +12,8 @@ from nicegui import ui
 from spiral.app import frame, panels
 from spiral.app.desk import Desk, Scene, own_name
 from spiral.app.study import Turn, turn_place
-from spiral.errors import SpiralError
-from spiral.report.evidence import error_falling
+from spiral.types.errors import SpiralError
+from spiral.view.report.evidence import error_falling
 
 FALL_HEIGHT = 372
 _TICK = 0.15  # s between looks at the desk

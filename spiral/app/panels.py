@@ -7,9 +7,9 @@ from html import escape
 from typing import Any
 
 from spiral.app.study import LEARNED, Study, Turn
-from spiral.formatting import number, percent, probability
-from spiral.report import text
-from spiral.report.style import symbols, words
+from spiral.types.formatting import number, percent, probability
+from spiral.view.report import text
+from spiral.view.report.style import symbols, words
 
 _BOTH = "the larger of the classical p-value and the robust one"
 _FAR = 3.0  # times the noise, above which a free run misses more than noise

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from spiral.errors import InputError
-from spiral.reading.files import Table
-from spiral.reading.readers import read_table
-from spiral.storage import finite, write_whole
+from spiral.io.readers.files import Table
+from spiral.io.readers.readers import read_table
+from spiral.io.storage import finite, write_whole
+from spiral.types.errors import InputError
 
 PICTURE = "columns.json"
 _DRAWN = 6  # columns in the picture
@@ -58,7 +58,7 @@ def _numbers(table: Table, name: str) -> Any:
 
 def _draw(numbers: Mapping[str, Any], table: Table, target: Path) -> None:
     """The first columns over row number, thinned."""
-    from spiral.report.style import CYCLE, blank, line, titled
+    from spiral.view.report.style import CYCLE, blank, line, titled
 
     shown = list(numbers)[:_DRAWN]
     figure = blank(len(shown), 1, 70 + 120 * len(shown), shared_xaxes=True, vertical_spacing=0.045)
@@ -76,7 +76,7 @@ def _draw(numbers: Mapping[str, Any], table: Table, target: Path) -> None:
 
 def _systems(plugins: str | None) -> list[dict[str, Any]]:
     """Every system that has a usual form, with what it needs to be told."""
-    from spiral.registry import load_registry
+    from spiral.io.registry import load_registry
 
     registry = load_registry(plugins)
     found = []

@@ -13,13 +13,13 @@ from typing import Any
 
 from spiral.app.bench import FIGURES, STATE, Order, Tell, draw
 from spiral.app.study import turn_place
-from spiral.checkpoint import read_checkpoint
-from spiral.curves import FINAL, SEED, Curves, alone, gather, write_curves
-from spiral.problem import Problem
-from spiral.registry import Registry
-from spiral.run import Run
-from spiral.storage import save_result
-from spiral.turn import Checkpoint, concluded
+from spiral.inference.problem import Problem
+from spiral.inference.rounds import Checkpoint, concluded
+from spiral.io.checkpoint import read_checkpoint
+from spiral.io.curves import FINAL, SEED, Curves, alone, gather, write_curves
+from spiral.io.registry import Registry
+from spiral.io.storage import save_result
+from spiral.types.run import Run
 
 _BY_HAND = "The effects were added by hand."
 
@@ -52,9 +52,9 @@ class Scribe:
         self.tell("tracked", self._track(run_id))
 
     def _open(self, order: Order) -> None:
-        from spiral.config import build_problem, compose
-        from spiral.custom import bound
-        from spiral.registry import load_registry
+        from spiral.io.config import build_problem, compose
+        from spiral.io.custom import bound
+        from spiral.io.registry import load_registry
 
         wanted = f"{order['study']} {order['overrides']}"
         if self.ident == wanted:
@@ -94,11 +94,12 @@ class Scribe:
 
     def _track(self, run_id: str) -> dict[str, Any]:
         """MLflow's id of the run, or why it does not know of it."""
-        from spiral.tracking.store import tracking_of
-        from spiral.tracking.track import track
+        from spiral.io.tracking.store import tracking_of
+        from spiral.io.tracking.track import track
+        from spiral.view.report.page import report_of
 
         assert self.config is not None
-        found = track(tracking_of(self.config), self.out, (run_id,), catch_up=False)
+        found = track(tracking_of(self.config), self.out, (run_id,), catch_up=False, draw=report_of)
         number = found.runs.get(run_id)
         place = f"experiments/{found.experiment}/runs/{number}" if number else ""
         return {"tracked": place, "store": found.uri, "untracked": found.failure or ""}

@@ -9,7 +9,7 @@ import webbrowser
 from pathlib import Path
 from typing import Any
 
-from spiral.errors import ConfigError
+from spiral.types.errors import ConfigError
 
 HOST, PORT = "127.0.0.1", 8765
 
@@ -27,7 +27,7 @@ def begin(
     ------
     ConfigError : another key than ``out``, or a port that is none or taken.
     """
-    from spiral.overrides import parse
+    from spiral.io.overrides import parse
 
     given = {".".join(i.path): i.value for i in parse(overrides)}
     for key in (*names, *given):

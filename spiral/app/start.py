@@ -11,8 +11,8 @@ from spiral.app import frame, panels
 from spiral.app.desk import Desk
 from spiral.app.drop import drop_zone
 from spiral.app.study import Study
-from spiral.errors import SpiralError
-from spiral.formatting import percent
+from spiral.types.errors import SpiralError
+from spiral.types.formatting import percent
 
 _LISTED = 12
 
@@ -71,7 +71,7 @@ def presets() -> list[tuple[str, str]]:
     """
     from importlib.resources import files
 
-    from spiral.config import PACKAGE, experiments
+    from spiral.io.config import PACKAGE, experiments
 
     found = []
     for name in sorted(experiments(), key=lambda n: (n != "rotor_coastdown", n)):

@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from spiral.errors import ConfigError, InputError
-from spiral.storage import new_run_id, to_json, unwritable, write_whole
+from spiral.io.storage import new_run_id, to_json, unwritable, write_whole
+from spiral.types.errors import ConfigError, InputError
 
 FOLDER, FILE, UPLOADS = "studies", "study.json", "uploads"
 LEARNED = "settings.learned"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from spiral.app.desk import Desk
 from spiral.app.study import Turn
 from spiral.app.viewer import Viewer
-from spiral.errors import ConfigError, SpiralError
+from spiral.types.errors import ConfigError, SpiralError
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -53,7 +53,7 @@ def written(desk: Desk, ident: str, serial: int, name: str) -> Path:
     file = desk.out / turn.run_id / name
     make = makers[name]
     if make is not None and not file.is_file():
-        from spiral.storage import write_whole
+        from spiral.io.storage import write_whole
 
         write_whole(file, make(desk, turn))
     return file
@@ -67,28 +67,28 @@ def _saved(desk: Desk, ident: str, serial: int) -> Turn:
 
 
 def _report(desk: Desk, turn: Turn) -> str:
-    from spiral.curves import read_curves
-    from spiral.report.page import page
-    from spiral.storage import load_run
+    from spiral.io.curves import read_curves
+    from spiral.io.storage import load_run
+    from spiral.view.report.page import page
 
     saved = load_run(turn.run_id, desk.out)
     return page(saved.data, read_curves(saved.file.parent))[0]
 
 
 def _latex(desk: Desk, turn: Turn) -> str:
-    from spiral.export import latex
+    from spiral.io.export import latex
 
     return latex(_model(desk, turn)) + "\n"
 
 
 def _equation(desk: Desk, turn: Turn) -> str:
-    from spiral.export import equation
+    from spiral.io.export import equation
 
     return equation(_model(desk, turn)) + "\n"
 
 
 def _model(desk: Desk, turn: Turn) -> Any:
-    from spiral.registry import load_registry
-    from spiral.storage import load_run
+    from spiral.io.registry import load_registry
+    from spiral.io.storage import load_run
 
     return load_run(turn.run_id, desk.out).model(load_registry(desk.plugins))

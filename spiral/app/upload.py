@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 from spiral.app.desk import Desk
-from spiral.errors import InputError
+from spiral.types.errors import InputError
 
 if TYPE_CHECKING:
     from fastapi import FastAPI

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 
-from spiral.errors import InputError
+from spiral.types.errors import InputError
 
 _PATIENCE = 40.0  # s until its page answers
 HOST = "127.0.0.1"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from spiral.report.pictures import browser as found_browser
+from spiral.view.report.pictures import browser as found_browser
 
 PICTURES = Path(__file__).parent / "screenshots"
 PATIENCE = 120_000  # ms, on a machine that does other things too

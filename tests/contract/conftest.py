@@ -2,8 +2,8 @@
 
 import pytest
 
-from spiral.tracking import track
-from spiral.verbs import report as reporting
+from spiral.commands import report as reporting
+from spiral.io.tracking import track
 
 
 @pytest.fixture(autouse=True)

@@ -59,9 +59,9 @@ HEADER = '''"""A plugin of a test."""
 
 import math
 
-from spiral.effect import ForceEffect
+from spiral.types.effect import ForceEffect
 from spiral.math import sqrt
-from spiral.parameter import Parameter
+from spiral.types.parameter import Parameter
 
 '''
 

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import spiral.compare
-import spiral.diagnose
-import spiral.discover
+import spiral.inference.compare
+import spiral.inference.diagnose
+import spiral.inference.discover
 from spiral.cli import main
-from spiral.run import ChannelError, Comparison, Diagnosis, Round, Run, Suggestion, Where
+from spiral.types.run import ChannelError, Comparison, Diagnosis, Round, Run, Suggestion, Where
 
 FIELDS = ("system=oscillator", "record=csv", "record.time=t", "record.channels={x: a}",
           "record.inputs={force: f}")  # fmt: skip
@@ -90,10 +90,10 @@ def steps(monkeypatch):
                   after.model, "")  # fmt: skip
         return before, after, run
 
-    monkeypatch.setattr(spiral.compare, "compare", compare)
-    monkeypatch.setattr(spiral.diagnose, "diagnose", diagnose)
-    monkeypatch.setattr(spiral.discover, "discover", discover)
-    monkeypatch.setattr(spiral.discover, "add", add)
+    monkeypatch.setattr(spiral.inference.compare, "compare", compare)
+    monkeypatch.setattr(spiral.inference.diagnose, "diagnose", diagnose)
+    monkeypatch.setattr(spiral.inference.discover, "discover", discover)
+    monkeypatch.setattr(spiral.inference.discover, "add", add)
     return asked
 
 
@@ -193,7 +193,7 @@ def test_an_honest_refusal_is_exit_3(capsys, steps, monkeypatch, stopped):
         rounds = (Round(0, (), {}, {}, (), comparison(problem.model), 0.5),)
         return Run("not_identifiable", stopped, rounds, problem.model, "Sweep the speed.")
 
-    monkeypatch.setattr(spiral.discover, "discover", discover)
+    monkeypatch.setattr(spiral.inference.discover, "discover", discover)
     code, result = run_json(capsys, "discover", *OWN)
     assert code == 3
     assert result["error"]["try"] == "Sweep the speed."
@@ -204,7 +204,9 @@ def test_an_honest_refusal_is_exit_3(capsys, steps, monkeypatch, stopped):
 
 def test_a_comparison_that_does_not_converge_is_exit_3(capsys, steps, monkeypatch):
     monkeypatch.setattr(
-        spiral.compare, "compare", lambda p, progress: comparison(p.model, converged=False)
+        spiral.inference.compare,
+        "compare",
+        lambda p, progress: comparison(p.model, converged=False),
     )
     code, result = run_json(capsys, "compare", *OWN)
     assert code == 3
@@ -217,7 +219,7 @@ def test_nothing_and_unknown_are_exit_0(capsys, steps, monkeypatch, verdict):
     def diagnose(problem, progress):
         return Diagnosis(verdict, comparison(problem.model), (), Where(), "", 64)
 
-    monkeypatch.setattr(spiral.diagnose, "diagnose", diagnose)
+    monkeypatch.setattr(spiral.inference.diagnose, "diagnose", diagnose)
     assert run_json(capsys, "diagnose", *OWN)[0] == 0
 
 
@@ -310,7 +312,7 @@ def test_sweep_summary_and_defects(capsys, steps, monkeypatch):
     def broken(problem, progress):
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr(spiral.compare, "compare", broken)
+    monkeypatch.setattr(spiral.inference.compare, "compare", broken)
     assert main(["compare", *OWN, "holdout=0.2,0.3", "n_jobs=1", "-m"]) == 1
     out = capsys.readouterr().out
     assert "a defect" in out

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from spiral.cli import main
-from spiral.registry import load_registry
-from spiral.sweeps.sweep import run_sweep
+from spiral.io.registry import load_registry
+from spiral.io.sweeps.sweep import run_sweep
 from tests.sweep_jobs import RECORD, echo, lost, plan_of, without_clock
 
 pytest.importorskip("distributed")

@@ -5,11 +5,11 @@ import time
 import pytest
 
 from spiral.cli import main
-from spiral.registry import load_registry
+from spiral.io.registry import load_registry
 
 OWN = '''
-from spiral.effect import ForceEffect
-from spiral.parameter import Parameter
+from spiral.types.effect import ForceEffect
+from spiral.types.parameter import Parameter
 
 
 class MySpring(ForceEffect):

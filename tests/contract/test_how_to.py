@@ -40,8 +40,8 @@ def test_every_block_runs(page, tmp_path):
 
 def test_fields_of_a_record_that_pages_name_are_there():
     """In the README and the how-to pages; ``test.settle`` and the group itself are no fields."""
-    from spiral.fields import field_names
-    from spiral.registry import load_registry
+    from spiral.io.registry import load_registry
+    from spiral.types.fields import field_names
 
     registry = load_registry(local=False)
     sources = (registry.entry("source", n).plugin for n in registry.names("source"))

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import spiral.discover
-from spiral.run import ChannelError, Comparison, Round, Run
-from spiral.storage import load_run, run_ids
+import spiral.inference.discover
+from spiral.io.storage import load_run, run_ids
+from spiral.types.run import ChannelError, Comparison, Round, Run
 
 FILE = Path(__file__).parents[2] / "experiments" / "run.py"
 
@@ -26,7 +26,7 @@ def asked(monkeypatch, tmp_path):
         return Run("nothing_missing", "whiteness", (Round(0, (), {}, {}, (), found, 0.1),),
                    problem.model, "")  # fmt: skip
 
-    monkeypatch.setattr(spiral.discover, "discover", discover)
+    monkeypatch.setattr(spiral.inference.discover, "discover", discover)
     monkeypatch.chdir(tmp_path)
     return found_problems
 

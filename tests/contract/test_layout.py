@@ -18,7 +18,7 @@ FILE_LINES = 400
 LONG_FUNCTIONS = {
     # One compiled loop over windows, samples, substeps and stages: its work arrays live across all
     # of them, and a call per stage would hand over a dozen arrays each time.
-    ("spiral/shooting/kernel.py", "advance"),
+    ("spiral/engine/kernel.py", "advance"),
 }
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef

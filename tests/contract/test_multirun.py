@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-import spiral.compare
+import spiral.inference.compare
 from spiral.cli import main
-from spiral.run import ChannelError, Comparison
-from spiral.screen.sweep import columns_of, duration
+from spiral.types.run import ChannelError, Comparison
+from spiral.view.terminal.sweep import columns_of, duration
 
 EMBEDDED = ("experiment=rotor_coastdown", "record.duration=0.2", "test.duration=0.2")
 SIMULATED = (
@@ -35,7 +35,7 @@ def asked(tmp_path, monkeypatch):
         channels = {c: ChannelError(1e-6, 0.25) for c in problem.model.system.observed}
         return Comparison(problem.model, 0.25, 0.25, channels, 0.02, 1.0, 0.3, 0.01, 64, True)
 
-    monkeypatch.setattr(spiral.compare, "compare", compare)
+    monkeypatch.setattr(spiral.inference.compare, "compare", compare)
     return found
 
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from spiral.registry import load_registry
-from spiral.sweeps.jobs import planned
-from spiral.sweeps.sweep import run_sweep
-from spiral.tracking.store import Tracking, opened
-from spiral.tracking.sweeps import SweepTracker
-from spiral.verbs.study import in_worker
+from spiral.commands.perform import in_worker
+from spiral.io.registry import load_registry
+from spiral.io.sweeps.jobs import planned
+from spiral.io.sweeps.sweep import run_sweep
+from spiral.io.sweeps.tracker import SweepTracker
+from spiral.io.tracking.store import Tracking, opened
 from tests.sweep_jobs import RECORD, without_clock
 
 SEEDS = range(8)

@@ -7,12 +7,12 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.pendulum import Pendulum
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.effect import ForceEffect
+from spiral.io.testing import check_effect, check_plugin, check_source, check_system, failed
 from spiral.math import sqrt
-from spiral.parameter import Parameter, State
-from spiral.record import Record, make_record
-from spiral.source import Source
-from spiral.testing import check_effect, check_plugin, check_source, check_system, failed
+from spiral.types.effect import ForceEffect
+from spiral.types.parameter import Parameter, State
+from spiral.types.record import Record, make_record
+from spiral.types.source import Source
 from tests.scenes import registry
 
 REGISTRY = registry()

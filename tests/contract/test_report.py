@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from spiral.cli import main
-from spiral.curves import FILE, read_curves
-from spiral.report.evidence import error_falling
-from spiral.report.pictures import browser, picture
-from spiral.report.style import scaled, thinned
-from spiral.screen.shell import word as shell_word
-from spiral.storage import load_run, read_run
+from spiral.io.curves import FILE, read_curves
+from spiral.io.storage import load_run, read_run
+from spiral.view.report.evidence import error_falling
+from spiral.view.report.pictures import browser, picture
+from spiral.view.report.style import scaled, thinned
+from spiral.view.terminal.shell import word as shell_word
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
          "tracking.enabled=false")  # fmt: skip
@@ -131,7 +131,7 @@ def test_it_needs_nothing_but_the_saved_run(place, tmp_path, monkeypatch, saved)
     """Neither the record nor the plugins: the folder of one run, anywhere."""
     import shutil
 
-    from spiral.report.page import page
+    from spiral.view.report.page import page
 
     shutil.copytree(saved.file.parent, tmp_path / "elsewhere")
     monkeypatch.chdir(tmp_path)

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from spiral.cli import main
-from spiral.registry import load_registry
-from spiral.sweeps.sweep import run_sweep
+from spiral.io.registry import load_registry
+from spiral.io.sweeps.sweep import run_sweep
 from tests.sweep_jobs import RECORD, echo, plan_of
 
 
@@ -129,10 +129,10 @@ def test_the_hook_knows_sweep_job_and_run(registry):
 def test_a_full_disk_is_said_and_loses_nothing_written(registry, monkeypatch):
     import errno
 
-    import spiral.sweeps.ledger
+    import spiral.io.sweeps.ledger
 
     first = run_sweep(echo, plan_of(registry, "out=a", "n_jobs=1"), on_row=interrupted_after(1))
-    whole = spiral.sweeps.ledger.write_whole
+    whole = spiral.io.sweeps.ledger.write_whole
 
     def full(file, text):
         if "00002" in file.name:
@@ -140,7 +140,7 @@ def test_a_full_disk_is_said_and_loses_nothing_written(registry, monkeypatch):
         whole(file, text)
 
     with monkeypatch.context() as patch:
-        patch.setattr(spiral.sweeps.ledger, "write_whole", full)
+        patch.setattr(spiral.io.sweeps.ledger, "write_whole", full)
         stopped = run_sweep(echo, plan_of(registry, "out=a", "n_jobs=1"))
     assert stopped.exit == 2
     assert "No space left" in stopped.error["given"]
@@ -152,8 +152,8 @@ def test_a_full_disk_is_said_and_loses_nothing_written(registry, monkeypatch):
 PROGRAM = """
 import signal; signal.signal(signal.SIGINT, signal.default_int_handler)
 import sys
-from spiral.registry import load_registry
-from spiral.sweeps.sweep import run_sweep
+from spiral.io.registry import load_registry
+from spiral.io.sweeps.sweep import run_sweep
 from tests.sweep_jobs import echo, plan_of
 def on_row(sweep, index, row):
     print("row", row.result["process"], flush=True)

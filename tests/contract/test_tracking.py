@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 
 from spiral.cli import main
-from spiral.storage import FILE, load_run, read_run
-from spiral.tracking.content import metric_name, parameters
-from spiral.tracking.store import URI_VARIABLE, Store, Tracking, import_mlflow, in_force, opened
-from spiral.tracking.track import MARK, Failed, track
+from spiral.io.storage import FILE, load_run, read_run
+from spiral.io.tracking.content import metric_name, parameters
+from spiral.io.tracking.store import URI_VARIABLE, Store, Tracking, import_mlflow, in_force, opened
+from spiral.io.tracking.track import MARK, Failed, track
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2")
 BEFORE = os.environ.get(URI_VARIABLE)
@@ -115,8 +115,8 @@ def test_configuration_data_and_plugins_are_kept(client, parent, place, result):
 def test_the_served_model_predicts_a_new_record(client, parent, place, result):
     import mlflow
 
-    from spiral.config import build_problem
-    from spiral.registry import load_registry
+    from spiral.io.config import build_problem
+    from spiral.io.registry import load_registry
 
     saved = load_run(result["run_id"], place / "runs")
     problem = build_problem(saved.config, load_registry())

@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import pytest
 
-from spiral import checkpoint, storage
-from spiral.checkpoint import FILE, FOLDER, Keeper, fingerprint, keeper
 from spiral.cli import main
-from spiral.config import build_problem, compose
-from spiral.discover import Checkpoint, discover
-from spiral.errors import InputError
-from spiral.registry import load_registry
+from spiral.inference.discover import Checkpoint, discover
+from spiral.io import checkpoint, storage
+from spiral.io.checkpoint import FILE, FOLDER, Keeper, fingerprint, keeper
+from spiral.io.config import build_problem, compose
+from spiral.io.registry import load_registry
+from spiral.types.errors import InputError
 
 REGISTRY = load_registry()
 GIVEN = ("experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=3")

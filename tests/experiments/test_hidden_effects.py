@@ -7,8 +7,8 @@ from experiments.hidden_effects.cases import CASES, Case, problem
 from experiments.hidden_effects.run import outcome
 from experiments.hidden_effects.strengths import SCENES, SHARES, strengths
 from experiments.hidden_effects.summary import wilson
-from spiral.effect import ForceEffect
-from spiral.evidence.assembly import assemble
+from spiral.inference.evidence.assembly import assemble
+from spiral.types.effect import ForceEffect
 from tests.scenes import registry
 
 OWN = ("hidden_mode", "lag")  # with states of their own: longer studies

@@ -8,8 +8,8 @@ import pytest
 
 from experiments.measured import problem_of, scored
 from experiments.rk4_rotor_runup import sweep
-from spiral.compare import compare
-from spiral.discover import discover
+from spiral.inference.compare import compare
+from spiral.inference.discover import discover
 
 DATA = os.environ.get("SPIRAL_DATA")
 

@@ -6,7 +6,8 @@ import pytest
 
 from experiments.evidence import TRUTH, gates_told, load, row, summary, table
 from experiments.side_by_side import lines
-from spiral.verbs.study import Request, perform
+from spiral.commands.perform import perform
+from spiral.io.request import Request
 
 SHORT = ("record.duration=3", "record.start_hz=25", "record.stop_hz=10", "library=core",
          "paper.points=20000", "learner.epochs=20")  # fmt: skip

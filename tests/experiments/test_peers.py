@@ -8,7 +8,7 @@ from experiments.peers.cases import HIDDEN, Answer, Case, free_run, scored
 from experiments.peers.delays import embedded, in_delays
 from experiments.peers.regressions import regressed, table
 from experiments.peers.run import ALL, answer, line
-from spiral.registry import load_registry
+from spiral.io.registry import load_registry
 from tests.scenes import PROJECTION
 
 REGISTRY = load_registry(None)

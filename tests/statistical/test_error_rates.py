@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spiral.discover import discover
+from spiral.inference.discover import discover
 from tests.scenes import (
     PROJECTION,
     SEED_TRUTH,

@@ -9,10 +9,10 @@ from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
 from experiments.hidden_states import several_records
 from experiments.hidden_states.several_records import MACHINE
-from spiral.model import seed_model
-from spiral.problem import Problem
-from spiral.reconstruction.calibrate import calibrate, cramer_rao
-from spiral.simulate import with_defaults
+from spiral.inference.problem import Problem
+from spiral.inference.reconstruction.calibrate import calibrate, cramer_rao
+from spiral.inference.simulate import with_defaults
+from spiral.types.model import seed_model
 
 SYSTEM = TiltingRotor()
 TRUE = with_defaults(seed_model(SYSTEM))

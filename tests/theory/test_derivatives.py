@@ -15,9 +15,9 @@ from spiral_plugins.derivatives.shape_functions import ShapeFunctions
 from spiral_plugins.derivatives.smoothing_spline import SmoothingSpline
 from spiral_plugins.derivatives.total_variation import TotalVariation, minimised
 
-from spiral.derivative import Derivative, differentiate
-from spiral.errors import ConfigError, InputError
-from spiral.testing import check_derivative, failed
+from spiral.io.testing import check_derivative, failed
+from spiral.types.derivative import Derivative, differentiate
+from spiral.types.errors import ConfigError, InputError
 from tests.scenes import registry
 
 DT, SAMPLES = 2e-3, 1000

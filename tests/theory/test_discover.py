@@ -8,11 +8,11 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.compare import compare
-from spiral.diagnose import diagnose
-from spiral.discover import add, discover
-from spiral.model import seed_model
-from spiral.record import split_off_test
+from spiral.inference.compare import compare
+from spiral.inference.diagnose import diagnose
+from spiral.inference.discover import add, discover
+from spiral.types.model import seed_model
+from spiral.types.record import split_off_test
 from tests.scenes import (
     PROJECTION,
     SEED_TRUTH,

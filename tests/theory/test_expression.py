@@ -7,12 +7,12 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spiral.errors import ConfigError
-from spiral.formulas.expression import effect_from_expression
-from spiral.formulas.syntax import compute, names, read
-from spiral.rest import _finite, _traced_at_rest
-from spiral.trace import trace
-from spiral.units import check_units
+from spiral.physics.formulas.expression import effect_from_expression
+from spiral.physics.formulas.syntax import compute, names, read
+from spiral.physics.rest import _finite, _traced_at_rest
+from spiral.physics.trace import trace
+from spiral.types.errors import ConfigError
+from spiral.types.units import check_units
 from tests.scenes import effect, registry
 
 OSCILLATOR = registry().make("system", "oscillator")
@@ -55,7 +55,7 @@ def test_an_expression_is_the_effect_of_a_file(label, system, text, options):
     declared = {p.name: p for p in plugin.parameters}
     for parameter in own.parameters:
         same = declared[parameter.name]
-        from spiral.formulas.dimensions import dimension
+        from spiral.physics.formulas.dimensions import dimension
 
         assert dimension(port.unit(parameter.unit)) == dimension(port.unit(same.unit))
         assert parameter.role == same.role

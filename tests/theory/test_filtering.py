@@ -13,18 +13,18 @@ from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.filtering.extended import filtered
-from spiral.filtering.noise import groups, intensity, sampled
-from spiral.filtering.setup import chosen_levels, prepared, with_level
-from spiral.filtering.smoother import smooth
-from spiral.filtering.static import static_map
-from spiral.filtering.stochastic import disturbed
-from spiral.filtering.task import linearised, prepare_task, with_record
-from spiral.model import seed_model
-from spiral.reconstruction.consistency import bounded, normalised_squares
-from spiral.reconstruction.estimate import reconstructed
-from spiral.reconstruction.observability import observability
-from spiral.simulate import simulate, with_defaults
+from spiral.engine.filter.extended import filtered
+from spiral.engine.filter.noise import groups, intensity, sampled
+from spiral.engine.filter.setup import chosen_levels, prepared, with_level
+from spiral.engine.filter.smoother import smooth
+from spiral.engine.filter.static import static_map
+from spiral.engine.filter.stochastic import disturbed
+from spiral.engine.filter.task import linearised, prepare_task, with_record
+from spiral.inference.reconstruction.consistency import bounded, normalised_squares
+from spiral.inference.reconstruction.estimate import reconstructed
+from spiral.inference.reconstruction.observability import observability
+from spiral.inference.simulate import simulate, with_defaults
+from spiral.types.model import seed_model
 
 OSCILLATOR = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0,
               "linear_damping.damping": 0.8}  # fmt: skip
@@ -95,7 +95,7 @@ def test_extended_filter_is_kalmans_on_a_linear_model(linear):
 
 
 def test_unscented_filter_is_kalmans_on_a_linear_model(linear):
-    from spiral.filtering.sigma_points import sigma_filtered
+    from spiral.engine.filter.sigma_points import sigma_filtered
 
     task, settings, (means, covariances, _, likelihood, _) = linear
     for shape in ((1.0, 0.0, 0.0), (0.5, 2.0, 1.0)):

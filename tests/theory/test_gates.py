@@ -10,9 +10,9 @@ from spiral_plugins.gates.robust import BlockBootstrapT, HacT
 from spiral_plugins.gates.screening import BonferroniT, Contribution, CorrelationCluster
 from spiral_plugins.gates.whiteness import LjungBox
 
-from spiral.gate import Surface, Trial
-from spiral.leastsquares import least_squares
-from spiral.paper.robust import bootstrap_errors, hac_errors
+from spiral.engine.gate import Surface, Trial
+from spiral.engine.leastsquares import least_squares
+from spiral.inference.paper.robust import bootstrap_errors, hac_errors
 
 CANDIDATES = 5
 

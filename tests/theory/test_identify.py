@@ -10,7 +10,7 @@ from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.cli import main
-from spiral.identifiability.richness import (
+from spiral.inference.identifiability.richness import (
     alias_groups,
     bias_bound,
     detection_margin,
@@ -19,8 +19,8 @@ from spiral.identifiability.richness import (
     snr_min,
     spread_bound,
 )
-from spiral.identifiability.signatures import signatures
-from spiral.model import seed_model
+from spiral.inference.identifiability.signatures import signatures
+from spiral.types.model import seed_model
 from tests.scenes import registry
 
 STEADY = (

@@ -11,18 +11,18 @@ from spiral_plugins.gates.innovation import Innovation
 from spiral_plugins.gates.joint import ValidationRollback
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.conformance.rehearsal import trial
-from spiral.discover import discover
-from spiral.errors import ConfigError
-from spiral.filtering.likelihood import climbed
-from spiral.filtering.setup import prepared, with_level
-from spiral.filtering.stochastic import disturbed
-from spiral.filtering.task import prepare_task, with_record
-from spiral.filtering.whitened import whitened
-from spiral.gate import Trial
-from spiral.model import seed_model
-from spiral.problem import Problem
-from spiral.simulate import simulate
+from spiral.engine.filter.likelihood import climbed
+from spiral.engine.filter.setup import prepared, with_level
+from spiral.engine.filter.stochastic import disturbed
+from spiral.engine.filter.task import prepare_task, with_record
+from spiral.engine.filter.whitened import whitened
+from spiral.engine.gate import Trial
+from spiral.inference.discover import discover
+from spiral.inference.problem import Problem
+from spiral.inference.simulate import simulate
+from spiral.io.conformance.rehearsal import trial
+from spiral.types.errors import ConfigError
+from spiral.types.model import seed_model
 
 CUBIC, LOAD = "cubic_stiffness.stiffness", "constant_load.force"
 KNOWN = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0,

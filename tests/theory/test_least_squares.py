@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from spiral.leastsquares import (
+from spiral.engine.leastsquares import (
     adjusted_r2,
     least_squares,
     leverages,

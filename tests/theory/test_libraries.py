@@ -10,11 +10,11 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.effect import ForceEffect
-from spiral.errors import ConfigError, PluginError
-from spiral.library import Library, Term, terms_of
-from spiral.parameter import Parameter
-from spiral.trace import trace
+from spiral.physics.trace import trace
+from spiral.types.effect import ForceEffect
+from spiral.types.errors import ConfigError, PluginError
+from spiral.types.library import Library, Term, terms_of
+from spiral.types.parameter import Parameter
 from tests.scenes import PROJECTION
 
 

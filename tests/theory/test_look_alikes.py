@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.discover import discover
-from spiral.model import Model, seed_model
-from spiral.problem import silent
-from spiral.turn import chosen, looked, started, strategy_for, turned
+from spiral.inference.discover import discover
+from spiral.inference.problem import silent
+from spiral.inference.rounds import chosen, looked, started, strategy_for, turned
+from spiral.types.model import Model, seed_model
 from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record
 
 STIFF = SEED_TRUTH["linear_stiffness.stiffness_x"] - SEED_TRUTH["linear_stiffness.stiffness_y"]

@@ -12,24 +12,24 @@ from spiral_plugins.systems.oscillator import Oscillator
 
 from experiments.hidden_effects.cases import record_of
 from experiments.hidden_effects.strengths import SCENES
-from spiral.compare import last_stage, prepared
-from spiral.discover import add, discover
-from spiral.effect import FlowEffect
-from spiral.evidence.assembly import assemble, first_row
-from spiral.evidence.standing import begin, half_masks
-from spiral.model import Model, seed_model
-from spiral.parameter import Input, Parameter, State
-from spiral.port import Port
-from spiral.problem import Problem, Settings
-from spiral.shooting.growth import first_starts, layouts_for
-from spiral.shooting.start import balance, first_values
-from spiral.simulate import integrate
-from spiral.strategies.resolved import peaks, scanned, widened
-from spiral.suggest import propose
-from spiral.system import MechanicalSystem
-from spiral.trace import trace
-from spiral.units import check_units
-from spiral.unknown.holding import carried, reassembled, variant_of
+from spiral.engine.growth import first_starts, layouts_for
+from spiral.engine.start import balance, first_values
+from spiral.inference.compare import last_stage, prepared
+from spiral.inference.discover import add, discover
+from spiral.inference.evidence.assembly import assemble, first_row
+from spiral.inference.evidence.standing import begin, half_masks
+from spiral.inference.problem import Problem, Settings
+from spiral.inference.simulate import integrate
+from spiral.inference.strategies.resolved import peaks, scanned, widened
+from spiral.inference.suggest import propose
+from spiral.inference.unknown.holding import carried, reassembled, variant_of
+from spiral.physics.trace import trace
+from spiral.types.effect import FlowEffect
+from spiral.types.model import Model, seed_model
+from spiral.types.parameter import Input, Parameter, State
+from spiral.types.port import Port
+from spiral.types.system import MechanicalSystem
+from spiral.types.units import check_units
 from tests.scenes import admitted, effect, planar_problem, planar_record
 
 BASE = {"system.mass": 1.0, "linear_stiffness.stiffness": 4e4, "linear_damping.damping": 20.0}

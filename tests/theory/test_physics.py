@@ -8,12 +8,12 @@ from spiral_plugins.systems.pendulum import Pendulum
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.compile import compile_model
-from spiral.model import Model, seed_model
-from spiral.simulate import with_defaults
-from spiral.testing import check_effect, failed
-from spiral.trace import trace
-from spiral.units import units_fit
+from spiral.inference.simulate import with_defaults
+from spiral.io.testing import check_effect, failed
+from spiral.physics.compile import compile_model
+from spiral.physics.trace import trace
+from spiral.types.model import Model, seed_model
+from spiral.types.units import units_fit
 from tests.scenes import registry
 
 SYSTEMS = (
@@ -39,7 +39,7 @@ def _each():
 
 @pytest.mark.parametrize(("system", "label"), _cases())
 def test_an_effect_keeps_its_contract(system, label):
-    """Units; Jacobians to 1e-5; finite at rest; linear and absent to 1e-12 (spiral.testing)."""
+    """Units; Jacobians to 1e-5; finite at rest; linear and absent to 1e-12 (spiral.io.testing)."""
     checks = check_effect(registry().effect_from_label(label, {}), system)
     assert not failed(checks)
     names = {c.name for c in checks}

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.campaign import planned_tests, simulator
 from spiral.cli import main
-from spiral.compare import compare
-from spiral.discover import discover
-from spiral.errors import ConfigError
-from spiral.model import Model, seed_model
-from spiral.plan import Wanted, plan
-from spiral.problem import Problem
-from spiral.wishes import Wishes
+from spiral.inference.compare import compare
+from spiral.inference.discover import discover
+from spiral.inference.plan import Wanted, plan
+from spiral.inference.plan_options import Wishes
+from spiral.inference.planned_tests import planned_tests, simulator
+from spiral.inference.problem import Problem
+from spiral.types.errors import ConfigError
+from spiral.types.model import Model, seed_model
 from tests.scenes import SEED_TRUTH, effect, planar_record, registry
 
 GYROSCOPIC, DAMPING = effect("gyroscopic"), effect("antisymmetric_damping")
@@ -36,7 +36,7 @@ def truth(label):
 
 def run_once(model, test, problem, seed=11):
     """The planned test, run once with the noise that it was planned for."""
-    record = simulator(problem, registry())(model, test)
+    record = simulator(problem, registry().simulation)(model, test)
     noise = {c: problem.records[0].sigma()[c] for c in record.channels}
     rng = np.random.default_rng(seed)
     noisy = {c: v + rng.normal(0.0, noise[c], len(v)) for c, v in record.channels.items()}
@@ -52,7 +52,7 @@ def steady():
 
 @pytest.fixture(scope="module")
 def planned(steady):
-    made = simulator(steady, registry())
+    made = simulator(steady, registry().simulation)
     return plan(steady, Wanted((GYROSCOPIC, DAMPING)), planned_tests(steady, SPEEDS), made)
 
 
@@ -86,7 +86,7 @@ def test_a_promised_standard_error_is_the_one_of_the_fit(steady):
     model, key = truth("gyroscopic"), "gyroscopic.coefficient"
     problem = replace(steady, model=model)
     wishes = replace(SPEEDS, parameter=key)
-    made = simulator(problem, registry())
+    made = simulator(problem, registry().simulation)
     found = plan(problem, Wanted(parameter=key), planned_tests(problem, wishes), made)
     assert [o.error for o in found.tests] == sorted(o.error for o in found.tests)
     for outlook in found.tests[:2]:

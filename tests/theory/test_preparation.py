@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spiral.errors import SpiralError
+from spiral.types.errors import SpiralError
 from tests.scenes import SEED_TRUTH, planar_record
 from tests.spoilt import (
     NOISE,
@@ -124,9 +124,9 @@ def test_a_phase_that_jumps_by_a_turn_is_made_continuous():
 
 def test_a_fit_with_pulses_is_the_fit_with_measured_phase():
     """Stiffness, damping and unbalance agree within their standard errors, and with the truth."""
-    from spiral.compare import compare
-    from spiral.model import seed_model
-    from spiral.problem import Problem
+    from spiral.inference.compare import compare
+    from spiral.inference.problem import Problem
+    from spiral.types.model import seed_model
 
     record = planar_record(3, noise=0.05, duration=4.0, hertz=(30.0, 8.0))
     found = load({**with_key(record), "key": np.cos(record.inputs["phase"])}, pulse="key")
@@ -326,7 +326,7 @@ def test_a_study_of_pulses_turning_clockwise():
     """The embedded run-down seen from behind: the same effects, cross stiffness turned."""
     from dataclasses import replace
 
-    from spiral.discover import discover
+    from spiral.inference.discover import discover
     from tests.scenes import admitted, coastdown_problem
 
     problem = coastdown_problem(11)

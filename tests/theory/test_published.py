@@ -11,14 +11,14 @@ from spiral_plugins.libraries.core import Core
 from spiral_plugins.libraries.projection import Projection
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.derivative import Derivative, Derivatives
-from spiral.discover import discover
-from spiral.errors import ConfigError
-from spiral.library import terms_of
-from spiral.paper.options import GATES
-from spiral.problem import Published, Sampling
-from spiral.storage import to_json
-from spiral.strategies.paper import ENDED, PAPER
+from spiral.inference.discover import discover
+from spiral.inference.problem import Published, Sampling
+from spiral.inference.strategies.paper import ENDED, PAPER
+from spiral.io.paper_options import GATES
+from spiral.io.storage import to_json
+from spiral.types.derivative import Derivative, Derivatives
+from spiral.types.errors import ConfigError
+from spiral.types.library import terms_of
 from tests.scenes import PROJECTION, coastdown_problem, registry
 
 REGISTRY = registry()
@@ -166,8 +166,8 @@ def test_the_closure_is_reported_and_not_added():
 def test_hidden_coordinates_cannot_be_differentiated():
     base = coastdown_problem(duration=1.0)
     full = REGISTRY.make("system", "tilting_rotor")
-    from spiral.model import seed_model
-    from spiral.simulate import with_defaults
+    from spiral.inference.simulate import with_defaults
+    from spiral.types.model import seed_model
 
     with pytest.raises(ConfigError, match="strategy=paper"):
         PAPER.begin(
@@ -181,7 +181,7 @@ def test_hidden_coordinates_cannot_be_differentiated():
 
 def test_a_run_is_taken_up_again_from_a_checkpoint():
     """Through JSON, with amplitudes that are held at zero."""
-    from spiral.checkpoint import Checkpoint, _converter
+    from spiral.io.checkpoint import Checkpoint, _converter
 
     question = problem(Core(), gates=(), named=("speed_damping",), duration=3.0,
                        start_hz=25.0, stop_hz=10.0)  # fmt: skip

@@ -9,16 +9,16 @@ from spiral_plugins.effects.restoring import LinearStiffness
 from spiral_plugins.sources.simulation import Simulation
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.discover import discover
-from spiral.effect import ForceEffect
-from spiral.evidence.assembly import assemble, first_row
-from spiral.evidence.scales import extremes, visited
+from spiral.inference.discover import discover
+from spiral.inference.evidence.assembly import assemble, first_row
+from spiral.inference.evidence.scales import extremes, visited
+from spiral.inference.problem import Problem
 from spiral.math import sqrt
-from spiral.model import seed_model
-from spiral.parameter import Input, Parameter, State
-from spiral.port import Port
-from spiral.problem import Problem
-from spiral.system import MechanicalSystem
+from spiral.types.effect import ForceEffect
+from spiral.types.model import seed_model
+from spiral.types.parameter import Input, Parameter, State
+from spiral.types.port import Port
+from spiral.types.system import MechanicalSystem
 from tests.scenes import admitted, effect
 
 DRIVE = {"linear_stiffness.stiffness": 50.0, "linear_damping.damping": 1.0}

@@ -9,16 +9,17 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.discover import discover
-from spiral.errors import ConfigError
-from spiral.evidence.gridnull import effective_tests
-from spiral.evidence.inseparable import inseparable
-from spiral.evidence.lines import strongest_line
+from spiral.engine.score import Table
+from spiral.inference.discover import discover
+from spiral.inference.evidence.gridnull import effective_tests
+from spiral.inference.evidence.inseparable import inseparable
+from spiral.inference.evidence.lines import strongest_line
+from spiral.inference.simulate import integrate
 from spiral.math import ramp
-from spiral.model import seed_model
-from spiral.shooting.score import Table
-from spiral.simulate import integrate
-from spiral.trace import check_effect, trace
+from spiral.physics.trace import trace
+from spiral.types.errors import ConfigError
+from spiral.types.model import seed_model
+from spiral.types.placement import check_effect
 from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record
 
 SENSORS = {
@@ -204,7 +205,7 @@ def test_a_hum_of_another_phase_in_each_record_is_one_effect():
 
 
 def test_one_channel_has_no_axes_to_turn_and_no_shaft():
-    from spiral.registry import load_registry
+    from spiral.io.registry import load_registry
 
     candidates = {e.label for e in load_registry(local=False).candidates(Oscillator())}
     assert {"offset", "gain", "delay", "mains_hum"} <= candidates

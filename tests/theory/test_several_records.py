@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.compare import compare
-from spiral.discover import discover
-from spiral.model import Model, seed_model
-from spiral.simulate import simulate
+from spiral.inference.compare import compare
+from spiral.inference.discover import discover
+from spiral.inference.simulate import simulate
+from spiral.types.model import Model, seed_model
 from tests.scenes import SEED_TRUTH, effect, planar_problem, planar_record
 
 

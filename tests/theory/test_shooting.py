@@ -8,19 +8,19 @@ from scipy.integrate import solve_ivp
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-import spiral.shooting.sensitivities as sensitivities
-from spiral.compile import compile_model
-from spiral.model import Model, seed_model
-from spiral.shooting.elimination import eliminate
-from spiral.shooting.fit import covariance, fit
-from spiral.shooting.growth import first_starts, layouts_for
-from spiral.shooting.score import score, tabulate
-from spiral.shooting.sensitivities import reduce, residuals, run_windows
-from spiral.shooting.series import prepare
-from spiral.shooting.study import Columns, Point, Study
-from spiral.shooting.windows import block_length, cut, halves, stage_lengths
-from spiral.simulate import integrate
-from spiral.trace import trace
+import spiral.engine.sensitivities as sensitivities
+from spiral.engine.elimination import eliminate
+from spiral.engine.fit import covariance, fit
+from spiral.engine.growth import first_starts, layouts_for
+from spiral.engine.score import score, tabulate
+from spiral.engine.sensitivities import reduce, residuals, run_windows
+from spiral.engine.series import prepare
+from spiral.engine.study import Columns, Point, Study
+from spiral.engine.windows import block_length, cut, halves, stage_lengths
+from spiral.inference.simulate import integrate
+from spiral.physics.compile import compile_model
+from spiral.physics.trace import trace
+from spiral.types.model import Model, seed_model
 from tests.scenes import SEED_TRUTH, effect, planar_record
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.discover import discover
-from spiral.model import Model, seed_model
-from spiral.simulate import simulate
+from spiral.inference.discover import discover
+from spiral.inference.simulate import simulate
+from spiral.types.model import Model, seed_model
 from tests.scenes import admitted, effect, planar_problem
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spiral.compare import compare
-from spiral.discover import discover
-from spiral.record import make_record
+from spiral.inference.compare import compare
+from spiral.inference.discover import discover
+from spiral.types.record import make_record
 from tests.scenes import admitted, coastdown_problem
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spiral.record import estimate_noise
-from spiral.statistics import ljung_box, paired_errors, spent, whiteness
+from spiral.engine.statistics import ljung_box, paired_errors, spent, whiteness
+from spiral.types.record import estimate_noise
 
 
 def test_whiteness_p_values_are_uniform_on_white_noise():

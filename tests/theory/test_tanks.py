@@ -5,19 +5,19 @@ import pytest
 from scipy.integrate import solve_ivp
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
-from spiral.compare import prepared
-from spiral.errors import ConfigError
-from spiral.evidence.admission import admit
-from spiral.evidence.farstart import from_afar
-from spiral.evidence.scoring import score_stage
-from spiral.evidence.standing import all_samples, grown
-from spiral.model import seed_model
-from spiral.problem import Problem
-from spiral.shooting.windows import fair_block, halves
-from spiral.simulate import integrate, simulate
-from spiral.strategies.retire import let_go
-from spiral.trace import check_effect
-from spiral.where.latent import with_latent
+from spiral.engine.windows import fair_block, halves
+from spiral.inference.compare import prepared
+from spiral.inference.evidence.admission import admit
+from spiral.inference.evidence.farstart import from_afar
+from spiral.inference.evidence.scoring import score_stage
+from spiral.inference.evidence.standing import all_samples, grown
+from spiral.inference.problem import Problem
+from spiral.inference.simulate import integrate, simulate
+from spiral.inference.strategies.retire import let_go
+from spiral.inference.where.latent import with_latent
+from spiral.types.errors import ConfigError
+from spiral.types.model import seed_model
+from spiral.types.placement import check_effect
 from tests.scenes import effect
 
 GAIN, UPPER, LOWER, PUMP = 0.05, 0.06, 0.055, 3.0
@@ -60,7 +60,7 @@ def test_a_saturated_sensor_changes_the_reading_and_not_the_level():
 
 
 def test_a_force_is_no_effect_of_tanks_and_a_flow_none_of_a_mechanical_system():
-    from spiral.registry import load_registry
+    from spiral.io.registry import load_registry
 
     registry = load_registry(local=False)
     with pytest.raises(ConfigError, match="a flow"):

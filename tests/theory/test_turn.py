@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from spiral.config import build_problem, compose
-from spiral.curves import FINAL, free_curves
-from spiral.discover import discover
-from spiral.errors import ConfigError
-from spiral.problem import silent
-from spiral.registry import load_registry
-from spiral.turn import candidates, chosen, looked, started, strategy_for, turned
+from spiral.inference.discover import discover
+from spiral.inference.problem import silent
+from spiral.inference.rounds import candidates, chosen, looked, started, strategy_for, turned
+from spiral.io.config import build_problem, compose
+from spiral.io.curves import FINAL, free_curves
+from spiral.io.registry import load_registry
+from spiral.types.errors import ConfigError
 
 SHORT = ("experiment=rotor_coastdown", "record.duration=4", "test.duration=4")
 

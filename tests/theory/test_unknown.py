@@ -9,12 +9,12 @@ from scipy.interpolate import CubicSpline
 from spiral_plugins.systems.oscillator import Oscillator
 
 from experiments.unknown_physics.cases import CASES, coverage, problem
-from spiral.compare import prepared
-from spiral.diagnose import diagnose
-from spiral.discover import add, discover
-from spiral.learned import COUNT, KNOTS, basis
-from spiral.unknown.forcecurve import beside
-from spiral.unknown.shape import _fresh
+from spiral.inference.compare import prepared
+from spiral.inference.diagnose import diagnose
+from spiral.inference.discover import add, discover
+from spiral.inference.unknown.forcecurve import beside
+from spiral.inference.unknown.shape import _fresh
+from spiral.physics.learned import COUNT, KNOTS, basis
 from tests.scenes import admitted, effect, registry
 
 

@@ -11,15 +11,21 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.compare import last_stage, prepared
-from spiral.effect import Effect
-from spiral.evidence.standing import all_samples
-from spiral.model import seed_model
-from spiral.problem import Problem
-from spiral.simulate import simulate
-from spiral.where.latent import latent_keys, missing_force, smoothed_states, with_latent
-from spiral.where.orders import first_order, full_spectrum, noise_power, order_map, time_map
-from spiral.where.regions import where
+from spiral.inference.compare import last_stage, prepared
+from spiral.inference.evidence.standing import all_samples
+from spiral.inference.problem import Problem
+from spiral.inference.simulate import simulate
+from spiral.inference.where.latent import latent_keys, missing_force, smoothed_states, with_latent
+from spiral.inference.where.orders import (
+    first_order,
+    full_spectrum,
+    noise_power,
+    order_map,
+    time_map,
+)
+from spiral.inference.where.regions import where
+from spiral.types.effect import Effect
+from spiral.types.model import seed_model
 from tests.scenes import planar_record
 
 CRITICAL = 60 * np.sqrt([8085.0, 9672.0]) / (2 * np.pi)  # rpm, of x and of y

@@ -6,8 +6,8 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral import compile as compiler
-from spiral.compile import compile_model
-from spiral.trace import trace
+from spiral.physics.compile import compile_model
+from spiral.physics.trace import trace
 from tests.scenes import effect
 
 

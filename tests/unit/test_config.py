@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spiral.config import build_problem, compose, experiments
-from spiral.errors import ConfigError, InputError, SpiralError
-from spiral.overrides import expand
-from spiral.registry import load_registry
+from spiral.io.config import build_problem, compose, experiments
+from spiral.io.overrides import expand
+from spiral.io.registry import load_registry
+from spiral.types.errors import ConfigError, InputError, SpiralError
 
 REGISTRY = load_registry()
 ROTOR = ("experiment=rotor_coastdown", "record.duration=1")
@@ -285,7 +285,7 @@ NUMBERS = st.floats(-1e6, 1e6, allow_nan=False)
 )
 def test_a_rotors_options_arrive_as_given(angles, low, width, gap, rotation, column):
     """From words on a command line to the typed fields of the source."""
-    from spiral.config import build_sources
+    from spiral.io.config import build_sources
 
     config = composed(
         "system=planar_rotor", "record=csv", f"record.pulse='{column}'",

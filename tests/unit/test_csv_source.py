@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from spiral.errors import ConfigError, InputError, SpiralError
-from spiral.registry import load_registry
+from spiral.io.registry import load_registry
+from spiral.types.errors import ConfigError, InputError, SpiralError
 
 REGISTRY = load_registry()
 ROTOR = REGISTRY.make("system", "planar_rotor")

@@ -5,12 +5,12 @@ import json
 import pytest
 
 from spiral.cli import main
-from spiral.config import build_candidates, build_model, build_problem, compose
-from spiral.custom import bound
-from spiral.errors import ConfigError
-from spiral.overrides import expand, parse
-from spiral.registry import load_registry
-from spiral.storage import load_run, model_data, model_from
+from spiral.io.config import build_candidates, build_model, build_problem, compose
+from spiral.io.custom import bound
+from spiral.io.overrides import expand, parse
+from spiral.io.registry import load_registry
+from spiral.io.storage import load_run, model_data, model_from
+from spiral.types.errors import ConfigError
 
 REGISTRY = load_registry()
 SWING = (

@@ -4,8 +4,8 @@ import pytest
 from spiral_plugins.derivatives.savitzky_golay import SavitzkyGolay
 from spiral_plugins.derivatives.total_variation import TotalVariation
 
-from spiral.config import build_derivative, compose
-from spiral.errors import ConfigError
+from spiral.io.config import build_derivative, compose
+from spiral.types.errors import ConfigError
 from tests.scenes import registry
 
 REGISTRY = registry()

@@ -9,7 +9,7 @@ from spiral.app import study as kept
 from spiral.app.desk import Desk
 from spiral.app.draft import guessed
 from spiral.app.panels import ending, learnable
-from spiral.errors import ConfigError, InputError
+from spiral.types.errors import ConfigError, InputError
 
 RANKED = {"candidates": [{"effect": "b"}], "proposed": ["b"], "verdict": "effect_missing"}
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spiral.errors import ConfigError, InputError
-from spiral.reading.dialect import units_in
-from spiral.reading.readers import read_table
-from spiral.registry import load_registry
+from spiral.io.readers.dialect import units_in
+from spiral.io.readers.readers import read_table
+from spiral.io.registry import load_registry
+from spiral.types.errors import ConfigError, InputError
 
 REGISTRY = load_registry()
 OSCILLATOR = REGISTRY.make("system", "oscillator")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from spiral.export import equation, equations, latex
-from spiral.model import Model, seed_model
-from spiral.registry import load_registry
-from spiral.trace import trace
+from spiral.io.export import equation, equations, latex
+from spiral.io.registry import load_registry
+from spiral.physics.trace import trace
+from spiral.types.model import Model, seed_model
 
 REGISTRY = load_registry()
 ROTOR = REGISTRY.make("system", "planar_rotor")

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
-from spiral.errors import ConfigError, InputError
-from spiral.reading.readers import read_table
-from spiral.registry import load_registry
+from spiral.io.readers.readers import read_table
+from spiral.io.registry import load_registry
+from spiral.types.errors import ConfigError, InputError
 
 REGISTRY = load_registry()
 OSCILLATOR = REGISTRY.make("system", "oscillator")

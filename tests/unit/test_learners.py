@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from spiral.errors import InputError
-from spiral.learner import learned
+from spiral.types.errors import InputError
+from spiral.types.learner import learned
 from tests.scenes import registry
 
 

@@ -1,6 +1,6 @@
 """Results kept for arguments that can be compared; the others are computed anew."""
 
-from spiral.memo import kept
+from spiral.types.cache import kept
 
 
 def test_a_result_is_kept_where_its_arguments_have_a_hash():
@@ -23,7 +23,7 @@ def test_one_model_is_traced_once():
     from spiral_plugins.effects.restoring import LinearStiffness
     from spiral_plugins.systems.oscillator import Oscillator
 
-    from spiral.trace import trace
+    from spiral.physics.trace import trace
 
     first = trace(Oscillator(), (LinearStiffness(),))
     assert trace(Oscillator(), (LinearStiffness(),)) is first

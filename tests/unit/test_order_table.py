@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.errors import SpiralError
-from spiral.registry import load_registry
+from spiral.io.registry import load_registry
+from spiral.types.errors import SpiralError
 
 REGISTRY = load_registry()
 START, RATE = 100.0, 24.0  # rad/s, rad/s^2

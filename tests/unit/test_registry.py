@@ -6,12 +6,12 @@ import textwrap
 
 import pytest
 
-from spiral.errors import ConfigError, PluginError
-from spiral.registry import load_registry
+from spiral.io.registry import load_registry
+from spiral.types.errors import ConfigError, PluginError
 
 EFFECT = '''
-from spiral.effect import ForceEffect
-from spiral.parameter import Parameter
+from spiral.types.effect import ForceEffect
+from spiral.types.parameter import Parameter
 
 
 class {name}(ForceEffect):
@@ -44,7 +44,7 @@ def test_shipped_plugins_are_found_everywhere(tmp_path, monkeypatch):
 
 def test_finding_plugins_imports_no_numerics():
     code = (
-        "import sys; from spiral.registry import load_registry\n"
+        "import sys; from spiral.io.registry import load_registry\n"
         "load_registry()\n"
         "heavy = {'scipy','sympy','numba','torch','sklearn','statsmodels','pandas','mlflow'}\n"
         "sys.exit(', '.join(heavy & set(sys.modules)) or 0)"

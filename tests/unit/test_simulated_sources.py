@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spiral.errors import ConfigError, InputError
-from spiral.excitation import excite
-from spiral.registry import load_registry
+from spiral.inference.excitation import excite
+from spiral.io.registry import load_registry
+from spiral.types.errors import ConfigError, InputError
 
 REGISTRY = load_registry()
 ROTOR = REGISTRY.make("system", "planar_rotor")

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spiral import storage
-from spiral.config import build_problem, compose
-from spiral.errors import ConfigError, InputError
-from spiral.registry import load_registry
-from spiral.run import ChannelError, Comparison, Round, Run
-from spiral.storage import load_run, new_run_id, run_ids, save_run, to_json
+from spiral.io import storage
+from spiral.io.config import build_problem, compose
+from spiral.io.registry import load_registry
+from spiral.io.storage import load_run, new_run_id, run_ids, save_run, to_json
+from spiral.types.errors import ConfigError, InputError
+from spiral.types.run import ChannelError, Comparison, Round, Run
 
 REGISTRY = load_registry()
 OVERRIDES = ("experiment=rotor_coastdown", "record.duration=0.2", "effect=[rub]", "free=[rub.gap]")

@@ -7,10 +7,8 @@ import pytest
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.model import Model, seed_model
-from spiral.problem import Settings
-from spiral.run import Comparison, Round
-from spiral.verdict import (
+from spiral.inference.problem import Settings
+from spiral.inference.verdict import (
     advice_for,
     doubts,
     missing,
@@ -21,6 +19,8 @@ from spiral.verdict import (
     study_verdict,
     summary,
 )
+from spiral.types.model import Model, seed_model
+from spiral.types.run import Comparison, Round
 from tests.scenes import effect
 
 SETTINGS = Settings()

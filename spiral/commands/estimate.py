@@ -1,0 +1,90 @@
+"""What the verb ``estimate`` does: a study in, an outcome out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from spiral.io.request import OK, REFUSED, Outcome
+
+if TYPE_CHECKING:
+    from spiral.commands.study import Study
+    from spiral.inference.reconstruction.calibrate import Calibration
+    from spiral.inference.reconstruction.estimate import Estimation
+    from spiral.io.tables import Written
+    from spiral.types.model import Model
+    from spiral.types.record import Record
+
+
+def reconstruct(study: Study) -> Outcome:
+    """Reconstruct all states of the configured records; exit 3 where the observer diverged."""
+    from spiral.inference.reconstruction.estimate import estimate
+    from spiral.io.config import build_model, build_observer, build_sources
+
+    config, registry = study.config, study.registry
+    observer = build_observer(config, registry)
+    model = build_model(config, registry)
+    source, _ = build_sources({**config, "test": {"name": None}}, registry)
+    records = source.load(model.system)
+    fitted = _calibrated(study, model, records)
+    models = fitted.models if fitted else (model,) * len(records)
+    found = estimate(models, records, observer, study.tell, fitted.grids if fitted else ())
+    written = _written(study.request.out, found)
+    result: dict[str, Any] = found.as_dict()
+    result["calibration"] = _calibration_dict(fitted) if fitted else None
+    result["files"] = [w.as_dict() for w in written]
+    result["run_id"] = study.save(result, fitted.model if fitted else model, records)
+    if found.diverged:
+        result["error"] = _refusal(found)
+    parts = {"estimation": found, "calibration": fitted, "written": written, "records": records,
+             "request": study.request, "config": config}  # fmt: skip
+    return Outcome(REFUSED if found.diverged else OK, result, parts)
+
+
+def _calibrated(study: Study, model: Model, records: tuple[Record, ...]) -> Calibration | None:
+    """The model fitted first: where that was asked for, or a parameter has no value."""
+    from spiral.inference.problem import Problem
+    from spiral.inference.reconstruction.calibrate import calibrate
+    from spiral.io.config import options, settings
+
+    wanted = options(study.config).calibrate
+    unknown = any(p.start is None and k not in model.values for k, p in model.pairs)
+    if not (unknown if wanted is None else wanted):
+        return None
+    problem = Problem(model, records, (), settings=settings(study.config))
+    return calibrate(problem, study.tell)
+
+
+def _calibration_dict(fitted: Calibration) -> dict[str, Any]:
+    from spiral.types.run import estimates_dict
+
+    return {
+        "converged": fitted.converged,
+        "horizon": fitted.horizon,
+        "chi2_per_dof": fitted.chi2_per_dof,
+        "model": estimates_dict(fitted.model),
+        "not_identifiable": list(fitted.untold),
+    }
+
+
+def _written(out: str | None, found: Estimation) -> tuple[Written, ...]:
+    from spiral.io.tables import write_states
+
+    if out is None:
+        return ()
+    several = len(found.parts) > 1
+    return tuple(
+        written
+        for i, part in enumerate(found.parts)
+        for written in write_states(part, out, i if several else None)
+    )
+
+
+def _refusal(found: Estimation) -> dict[str, str]:
+    part = next(p for p in found.parts if p.diverged)
+    stop = part.stable * part.record.dt
+    return {
+        "given": f"{found.observer} loses {part.record.name} after {stop:.3g} s",
+        "expected": "a filter that predicts each sample better than no motion at all",
+        "try": f"use the states up to {stop:.3g} s; calibrate=true fits the model first, and "
+        "observer=ekf tunes its process noise",
+    }

@@ -1,0 +1,67 @@
+"""Carry out one request of the command line: composed, asked, answered; nothing is printed.
+
+The same function serves the terminal, ``--json`` and the workers of a sweep.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from spiral.io.request import BAD_INPUT, Outcome, Request, configured
+from spiral.types.errors import ConfigError, SpiralError
+
+if TYPE_CHECKING:
+    from spiral.commands.study import OnRound, Tell
+
+
+def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Outcome:
+    """Carry out one request.
+
+    Raises
+    ------
+    SpiralError : bad input; the caller makes it exit 2.
+    """
+    from spiral.commands import estimate, foresight, plugins, report, study
+    from spiral.io.custom import bound
+    from spiral.io.registry import load_registry
+
+    if request.verb == "new":
+        return plugins.new(request)
+    if request.verb == "report":
+        return report.report(request, tell)
+    registry = load_registry(request.plugins)
+    if request.verb == "plugins":
+        return plugins.list_plugins(request, registry)
+    if request.verb == "check":
+        return plugins.check(request, registry, tell)
+    for failure in registry.failures:
+        tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
+    config = configured(request, registry)
+    registry = bound(config, registry)
+    steps = {
+        "discover": study.discover, "compare": study.compare, "diagnose": study.diagnose,
+        "add": study.add, "estimate": estimate.reconstruct, "identify": foresight.identify,
+        "plan": foresight.plan,
+    }  # fmt: skip
+    if request.verb == "simulate":
+        return study.simulate(request, config, registry)
+    if request.names and request.verb not in ("add", "plan"):
+        raise ConfigError(
+            f"{request.verb} {' '.join(request.names)}",
+            f"{request.verb} with overrides KEY=VALUE",
+            f"spiral add {request.names[0]}, or effect=[{request.names[0]}]",
+        )
+    tell("reading the records")
+    asked = study.Study(request, config, registry, tell, on_round)
+    return report.with_curves(asked, steps[request.verb])
+
+
+def in_worker(
+    verb: str, names: tuple[str, ...], overrides: tuple[str, ...], plugins: str | None
+) -> tuple[int, dict[str, Any]]:
+    """A request as a job of a sweep: exit code and result."""
+    try:
+        outcome = perform(Request(verb, names, overrides, plugins), lambda message: None)
+    except SpiralError as error:
+        return BAD_INPUT, {"error": error.as_dict()}
+    return outcome.exit, outcome.result

@@ -1,0 +1,122 @@
+"""What the verbs about plugins do: list them, verify them, write a skeleton."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from spiral.commands.study import Tell
+from spiral.io.request import BAD_INPUT, OK, Outcome, Request
+from spiral.types.errors import ConfigError, did_you_mean
+
+if TYPE_CHECKING:
+    from spiral.io.registry import Entry, Registry
+    from spiral.io.testing import Check
+
+
+def list_plugins(request: Request, registry: Registry) -> Outcome:
+    """Every plugin, or those of the kinds and names asked for."""
+    known = {*registry.kinds, *(e.name for e in registry.entries)}
+    for name in request.names:
+        if name not in known:
+            raise ConfigError(
+                f"plugin or kind {name!r}",
+                f"a kind ({', '.join(registry.kinds)}) or a plugin's name",
+                did_you_mean(name, known),
+            )
+    asked = set(request.names)
+    entries = [e for e in registry.entries if not asked or {e.kind, e.name} & asked]
+    result = {
+        "plugins": [_described(e) for e in entries],
+        "failures": [
+            {"name": f.name, "file": f.file, "message": f.message} for f in registry.failures
+        ],
+    }
+    return Outcome(OK, result, {"entries": entries, "failures": registry.failures, "asked": asked})
+
+
+def check(request: Request, registry: Registry, tell: Tell) -> Outcome:
+    """The conformance suite on the plugins asked for; exit 2 where a check fails."""
+    from spiral.io.testing import check_plugin, failed
+
+    _only_names(request, "spiral check NAME", "spiral plugins")
+    checked = []
+    for entry in (e for name in request.names for e in registry.named(name)):
+        tell(f"checking {entry.kind} {entry.name}")
+        checked.append((entry, check_plugin(entry, registry)))
+    result: dict[str, Any] = {
+        "passed": not any(failed(checks) for _, checks in checked),
+        "plugins": [
+            {
+                "kind": entry.kind,
+                "name": entry.name,
+                "file": entry.file,
+                "passed": not failed(checks),
+                "checks": [c.as_dict() for c in checks],
+            }
+            for entry, checks in checked
+        ],
+    }
+    if not result["passed"]:
+        result["error"] = _first_failure(checked)
+    return Outcome(OK if result["passed"] else BAD_INPUT, result, {"checked": checked})
+
+
+def _first_failure(checked: Sequence[tuple[Entry, list[Check]]]) -> dict[str, str]:
+    from spiral.io.testing import failed
+
+    entry, found = next((e, failed(checks)) for e, checks in checked if failed(checks))
+    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+    return {
+        "given": f"{entry.kind} {found[0].on}, in {entry.file}: {found[0].seen}",
+        "expected": f"a plugin that passes {found[0].name!r}{more}",
+        "try": found[0].try_,
+    }
+
+
+def new(request: Request) -> Outcome:
+    """A skeleton of a plugin and its test, written into the folder of local plugins."""
+    import os
+    from pathlib import Path
+
+    from spiral.io.registry import DEFAULT_FOLDER, FOLDER_VARIABLE, load_registry
+    from spiral.io.scaffold import KINDS, new_plugin, similar
+
+    _only_names(request, "spiral new KIND NAME", f"KIND is one of {', '.join(KINDS)}")
+    if len(request.names) != 2:
+        raise ConfigError(
+            f"new {' '.join(request.names)}", "spiral new KIND NAME", "spiral new effect my_spring"
+        )
+    kind, name = request.names
+    given = request.plugins or os.environ.get(FOLDER_VARIABLE) or DEFAULT_FOLDER
+    folder = Path(given).expanduser()
+    registry = load_registry(folder, local=folder.is_dir())
+    files = new_plugin(kind, name, folder, registry)
+    near = similar(name, registry)
+    result = {"kind": kind, "name": name, "files": [str(f) for f in files], "similar": near}
+    parts = {"files": files, "name": name, "similar": near, "plugins": request.plugins}
+    return Outcome(OK, result, parts)
+
+
+def _only_names(request: Request, expected: str, try_: str) -> None:
+    if not request.names or request.overrides:
+        words = " ".join([request.verb, *request.names, *request.overrides])
+        raise ConfigError(words, expected, try_)
+
+
+def _described(entry: Any) -> dict[str, Any]:
+    from spiral.types.fields import defaults_of, field_meanings
+
+    fields = {k: v for k, v in defaults_of(entry.plugin).items() if k != "variant"}
+    parameters = getattr(entry.plugin, "parameters", ())
+    return {
+        "kind": entry.kind,
+        "name": entry.name,
+        "meaning": entry.plugin.meaning(),
+        "fields": fields,
+        "field_meanings": field_meanings(entry.plugin),
+        "parameters": {p.name: p.unit for p in parameters} if isinstance(parameters, tuple) else {},
+        "origin": entry.origin,
+        "version": entry.version,
+        "file": entry.file,
+    }

@@ -1,0 +1,186 @@
+"""The verbs that fit (discover, compare, diagnose, add) and simulate: a study in, an outcome out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from spiral.io.request import OK, REFUSED, Outcome, Request
+from spiral.types.errors import ConfigError
+
+if TYPE_CHECKING:
+    from spiral.inference.problem import Problem
+    from spiral.io.config import Config
+    from spiral.io.registry import Registry
+    from spiral.types.model import Model
+    from spiral.types.record import Record
+    from spiral.types.run import Comparison, Round, Run
+
+    Records = tuple[Record, ...]
+
+
+OnRound = Callable[["Round"], None]
+
+
+Tell = Callable[[str], None]
+
+
+def _records_of(problem: Problem) -> dict[str, Records]:
+    return {"records": problem.records, "test": problem.test}
+
+
+@dataclass(frozen=True)
+class Study:
+    """A request with its composed configuration; the problem is built when a verb asks."""
+
+    request: Request
+    config: Config
+    registry: Registry
+    tell: Tell
+    on_round: OnRound | None
+
+    def problem(self) -> Problem:
+        """Records loaded, test kept apart."""
+        from spiral.io.config import build_problem
+
+        return build_problem(self.config, self.registry)
+
+    def saved(self, run: Run, problem: Problem) -> Run:
+        """The run with its id, written to the folder of runs."""
+        return replace(run, run_id=self.save(run.as_dict(), run.model, problem))
+
+    def save(self, result: Mapping[str, Any], model: Model, of: Problem | Records) -> str:
+        """Write a result with its model to the folder of runs; returns the run's id."""
+        from spiral.io.storage import save_result
+
+        data = {"records": of} if isinstance(of, tuple) else _records_of(of)
+        verb, out, given = self.request.verb, self.config["out"], self.request.overrides
+        return save_result(verb, result, model, self.config, data, self.registry, out, given)
+
+    def parts(self, problem: Problem, **more: Any) -> dict[str, Any]:
+        """What the terminal needs besides the result."""
+        return {"problem": problem, "request": self.request, "config": self.config, **more}
+
+
+def discover(study: Study) -> Outcome:
+    """The whole loop; exit 3 where it is refused."""
+    problem = study.problem()
+    run = study.saved(_through_the_loop(study, problem), problem)
+    result = run.as_dict()
+    refused = run.stopped in ("not_identifiable", "diverged")
+    if refused:
+        result["error"] = _refusal(run.stopped, run.advice)
+    return Outcome(REFUSED if refused else OK, result, study.parts(problem, run=run))
+
+
+def _through_the_loop(study: Study, problem: Problem) -> Run:
+    """The loop, its rounds kept on disk, from where an unfinished study stopped."""
+    from spiral.inference.discover import discover
+    from spiral.io.checkpoint import keeper
+
+    with keeper(study.config, problem, study.registry, study.config["out"]) as kept:
+        last = kept.last()
+        if last is not None:
+            study.tell(f"taking up this study, left unfinished in round {len(last.rounds)}")
+        run = discover(problem, study.tell, study.on_round, kept.keep, last)
+        kept.done()
+    return run
+
+
+def compare(study: Study) -> Outcome:
+    """The model as configured against the test record; exit 3 where the fit did not converge."""
+    from spiral.inference.compare import compare
+    from spiral.view.terminal.preview import described
+
+    problem = study.problem()
+    comparison = compare(problem, study.tell)
+    result = {**comparison.as_dict(), "records": described(problem)}
+    result["run_id"] = study.save(result, comparison.model, problem)
+    if not comparison.converged:
+        result["error"] = _not_converged(comparison)
+    code = OK if comparison.converged else REFUSED
+    return Outcome(code, result, study.parts(problem, comparison=comparison))
+
+
+def diagnose(study: Study) -> Outcome:
+    """The verdict on the model as it is; exit 3 where it is refused."""
+    from spiral.inference.diagnose import diagnose
+
+    problem = study.problem()
+    diagnosis = diagnose(problem, study.tell)
+    result = diagnosis.as_dict()
+    result["run_id"] = study.save(result, diagnosis.comparison.model, problem)
+    refused = diagnosis.verdict == "not_identifiable" or diagnosis.diverged
+    if refused:
+        reason = "diverged" if diagnosis.diverged else diagnosis.verdict
+        result["error"] = _refusal(reason, diagnosis.advice)
+    return Outcome(REFUSED if refused else OK, result, study.parts(problem, diagnosis=diagnosis))
+
+
+def add(study: Study) -> Outcome:
+    """The model before and after the named effects; exit 3 where the fit did not converge."""
+    from spiral.inference.discover import add
+    from spiral.types.run import estimates_dict
+
+    if not study.request.names:
+        raise ConfigError("add without an effect", "spiral add EFFECT...", "spiral plugins effect")
+    problem = study.problem()
+    effects = tuple(study.registry.effect_from_label(n) for n in study.request.names)
+    for effect in effects:
+        if effect.label in problem.model.labels:
+            raise ConfigError(
+                f"add {effect.label}, which the model has",
+                f"an effect it has not; it has {', '.join(problem.model.labels)}",
+                f"at another port: {effect.plugin_name()}@PORT",
+            )
+    before, after, run = add(problem, effects, study.tell)
+    run = study.saved(run, problem)
+    result = {
+        "before": before.as_dict(),
+        "after": after.as_dict(),
+        "model": estimates_dict(run.model),
+        "run_id": run.run_id,
+    }
+    if not after.converged:
+        result["error"] = _not_converged(after)
+    parts = study.parts(problem, before=before, after=after, run=run)
+    return Outcome(OK if after.converged else REFUSED, result, parts)
+
+
+def _refusal(verdict: str, advice: str) -> dict[str, str]:
+    given = {
+        "not_identifiable": "a record in which the model's effects look alike",
+        "diverged": "a model whose motion runs away from the record",
+    }[verdict]
+    expected = {
+        "not_identifiable": "excitation that tells them apart",
+        "diverged": "a model near enough to follow the record",
+    }[verdict]
+    return {"given": given, "expected": expected, "try": advice}
+
+
+def _not_converged(comparison: Comparison) -> dict[str, str]:
+    return {
+        "given": f"a fit that does not converge on windows of {comparison.horizon} samples",
+        "expected": "a model near enough to follow the record",
+        "try": "spiral diagnose with the same overrides, or first values: values='{NAME: VALUE}'",
+    }
+
+
+def simulate(request: Request, config: Config, registry: Registry) -> Outcome:
+    """A record from a model, written as a table."""
+    from spiral.io.config import build_sources, build_system
+    from spiral.io.tables import write_record
+
+    if not request.out:
+        raise ConfigError("simulate without a file to write", "--out FILE.csv or FILE.parquet")
+    system = build_system(config, registry)
+    source, _ = build_sources({**config, "test": {"name": None}}, registry)
+    records = source.load(system)
+    written = [
+        write_record(record, system, request.out, i if len(records) > 1 else None)
+        for i, record in enumerate(records)
+    ]
+    result = {"files": [w.as_dict() for w in written], "read_back": list(written[0].read_back)}
+    return Outcome(OK, result, {"written": written, "records": records, "request": request})

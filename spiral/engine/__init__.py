@@ -1,0 +1,1 @@
+"""Trajectories and their sensitivities: windows, fits, scores, and filters."""

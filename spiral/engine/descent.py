@@ -1,0 +1,111 @@
+"""Gauss-Newton with a search along the step: for whole records, where a full step is too long.
+
+Parameters and window starts move together by a share of the Gauss-Newton step. The direction is
+always one of descent, so that some share lowers the cost; the damped fit of ``fit`` moves the
+starts by their full step whatever the damping, which on a long window may only raise it.
+
+Parameters may be *mixed*: theta = theta_0 + T s with T (columns, k), one common scale for instance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.elimination import triangle_of
+from spiral.engine.fit import Fitted, damped_step
+from spiral.engine.sensitivities import Reduction, reduce
+from spiral.engine.study import Columns, Layouts, Point, Study
+from spiral.types.record import Array
+
+_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
+_DAMPINGS = (1e-6, 1e-3, 1e-1)
+_ENOUGH, _RELATIVE = 0.02, 1e-6  # promised fall (sigma^2; share of the cost) not worth a step
+_ITERATIONS = 40
+
+
+@dataclass(frozen=True)
+class Mix:
+    """Columns that move together: ``matrix`` (columns, k); empty columns move alone."""
+
+    matrix: Array
+
+    def reduced(self, reduction: Reduction) -> Reduction:
+        """The pass as one over the k mixed columns."""
+        triangle = reduction.triangle
+        rows = np.column_stack([triangle[:, :-1] @ self.matrix, triangle[:, -1]])
+        return replace(reduction, triangle=triangle_of(rows))
+
+
+def descend(
+    study: Study,
+    layouts: Layouts,
+    point: Point,
+    columns: Columns,
+    bounds: tuple[Array, Array],
+    mix: Mix | None = None,
+    iterations: int = _ITERATIONS,
+) -> Fitted:
+    """Minimise the weighted squared prediction error; converged where no step promises a fall."""
+    reduction = reduce(study, layouts, point, columns)
+    if not reduction.finite:
+        return Fitted(point, np.inf, reduction.samples, reduction.nuisances, False, 0, None)
+    for iteration in range(iterations):
+        worth = max(_ENOUGH, _RELATIVE * reduction.cost)
+        seen = mix.reduced(reduction) if mix else reduction
+        promised = reduction.cost - float(seen.triangle[-1, -1] ** 2)
+        if promised < worth:
+            return Fitted.of(point, reduction, True, iteration)
+        found = _searched(study, layouts, point, columns, bounds, reduction, mix)
+        if found is None:
+            return Fitted.of(point, reduction, promised < 10 * worth, iteration)
+        fall = reduction.cost - found[1].cost
+        point, reduction = found
+        if fall < 0.1 * worth:
+            return Fitted.of(point, reduction, promised < 10 * worth, iteration)
+    return Fitted.of(point, reduction, False, iterations)
+
+
+def _searched(
+    study: Study,
+    layouts: Layouts,
+    point: Point,
+    columns: Columns,
+    bounds: tuple[Array, Array],
+    reduction: Reduction,
+    mix: Mix | None,
+) -> tuple[Point, Reduction] | None:
+    """The first share of the first damped step that lowers the cost."""
+    for damping in _DAMPINGS:
+        step = _direction(point, columns, bounds, reduction, mix, damping)
+        for share in _SHARES:
+            starts = tuple(
+                x + share * (e[:, :, -1] - e[:, :, :-1] @ step)
+                for x, e in zip(point.starts, reduction.elimination, strict=True)
+            )
+            trial = Point(columns.moved(point.values, share * step), starts)
+            reached = reduce(study, layouts, trial, columns)
+            if reached.cost < reduction.cost:
+                return trial, reached
+    return None
+
+
+def _direction(
+    point: Point,
+    columns: Columns,
+    bounds: tuple[Array, Array],
+    reduction: Reduction,
+    mix: Mix | None,
+    damping: float,
+) -> Array:
+    if mix is None:
+        return damped_step(reduction, columns, point, bounds, damping)[0]
+    triangle = mix.reduced(reduction).triangle
+    matrix, target = triangle[:-1, :-1], triangle[:-1, -1]
+    scale = np.linalg.norm(matrix, axis=0)
+    scale[scale == 0] = 1.0
+    stacked = np.concatenate([matrix / scale, np.sqrt(damping) * np.eye(len(scale))])
+    rest = np.concatenate([target, np.zeros(len(scale))])
+    solution, *_ = np.linalg.lstsq(stacked, rest, rcond=1e-12)
+    return mix.matrix @ (solution / scale)

@@ -1,0 +1,204 @@
+"""Parameters by the likelihood of the innovations, with the process noise tuned beside them.
+
+    log L = -1/2 sum_k (log det S_k + v_k^T S_k^-1 v_k + channels log 2 pi)
+
+climbs by scoring steps (``spiral.engine.filter.whitened``), halved until it rises; between runs of
+steps the levels of the process noise are tuned. A model that lacks something needs much process
+noise, and with it the filter follows the record however wrong the model is: as the parameters find
+their values the noise falls, and the innovations judge ever longer predictions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from spiral.engine.filter.extended import Settings, filtered
+from spiral.engine.filter.noise import groups
+from spiral.engine.filter.setup import with_level
+from spiral.engine.filter.task import Task
+from spiral.engine.filter.tuning import LOWEST, Likelihood, most_likely
+from spiral.engine.filter.whitened import Whitened, whitened
+from spiral.engine.leastsquares import least_squares
+from spiral.types.record import Array
+
+Prepared = tuple[tuple[Task, Settings], ...]
+"""For each record of one machine: its task, and settings without process noise."""
+
+_STEPS, _HALVINGS, _CYCLES = 8, 5, 12
+_ENOUGH = 0.05  # log-likelihood for which no other step is taken
+_WORTH = 0.5  # the same for another cycle of steps and less noise
+_LESS = 0.3  # share of the process noise that is tried next
+_RUNAWAY = -1e300
+
+
+@dataclass(frozen=True)
+class Climbed:
+    """Where the likelihood is highest: the records' tasks with their values, and the levels.
+
+    ``errors`` are standard errors of the parameters that moved, by the outer product of slopes;
+    ``log_likelihood`` is -inf where the filter ran away from the beginning.
+    """
+
+    prepared: Prepared
+    levels: Mapping[str, float]
+    log_likelihood: float
+    errors: Mapping[str, float]
+
+    @property
+    def values(self) -> Array:
+        """(parameters,) of the first record."""
+        return self.prepared[0][0].values
+
+    @property
+    def finite(self) -> bool:
+        """Whether the filter stayed with every record."""
+        return bool(np.isfinite(self.log_likelihood))
+
+    def regression(self, keys: tuple[str, ...]) -> tuple[Whitened, ...] | None:
+        """Whitened innovations of every record with their slopes; nothing where one ran away."""
+        return _regression(self.prepared, self.levels, keys)
+
+
+def climbed(
+    prepared: Prepared,
+    keys: tuple[str, ...],
+    levels: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    near: Mapping[str, float] | None = None,
+) -> Climbed:
+    """The most likely values of parameters that all records share, and of the process noise.
+
+    Parameters
+    ----------
+    prepared : records, at the values to start from; tracked parameters are found by the filter.
+    keys : the parameters that move, none of them tracked.
+    levels : process noise that is known; tuned where left out, ``near`` some that are guessed.
+    bounds : lowest and highest values by name.
+    """
+    known = tuple(groups(prepared[0][0]))
+    present = dict(levels or near or most_likely(*_search(prepared, known)))
+    height = log_likelihood(prepared, present)
+    for _ in range(_CYCLES if keys else 0):
+        before = height
+        prepared, height = _ascended(prepared, keys, present, height, bounds or {})
+        if levels is None:
+            present, height = _quieter(prepared, present, height)
+        if levels is not None or height - before < _WORTH:
+            break
+    if levels is None and (keys or near):
+        trial = most_likely(*_search(prepared, known), near=present)
+        present = trial if log_likelihood(prepared, trial) > height else present
+        height = log_likelihood(prepared, present)
+        prepared, height = _ascended(prepared, keys, present, height, bounds or {})
+    height = height if height > _RUNAWAY else -np.inf
+    return Climbed(prepared, present, height, _errors(prepared, present, keys))
+
+
+def log_likelihood(prepared: Prepared, levels: Mapping[str, float]) -> float:
+    """Sum over records; a number below all others where a filter runs away."""
+    total = 0.0
+    for task, settings in prepared:
+        found = filtered(task, with_level(task, settings, levels))
+        if found.done < task.series.samples or not np.isfinite(found.log_likelihood):
+            return _RUNAWAY
+        total += found.log_likelihood
+    return total
+
+
+def _search(prepared: Prepared, known: tuple[str, ...]) -> tuple[tuple[str, ...], int, Likelihood]:
+    """What ``most_likely`` wants to know."""
+
+    def likelihood(levels: Mapping[str, float]) -> tuple[float, int]:
+        runs = [filtered(task, with_level(task, settings, levels)) for task, settings in prepared]
+        return sum(r.log_likelihood for r in runs), sum(r.done for r in runs)
+
+    return known, sum(task.series.samples for task, _ in prepared), likelihood
+
+
+def _quieter(
+    prepared: Prepared, levels: dict[str, float], height: float
+) -> tuple[dict[str, float], float]:
+    """All levels of process noise lowered together as long as the likelihood rises."""
+    while max(levels.values()) > LOWEST:
+        trial = {k: max(_LESS * v, LOWEST) for k, v in levels.items()}
+        reached = log_likelihood(prepared, trial)
+        if not reached > height:
+            break
+        levels, height = trial, reached
+    return levels, height
+
+
+def _regression(
+    prepared: Prepared, levels: Mapping[str, float], keys: tuple[str, ...]
+) -> tuple[Whitened, ...] | None:
+    found = []
+    for task, settings in prepared:
+        part = whitened(task, with_level(task, settings, levels), keys)
+        if part is None:
+            return None
+        found.append(part)
+    return tuple(found)
+
+
+def _stacked(parts: tuple[Whitened, ...]) -> tuple[Array, Array]:
+    """X (n, q) and e (n,) of all records."""
+    x = np.concatenate([p.columns.reshape(-1, p.columns.shape[2]) for p in parts])
+    return x, np.concatenate([p.innovations.reshape(-1) for p in parts])
+
+
+def _ascended(
+    prepared: Prepared,
+    keys: tuple[str, ...],
+    levels: Mapping[str, float],
+    height: float,
+    bounds: Mapping[str, tuple[float, float]],
+) -> tuple[Prepared, float]:
+    """Scoring steps at fixed process noise until they are not worth another."""
+    for _ in range(_STEPS):
+        parts = _regression(prepared, levels, keys)
+        if parts is None:
+            break
+        step = least_squares(*_stacked(parts)).b
+        for halving in range(_HALVINGS):
+            trial = _moved(prepared, keys, step / 2**halving, bounds)
+            reached = log_likelihood(trial, levels)
+            if reached > height:
+                break
+        else:
+            break
+        gain, prepared, height = reached - height, trial, reached
+        if gain < _ENOUGH:
+            break
+    return prepared, height
+
+
+def _moved(
+    prepared: Prepared,
+    keys: tuple[str, ...],
+    step: Array,
+    bounds: Mapping[str, tuple[float, float]],
+) -> Prepared:
+    first = prepared[0][0]
+    values = {}
+    for key, delta in zip(keys, step, strict=True):
+        low, high = bounds.get(key, (-np.inf, np.inf))
+        values[key] = float(np.clip(first.values[first.keys.index(key)] + delta, low, high))
+    return with_shared(prepared, values)
+
+
+def with_shared(prepared: Prepared, values: Mapping[str, float]) -> Prepared:
+    """The same records with other values of the machine's parameters."""
+    return tuple((task.with_values(values), settings) for task, settings in prepared)
+
+
+def _errors(
+    prepared: Prepared, levels: Mapping[str, float], keys: tuple[str, ...]
+) -> dict[str, float]:
+    parts = _regression(prepared, levels, keys) if keys else None
+    if parts is None:
+        return {}
+    spread = least_squares(*_stacked(parts)).spread(1.0)
+    return dict(zip(keys, map(float, spread), strict=True))

@@ -1,0 +1,153 @@
+"""From the dimensionless choices of an observer to the numbers of one run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from spiral.engine.filter.extended import Settings, filtered, tracked_indices
+from spiral.engine.filter.extended import smoothed as backward
+from spiral.engine.filter.noise import groups, intensity, sampled
+from spiral.engine.filter.task import Task
+from spiral.engine.filter.tuning import most_likely
+from spiral.engine.study import ORIGIN
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.record import Array
+
+_TURNS = 8  # phase origins tried where the record's own is not known
+_SEARCH = 2.0  # s of a record that the search looks at
+_WORTH = 20.0  # log-likelihood by which another origin must win
+_SEARCH_LEVEL = 0.3
+_SHARE = 0.2  # first doubt of a tracked parameter, as a share of its value
+_DRIFT = 0.05  # rad / sqrt(s): random walk of a phase that was integrated from speed
+
+
+def tracked_parameters(task: Task, named: tuple[str, ...] | None) -> tuple[str, ...]:
+    """Parameters estimated as states: those named, else the record's phase origin.
+
+    It is a nuisance where something turns with the phase.
+    """
+    if named is not None:
+        return named
+    turning = any("phase" in e.inputs for e in task.model.effects)
+    return tuple(k for k in task.keys if k == ORIGIN and turning)
+
+
+def prepared(
+    task: Task,
+    track: tuple[str, ...] | None = None,
+    doubt: Mapping[str, float] | None = None,
+    spread: float = 1.0,
+) -> tuple[Task, Settings]:
+    """Settings without process noise; a tracked phase origin is first looked for all around.
+
+    Parameters
+    ----------
+    track : parameters estimated as states; ``None`` takes the record's own.
+    doubt : their first standard deviations by name. spread : of the states, as a share of theirs.
+
+    Raises
+    ------
+    ConfigError : a name that is no parameter of the model, or that is not tracked.
+    """
+    tracked = tracked_parameters(task, track)
+    tracked_indices(task, tracked)
+    settings = Settings(
+        process=np.zeros((len(task.states), len(task.states))),
+        noise=task.series.sigma**2,
+        start=task.start,
+        covariance=np.diag((spread * task.spread) ** 2),
+        tracked=tracked,
+        doubt=_doubts(task, tracked, doubt or {}),
+        wander=_wander(task, tracked),
+    )
+    angle = "system.phase_origin"
+    if angle in tracked and angle not in (doubt or {}):
+        task = _turned(task, settings, angle)
+    return task, settings
+
+
+def with_level(task: Task, settings: Settings, levels: Mapping[str, float]) -> Settings:
+    """The settings with process noise at these levels."""
+    return replace(settings, process=sampled(task, intensity(task, levels)))
+
+
+def chosen_levels(
+    task: Task, settings: Settings, given: Mapping[str, float] | float | None
+) -> dict[str, float]:
+    """The levels given, or the most likely ones.
+
+    Raises
+    ------
+    ConfigError : a group of states that the model does not have, or a negative level.
+    """
+    known = tuple(groups(task))
+    if given is None:
+
+        def likelihood(levels: Mapping[str, float]) -> tuple[float, int]:
+            found = filtered(task, with_level(task, settings, levels))
+            return found.log_likelihood, found.done
+
+        return most_likely(known, task.series.samples, likelihood)
+    levels = dict(given) if isinstance(given, Mapping) else dict.fromkeys(known, given)
+    for name, value in levels.items():
+        if name not in known:
+            raise ConfigError(
+                f"process_noise of {name!r}", f"one of {', '.join(known)}",
+                did_you_mean(name, known),
+            )  # fmt: skip
+        if not value >= 0:
+            raise ConfigError(f"process_noise of {name!r}: {value!r}", "a level, zero or above")
+    return {k: float(v) for k, v in levels.items()}
+
+
+def smoothed(task: Task, levels: Mapping[str, float] | None = None) -> Array:
+    """Smoothed states and tracked parameters (samples, N); the process noise given or tuned."""
+    task, settings = prepared(task)
+    levels = chosen_levels(task, settings, levels)
+    found = filtered(task, with_level(task, settings, levels), keep=True)
+    if found.done == task.series.samples:
+        found = backward(found)
+    return np.nan_to_num(found.means)
+
+
+def _doubts(task: Task, tracked: tuple[str, ...], given: Mapping[str, float]) -> Array:
+    """First standard deviation of tracked parameters: an eighth turn, or a fifth of the value."""
+    for name in given:
+        if name not in tracked:
+            raise ConfigError(
+                f"doubt of {name!r}", f"a tracked parameter: {', '.join(tracked) or 'none'}",
+                f"observer.track=[{name}]",
+            )  # fmt: skip
+    known = dict(task.model.pairs)
+    found = []
+    for name in tracked:
+        value = abs(task.values[task.keys.index(name)])
+        usual = np.pi / _TURNS if known[name].unit == "rad" else _SHARE * value or 1.0
+        found.append(given.get(name, usual))
+    return np.array(found, dtype=float)
+
+
+def _wander(task: Task, tracked: tuple[str, ...]) -> Array:
+    """Variance per sample of a random walk: of a phase that was not measured, else zero."""
+    measured = "phase" in task.series.record.measured
+    drift = 0.0 if measured else _DRIFT**2 * task.series.dt
+    return np.array([drift if name == "system.phase_origin" else 0.0 for name in tracked])
+
+
+def _turned(task: Task, settings: Settings, angle: str) -> Task:
+    """The task with its phase origin at the present value, or at the best of eight turns."""
+    first = task.values[task.keys.index(angle)]
+    samples = min(task.series.samples, max(64, round(_SEARCH / task.series.dt)))
+    levels = dict.fromkeys(groups(task), _SEARCH_LEVEL)
+    noisy = with_level(task, settings, levels)
+    best, highest = task, -np.inf
+    for turn in range(_TURNS):
+        trial = task.with_values({angle: first + 2 * np.pi * turn / _TURNS})
+        found = filtered(trial, noisy, samples=samples)
+        score = found.log_likelihood if found.done == samples else -np.inf
+        if score > highest + (_WORTH if turn else 0.0):
+            best, highest = trial, score
+    return best

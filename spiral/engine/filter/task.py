@@ -1,0 +1,209 @@
+"""What an observer is given: a compiled model, one record, and scales of every state.
+
+Scales come from the model itself: its free run under the record's inputs. With s_i the standard
+deviation of a state and a_i that of its rate, everything that a filter must be told (the initial
+covariance, the process noise) is a dimensionless share of them, so that no unit and no amplitude
+has to be chosen by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from spiral.engine.filter.static import StaticMap, static_map
+from spiral.engine.kernel import trajectories
+from spiral.engine.series import Series, prepare
+from spiral.engine.start import motion
+from spiral.engine.study import Study
+from spiral.physics.compile import Compiled, compile_model
+from spiral.physics.trace import Traced, trace
+from spiral.types.model import Model
+from spiral.types.record import Array, Record
+
+_STEP = 0.7  # largest phase advance per Runge-Kutta step, rad
+_QUIET = 1e-9  # share of the measured deviation under which a free run says nothing
+_REST = 1e-12  # a state at rest: a root has no slope at zero itself
+
+
+@dataclass(frozen=True)
+class Task:
+    """One record to be reconstructed.
+
+    ``compiled`` has derivatives for the record's own parameters only (see ``compiled_for``);
+    ``values`` (parameters,); ``inputs`` on the half-step grid; ``start`` and ``spread`` (n,) mean
+    and standard deviation before the first sample; ``centre`` and ``scales`` (n,) mean and standard
+    deviation of the settled states, ``rates`` (n,) that of their rates; ``static`` the static map,
+    where there is one.
+    """
+
+    model: Model
+    compiled: Compiled
+    series: Series
+    values: Array
+    inputs: Array
+    start: Array
+    spread: Array
+    centre: Array
+    scales: Array
+    rates: Array
+    static: StaticMap | None
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states."""
+        return self.compiled.traced.states
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Full names of the parameters."""
+        return self.compiled.traced.keys
+
+    def with_values(self, values: Mapping[str, float]) -> Task:
+        """The same with other parameter values."""
+        row = self.values.copy()
+        for key, value in values.items():
+            row[self.keys.index(key)] = value
+        return replace(self, values=row)
+
+
+def prepare_task(
+    model: Model,
+    record: Record,
+    start: Array | None = None,
+    inputs: Array | None = None,
+    substeps: int | None = None,
+    every: bool = False,
+) -> Task:
+    """Compile the model, put the record on the integrator's grid, and find the scales.
+
+    Parameters
+    ----------
+    model : every parameter needs a value.
+    start : (n,) mean before the first sample; left out, the first measurement, its static map for
+        hidden coordinates, and rates of zero.
+    inputs : on the half-step grid where a fit has corrected them (needs ``substeps`` as there).
+    substeps : Runge-Kutta steps per sample; left out, enough for the fastest mode.
+    every : derivatives for all parameters, not the record's own alone.
+
+    Raises
+    ------
+    ConfigError : a parameter without a value.
+    """
+    traced = trace(model.system, model.effects)
+    own = tuple(k for k, p in model.pairs if p.scope == "record")
+    compiled = compiled_for(traced, None if every else own)
+    values = model.row("model", "values='{{{}: 1.0}}', or let a fit find it (calibrate=true)")
+    return task_with(model, compiled, values, record, start, inputs, substeps)
+
+
+@lru_cache(maxsize=16)
+def compiled_for(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled:
+    """A model with derivatives for some parameters or all, compiled once in a process."""
+    return compile_model(traced, by)
+
+
+def with_record(task: Task, record: Record, start: Array | None = None) -> Task:
+    """The same model and values on another record, scales found anew; nothing is compiled again."""
+    return task_with(task.model, task.compiled, task.values, record, start)
+
+
+def task_with(
+    model: Model,
+    compiled: Compiled,
+    values: Array,
+    record: Record,
+    start: Array | None = None,
+    inputs: Array | None = None,
+    substeps: int | None = None,
+) -> Task:
+    """A task of functions compiled elsewhere: of the model, or of one with more effects."""
+    if substeps is None:
+        substeps = enough_substeps(compiled, values, prepare(model.system, record, 1))
+    series = prepare(model.system, record, substeps)
+    mapping = static_map(compiled.traced, values)
+    grid = series.inputs if inputs is None else inputs
+    centre, scales, rates = _settled(compiled, series, grid, values, mapping)
+    begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
+    return Task(
+        model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping
+    )
+
+
+def enough_substeps(compiled: Compiled, values: Array, series: Series) -> int:
+    """Steps per sample that keep |eigenvalue| dt below 0.7 at rest, at the largest inputs."""
+    matrix = linearised(compiled, values, np.abs(series.inputs).max(axis=0, initial=0.0))
+    fastest = float(np.abs(np.linalg.eigvals(matrix)).max()) * series.dt
+    return int(np.clip(np.ceil(fastest / _STEP), 1, 32))
+
+
+def linearised(compiled: Compiled, values: Array, inputs: Array, at: Array | None = None) -> Array:
+    """f_x (n, n) at a state, by default rest; zero where it is not finite."""
+    n = len(compiled.traced.states)
+    a, b = np.zeros((n, n)), np.zeros((n, len(values)))
+    x = np.full(n, _REST) if at is None else np.array(at, dtype=float)
+    u = np.ascontiguousarray(inputs, dtype=float)
+    compiled.rate(x, u, np.ascontiguousarray(values), np.empty(n), a, b)
+    return a if np.all(np.isfinite(a)) else np.zeros((n, n))
+
+
+def _settled(
+    compiled: Compiled, series: Series, grid: Array, values: Array, mapping: StaticMap | None
+) -> tuple[Array, Array, Array]:
+    """Mean and standard deviation of states, and that of their rates.
+
+    They are those of the free run, or guessed from what was seen.
+    """
+    states = free_run(compiled, series, grid, values)
+    seen = [compiled.traced.states.index(c) for c in compiled.traced.channels]
+    measured = series.y.std(axis=0)
+    if states is None or np.any(states.std(axis=0)[seen] < _QUIET * measured):
+        states = _guessed(compiled, series, mapping)
+    rates = np.gradient(states, series.dt, axis=0).std(axis=0)
+    scales = states.std(axis=0)
+    typical = np.median(scales[scales > 0]) if np.any(scales > 0) else 1.0
+    scales = np.where(scales > 0, scales, typical)
+    rates = np.where(rates > 0, rates, scales / (series.dt * series.samples))
+    mean = states.mean(axis=0)
+    return np.where(mean == 0, _REST, mean), scales, rates
+
+
+def free_run(compiled: Compiled, series: Series, grid: Array, values: Array) -> Array | None:
+    """States (samples, n) from rest under the record's inputs; nothing where it diverges."""
+    n = len(compiled.traced.states)
+    states, readings = np.empty((series.samples, n)), np.empty_like(series.y)
+    whole, first = np.array([series.samples]), np.zeros(1, dtype=np.int64)
+    ok = trajectories(
+        compiled.rate_value, compiled.output_value, np.zeros((1, n)), first, whole,
+        np.ascontiguousarray(values[None, :]), grid, series.substeps, series.dt, states, readings,
+    )  # fmt: skip
+    return states if ok and np.all(np.isfinite(states)) else None
+
+
+def _guessed(compiled: Compiled, series: Series, mapping: StaticMap | None) -> Array:
+    """Smoothed measurements and their rates; hidden coordinates by the static map."""
+    study = Study(compiled, (series,))
+    states = motion(study, series, min(41, series.samples // 2 * 2 - 1)).states
+    names = compiled.traced.states
+    if mapping is not None:
+        for suffix in ("", "_rate"):
+            rows = [names.index(f"{name}{suffix}") for name in mapping.observed]
+            found = states[:, rows] @ mapping.matrix.T
+            for j, name in enumerate(mapping.hidden):
+                states[:, names.index(f"{name}{suffix}")] = found[:, j]
+    return states
+
+
+def _first_state(compiled: Compiled, series: Series, mapping: StaticMap | None) -> Array:
+    names = compiled.traced.states
+    start = np.zeros(len(names))
+    for j, channel in enumerate(compiled.traced.channels):
+        start[names.index(channel)] = series.y[0, j]
+    if mapping is not None:
+        hidden = mapping.matrix @ [start[names.index(n)] for n in mapping.observed]
+        for name, value in zip(mapping.hidden, hidden, strict=True):
+            start[names.index(name)] = value
+    return start

@@ -1,0 +1,65 @@
+"""Innovations as a regression: whitened, with their slopes by parameters.
+
+With S = L L^T and v the innovation of a sample, e = L^-1 v has the covariance I where the model is
+right, and with d = C dx/dp + h_p (``slopes_kernel``)
+
+    e(p + step) = e(p) - L^-1 d step
+
+to first order: least squares of e on the columns L^-1 d is one scoring step of the likelihood of
+the innovations, and the fall of |e|^2 is twice the gain in its logarithm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spiral.engine.filter.extended import Pass, Settings, filtered, tracked_indices
+from spiral.engine.filter.task import Task, compiled_for
+from spiral.types.record import Array
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """One record: e (samples, channels) and columns (samples, channels, parameters).
+
+    Rows of a sample that was not measured are zero. ``found`` is the filter's run.
+    """
+
+    innovations: Array
+    columns: Array
+    found: Pass
+
+
+def whitened(task: Task, settings: Settings, keys: tuple[str, ...]) -> Whitened | None:
+    """The record filtered and its innovations whitened; nothing where the filter runs away.
+
+    Parameters
+    ----------
+    keys : parameters differentiated, none of them tracked.
+    """
+    from spiral.engine.filter.slopes_kernel import prediction_slopes
+
+    found = filtered(task, settings, keep=True)
+    if found.done < task.series.samples:
+        return None
+    tracked = tracked_indices(task, settings.tracked)
+    both = np.concatenate([tracked, tracked_indices(task, keys)])
+    slopes = np.zeros((*found.innovations.shape, len(keys)))
+    if keys:
+        compiled = compiled_for(task.compiled.traced)
+        prediction_slopes(
+            compiled.rate, compiled.output,
+            np.concatenate([settings.start, task.values[tracked]]), task.values.copy(), both,
+            len(tracked), task.inputs, task.series.substeps, task.series.dt, found.means,
+            found.gains, slopes,
+        )  # fmt: skip
+    if not np.all(np.isfinite(slopes)):
+        return None
+    seen = found.spreads[:, 0, 0] > 0
+    root = np.linalg.cholesky(found.spreads[seen])
+    whole = np.concatenate([found.innovations[seen][..., None], slopes[seen]], axis=2)
+    rows = np.zeros((len(seen), *whole.shape[1:]))
+    rows[seen] = np.linalg.solve(root, whole)
+    return Whitened(rows[..., 0], rows[..., 1:], found)

@@ -1,0 +1,222 @@
+"""Evidence for candidates: what each would explain, active parameters and nuisances projected out.
+
+With R the triangle of one pass over [active | candidates | r], a candidate g has
+
+    gain  = |Q_g^T z|^2                                the fall of the sum of squares,
+    F     = (gain / q) / (rest / dof)                  classical partial F,
+    Wald  = d^T V^-1 d / q                             robust,
+
+d being one Gauss-Newton step and V = H^-1 M H^-1 its covariance from the residual *after* that
+step, M = sum over blocks s_b s_b^T with s_b = J_b^T e_b. Blocks are at least as long as the
+residual's correlation time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from spiral.engine.sensitivities import Reduction
+from spiral.types.record import Array
+
+MINIMUM_BLOCKS = 40
+MOST_BLOCKS = 512  # keeps memory bounded whatever the record's length
+_RANK = 1e-7
+
+
+@dataclass(frozen=True)
+class Score:
+    """Evidence for one group of columns.
+
+    ``step`` the Gauss-Newton step; ``gain`` in sigma^2; ``explains`` the share of the residual
+    energy; ``log_p`` natural logarithms of the p-values; ``alias`` the largest
+    cosine between the group's signatures and the active ones; ``rank`` its independent directions.
+    """
+
+    columns: tuple[int, ...]
+    step: Array
+    gain: float
+    explains: float
+    statistic: float
+    log_p: float
+    wald: float
+    wald_log_p: float
+    effect_size: float
+    alias: float
+    rank: int = 1
+
+
+@dataclass(frozen=True)
+class Table:
+    """A pass prepared for scoring: candidates' triangle with the active columns projected out."""
+
+    triangle: Array
+    target: Array
+    norms: Array
+    rest: float
+    samples: int
+    dof: int
+    blocks: Array
+
+
+def tabulate(reduction: Reduction, active: int) -> Table:
+    """Project the first ``active`` columns out of all others."""
+    triangle = reduction.triangle
+    norms = np.linalg.norm(triangle[:, :-1], axis=0)
+    blocks = _without_active(reduction, active)
+    inner = triangle[active:, active:]
+    rest = float(inner[:, -1] @ inner[:, -1])
+    dof = reduction.samples - reduction.nuisances - active
+    return Table(
+        inner[:, :-1], inner[:, -1], norms[active:], rest, reduction.samples, dof, blocks,
+    )  # fmt: skip
+
+
+def _without_active(reduction: Reduction, active: int) -> Array:
+    """Gram blocks in coordinates where active columns are projected out of the others and r."""
+    blocks = reduction.blocks
+    if not len(blocks) or active == 0:
+        return blocks
+    triangle = reduction.triangle[:active]
+    scale = np.linalg.norm(triangle[:, :active], axis=0)
+    scale[scale == 0] = 1.0
+    head, *_ = np.linalg.lstsq(triangle[:, :active] / scale, triangle[:, active:], rcond=1e-12)
+    transform = np.concatenate([-head / scale[:, None], np.eye(triangle.shape[1] - active)])
+    return transform.T @ blocks @ transform
+
+
+def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -> Score:
+    """Evidence for the candidates' columns (indices among the candidates).
+
+    One-sided columns that step out of their side are dropped from the group; the p-value of a
+    group with a single one-sided column is halved.
+    """
+    kept = list(columns)
+    while True:
+        group = projected(table, kept)
+        wrong = [
+            c
+            for c, d in zip(kept, group.step, strict=True)
+            if one_sided[columns.index(c)] and d < 0
+        ]
+        if not wrong:
+            break
+        kept = [c for c in kept if c not in wrong]
+    full = np.zeros(len(columns))
+    for c, d in zip(kept, group.step, strict=True):
+        full[columns.index(c)] = d
+    halved = np.log(0.5) if len(columns) == 1 and one_sided[0] and kept else 0.0
+    q, dof = max(group.rank, 1), max(table.dof - group.rank, 1)
+    rest = max(table.rest - group.gain, 1e-300)
+    statistic = (group.gain / q) / (rest / dof)
+    log_p = log_tail(statistic, q, dof)
+    wald, wald_log_p = _wald(table, kept, group)
+    if 0 < len(table.blocks) < MINIMUM_BLOCKS // 2:
+        wald, wald_log_p = statistic, log_p  # too short for a robust test; the gates remain
+    return Score(
+        columns, full, group.gain, group.gain / max(table.rest, 1e-300), statistic,
+        log_p + halved, wald, wald_log_p + halved,
+        float(np.sqrt(group.gain / max(table.samples, 1))), group.alias, group.rank,
+    )  # fmt: skip
+
+
+def log_tail(statistic: float, q: int, dof: int) -> float:
+    """Logarithm of the F distribution's upper tail (``scipy.stats.f.logsf``, unchecked)."""
+    with np.errstate(divide="ignore"):
+        return float(np.log(special.fdtrc(q, dof, max(statistic, 0.0))))
+
+
+@dataclass(frozen=True)
+class Projected:
+    """A group of columns after the active ones are projected out.
+
+    ``step`` the least-squares step; ``gain`` its fall of the sum of squares; ``alias`` the cosine
+    to what is active; ``rank`` the independent directions that are left, spanned by ``basis``
+    (columns, rank) in the parameters.
+    """
+
+    step: Array
+    gain: float
+    alias: float
+    rank: int
+    basis: Array
+
+
+def projected(table: Table, kept: list[int]) -> Projected:
+    """Step, gain and independent directions of some columns; rank 0 where nothing is left."""
+    none = Projected(np.zeros(len(kept)), 0.0, 1.0, 0, np.zeros((len(kept), 0)))
+    if not kept:
+        return none
+    group = table.triangle[:, kept]
+    before = np.where(table.norms[kept] == 0, 1.0, table.norms[kept])
+    after = np.linalg.norm(group, axis=0)
+    alias = float(np.sqrt(max(0.0, 1.0 - float(np.min(after / before)) ** 2)))
+    own = after / before >= _RANK  # what is left of the others is rounding
+    if not own.any():
+        return none
+    scale = np.where(own, after, np.inf)
+    left, sizes, right = np.linalg.svd(group / scale, full_matrices=False)
+    large = sizes > _RANK * sizes[0]
+    along = left[:, large].T @ table.target
+    basis = right[large].T / scale[:, None] / sizes[large]
+    return Projected(basis @ along, float(along @ along), alias, int(large.sum()), basis)
+
+
+def _wald(table: Table, kept: list[int], group: Projected) -> tuple[float, float]:
+    """Robust Wald statistic over q, and the log of its p-value (Hotelling, blocks as cases)."""
+    blocks = table.blocks
+    count, q = len(blocks), group.rank
+    if not q or count < MINIMUM_BLOCKS // 2 or not np.any(group.step):
+        return 0.0, 0.0
+    scores = block_scores(table, kept, group) @ group.basis
+    meat = scores.T @ scores * count / (count - 1)
+    bread = group.basis.T @ blocks[:, kept][:, :, kept].sum(axis=0) @ group.step
+    try:
+        wald = float(bread @ np.linalg.solve(meat, bread)) / q
+    except np.linalg.LinAlgError:
+        return 0.0, 0.0
+    ratio = wald * (count - q) / (count - 1)
+    return wald, log_tail(ratio, q, count - q)
+
+
+def block_scores(table: Table, kept: list[int], group: Projected) -> Array:
+    """(blocks, columns): J_b^T e_b, e the residual after the group's own step."""
+    gram = table.blocks[:, kept][:, :, kept]
+    return table.blocks[:, kept, -1] - np.einsum("bij,j->bi", gram, group.step)
+
+
+def cosine(table: Table, first: tuple[int, ...], second: tuple[int, ...]) -> float:
+    """Cosine of the smallest principal angle between two groups of signatures."""
+    from scipy.linalg import subspace_angles
+
+    groups = [table.triangle[:, list(g)] for g in (first, second)]
+    if any(np.linalg.norm(g) == 0 for g in groups):
+        return 1.0
+    scaled = [g / np.maximum(np.linalg.norm(g, axis=0), 1e-300) for g in groups]
+    return float(np.cos(np.min(subspace_angles(*scaled))))
+
+
+def correlation_samples(residuals: tuple[Array, ...]) -> int:
+    """Lag after which the residuals' autocorrelation stays below 0.1, largest over channels."""
+    longest = 1
+    for values in residuals:
+        for channel in values.T:
+            energy = float(channel @ channel)
+            if energy == 0 or not np.isfinite(energy):
+                continue
+            size = 2 ** int(np.ceil(np.log2(2 * len(channel))))
+            spectrum = np.abs(np.fft.rfft(channel, size)) ** 2
+            lags = np.fft.irfft(spectrum)[: len(channel) // 4] / energy
+            counted = np.count_nonzero(channel)
+            above = np.flatnonzero(np.abs(lags) > max(0.1, 3.0 / np.sqrt(counted)))
+            longest = max(longest, int(above[-1]) + 1 if len(above) else 1)
+    return longest
+
+
+def block_samples(correlation: int, counted: int) -> int:
+    """Samples in a block: a power of two above the correlation time, 40 to 512 blocks."""
+    most = max(counted // MINIMUM_BLOCKS, 4)
+    wanted = 2 ** int(np.ceil(np.log2(max(32, 2 * correlation, counted / MOST_BLOCKS))))
+    return int(min(wanted, 2 ** int(np.log2(most))))

@@ -1,0 +1,274 @@
+"""One pass over the records: signatures of all columns, initial states eliminated.
+
+Each window's rows [J_x0 | J_p | r] are reduced by QR as they are made, a bounded piece at a time,
+so that memory does not grow with record length times columns. The initial state is eliminated by
+a rank-revealing step (a direction of the state that the window does not show is left alone).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from spiral.engine.elimination import (
+    eliminate,
+    grams,
+    merged,
+    project,
+    scattered,
+    scattered_blocks,
+    triangle_of,
+)
+from spiral.engine.kernel import advance, drive, trajectories
+from spiral.engine.series import Series
+from spiral.engine.study import Columns, Layouts, Point, Study
+from spiral.engine.windows import Layout
+from spiral.types.record import Array
+
+_PIECE = 4096  # samples in memory at a time
+_THREADS = min(2, int(os.environ.get("NUMBA_NUM_THREADS", "2")))  # that share the windows
+_CURVATURE = 0.05  # rad per knot^2: expected second difference of a phase correction
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """A pass, reduced.
+
+    ``triangle`` (columns + 1, columns + 1): R of the QR decomposition of [J_p | r] with all
+    initial states projected out; ``cost`` the sum of squares of r before any step; ``samples`` the
+    residuals counted; ``elimination`` per record (windows, states, columns + 1), the minimum-norm
+    map with x0 step = e[:, -1] - e[:, :-1] @ step; ``blocks`` (blocks, columns + 1, columns + 1):
+    Gram matrices of the projected rows, or empty.
+    """
+
+    triangle: Array
+    cost: float
+    samples: int
+    nuisances: int
+    elimination: tuple[Array, ...]
+    blocks: Array
+
+    @property
+    def finite(self) -> bool:
+        """Whether the model stayed finite in every window."""
+        return bool(np.isfinite(self.cost))
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Windows of one record with equal length, reduced together."""
+
+    record: int
+    windows: Array
+    length: int
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """One batch: rows left after elimination, the elimination, Gram blocks, cost and rank."""
+
+    rows: Array
+    eliminated: Array
+    grams: Array
+    cost: float
+    rank: int
+
+    @classmethod
+    def diverged(cls) -> _Reduced:
+        """A batch whose model did not stay finite."""
+        none = np.zeros((0, 0))
+        return cls(none, none, none, np.inf, 0)
+
+
+def reduce(
+    study: Study, layouts: Layouts, point: Point, columns: Columns, block: int = 0
+) -> Reduction:
+    """Integrate all windows with sensitivities and reduce them.
+
+    Parameters
+    ----------
+    columns : the parameters differentiated.
+    block : samples in a Gram block; 0 makes none.
+    """
+    point.fits(study)
+    weights = [s.weight(layout.mask) for s, layout in zip(study.series, layouts, strict=True)]
+    batches = list(_batches(layouts))
+
+    grids = [study.inputs(r, row) for r, row in enumerate(point.values)]
+
+    def work(batch: _Batch) -> _Reduced:
+        weight, grid = weights[batch.record], grids[batch.record]
+        return _reduce_batch(study, layouts, point, columns, batch, weight, grid, block)
+
+    results = list(zip(batches, _parallel(work, batches), strict=True))
+    width, n = columns.count + 1, study.state_count
+    samples = int(sum(np.count_nonzero(w) for w in weights))
+    elimination = tuple(np.zeros((len(x), n, width)) for x in point.starts)
+    priors = (curvature_prior(study, columns, point.values), columns.prior(point.values))
+    prior = np.concatenate(priors)
+    cost = sum(found.cost for _, found in results) + float(np.sum(prior[:, -1] ** 2))
+    if not np.isfinite(cost):
+        empty = np.zeros((0, width, width))
+        return Reduction(np.zeros((width, width)), np.inf, samples, 0, elimination, empty)
+    parts, blocks = [prior], []
+    for batch, found in results:
+        seen = np.append(columns.local(batch.record), width - 1)
+        at = np.ix_(batch.windows, np.arange(n), seen)
+        elimination[batch.record][at] = found.eliminated
+        parts.append(triangle_of(scattered(found.rows, seen, width)))
+        blocks.append(scattered_blocks(found.grams, seen, width))
+    return Reduction(
+        triangle=triangle_of(np.concatenate(parts)),
+        cost=cost,
+        samples=samples,
+        nuisances=sum(found.rank for _, found in results),
+        elimination=elimination,
+        blocks=np.concatenate(blocks),
+    )
+
+
+def curvature_prior(study: Study, columns: Columns, values: Array) -> Array:
+    """Rows [J | r] of the prior on phase corrections: second differences of 0.05 rad per knot^2."""
+    plain = len(study.keys)
+    rows = [np.zeros((0, columns.count + 1))]
+    for record, series in enumerate(study.series):
+        count = series.splines.count
+        own = np.flatnonzero((columns.index >= plain) & (columns.record == record))
+        if count < 3 or not len(own):
+            continue
+        bend = np.diff(np.eye(count), n=2, axis=0) / _CURVATURE
+        block = np.zeros((count - 2, columns.count + 1))
+        block[:, own] = bend[:, columns.index[own] - plain]
+        block[:, -1] = -bend @ values[record, plain : plain + count]
+        rows.append(block)
+    return np.concatenate(rows)
+
+
+def residuals(study: Study, layouts: Layouts, point: Point) -> tuple[Array, ...]:
+    """Weighted residuals (samples, channels) of each record; zero where nothing counts."""
+    found = []
+    for record, (series, layout) in enumerate(zip(study.series, layouts, strict=True)):
+        states, readings = run_windows(study, record, layout, point)
+        weight = series.weight(layout.mask)
+        written = np.isfinite(readings) if np.isfinite(states[layout.starts]).all() else True
+        with np.errstate(invalid="ignore", over="ignore"):
+            found.append(np.where(written & (weight > 0), weight * (series.y - readings), 0.0))
+    return tuple(found)
+
+
+def run_windows(study: Study, record: int, layout: Layout, point: Point) -> tuple[Array, Array]:
+    """States and readings of one record, window by window; infinite throughout on divergence."""
+    point.fits(study)
+    series = study.series[record]
+    states = np.full((series.samples, study.state_count), np.nan)
+    readings = np.full_like(series.y, np.nan)
+    ok = trajectories(
+        study.compiled.rate_value, study.compiled.output_value,
+        np.ascontiguousarray(point.starts[record]), layout.starts, layout.lengths,
+        np.ascontiguousarray(point.values[record : record + 1]),
+        study.inputs(record, point.values[record]), series.substeps, series.dt, states, readings,
+    )  # fmt: skip
+    if not ok:
+        states[:], readings[:] = np.inf, np.inf
+    return states, readings
+
+
+def driven(study: Study, record: int, states: Array, row: Array) -> Array:
+    """States (samples, n) of a record with those that effects bring driven by the others.
+
+    They begin at zero; where one of them runs away they are left at zero.
+    """
+    own = study.own
+    if not len(own):
+        return states
+    series, found = study.series[record], np.ascontiguousarray(states)
+    ok = drive(
+        study.compiled.rate_value, found, own, np.ascontiguousarray(row[None, :]),
+        study.inputs(record, row), series.substeps, series.dt,
+    )  # fmt: skip
+    if not ok:
+        found[:, own] = 0.0
+    return found
+
+
+def _parallel(work, batches: list[_Batch]) -> list:
+    if len(batches) < 2 * _THREADS:
+        return [work(batch) for batch in batches]
+    with ThreadPoolExecutor(_THREADS) as pool:
+        return list(pool.map(work, batches))
+
+
+def _batches(layouts: Layouts) -> Iterator[_Batch]:
+    for record, layout in enumerate(layouts):
+        for length in np.unique(layout.lengths):
+            same = np.flatnonzero(layout.lengths == length)
+            group = max(1, _PIECE // int(length))
+            for first in range(0, len(same), group):
+                yield _Batch(record, same[first : first + group], int(length))
+
+
+def _advance(
+    study: Study,
+    series: Series,
+    grid: Array,
+    x: Array,
+    s: Array,
+    starts: Array,
+    length: int,
+    values: Array,
+    local: Array,
+    weight: Array,
+    rows: Array,
+) -> bool:
+    splines = series.splines
+    return advance(
+        study.compiled.rate, study.compiled.output, x, s, np.ascontiguousarray(starts), length,
+        np.ascontiguousarray(values), local, study.phase, splines.first, splines.weights, grid,
+        series.substeps, series.dt, series.y, weight, rows,
+    )  # fmt: skip
+
+
+def _reduce_batch(
+    study: Study,
+    layouts: Layouts,
+    point: Point,
+    columns: Columns,
+    batch: _Batch,
+    weight: Array,
+    grid: Array,
+    block: int,
+) -> _Reduced:
+    """Integrate one batch piece by piece, keeping its triangle and its Gram blocks."""
+    series = study.series[batch.record]
+    starts = layouts[batch.record].starts[batch.windows].copy()
+    local = columns.index[columns.local(batch.record)]
+    n, count, channels = study.state_count, len(starts), series.y.shape[1]
+    width = n + len(local) + 1
+    x = point.starts[batch.record][batch.windows].copy()
+    s = np.zeros((count, n, width - 1))
+    s[:, :, :n] = np.eye(n)
+    triangle = np.zeros((count, 0, width))
+    raw: list[Array] = []
+    cost = 0.0
+    for first in range(0, batch.length, _PIECE):
+        piece = min(_PIECE, batch.length - first)
+        rows = np.empty((count, piece * channels, width))
+        values = point.values[batch.record]
+        at = starts + first
+        ok = _advance(study, series, grid, x, s, at, piece, values, local, weight, rows)
+        if not ok or not np.isfinite(rows).all():
+            return _Reduced.diverged()
+        cost += float(np.sum(rows[:, :, -1] ** 2))
+        if block:
+            raw.append(grams(rows, block * channels))
+        triangle = triangle_of(np.concatenate([triangle, rows], axis=1))
+    left, eliminated, rank = eliminate(triangle, n)
+    kept = np.zeros((0, width - n, width - n))
+    if block:
+        projected = project(np.concatenate(raw, axis=1), eliminated)
+        kept = merged(projected, block, batch.length)
+    return _Reduced(left, eliminated, kept, cost, rank)

@@ -1,0 +1,170 @@
+"""A record prepared for the engine: arrays on the integrator's grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from spiral.types.record import Array, Record
+from spiral.types.system import System
+
+_SPEED_RATE_KNOTS = 64  # samples between the knots of the smooth curve a rate is taken from
+
+
+_MOST_PIECES = 60
+
+
+@dataclass(frozen=True)
+class Splines:
+    """B-splines of a phase correction: at each half step the first one and the weights of four.
+
+    ``count`` is the number of splines; 0 means that the record has no correction.
+    """
+
+    first: Array
+    weights: Array
+    count: int
+
+    def value(self, coefficients: Array) -> Array:
+        """The correction on the half-step grid, rad."""
+        at = self.first[:, None] + np.arange(self.weights.shape[1])
+        return np.sum(self.weights * coefficients[at], axis=1)
+
+
+@dataclass(frozen=True)
+class Series:
+    """Arrays of one record.
+
+    ``y`` (samples, channels), ``sigma`` (channels,), ``inputs`` ((samples - 1) * 2 * substeps + 1,
+    input columns) on the half-step grid of the integrator, ``dt`` in s.
+    """
+
+    record: Record
+    y: Array
+    sigma: Array
+    inputs: Array
+    dt: float
+    substeps: int
+    splines: Splines
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.y.shape[0]
+
+    def smoothed(self, window: int) -> tuple[Array, ...]:
+        """Local cubics through the readings: value, first and second derivative.
+
+        The last window's are kept, because one fit after another begins with them.
+        """
+        from scipy.signal import savgol_filter
+
+        if window not in self._smoothed:
+            degree = min(3, window - 2)
+            self._smoothed.clear()
+            self._smoothed[window] = tuple(
+                np.asarray(savgol_filter(self.y, window, degree, deriv=k, delta=self.dt, axis=0))
+                for k in range(3)
+            )
+        return self._smoothed[window]
+
+    @cached_property
+    def _smoothed(self) -> dict[int, tuple[Array, ...]]:
+        return {}
+
+    def weight(self, mask: Array | None) -> Array:
+        """(samples, channels): 1/sigma where the mask holds, else 0."""
+        weight = np.broadcast_to(1.0 / self.sigma, self.y.shape).copy()
+        if mask is not None:
+            weight[~mask] = 0.0
+        return weight
+
+
+def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) -> Series:
+    """Make the arrays of a record; inputs are interpolated as the system's ``Input`` says.
+
+    ``knot`` (s) spaces the knots of a smooth phase correction, which a record gets where its phase
+    was integrated from a measured speed; 0 makes none.
+    """
+    derived = [i.name for i in system.inputs if i.derived_from in record.measured]
+    wanted = knot > 0 and "phase" in derived and "phase" not in record.measured
+    sigma = record.sigma()
+    return Series(
+        record=record,
+        y=np.column_stack([record.channels[c] for c in system.observed]),
+        sigma=np.array([sigma[c] for c in system.observed]),
+        inputs=half_step_inputs(system, record, substeps),
+        dt=record.dt,
+        substeps=substeps,
+        splines=splines(record, substeps, knot if wanted else 0.0),
+    )
+
+
+def splines(record: Record, substeps: int, knot: float) -> Splines:
+    """Cubic B-splines on the half-step grid, knots about ``knot`` seconds apart (at most 60)."""
+    from scipy.interpolate import BSpline
+
+    count = (record.samples - 1) * 2 * substeps + 1
+    if knot <= 0:
+        return Splines(np.zeros(count, dtype=np.int64), np.zeros((count, 0)), 0)
+    duration = (record.samples - 1) * record.dt
+    pieces = int(np.clip(round(duration / knot), 1, _MOST_PIECES))
+    inner = np.linspace(0.0, duration, pieces + 1)
+    knots = np.concatenate([[0.0] * 3, inner, [duration] * 3])
+    time = np.linspace(0.0, duration, count)
+    matrix = BSpline.design_matrix(time, knots, 3)
+    first = matrix.indices[matrix.indptr[:-1]].astype(np.int64)
+    return Splines(first, np.ascontiguousarray(matrix.data.reshape(count, 4)), pieces + 3)
+
+
+def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
+    """Inputs at every half step of the integrator; columns as in ``trace.input_columns``."""
+    count = (record.samples - 1) * 2 * substeps + 1
+    coarse = np.arange(record.samples, dtype=float)
+    fine = np.arange(count) / (2.0 * substeps)
+    columns = [
+        _interpolated(record.inputs[i.name], coarse, fine, i.interpolation, substeps)
+        for i in system.inputs
+    ]
+    columns += [
+        _rate(record.inputs[i.name], coarse, fine) / record.dt
+        for i in system.inputs
+        if i.derivative
+    ]
+    columns.append(record.time[0] + fine * record.dt)
+    return np.ascontiguousarray(np.column_stack(columns))
+
+
+def _interpolated(values: Array, coarse: Array, fine: Array, how: str, substeps: int) -> Array:
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import resample_poly
+
+    if how == "zero_order":
+        return _stepped(values, substeps)
+    if how == "band_limited":
+        dense = resample_poly(values, 2 * substeps, 1, window=("kaiser", 8.0), padtype="line")
+        return dense[: len(fine)]
+    return CubicSpline(coarse, values)(fine)
+
+
+def _stepped(values: Array, substeps: int) -> Array:
+    """Each value until the next one; at the jump the mean of both, which keeps the integral.
+
+    A Runge-Kutta step weighs its two ends alike: with the later value there, every step would begin
+    to follow it a sixth of a step too early.
+    """
+    held = np.append(np.repeat(values[:-1], 2 * substeps), values[-1])
+    held[2 * substeps :: 2 * substeps] = 0.5 * (values[:-1] + values[1:])
+    return held
+
+
+def _rate(values: Array, coarse: Array, fine: Array) -> Array:
+    """Rate per sample of a least-squares cubic spline with knots about 64 samples apart."""
+    from scipy.interpolate import make_lsq_spline
+
+    pieces = max(1, len(values) // _SPEED_RATE_KNOTS)
+    inner = np.linspace(coarse[0], coarse[-1], pieces + 1)[1:-1]
+    knots = np.concatenate([[coarse[0]] * 4, inner, [coarse[-1]] * 4])
+    return make_lsq_spline(coarse, values, knots, k=3, method="norm-eq").derivative()(fine)

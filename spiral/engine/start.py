@@ -1,0 +1,207 @@
+"""Where a fit begins: parameters from the balance of forces, states from local polynomials.
+
+The balance M a - F = 0 of a mechanical system is linear in masses and amplitudes. With positions,
+velocities and accelerations from local polynomials it is solved by scaled least squares. The
+answer is biased by noise; it only has to lie in the basin of the short-window fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from spiral.engine.series import Series
+from spiral.engine.study import Study
+from spiral.physics.trace import Traced
+from spiral.types.cache import kept
+from spiral.types.errors import ConfigError
+from spiral.types.record import Array
+
+SMOOTHING = (5, 7, 11, 17, 25, 41, 65)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Smoothed states (samples, n) and accelerations (samples, coordinates) of one record."""
+
+    states: Array
+    acceleration: Array
+
+
+def motion(study: Study, series: Series, window: int) -> Motion:
+    """Local polynomials of degree 3 (Savitzky-Golay) through the measured coordinates.
+
+    A state that is not measured, nor the rate of one that is, is taken as zero, or as the measured
+    one that it is said to be like.
+    """
+    traced = study.compiled.traced
+    states = np.zeros((series.samples, len(traced.states)))
+    acceleration = np.zeros((series.samples, len(traced.acceleration)))
+    smooth = series.smoothed(window)
+    for channel, name in enumerate(traced.channels):
+        states[:, traced.states.index(name)] = smooth[0][:, channel]
+        if f"{name}_rate" in traced.states:
+            states[:, traced.states.index(f"{name}_rate")] = smooth[1][:, channel]
+            acceleration[:, traced.states.index(name)] = smooth[2][:, channel]
+    for name, measured in traced.like:
+        states[:, traced.states.index(name)] = states[:, traced.states.index(measured)]
+    return Motion(states, acceleration)
+
+
+@dataclass(frozen=True)
+class Balance:
+    """The balance of forces of one model as regression: columns for the unknowns, and the rest.
+
+    ``unknown`` are parameter positions in the study's arrays, ``states`` those of its states (a
+    study may have more, which effects bring); ``turning`` is the one unknown whose column turns
+    with the phase origin (an unbalance), if there is one.
+    """
+
+    unknown: tuple[int, ...]
+    origin: int | None
+    turning: int | None
+    used: tuple[int, ...]
+    states: tuple[int, ...]
+    columns: Callable[..., list[Any]]
+    rest: Callable[..., list[Any]]
+    rows: int
+
+
+def balance(study: Study, traced: Traced, unknown: tuple[str, ...]) -> Balance:
+    """Prepare the balance of a model traced without its candidates.
+
+    Raises
+    ------
+    ConfigError : a parameter without a start in a system whose coordinates are not all measured.
+    """
+    measured = {n for n in traced.states if f"{n}_rate" in traced.states} <= set(traced.channels)
+    if not traced.balance or not measured:
+        raise ConfigError(
+            f"no value for {', '.join(unknown)}",
+            "a start for every parameter of a system with hidden coordinates",
+            f"give one: values='{{{unknown[0]}: 1.0}}'",
+        )
+    origin = "system.phase_origin" if "system.phase_origin" in traced.keys else None
+    columns, rest, turning = _linear(traced, unknown, origin)
+    return Balance(
+        unknown=tuple(study.index(k) for k in unknown),
+        origin=study.index(origin) if origin else None,
+        turning=turning,
+        used=tuple(study.index(k) for k in traced.keys),
+        states=tuple(study.compiled.traced.states.index(x) for x in traced.states),
+        columns=columns,
+        rest=rest,
+        rows=len(traced.balance),
+    )
+
+
+@kept(32)
+def _linear(
+    traced: Traced, unknown: tuple[str, ...], origin: str | None
+) -> tuple[Callable[..., list[Any]], Callable[..., list[Any]], int | None]:
+    """Columns of the unknowns, the rest, and which unknown turns."""
+    symbols = [traced.p[traced.keys.index(k)] for k in unknown]
+    linear = sp.Matrix(traced.balance).jacobian(symbols)
+    rest = sp.Matrix(traced.balance).subs(dict.fromkeys(symbols, 0))
+    arguments = [*traced.x, *traced.u, *traced.p, *traced.acceleration]
+    made = [sp.lambdify(arguments, list(part), "numpy", cse=True) for part in (linear, rest)]
+    return made[0], made[1], _turning(traced, linear, origin)
+
+
+def _turning(traced: Traced, linear: sp.Matrix, origin: str | None) -> int | None:
+    """The one unknown whose column turns with the phase origin, if there is just one."""
+    if origin is None:
+        return None
+    symbol = traced.p[traced.keys.index(origin)]
+    found = [j for j in range(linear.cols) if symbol in linear.col(j).free_symbols]
+    return found[0] if len(found) == 1 else None
+
+
+def first_values(study: Study, equations: Balance, values: Array, window: int) -> Array:
+    """Values (records, parameters) with the unknown ones solved from the balance of forces.
+
+    The phase origin is found together with its unbalance from a quadrature pair; records whose
+    phase was not measured have a pair of their own, because their angles have nothing in common.
+    """
+    parts = [
+        _equations(equations, series, motion(study, series, window), row, window)
+        for series, row in zip(study.series, values, strict=True)
+    ]
+    target = np.concatenate([t for _, t in parts])
+    turning = equations.turning
+    group = angle_groups(study)
+    matrix = np.concatenate([m for m, _ in parts])
+    if turning is not None:
+        pairs = max(group) + 1
+        matrix = np.concatenate(
+            [_own_pair(m, turning, g, pairs) for (m, _), g in zip(parts, group, strict=True)]
+        )
+    solution = _scaled_least_squares(matrix, target)
+    new = values.copy()
+    steady = [p for j, p in enumerate(equations.unknown) if j != turning]
+    for position, amount in zip(steady, solution, strict=False):
+        new[:, position] = amount
+    if turning is not None and equations.origin is not None:
+        cosine, sine = solution[len(steady) :].reshape(-1, 2).T
+        new[:, equations.unknown[turning]] = np.sqrt(np.mean(cosine**2 + sine**2))
+        new[:, equations.origin] += np.arctan2(sine, cosine)[group]
+    return new
+
+
+def angle_groups(study: Study) -> list[int]:
+    """Records that share a phase origin have the same number: those with measured phase."""
+    groups: list[int] = []
+    own = 0
+    shared = any("phase" in s.record.measured for s in study.series)
+    for series in study.series:
+        if "phase" in series.record.measured:
+            groups.append(0)
+        else:
+            groups.append(own + (1 if shared else 0))
+            own += 1
+    return groups
+
+
+def _own_pair(matrix: Array, turning: int, group: int, pairs: int) -> Array:
+    """One record's rows with its turning column and quadrature moved to its group's pair."""
+    steady = np.delete(matrix[:, :-1], turning, axis=1)
+    wide = np.zeros((len(matrix), 2 * pairs))
+    wide[:, 2 * group] = matrix[:, turning]
+    wide[:, 2 * group + 1] = matrix[:, -1]
+    return np.concatenate([steady, wide], axis=1)
+
+
+def _equations(
+    equations: Balance, series: Series, moving: Motion, row: Array, window: int
+) -> tuple[Array, Array]:
+    """Rows (samples * coordinates) of the regression of one record, its ends left out."""
+    u = series.inputs[:: 2 * series.substeps]
+    edge = slice(window, -window)
+
+    def at(function: Callable[..., list[Any]], shift: float, width: int) -> Array:
+        shifted = row.copy()
+        if equations.origin is not None:
+            shifted[equations.origin] += shift
+        known = shifted[list(equations.used)]
+        states = moving.states[:, equations.states]
+        given = function(*states.T, *u.T, *known, *moving.acceleration.T)
+        flat = np.array([np.broadcast_to(v, (len(u),))[edge] for v in given])
+        return np.moveaxis(flat.reshape(equations.rows, width, -1), -1, 0).reshape(-1, width)
+
+    count = len(equations.unknown)
+    matrix = at(equations.columns, 0.0, count)
+    if equations.turning is not None:
+        quadrature = at(equations.columns, np.pi / 2, count)[:, [equations.turning]]
+        matrix = np.concatenate([matrix, quadrature], axis=1)
+    return matrix, -at(equations.rest, 0.0, 1)[:, 0]
+
+
+def _scaled_least_squares(matrix: Array, target: Array) -> Array:
+    scale = np.linalg.norm(matrix, axis=0)
+    scale[scale == 0] = 1.0
+    solution, *_ = np.linalg.lstsq(matrix / scale, target, rcond=1e-10)
+    return solution / scale

@@ -1,0 +1,1 @@
+"""From a question to an answer: compare, diagnose, discover, estimate, identify, plan."""

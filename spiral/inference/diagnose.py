@@ -1,0 +1,159 @@
+"""Diagnose: compare, say where the model fails, and rank what is missing; changes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from spiral.engine.threads import one_blas_thread
+from spiral.inference.compare import judged, last_stage, prepared, test_run
+from spiral.inference.evidence.admission import admit
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.judge import whole
+from spiral.inference.evidence.standing import Standing, all_samples, half_masks
+from spiral.inference.identifiability.parameters import entangled
+from spiral.inference.problem import Problem, Progress, silent
+from spiral.inference.strategies.innovation import INNOVATION
+from spiral.inference.strategies.resolved import remembered
+from spiral.inference.strategies.shooting import curve_of
+from spiral.inference.suggest import Proposal, propose
+from spiral.inference.unknown.holding import carried
+from spiral.inference.verdict import advice_for, seed_verdict, verdict_sentence
+from spiral.inference.where.regions import where
+from spiral.types.run import Diagnosis, Round, Stopped, Suggestion
+
+_TRIED = 3  # suggestions whose test error is worked out
+
+
+@one_blas_thread
+def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
+    """The verdict on the model as it is, with ranked suggestions.
+
+    The candidates are scored on one half of the blocks and judged on the other, as in a round of
+    ``discover``; the comparison is of the model fitted to all samples.
+    """
+    if problem.innovation is not None:
+        return _by_innovations(problem, progress)
+    progress("compiling the model and all candidates")
+    assembly, standing = prepared(problem)
+    tangle = entangled(assembly, standing)
+    progress("fitting the model as it is")
+    stage = last_stage(assembly, standing, all_samples(assembly))
+    standing = replace(standing, values=stage.fitted.point.values)
+    comparison = judged(assembly, standing, stage, progress)
+    first = Round(0, (), {}, {}, (), comparison, 0.0)
+    if tangle is not None:
+        advice = advice_for(
+            "not_identifiable", "not_identifiable", [first], tangle.groups, problem.settings
+        )
+        groups = tuple(Suggestion(g[0], "", g[1:], 1.0, 0.0, 1.0, 0.0) for g in tangle.groups)
+        return Diagnosis(
+            "not_identifiable",
+            comparison,
+            groups,
+            where(assembly, stage),
+            advice,
+            stage.length,
+            left_out=assembly.left_out,
+            summary=verdict_sentence("not_identifiable", comparison, problem.settings),
+        )
+    masks = half_masks(assembly)
+    proposal = propose(assembly, standing, masks, 1, progress)
+    white = comparison.whiteness_p >= problem.settings.whiteness_level
+    proposal = remembered(assembly, standing, proposal, white, masks, 1, progress)
+    if proposal.wide is not None:
+        standing, assembly = carried(standing, assembly, proposal.wide), proposal.wide
+    return _diagnosis(assembly, standing, comparison, proposal, first, progress)
+
+
+def _by_innovations(problem: Problem, progress: Progress) -> Diagnosis:
+    """The verdict by the likelihood of a filter's innovations; one suggestion is tried out."""
+    begun = INNOVATION.begin(problem, progress)
+    comparison, standing = begun.comparison, begun.standing
+    step = INNOVATION.propose(begun.assembly, standing, comparison, 1, progress)
+    first = Round(0, (), {}, {}, (), comparison, 0.0)
+    settings = problem.settings
+    verdict = seed_verdict(first, step.stopped, settings, bool(step.admitted))
+    suggestions = () if verdict == "nothing_missing" else step.suggestions
+    if step.admitted:
+        after = INNOVATION.settle(begun.assembly, step, progress).comparison.test_error
+        best, *others = step.suggestions
+        best = replace(best, test_error_before=comparison.test_error, test_error_after=after)
+        suggestions = (best, *others)
+    stage = whole(begun.assembly, standing.labels, standing.values)
+    advice = advice_for(verdict, step.stopped, [first], (), settings)
+    if step.admitted:
+        advice = _advice(next(iter(suggestions)))
+    return Diagnosis(
+        verdict, comparison, suggestions, where(begun.assembly, stage), advice, stage.length,
+        step.stopped == "diverged", left_out=begun.assembly.left_out,
+        summary=verdict_sentence(verdict, comparison, settings),
+    )  # fmt: skip
+
+
+def _advice(best: Suggestion) -> str:
+    alike = f" (or {', '.join(best.aliases)}: this record cannot tell)" if best.aliases else ""
+    return f"Add {best.effect}{alike}: {best.meaning}"
+
+
+def _diagnosis(
+    assembly: Assembly, standing: Standing, comparison, proposal: Proposal, first: Round, progress
+) -> Diagnosis:
+    settings = assembly.problem.settings
+    stopped: Stopped = "diverged" if proposal.diverged else "no_candidate"
+    shape = None
+    if proposal.admitted is None and comparison.whiteness_p < settings.whiteness_level:
+        found = curve_of(assembly, standing, proposal, comparison, 1, progress)
+        shape = None if found is None else found.shape.as_dict()
+        first = replace(first, details={} if shape is None else {"unknown": shape})
+    verdict = seed_verdict(first, stopped, settings, proposal.admitted is not None)
+    evidence = proposal.evidence
+    suggestions = _with_test_errors(assembly, standing, comparison.test_error, proposal, progress)
+    if verdict == "nothing_missing":
+        suggestions = ()
+    shown = evidence.stage if evidence is not None else proposal.stages[-1]
+    advice = advice_for(verdict, stopped, [first], (), settings)
+    if verdict == "effect_missing":
+        advice = _advice(next(iter(suggestions)))
+    return Diagnosis(
+        verdict,
+        comparison,
+        suggestions,
+        where(assembly, shown),
+        advice,
+        shown.length,
+        proposal.diverged,
+        proposal.not_separable,
+        shape,
+        assembly.left_out,
+        verdict_sentence(verdict, comparison, settings),
+    )
+
+
+def _with_test_errors(
+    assembly: Assembly, standing: Standing, before: float, proposal: Proposal, progress: Progress
+) -> tuple[Suggestion, ...]:
+    """Work out the test error of the best suggestions, each admitted alone."""
+    if proposal.evidence is None:
+        return proposal.suggestions
+    found = []
+    by_label = {r.variant.original.label: r for r in proposal.evidence.ranked}
+    for number, suggestion in enumerate(proposal.suggestions):
+        if number >= _TRIED or suggestion.wald_p_value > 0.01:
+            found.append(suggestion)
+            continue
+        progress(f"trying {suggestion.effect} on the test record")
+        if number == 0 and proposal.admitted is not None:
+            wider = proposal.admitted.standing
+        else:
+            chosen = by_label[suggestion.effect]
+            wider = admit(assembly, standing, proposal.evidence.stage, chosen).standing
+        stage = last_stage(assembly, wider, all_samples(assembly))
+        run = test_run(assembly, wider.labels, stage.fitted.point.values)
+        after = None
+        if run is not None:
+            names = assembly.problem.model.system.observed
+            after = float(np.mean([e.relative for e in run.errors(names).values()]))
+        found.append(replace(suggestion, test_error_before=before, test_error_after=after))
+    return tuple(found)

@@ -1,0 +1,336 @@
+"""From a problem to one compiled study: the model, all candidates, and their variants.
+
+A candidate with a shape parameter is compiled once for each value of its grid; a candidate that
+turns with the phase but has no direction of its own (an unbalance), while the model knows no phase
+origin yet, is compiled with a companion a quarter turn ahead.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from spiral.engine.series import prepare
+from spiral.engine.study import ORIGIN, Columns, Study, columns_for
+from spiral.inference.evidence.lines import strongest_line
+from spiral.inference.evidence.scales import extremes, scale, spread_out, usable, visited
+from spiral.inference.problem import Problem
+from spiral.physics.compile import compile_model
+from spiral.physics.rest import check_rest, finite_along, undefined_along
+from spiral.physics.trace import trace
+from spiral.types.effect import Effect
+from spiral.types.model import Model
+from spiral.types.parameter import Parameter
+from spiral.types.port import Port
+from spiral.types.record import Array, Record
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One compiled copy of a candidate: its shapes, and its companion a quarter turn ahead.
+
+    ``tuned`` are the shapes that a refit may set free (those with several values to try);
+    ``searched`` the number of independent values among which this one was looked for.
+    """
+
+    effect: Effect
+    original: Effect
+    shapes: Mapping[str, float]
+    companion: Effect | None = None
+    tuned: tuple[str, ...] = ()
+    searched: int = 1
+
+    @property
+    def label(self) -> str:
+        """The compiled label."""
+        return self.effect.label
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """One compiled study with what it was made from.
+
+    ``left_out`` are candidates that these records cannot be asked about, and why; ``regression``
+    is what ``strategy=paper`` keeps with it: differentiated samples and equations.
+    """
+
+    problem: Problem
+    study: Study
+    variants: tuple[Variant, ...]
+    regression: Any = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def later(self) -> tuple[Effect, ...]:
+        """Candidates with states of their own, which are compiled where a round calls for them."""
+        return tuple(c for c in self.problem.candidates if c.states)
+
+    def variant(self, label: str) -> Variant:
+        """A variant by its compiled label."""
+        return next(v for v in self.variants if v.label == label)
+
+
+def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()) -> Assembly:
+    """Trace and compile the model with all variants of all candidates, and prepare the records.
+
+    Candidates with states of their own wait for their round; ``more`` are variants of such, with
+    their shapes (``spiral.inference.strategies.resolved``). Candidates that are no numbers along
+    the records are left out, by name: compiled in with the others they would make no numbers of
+    all.
+    """
+    now = [c for c in problem.candidates if not c.states]
+    states = visited(problem.model, problem.records) if now else ()
+    largest = extremes(problem.model.system, problem.records, states) if now else {}
+    variants: list[Variant] = []
+    left_out: dict[str, str] = {}
+    for candidate in now:
+        found = _variants(problem.model, candidate, largest, problem)
+        variants += found
+        if not found:
+            left_out[candidate.label] = _unaskable(problem.model, candidate, largest)
+    variants += more
+    assembly = _compiled(problem, variants, substeps)
+    undefined = _undefined(assembly, states)
+    if undefined:
+        left_out |= dict.fromkeys(undefined, "it is no number (0/0, overflow) along these records")
+        kept = [v for v in variants if v.original.label not in undefined]
+        assembly = _compiled(problem, kept, substeps)
+    return replace(assembly, left_out=left_out)
+
+
+def _compiled(problem: Problem, variants: Sequence[Variant], substeps: int) -> Assembly:
+    model = problem.model
+    effects = [*model.effects]
+    shifts = [0.0] * len(effects)
+    for variant in variants:
+        effects.append(variant.effect)
+        shifts.append(0.0)
+        if variant.companion is not None:
+            effects.append(variant.companion)
+            shifts.append(np.pi / 2)
+    compiled = compile_model(trace(model.system, tuple(effects), tuple(shifts)))
+    check_rest(compiled, model.system, (*model.effects, *problem.candidates))
+    knot = problem.settings.phase_knot
+    series = tuple(prepare(model.system, r, substeps, knot) for r in problem.records)
+    return Assembly(problem, Study(compiled, series), tuple(variants))
+
+
+def _undefined(assembly: Assembly, states: Sequence[Array]) -> tuple[str, ...]:
+    """Candidates whose force or slopes are no numbers somewhere along the records."""
+    study = assembly.study
+    rows = first_row(assembly)
+    inputs = [s.inputs[:: 2 * s.substeps] for s in study.series]
+    for record, (x, u) in enumerate(zip(states, inputs, strict=False)):
+        where = spread_out(x)
+        if finite_along(study.compiled, rows[record], x[where], u[where]):
+            continue
+        values = dict(zip(study.keys, rows[record], strict=False))
+        effects = {v.effect.label: v.effect for v in assembly.variants}
+        system = assembly.problem.model.system
+        bad = undefined_along(system, tuple(effects.values()), values, x[where], u[where])
+        return tuple(dict.fromkeys(assembly.variant(x).original.label for x in bad))
+    return ()
+
+
+def _unaskable(model: Model, effect: Effect, largest: Mapping[str, float]) -> str:
+    """Why no value of an effect's shapes can be tried on these records."""
+    port = model.system.place(effect)
+    for parameter in effect.parameters:
+        if parameter.grid and not usable(scale(parameter, largest, port)):
+            return (
+                f"nothing moves at {port.name} in these records: its {parameter.name} has no scale"
+            )
+    return "the sample rate of these records cannot show it"
+
+
+def with_records(
+    assembly: Assembly, records: tuple[Record, ...], substeps: int, knot: float = 0.0
+) -> Assembly:
+    """The same compiled model with other records, their phase corrected only where asked."""
+    system = assembly.problem.model.system
+    series = tuple(prepare(system, r, substeps, knot) for r in records)
+    return replace(assembly, study=replace(assembly.study, series=series))
+
+
+def with_steps(assembly: Assembly, substeps: int) -> Assembly:
+    """The same study with so many integration steps per sample."""
+    problem = assembly.problem
+    return with_records(assembly, problem.records, substeps, problem.settings.phase_knot)
+
+
+def _variants(
+    model: Model, effect: Effect, largest: Mapping[str, float], problem: Problem
+) -> list[Variant]:
+    port = model.system.place(effect)
+    shapes = [p for p in effect.parameters if p.role == "shape"]
+    directed = any(e.undirected() for e in model.effects)
+    companion = effect.undirected() and not directed
+    found = []
+    for number, shares in enumerate(itertools.product(*(p.grid or (1.0,) for p in shapes))):
+        tag = str(number + 1) if shapes else ""
+        copy = replace(effect, variant=tag)
+        tried = [_tried(p, s, largest, port, problem) for p, s in zip(shapes, shares, strict=True)]
+        if not all(count for _, count in tried):
+            continue
+        keys = [f"{copy.label}.{p.name}" for p in shapes]
+        sizes = {k: value for k, (value, _) in zip(keys, tried, strict=True)}
+        tuned = tuple(k for k, p in zip(keys, shapes, strict=True) if len(p.grid) != 1)
+        turned = replace(effect, variant=f"{tag}quarter") if companion else None
+        searched = int(np.prod([count for _, count in tried]))
+        found.append(Variant(copy, effect, sizes, turned, tuned, searched))
+    return found
+
+
+def _tried(
+    parameter: Parameter, share: float, largest: Mapping[str, float], port: Port, problem: Problem
+) -> tuple[float, int]:
+    """A shape's value and among how many it was looked for; 0 where the records cannot show it."""
+    value = share * scale(parameter, largest, port)
+    if parameter.grid and not usable(value):
+        return value, 0
+    if not parameter.search:
+        return value, 1
+    return strongest_line(problem.records, value, parameter.search) or (value, 0)
+
+
+# --- columns -------------------------------------------------------------------------------------
+
+
+def active_keys(
+    assembly: Assembly,
+    labels: tuple[str, ...],
+    freed: tuple[str, ...] = (),
+    corrected: bool = True,
+) -> tuple[str, ...]:
+    """Parameters that a fit moves when these effects (compiled labels) are active."""
+    model = assembly.problem.model
+    movable = set(model.active)
+    effects = effects_of(assembly, labels)
+    turning = any("phase" in e.inputs for e in effects)
+    corrections = assembly.study.correction_keys if corrected and turning else ()
+    keys = []
+    for key in assembly.study.keys:
+        owner = key.rsplit(".", 1)[0]
+        if key == ORIGIN:
+            if ORIGIN in movable and any(e.undirected() for e in effects):
+                keys.append(key)
+        elif owner == "system" or owner in model.labels:
+            if key in movable and (owner == "system" or owner in labels):
+                keys.append(key)
+        elif owner in labels and (key in freed or _role(assembly, key) == "amplitude"):
+            keys.append(key)
+    return (*keys, *corrections)
+
+
+def nuisance_keys(assembly: Assembly, labels: tuple[str, ...]) -> tuple[str, ...]:
+    """Parameters that belong to a record and that these effects depend on."""
+    effects = effects_of(assembly, labels)
+    traced = assembly.study.compiled.traced
+    keys = []
+    for key, parameter in zip(traced.keys, traced.parameters, strict=True):
+        owner = key.rsplit(".", 1)[0]
+        if parameter.scope != "record" or (owner != "system" and owner not in labels):
+            continue
+        if key == ORIGIN and not any("phase" in e.inputs for e in effects):
+            continue
+        keys.append(key)
+    return tuple(keys)
+
+
+def effects_of(assembly: Assembly, labels: Collection[str]) -> list[Effect]:
+    """The effects behind compiled labels, the model's own first."""
+    own = [e for e in assembly.problem.model.effects if e.label in labels]
+    return own + [v.effect for v in assembly.variants if v.label in labels]
+
+
+def _role(assembly: Assembly, key: str) -> str:
+    return assembly.study.compiled.traced.parameters[assembly.study.index(key)].role
+
+
+def columns(assembly: Assembly, keys: tuple[str, ...]) -> tuple[Columns, tuple[Array, Array]]:
+    """Columns with their bounds; the phase origin is shared where phase was measured."""
+    study = assembly.study
+    shared = all("phase" in s.record.measured for s in study.series)
+    found = columns_for(study, keys, shared)
+    known = study.compiled.traced.parameters
+    parameters = [known[i] if i < len(known) else None for i in found.index]
+    low = np.array([-np.inf if p is None or p.lower is None else p.lower for p in parameters])
+    high = np.array([np.inf if p is None or p.upper is None else p.upper for p in parameters])
+    return found, (low, high)
+
+
+def first_row(assembly: Assembly) -> Array:
+    """Values (records, parameters) known before any fit: given, starts, shapes; else zero."""
+    study = assembly.study
+    row = np.zeros(len(study.keys) + study.corrections)
+    given = assembly.problem.model.values
+    for i, (key, parameter) in enumerate(
+        zip(study.keys, study.compiled.traced.parameters, strict=True)
+    ):
+        row[i] = given.get(key, parameter.start or 0.0)
+    for variant in assembly.variants:
+        for key, value in variant.shapes.items():
+            row[study.index(key)] = value
+            if variant.companion is not None:
+                row[study.index(key.replace(variant.label, variant.companion.label))] = value
+    return np.tile(row, (len(study.series), 1))
+
+
+def unknown_keys(assembly: Assembly, keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Active parameters for which neither a value nor a start is known."""
+    given = assembly.problem.model.values
+    traced = assembly.study.compiled.traced
+    starts = dict(zip(traced.keys, traced.parameters, strict=True))
+    return tuple(k for k in keys if k not in given and k in starts and starts[k].start is None)
+
+
+def placed(assembly: Assembly, labels: tuple[str, ...], values: Array, model: Model) -> Array:
+    """The values of a fitted model in the columns of its study; what it does not hold stays."""
+    own = {"system", *labels}
+    rename = {v.label: v.original.label for v in assembly.variants if v.label in own}
+    found = values.copy()
+    for column, key in enumerate(assembly.study.keys):
+        owner, name = key.rsplit(".", 1)
+        value = model.values.get(f"{rename.get(owner, owner)}.{name}")
+        if owner in own and value is not None:
+            found[:, column] = value
+    return found
+
+
+def to_model(
+    assembly: Assembly,
+    labels: tuple[str, ...],
+    values: Array,
+    errors: Mapping[str, float],
+    freed: tuple[str, ...] = (),
+    held: tuple[str, ...] = (),
+) -> Model:
+    """The model that a standing of the study amounts to, under its effects' real names.
+
+    ``freed`` shapes move in later fits of it, ``held`` amplitudes do not.
+    """
+    model = assembly.problem.model
+    chosen = [assembly.variant(x) for x in labels if x not in model.labels]
+    rename = {v.label: v.original.label for v in chosen}
+    effects = tuple(e for e in model.effects if e.label in labels)
+    effects += tuple(v.original for v in chosen)
+
+    def real(key: str) -> str:
+        owner, name = key.rsplit(".", 1)
+        return f"{rename.get(owner, owner)}.{name}"
+
+    kept = {"system", *labels}
+    row = dict(zip(assembly.study.keys, values[0], strict=False))  # corrections left out
+    known = {real(k): float(v) for k, v in row.items() if k.rsplit(".", 1)[0] in kept}
+    return replace(
+        model,
+        effects=effects,
+        values=known,
+        errors={real(k): float(v) for k, v in errors.items() if k.rsplit(".", 1)[0] in kept},
+        freed=(*model.freed, *(real(k) for k in freed)),
+        fixed=(*model.fixed, *(real(k) for k in held)),
+    )

@@ -1,0 +1,160 @@
+"""Judging: with the machine's parameters held, only a record's own nuisances are estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.fit import Fitted, fit
+from spiral.engine.growth import (
+    Stage,
+    carried_starts,
+    first_starts,
+    grow,
+    layouts_for,
+    lengths_for,
+)
+from spiral.engine.sensitivities import reduce, residuals, run_windows
+from spiral.engine.study import Point
+from spiral.engine.windows import cut
+from spiral.inference.evidence.assembly import (
+    ORIGIN,
+    Assembly,
+    columns,
+    nuisance_keys,
+    with_records,
+)
+from spiral.types.record import Array
+from spiral.types.run import ChannelError
+
+_ORIGINS = 8  # phase origins tried for a record whose own is not known
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """A prediction that never looked at the channels after its settling time.
+
+    Arrays (samples, channels) for each record; ``settled`` is the first sample scored.
+    """
+
+    predicted: tuple[Array, ...]
+    measured: tuple[Array, ...]
+    settled: tuple[int, ...]
+    values: Array
+
+    def errors(self, names: tuple[str, ...]) -> dict[str, ChannelError]:
+        """Error of each channel over all records, relative to its standard deviation."""
+        found = {}
+        for j, name in enumerate(names):
+            miss = np.concatenate([(p - m)[s:, j] for p, m, s in zip(*self._parts(), strict=True)])
+            seen = np.concatenate(
+                [
+                    m[s:, j] - m[s:, j].mean()
+                    for m, s in zip(self.measured, self.settled, strict=True)
+                ]
+            )
+            with np.errstate(over="ignore", invalid="ignore"):
+                rmse = float(np.sqrt(np.mean(miss**2)))
+            rmse = rmse if np.isfinite(rmse) else np.inf
+            spread = float(np.sqrt(np.mean(seen**2)))
+            found[name] = ChannelError(rmse, rmse / spread if spread > 0 else np.inf)
+        return found
+
+    def _parts(self) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[int, ...]]:
+        return self.predicted, self.measured, self.settled
+
+
+def held_out(
+    assembly: Assembly, labels: tuple[str, ...], stage: Stage, masks: tuple[Array | None, ...]
+) -> tuple[Fitted, tuple[Array, ...]]:
+    """Residuals on other samples of the fitted records, at the stage's window length."""
+    study = assembly.study
+    layouts = layouts_for(study, stage.length, masks)
+    point = Point(stage.fitted.point.values, carried_starts(study, stage, layouts))
+    found, bounds = columns(assembly, nuisance_keys(assembly, labels))
+    fitted = fit(study, layouts, point, found, bounds, iterations=8)
+    return fitted, residuals(study, layouts, fitted.point)
+
+
+def whole(
+    assembly: Assembly,
+    labels: tuple[str, ...],
+    values: Array,
+    longest: int | None = None,
+    any_origin: bool = False,
+) -> Stage:
+    """Fit only nuisances to whole records, by growing windows; the last stage reached.
+
+    ``any_origin``: the phase origin may lie anywhere, so eight around the circle are tried.
+    """
+    study = assembly.study
+    nuisances = nuisance_keys(assembly, labels)
+    found, bounds = columns(assembly, nuisances)
+    block = min(64, min(s.samples for s in study.series))
+    lengths = [n for n in lengths_for(study, block) if longest is None or n <= longest]
+    lengths = lengths or [longest or block]
+    masks: tuple[Array | None, ...] = (None,) * len(study.series)
+    if any_origin and ORIGIN in nuisances:
+        values = _best_origin(assembly, values, lengths, masks)
+    last: Stage | None = None
+    for stage in grow(study, values, found, bounds, masks, lengths, patient=True):
+        if last is None or np.isfinite(stage.fitted.cost):
+            last = stage
+    assert last is not None
+    return last
+
+
+def _best_origin(
+    assembly: Assembly, values: Array, lengths: list[int], masks: tuple[Array | None, ...]
+) -> Array:
+    """Each record's phase origin to start from: the present one, or the best of eight turns."""
+    study = assembly.study
+    position = study.index(ORIGIN)
+    layouts = layouts_for(study, lengths[min(1, len(lengths) - 1)], masks)
+    none, _ = columns(assembly, ())
+    starts = first_starts(study, layouts, values)
+    best = values.copy()
+    for record, series in enumerate(study.series):
+        alone = replace(study, series=(series,))
+        lowest = np.inf
+        for turn in range(_ORIGINS):
+            trial = values[record : record + 1].copy()
+            trial[:, position] += 2 * np.pi * turn / _ORIGINS
+            point = Point(trial, (starts[record],))
+            reduction = reduce(alone, (layouts[record],), point, none)
+            cost = float(reduction.triangle[-1, -1] ** 2) if reduction.finite else np.inf
+            if cost < 0.98 * lowest:
+                best[record], lowest = trial[0], cost
+    return best
+
+
+def free_run(
+    assembly: Assembly, labels: tuple[str, ...], values: Array, settle: float | None = None
+) -> FreeRun:
+    """Free run on records: nuisances from the first ``settle`` seconds (all, where None)."""
+    study = assembly.study
+    if settle is None:
+        settled, heads = (0,) * len(study.series), assembly
+    else:
+        settled = tuple(min(round(settle / s.dt), s.samples // 2) for s in study.series)
+        parts = tuple(
+            replace(s.record.part(0, max(n, 16), s.record.name), noise=s.record.sigma())
+            for s, n in zip(study.series, settled, strict=True)
+        )
+        heads = with_records(assembly, parts, study.series[0].substeps)
+    rows = np.repeat(values[:1], len(study.series), axis=0)
+    stage = whole(heads, labels, rows, any_origin=settle is not None)
+    return run_free(assembly, stage, settled)
+
+
+def run_free(assembly: Assembly, stage: Stage, settled: tuple[int, ...]) -> FreeRun:
+    """Integrate every record from the first window's start of a stage to its end."""
+    study = assembly.study
+    starts = tuple(x[:1] for x in stage.fitted.point.starts)
+    point = Point(stage.fitted.point.values, starts)
+    predicted = tuple(
+        run_windows(study, r, cut(s.samples, s.samples), point)[1]
+        for r, s in enumerate(study.series)
+    )
+    return FreeRun(predicted, tuple(s.y for s in study.series), settled, point.values)

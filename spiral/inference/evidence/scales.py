@@ -1,0 +1,128 @@
+"""What the records visit: states along them, and the largest position and velocity at every port.
+
+Shapes of candidates (a gap, a width) are tried at shares of these scales. A measured coordinate and
+its rate come from local polynomials through its samples. A hidden one is seen by no polynomial: it
+is what a filter makes of the model as it stands and the record, with process noise that lets the
+measurements overrule the model,
+
+    x_hidden(t) = E[x(t) | y up to t],
+
+at a level of 0.3 (``spiral.engine.filter.noise``). Where that runs away it is
+the model's free run under the record's inputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from spiral.engine.filter.extended import filtered
+from spiral.engine.filter.noise import groups
+from spiral.engine.filter.setup import prepared, with_level
+from spiral.engine.filter.task import compiled_for, free_run, task_with
+from spiral.engine.series import Series, prepare
+from spiral.engine.start import motion
+from spiral.engine.study import Study
+from spiral.physics.compile import compile_model
+from spiral.physics.trace import Traced, trace
+from spiral.types.model import Model
+from spiral.types.parameter import Parameter
+from spiral.types.port import Port
+from spiral.types.record import Array, Record
+from spiral.types.system import MechanicalSystem, System
+
+_LEVEL = 0.3  # process noise of the filter: a model that is wrong by three tenths of every rate
+_WINDOW = 11  # samples of a local polynomial
+
+
+def extremes(system: System, records: Sequence[Record], along: Sequence[Array]) -> dict[str, float]:
+    """Largest |position| and |velocity| at every port, as ``PORT.position``.
+
+    ``along`` are the states (samples, n) that each record visits.
+    """
+    traced = trace(system, ())
+    states = np.concatenate(along)
+    found = {}
+    for port in system.ports:
+        for kind, expressions in at_port(system, port, traced):
+            values = sp.lambdify(traced.x, expressions, "numpy")(*states.T)
+            found[f"{port.name}.{kind}"] = max(
+                float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
+            )
+    seen = [np.abs(c).max() for r in records for c in r.channels.values()]
+    return {**found, "sensors.position": float(max(seen))}
+
+
+def scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> float:
+    """What a grid's values are shares of; a parameter without a grid has its start."""
+    if not parameter.grid:
+        return parameter.start or 1.0
+    for kind in ("velocity", "position"):
+        if kind in parameter.unit:
+            return largest[f"{port.name}.{kind}"]
+    return 1.0
+
+
+def usable(size: float) -> bool:
+    """Whether a scale is a positive number."""
+    return bool(np.isfinite(size) and size > 0)
+
+
+def spread_out(states: Array, count: int = 64) -> Array:
+    """Some samples that cover what is visited: evenly spaced, and every state's extremes."""
+    even = np.linspace(0, len(states) - 1, min(count, len(states))).astype(np.int64)
+    return np.unique(np.concatenate([even, states.argmin(axis=0), states.argmax(axis=0)]))
+
+
+def visited(model: Model, records: tuple[Record, ...]) -> tuple[Array, ...]:
+    """The system's states (samples, n) along every record; hidden ones as the model infers them."""
+    traced = trace(model.system, ())
+    study = Study(compile_model(traced), tuple(prepare(model.system, r, 1) for r in records))
+    seen = [motion(study, s, _WINDOW).states for s in study.series]
+    hidden = [i for i, name in enumerate(traced.states) if name not in _shown(traced)]
+    if hidden:
+        for states, series in zip(seen, study.series, strict=True):
+            states[:, hidden] = _inferred(model, series)[:, hidden]
+    return tuple(seen)
+
+
+def _shown(traced: Traced) -> set[str]:
+    """States that ``motion`` takes from channels: measured, rates of such, and those like one."""
+    channels = set(traced.channels)
+    return channels | {f"{c}_rate" for c in channels} | {name for name, _ in traced.like}
+
+
+def _inferred(model: Model, series: Series) -> Array:
+    """(samples, n) hidden states by a filter, else by a free run, else zero."""
+    traced = trace(model.system, model.effects)
+    own = tuple(k for k, p in model.pairs if p.scope == "record")
+    known = [model.values.get(k, p.start or 0.0) for k, p in model.pairs]
+    n = len(trace(model.system, ()).states)
+    with np.errstate(all="ignore"):
+        task = task_with(model, compiled_for(traced, own), np.array(known, float), series.record)
+        task, settings = prepared(task)
+        noisy = with_level(task, settings, dict.fromkeys(groups(task), _LEVEL))
+        passed = filtered(task, noisy)
+        if passed.done == series.samples and np.isfinite(passed.means).all():
+            return passed.means[:, :n]
+        run = free_run(task.compiled, task.series, task.inputs, task.values)
+    return np.zeros((series.samples, n)) if run is None else run[:, :n]
+
+
+def at_port(system: System, port: Port, traced: Traced) -> list[tuple[str, list[Any]]]:
+    """A port's position, and in a mechanical system its velocity, as expressions of the states."""
+    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
+    own = zip(traced.keys, traced.parameters, strict=True)
+    p = SimpleNamespace(**{k.split(".", 1)[1]: sp.Float(v.start or 1.0) for k, v in own})
+    if not isinstance(system, MechanicalSystem):
+        return [("position", list(port.coordinates(x, p)))]
+    q, v = system.split(x)
+    position = sp.Matrix(port.coordinates(q, p))
+    names = [c.name for c in system.coordinates]
+    velocity = position.jacobian([getattr(q, n) for n in names])
+    velocity = velocity * sp.Matrix([getattr(v, n) for n in names])
+    return [("position", sp.flatten(position)), ("velocity", sp.flatten(velocity))]

@@ -1,0 +1,135 @@
+"""Where a study stands, and its fits on growing windows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.growth import Stage, first_starts, grow, layouts_for, lengths_for
+from spiral.engine.sensitivities import reduce
+from spiral.engine.start import SMOOTHING, balance, first_values
+from spiral.engine.study import Point
+from spiral.engine.windows import block_length, fair_block, halves
+from spiral.inference.evidence.assembly import (
+    Assembly,
+    active_keys,
+    columns,
+    first_row,
+    unknown_keys,
+)
+from spiral.physics.trace import trace
+from spiral.types.effect import Effect
+from spiral.types.record import Array
+
+Masks = tuple[Array | None, ...]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a study stands: active effects (compiled labels), values, shapes set free.
+
+    ``held`` are amplitudes of active effects that stay at zero, not admitted themselves;
+    ``shortest`` the shortest windows of later fits: those on which an effect was found from afar,
+    or one with own states, which short windows would begin anew too often. ``free_from`` is the
+    longest windows on which shapes were set free.
+    """
+
+    labels: tuple[str, ...]
+    values: Array
+    freed: tuple[str, ...] = ()
+    corrected: bool = True
+    held: tuple[str, ...] = ()
+    shortest: int = 0
+    free_from: int = 0
+
+    def keys(self, assembly: Assembly) -> tuple[str, ...]:
+        """Parameters that a fit of this standing moves."""
+        found = active_keys(assembly, self.labels, self.freed, self.corrected)
+        return tuple(k for k in found if k not in self.held)
+
+
+def half_masks(assembly: Assembly) -> tuple[Masks, Masks]:
+    """Blocks that select and blocks that judge, for every record (``fair_block``)."""
+    pairs = [
+        halves(s.samples, fair_block(s.y, block_length(s.samples))) for s in assembly.study.series
+    ]
+    return tuple(a for a, _ in pairs), tuple(b for _, b in pairs)
+
+
+def all_samples(assembly: Assembly) -> Masks:
+    """No mask: every sample counts."""
+    return (None,) * len(assembly.study.series)
+
+
+def stage_lengths(assembly: Assembly) -> list[int]:
+    """Window lengths of this study."""
+    shortest = min(s.samples for s in assembly.study.series)
+    return lengths_for(assembly.study, block_length(shortest))
+
+
+def begin(assembly: Assembly, labels: tuple[str, ...]) -> Standing:
+    """The first standing: unknown values from the balance of forces.
+
+    Several smoothing windows are tried; the one whose shortest-window fit promises the smallest
+    error after one step is kept.
+    """
+    known = Standing(labels, first_row(assembly))
+    keys = known.keys(assembly)
+    unknown = unknown_keys(assembly, keys)
+    study, model = assembly.study, assembly.problem.model
+    if not unknown:
+        far = any(two_sided(e) for e in model.effects if e.label in labels)
+        return replace(known, shortest=stage_lengths(assembly)[-1]) if far else known
+    own = tuple(e for e in model.effects if e.label in labels)
+    equations = balance(study, trace(model.system, own), unknown)
+    layouts = layouts_for(study, stage_lengths(assembly)[0], all_samples(assembly))
+    moving, _ = columns(assembly, keys)
+    best, lowest = known, np.inf
+    shortest = min(s.samples for s in study.series)
+    for window in (w for w in SMOOTHING if 4 * w <= shortest):
+        values = first_values(study, equations, known.values, window)
+        if not np.all(np.isfinite(values)):
+            continue
+        point = Point(values, first_starts(study, layouts, values, window))
+        reduction = reduce(study, layouts, point, moving)
+        promised = float(reduction.triangle[-1, -1] ** 2) if reduction.finite else np.inf
+        if promised < lowest:
+            best, lowest = Standing(labels, values), promised
+    return best
+
+
+def grown(
+    assembly: Assembly,
+    standing: Standing,
+    masks: Masks,
+    lengths: list[int] | None = None,
+    patient: bool = False,
+) -> Iterator[Stage]:
+    """Fit the standing model on growing windows; ``patient`` as in ``grow``.
+
+    Values found from afar are kept while the window starts find theirs. Shapes set free are held
+    on windows shorter than those that freed them, where a gap may flee beyond the motion.
+    """
+    moving, bounds = columns(assembly, standing.keys(assembly))
+    sizes = lengths or [n for n in stage_lengths(assembly) if n >= standing.shortest]
+    alone = columns(assembly, ()) if standing.shortest else None
+    study, values = assembly.study, standing.values
+    early = [n for n in sizes[:-1] if n < standing.free_from]
+    stage: Stage | None = None
+    if early:
+        shapes = [i in {study.index(k) for k in standing.freed} for i in moving.index]
+        at = moving.current(values)
+        still = (np.where(shapes, at, bounds[0]), np.where(shapes, at, bounds[1]))
+        for stage in grow(study, values, moving, still, masks, early, patient, alone):
+            yield stage
+        if stage is None or not (stage.fitted.converged or patient):
+            return
+    late = sizes[len(early) :]
+    yield from grow(study, values, moving, bounds, masks, late, patient, alone, stage)
+
+
+def two_sided(effect: Effect) -> bool:
+    """Whether all amplitudes of an effect are bounded on both sides."""
+    return all(p.lower is not None and p.upper for p in effect.amplitudes())

@@ -1,0 +1,203 @@
+"""Signatures: the columns that a model's parameters have in the observable equations of motion.
+
+    s_l(t) = phi_l(q, q', u) = d a / d theta_l        (the paper's eqs. signature and sig_matrix)
+
+a being the accelerations of the observed coordinates (the rates, in a system of first order). They
+come from the traced physics, never from a second copy of an equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.series import half_step_inputs
+from spiral.physics.trace import Traced, trace
+from spiral.types.effect import Effect
+from spiral.types.errors import ConfigError, InputError
+from spiral.types.model import Model
+from spiral.types.record import Array, Record
+from spiral.types.system import System
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """The signature matrix with the names of its columns.
+
+    Parameters
+    ----------
+    keys : (p,) full names of the coefficients, ``gyroscopic.coefficient``.
+    rows : (n,) the states whose rates are the equations, ``x_rate``.
+    columns : (n, N, p) values of the columns at the samples, in the unit of a row's rate per
+        that of the coefficient.
+    left_out : effect -> why it has no column here.
+    shapes : the shapes (gaps, widths) at which columns were taken, by full name.
+    """
+
+    keys: tuple[str, ...]
+    rows: tuple[str, ...]
+    columns: Array
+    left_out: Mapping[str, str]
+    shapes: Mapping[str, float]
+
+    @property
+    def stacked(self) -> Array:
+        """(n N, p): all equations below one another."""
+        return self.columns.reshape(-1, len(self.keys))
+
+    @property
+    def owners(self) -> tuple[str, ...]:
+        """The effect of each column; the phase origin belongs to the unbalance."""
+        return tuple(owner_of(k) for k in self.keys)
+
+    def only(self, keys: tuple[str, ...]) -> Signatures:
+        """These columns alone, in this order."""
+        index = [self.keys.index(k) for k in keys]
+        return replace(self, keys=keys, columns=self.columns[:, :, index])
+
+
+def owner_of(key: str) -> str:
+    """The label of the effect that a key belongs to."""
+    owner, name = key.rsplit(".", 1)
+    return "unbalance" if name == "phase_origin" else owner
+
+
+def equation_rows(system: System) -> tuple[str, ...]:
+    """States whose rates are measured: of each channel its velocity, or itself in first order."""
+    names = [s.name for s in system.states]
+    return tuple(f"{c}_rate" if f"{c}_rate" in names else c for c in system.observed)
+
+
+def signatures(
+    model: Model, candidates: tuple[Effect, ...], states: Mapping[str, Array], record: Record
+) -> Signatures:
+    """The columns of a model and of candidates along a motion.
+
+    Parameters
+    ----------
+    model : its effects, and values for what is not linear (a mass, a gap).
+    candidates : further effects.
+    states : state -> (N,) values; those of the observed coordinates and their velocities, or all.
+    record : its inputs, on the same samples.
+
+    Raises
+    ------
+    InputError : the model's own equations need a state that is not among ``states``.
+    """
+    system = model.system
+    wanted = (*model.effects, *(c for c in candidates if c.label not in model.labels))
+    left_out: dict[str, str] = {}
+    kept: list[Effect] = []
+    for effect in wanted:
+        reason = _unseen(system, effect, states)
+        if reason and effect in model.effects:
+            raise InputError(
+                f"{effect.label} in the equations of {system.plugin_name()}, which need {reason}",
+                "equations in measured coordinates and their velocities alone",
+                "a system of what is measured, for instance system=planar_rotor",
+            )
+        if reason:
+            left_out[effect.label] = f"needs {reason}"
+        else:
+            kept.append(effect)
+    traced = trace(system, tuple(kept))
+    rows = equation_rows(system)
+    shapes = _shapes(traced, system, states)
+    values = {**shapes, **model.values}
+    keys, columns = _columns(traced, rows, values, states, _inputs(system, record))
+    for effect in kept:
+        if not any(owner_of(k) == effect.label for k in keys):
+            left_out[effect.label] = "no force anywhere along the record"
+    return Signatures(keys, rows, columns, left_out, shapes)
+
+
+def _unseen(system: System, effect: Effect, states: Mapping[str, Array]) -> str:
+    """States that an effect's columns need and nobody has; empty where there are none."""
+    traced = trace(system, (effect,))
+    needed: set[str] = set()
+    for row in equation_rows(system):
+        line = traced.rate_p.row(traced.states.index(row))
+        for name, symbol in zip(traced.states, traced.x, strict=True):
+            if line.has(symbol):
+                needed.add(name)
+    return ", ".join(sorted(needed - set(states)))
+
+
+def _shapes(traced: Traced, system: System, states: Mapping[str, Array]) -> dict[str, float]:
+    """Shapes with a grid, at its middle: shares of the largest displacement or velocity."""
+    found = {}
+    rates = [r for r in equation_rows(system) if r not in system.observed]
+    for key, parameter in zip(traced.keys, traced.parameters, strict=True):
+        if parameter.role == "shape" and parameter.grid:
+            names = rates if rates and "velocity" in parameter.unit else system.observed
+            largest = max(float(np.max(np.abs(states[n]))) for n in names)
+            found[key] = parameter.grid[len(parameter.grid) // 2] * largest
+    return found
+
+
+def _inputs(system: System, record: Record) -> Array:
+    """(N, inputs) in the order of the traced inputs, rates included."""
+    return half_step_inputs(system, record, 1)[::2]
+
+
+def _columns(
+    traced: Traced,
+    rows: tuple[str, ...],
+    given: Mapping[str, float],
+    states: Mapping[str, Array],
+    inputs: Array,
+) -> tuple[tuple[str, ...], Array]:
+    """Keys with a column that is not zero, and the columns (n, N, p).
+
+    Amplitudes stand at zero, where a column is the coefficient's own; a parameter that shows only
+    beside an amplitude (a phase origin) is taken with all amplitudes at one.
+    """
+    count = len(inputs)
+    x = [np.asarray(states.get(n, np.zeros(count)), dtype=float) for n in traced.states]
+    pairs = list(zip(traced.keys, traced.parameters, strict=True))
+    moving = [i for i, (k, q) in enumerate(pairs) if q.role == "amplitude" or k.startswith("sys")]
+    own = {i for i, (k, q) in enumerate(pairs) if q.role == "amplitude" and not _of_system(k)}
+    base = np.array([_value(k, q, given) for k, q in pairs])
+    off = np.where([i in own for i in range(len(pairs))], 0.0, base)
+    on = np.where([i in own for i in range(len(pairs))], 1.0, base)
+    function = _jacobian(traced, rows, moving)
+    found = _evaluated(function, x, inputs, off, (len(rows), count, len(moving)))
+    beside = _evaluated(function, x, inputs, on, found.shape)
+    silent = ~np.any(found, axis=(0, 1))
+    found[:, :, silent] = beside[:, :, silent]
+    seen = np.flatnonzero(np.any(found, axis=(0, 1)))
+    return tuple(pairs[moving[i]][0] for i in seen), found[:, :, seen]
+
+
+def _of_system(key: str) -> bool:
+    return key.startswith("system.")
+
+
+def _value(key: str, parameter, given: Mapping[str, float]) -> float:
+    value = given.get(key, parameter.start)
+    return 1.0 if value is None else float(value)
+
+
+def _jacobian(traced: Traced, rows: tuple[str, ...], moving: list[int]):
+    """(x, u, p) -> list of columns for each row, made by SymPy for arrays."""
+    import sympy as sp
+
+    lines = [traced.rate_p.row(traced.states.index(row)) for row in rows]
+    entries = [[line[i] for i in moving] for line in lines]
+    return sp.lambdify([traced.x, traced.u, traced.p], entries, modules="numpy", cse=True)
+
+
+def _evaluated(function, x: list[Array], inputs: Array, p: Array, shape) -> Array:
+    with np.errstate(all="ignore"):
+        entries = function(x, list(inputs.T), p)
+    found = np.empty(shape)
+    for row, line in enumerate(entries):
+        for column, values in enumerate(line):
+            found[row, :, column] = values
+    if not np.isfinite(found).all():
+        raise ConfigError(
+            "a signature that is not finite", "effects with finite forces along the record"
+        )
+    return found

@@ -1,0 +1,112 @@
+"""What a step is asked: a model, records to fit, records to judge by, candidates, settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from spiral.engine.gate import Gate
+from spiral.types.derivative import Derivative
+from spiral.types.effect import Effect
+from spiral.types.learner import Learner
+from spiral.types.library import Library
+from spiral.types.model import Model
+from spiral.types.record import Record
+
+Progress = Callable[[str], None]
+"""Told in words what is being done; the command line draws it."""
+
+
+def silent(message: str) -> None:
+    """A progress that says nothing."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Levels and sizes of the statistics; plain numbers with the field's usual values.
+
+    Parameters
+    ----------
+    level : family-wise error of a whole study, spent over its rounds.
+    smallest : smallest change of the predicted response that counts, in noise standard deviations.
+    max_rounds : rounds after which the loop stops.
+    alias_level : significance at which two candidates' prediction errors are told apart.
+    whiteness_level : significance at which residuals are called coloured.
+    lags : lags of the Ljung-Box statistic.
+    share : smallest contribution of a term that a test is planned for, of the acceleration's rms.
+    miss : probability of missing such a term.
+    chi2_limit : chi2 per degree of freedom, and its inverse, beyond which the noise does not
+        explain what a model leaves: evidence relies on a noise model that is right within this.
+    least_t : |estimate| over standard error under which an effect is not called missing.
+    learned : whether ``discover`` admits a learned curve where no candidate explains what is left.
+    phase_knot : seconds between knots of the smooth phase correction that a fitted record gets
+        where its phase is integrated from a measured speed; 0 switches it off.
+    """
+
+    level: float = 0.01
+    smallest: float = 0.1
+    max_rounds: int = 8
+    alias_level: float = 0.01
+    whiteness_level: float = 0.001
+    lags: int = 40
+    chi2_limit: float = 2.0
+    least_t: float = 3.0
+    share: float = 0.1
+    miss: float = 0.05
+    phase_knot: float = 1.0
+    learned: bool = False
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How ``strategy=paper`` splits and samples.
+
+    Parameters
+    ----------
+    train : share of the samples that is fitted; the others validate.
+    split : ``blocks`` of 256 samples spread over the record, or its ``tail`` for validation.
+    sampling : where the learned residual is evaluated: a Halton ``box``, the ``trajectory``, or
+        ``samples``, which regresses the residual itself and learns nothing.
+    points : of the Halton sequence.
+    seed : of the learner, the scrambling of the sequence, and resampling.
+    """
+
+    train: float = 0.7
+    split: Literal["blocks", "tail"] = "blocks"
+    sampling: Literal["box", "trajectory", "samples"] = "box"
+    points: int = 100_000
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Published:
+    """The plugins and choices that make up ``strategy=paper``; ``gates`` in the order asked."""
+
+    derivative: Derivative
+    learner: Learner
+    library: Library
+    gates: tuple[Gate, ...]
+    sampling: Sampling = field(default_factory=Sampling)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One study's question.
+
+    ``records`` are fitted; ``test`` is seen neither by fit nor by selection, its first ``settle``
+    seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
+    ``dictionary`` are learned effects, tried where no candidate explains what is left.
+    ``published`` chooses the paper's evidence, ``innovation`` (its gates) that of a filter; left
+    out, both, it comes from trajectories.
+    """
+
+    model: Model
+    records: tuple[Record, ...]
+    test: tuple[Record, ...]
+    settle: float | None = None
+    candidates: tuple[Effect, ...] = ()
+    settings: Settings = field(default_factory=Settings)
+    published: Published | None = None
+    dictionary: tuple[Effect, ...] = ()
+    innovation: tuple[Gate, ...] | None = None

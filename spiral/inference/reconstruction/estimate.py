@@ -1,0 +1,277 @@
+"""Reconstruct all states of a model with an observer, and say how far to trust the result.
+
+Scored after the first second; errors only where the truth is known (simulated records). Relative
+errors are over the standard deviation of the true state. Every result stands beside that of the
+static map, which needs no filter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from spiral.engine.filter.observer import Observer, Reconstruction
+from spiral.engine.filter.task import Task, prepare_task
+from spiral.engine.threads import one_blas_thread
+from spiral.inference.problem import Progress, silent
+from spiral.inference.reconstruction.consistency import (
+    Bounded,
+    Consistency,
+    bounded,
+    consistency,
+    normalised_squares,
+)
+from spiral.inference.reconstruction.consistency import stable_samples as stable
+from spiral.inference.reconstruction.observability import Observability, observability
+from spiral.physics.trace import own_states
+from spiral.types.model import Model, pretty_unit
+from spiral.types.record import Array, Record
+
+SKIPPED = 1.0  # s at the start that are not scored
+BAND = 1.959964  # half a 95 % band, in standard deviations
+_REACHED = 0.02  # relative error whose first time is reported
+_WINDOW = 0.1  # s over which that error is taken
+
+
+@dataclass(frozen=True)
+class StateScore:
+    """One state: its mean band, and its errors where the truth is known.
+
+    ``deviation`` is the mean standard deviation that the observer gives; ``rmse`` in the state's
+    unit; ``relative`` over the true standard deviation; ``coverage_95`` the share of samples whose
+    95 % band holds the truth; ``reached`` the s after which the error first falls under 2 %.
+    """
+
+    unit: str
+    deviation: float
+    rmse: float | None = None
+    relative: float | None = None
+    correlation: float | None = None
+    coverage_95: float | None = None
+    reached: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it; error keys only where the truth is known."""
+        found: dict[str, Any] = {"unit": self.unit, "deviation": self.deviation}
+        if self.rmse is not None:
+            found |= {
+                "rmse": self.rmse,
+                "relative": self.relative,
+                "correlation": self.correlation,
+                "coverage_95": self.coverage_95,
+                "reached_2_percent_s": self.reached,
+            }
+        return found
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """One record with what the observer made of it."""
+
+    record: Record
+    task: Task
+    found: Reconstruction
+    consistency: Consistency | None
+    nees: Bounded | None
+    stable: int
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the observer lost the record before its end."""
+        return self.stable < self.record.samples
+
+    def unit(self, name: str) -> str:
+        """Unit of a state or of a tracked parameter."""
+        model = self.task.model
+        known = {s.name: s.unit for s in model.system.states}
+        own = own_states(model.system, model.effects)
+        known |= {name: pretty_unit(unit) for name, unit in own.items()}
+        return self.task.model.unit(name) if name in self.task.keys else known.get(name, "")
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """States of one or several records of one machine, scored together."""
+
+    observer: str
+    model: Model
+    parts: tuple[Reconstructed, ...]
+    states: Mapping[str, StateScore]
+    baseline: Mapping[str, float | None]
+    observability: Observability
+
+    @property
+    def diverged(self) -> bool:
+        """Whether any record was lost."""
+        return any(p.diverged for p in self.parts)
+
+    @property
+    def nis_mean(self) -> float:
+        """Mean NIS over all records; not a number for an observer without innovations."""
+        known = [p.consistency.nis.mean for p in self.parts if p.consistency]
+        return float(np.mean(known)) if known else np.nan
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        first = self.parts[0]
+        names = [n for n in first.found.names if n not in first.task.states]
+        return {
+            "observer": self.observer,
+            "states": {k: v.as_dict() for k, v in self.states.items()},
+            "nis_mean": self.nis_mean,
+            "static_baseline": {k: {"relative": v} for k, v in self.baseline.items()},
+            "seconds": sum(p.found.seconds for p in self.parts),
+            "tuning_seconds": sum(p.found.tuning_seconds for p in self.parts),
+            "observability": self.observability.as_dict(),
+            "records": [_as_dict(p) for p in self.parts],
+            "process_noise": dict(first.found.levels),
+            "tracked": {n: _last(first, n) for n in names},
+        }
+
+
+def _as_dict(part: Reconstructed) -> dict[str, Any]:
+    found = part.consistency.as_dict() if part.consistency else {}
+    return {
+        "name": part.record.name,
+        **found,
+        "nees": part.nees.as_dict() if part.nees else None,
+        "diverged": part.diverged,
+        "stable_s": [0.0, part.stable * part.record.dt],
+        "log_likelihood": part.found.log_likelihood,
+    }
+
+
+def _last(part: Reconstructed, name: str) -> dict[str, float]:
+    means, deviations = part.found.state(name)
+    at = max(part.found.done - 1, 0)
+    return {"estimate": float(means[at]), "se": float(deviations[at])}
+
+
+@one_blas_thread
+def estimate(
+    models: Sequence[Model],
+    records: Sequence[Record],
+    observer: Observer,
+    progress: Progress = silent,
+    grids: Sequence[tuple[Array, int] | None] = (),
+) -> Estimation:
+    """Run an observer over records.
+
+    Parameters
+    ----------
+    models : one for each record (they differ in the values that belong to a record).
+    grids : for each record, inputs on the half-step grid and its substeps where a fit has corrected
+        them.
+    """
+    parts = []
+    for number, (model, record) in enumerate(zip(models, records, strict=True)):
+        inputs, substeps = (grids[number] if grids else None) or (None, None)
+        task = prepare_task(model, record, inputs=inputs, substeps=substeps)
+        progress(f"{observer.plugin_name()} over {record.name}: {record.samples} samples")
+        parts.append(reconstructed(task, observer))
+    return estimation(observer.plugin_name(), parts)
+
+
+def reconstructed(task: Task, observer: Observer) -> Reconstructed:
+    """One record through an observer, with its statistics."""
+    record = task.series.record
+    found = observer.reconstruct(task)
+    first = skipped(record)
+    return Reconstructed(
+        record, task, found, consistency(found, record, first), _nees(task, found, first),
+        stable(found, record),
+    )  # fmt: skip
+
+
+def skipped(record: Record) -> int:
+    """Samples of the first second, at most half the record."""
+    return min(round(SKIPPED / record.dt), record.samples // 2)
+
+
+def estimation(observer: str, parts: Sequence[Reconstructed]) -> Estimation:
+    """Records scored together, beside the static map on the same samples."""
+    first = parts[0]
+    names = first.task.states
+    mapping = first.task.static
+    hidden = mapping.hidden if mapping else ()
+    return Estimation(
+        observer=observer,
+        model=first.task.model,
+        parts=tuple(parts),
+        states={n: _score(parts, n) for n in names},
+        baseline={n: _baseline(parts, n) for n in hidden},
+        observability=observability(first.task),
+    )
+
+
+def _score(parts: Sequence[Reconstructed], name: str) -> StateScore:
+    means, deviations, truth = [], [], []
+    for part in parts:
+        cut = slice(skipped(part.record), part.stable)
+        mean, deviation = part.found.state(name)
+        means.append(mean[cut])
+        deviations.append(deviation[cut])
+        truth.append(part.record.truth[name][cut] if name in part.record.truth else None)
+    unit = parts[0].unit(name)
+    mean, deviation = np.concatenate(means), np.concatenate(deviations)
+    size = float(np.mean(deviation)) if len(deviation) else np.nan
+    true = [t for t in truth if t is not None]
+    if len(true) < len(parts) or not len(mean) or np.isnan(mean).all():
+        return StateScore(unit, size)
+    reference = np.concatenate(true)
+    error = mean - reference
+    rmse = float(np.sqrt(np.mean(error**2)))
+    return StateScore(
+        unit, size, rmse,
+        relative=rmse / float(np.std(reference)),
+        correlation=float(np.corrcoef(mean, reference)[0, 1]),
+        coverage_95=float(np.mean(np.abs(error) <= BAND * deviation)),
+        reached=_reached(parts[0], name),
+    )  # fmt: skip
+
+
+def _baseline(parts: Sequence[Reconstructed], name: str) -> float | None:
+    """Relative error of the static map for one hidden state, where the truth is known."""
+    errors, reference = [], []
+    for part in parts:
+        mapping = part.task.static
+        if mapping is None or name not in part.record.truth:
+            return None
+        cut = slice(skipped(part.record), part.stable)
+        seen = np.column_stack([part.record.channels[n][cut] for n in mapping.observed])
+        true = part.record.truth[name][cut]
+        errors.append(seen @ mapping.matrix[mapping.hidden.index(name)] - true)
+        reference.append(true)
+    spread = float(np.std(np.concatenate(reference)))
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) / spread if spread else None
+
+
+def _reached(part: Reconstructed, name: str) -> float | None:
+    """Seconds until the rms error over the last tenth of a second first falls under 2 %."""
+    truth, dt = part.record.truth[name], part.record.dt
+    width = max(1, round(_WINDOW / dt))
+    error = (part.found.state(name)[0] - truth) ** 2
+    if len(error) <= width or not np.isfinite(error).any():
+        return None
+    sums = np.cumsum(np.concatenate([[0.0], np.nan_to_num(error, nan=np.inf)]))
+    with np.errstate(invalid="ignore"):
+        rms = np.sqrt((sums[width:] - sums[:-width]) / width) / np.std(truth)
+    below = np.flatnonzero(rms < _REACHED)
+    return float((below[0] + width) * dt) if len(below) else None
+
+
+def _nees(task: Task, found: Reconstruction, first: int) -> Bounded | None:
+    truth = task.series.record.truth
+    if not len(found.covariances) or any(n not in truth for n in task.states):
+        return None
+    n, cut = len(task.states), slice(first, found.done)
+    error = found.means[cut, :n] - np.column_stack([truth[s][cut] for s in task.states])
+    return bounded(normalised_squares(error, found.covariances[cut, :n, :n]), n)
+
+
+def with_start(task: Task, start: Array) -> Task:
+    """The task begun from another mean."""
+    return replace(task, start=np.asarray(start, dtype=float))

@@ -1,0 +1,141 @@
+"""One turn of a study in its two halves: rank what may be missing, then admit one of it.
+
+``discover`` turns until nothing passes the gates, admitting what the strategy proposes; a person
+may turn by hand and admit another candidate. Both go through these functions.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+from spiral.inference.evidence.assembly import Assembly, to_model
+from spiral.inference.evidence.standing import Standing
+from spiral.inference.problem import Problem, Progress, Settings
+from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.strategies.innovation import INNOVATION
+from spiral.inference.strategies.paper import PAPER
+from spiral.inference.strategies.shooting import SHOOTING
+from spiral.inference.verdict import advice_for, missing, study_verdict, summary
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.model import Model
+from spiral.types.run import Round, Run, Stopped, Suggestion, Verdict
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """All that a study needs to go on: the rounds so far and where the study stands."""
+
+    rounds: tuple[Round, ...]
+    standing: Standing
+
+
+def strategy_for(problem: Problem) -> Strategy:
+    """The kind of evidence that a problem asks for."""
+    if problem.published is not None:
+        return PAPER
+    return SHOOTING if problem.innovation is None else INNOVATION
+
+
+def started(begun: Begun, seconds: float) -> Checkpoint:
+    """The seed as round 0."""
+    first = Round(0, (), {}, {}, (), begun.comparison, seconds, details=begun.details)
+    return Checkpoint((first,), begun.standing)
+
+
+def looked(
+    strategy: Strategy, assembly: Assembly, at: Checkpoint, progress: Progress
+) -> tuple[Checkpoint, Step]:
+    """The last round with its candidates ranked, and what the strategy would admit next."""
+    last = at.rounds[-1]
+    step = strategy.propose(assembly, at.standing, last.comparison, len(at.rounds), progress)
+    ranked = replace(
+        last,
+        suggestions=step.suggestions,
+        rejected={**assembly.left_out, **step.rejected},
+        details={**last.details, **step.details},
+    )
+    return Checkpoint((*at.rounds[:-1], ranked), at.standing), step
+
+
+def candidates(strategy: Strategy, step: Step) -> tuple[Suggestion, ...]:
+    """Every candidate that a step ranked, best first; a strategy may keep only its best."""
+    return step.suggestions if strategy.ranked is None else strategy.ranked(step)
+
+
+def chosen(strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, label: str) -> Step:
+    """The step with a candidate of a person's choice in place of the strategy's own.
+
+    Raises
+    ------
+    ConfigError : no such candidate, or a strategy whose own proposal alone can be admitted.
+    """
+    if label in step.admitted:
+        return step
+    known = [s.effect for s in candidates(strategy, step)]
+    if strategy.choose is None or label not in known:
+        raise ConfigError(
+            f"add {label}", f"one of {', '.join(known) or 'none'}", did_you_mean(label, known)
+        )
+    return strategy.choose(assembly, at.standing, step, label)
+
+
+def turned(
+    strategy: Strategy,
+    assembly: Assembly,
+    at: Checkpoint,
+    step: Step,
+    progress: Progress,
+    spent: float = 0.0,
+) -> Checkpoint:
+    """One round more: the step's effects admitted, refitted, compared.
+
+    ``spent`` : seconds that finding them has taken.
+    """
+    clock = time.perf_counter()
+    settled = strategy.settle(assembly, step, progress)
+    seconds = spent + time.perf_counter() - clock
+    return Checkpoint((*at.rounds, _round(len(at.rounds), step, settled, seconds)),
+                      settled.standing)  # fmt: skip
+
+
+def _round(number: int, step: Step, settled: Settled, seconds: float) -> Round:
+    return Round(
+        number=number,
+        admitted=step.admitted,
+        aliases=dict(step.aliases),
+        rejected={},
+        suggestions=(),
+        comparison=settled.comparison,
+        seconds=seconds,
+        second_order=step.second_order,
+        meaning=step.meaning,
+        retired=settled.retired,
+        details=settled.details,
+    )
+
+
+def concluded(
+    at: Checkpoint, stopped: Stopped, settings: Settings, advice: str | None = None
+) -> Run:
+    """The history of a study that ends here."""
+    rounds = at.rounds
+    verdict = study_verdict(rounds, stopped, settings)
+    said = advice_for(verdict, stopped, rounds, (), settings) if advice is None else advice
+    return Run(
+        verdict, stopped, rounds, rounds[-1].comparison.model, said,
+        missing=missing(rounds, settings), summary=summary(rounds, verdict, stopped, settings),
+    )  # fmt: skip
+
+
+def refused(begun: Begun, first: Round) -> Run:
+    """The history of a study whose record cannot tell its seed's effects apart."""
+    standing = begun.standing
+    model: Model = to_model(begun.assembly, standing.labels, standing.values, {})
+    verdict: Verdict = "not_identifiable"
+    settings = begun.assembly.problem.settings
+    return Run(
+        verdict, "not_identifiable", (first,), model,
+        advice_for(verdict, "not_identifiable", [first], begun.groups, settings), begun.groups,
+        summary=summary([first], verdict, "not_identifiable", settings),
+    )  # fmt: skip

@@ -1,0 +1,209 @@
+"""``strategy=shooting``: evidence from trajectories, fitted on windows.
+
+Every round fits on one half of the blocks, scores all candidates, passes them through the gates
+on the other half, and reports estimates refitted on that other half.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from spiral.inference.compare import judged, last_stage, prepared
+from spiral.inference.evidence.admission import Admitted, admit
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.scoring import tested_keys
+from spiral.inference.evidence.standing import Masks, Standing, half_masks
+from spiral.inference.identifiability.parameters import entangled
+from spiral.inference.problem import Problem, Progress
+from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.strategies.resolved import remembered
+from spiral.inference.strategies.retire import let_go, simplest, superfluous
+from spiral.inference.suggest import Proposal, listed, propose
+from spiral.inference.unknown.holding import carried, having, holding, moved
+from spiral.inference.unknown.shape import Found, applies, unknown_shape
+from spiral.types.run import Comparison, Stopped, Suggestion
+
+SECOND_ORDER = ("cross_damping", "speed_stiffness")
+"""Effects that a hidden tilt leaves beyond leading order (design, fact 3)."""
+
+
+def _begin(problem: Problem, progress: Progress) -> Begun:
+    progress("compiling the model and all candidates")
+    assembly, standing = prepared(problem)
+    tangle = entangled(assembly, standing)
+    comparison = _judge(assembly, standing, half_masks(assembly)[1], progress)
+    groups = () if tangle is None else tangle.groups
+    return Begun(assembly, standing, comparison, refused=tangle is not None, groups=groups)
+
+
+def _propose(
+    assembly: Assembly,
+    standing: Standing,
+    comparison: Comparison,
+    number: int,
+    progress: Progress,
+) -> Step:
+    begun, assembly = assembly, holding(assembly, standing)
+    masks = half_masks(assembly)
+    proposal = propose(assembly, standing, masks, number, progress)
+    level = assembly.problem.settings.whiteness_level
+    white = comparison.whiteness_p >= level
+    proposal = remembered(assembly, standing, proposal, white, masks, number, progress)
+    proposal = simplest(assembly, standing, proposal, masks[1])
+    if proposal.admitted is not None:
+        return _step(standing, _in_place(begun, proposal.wide or assembly, proposal))
+    stopped = _why_stopped(proposal, comparison, level)
+    details = _details(proposal)
+    found = curve_of(assembly, standing, proposal, comparison, number, progress)
+    if found is not None:
+        details["unknown"] = found.shape.as_dict()
+    if found is not None and assembly.problem.settings.learned:
+        step = _step(standing, _in_place(begun, found.assembly, found.proposal))
+        return replace(step, details={**step.details, **details})
+    return Step(
+        proposal.suggestions, proposal.rejected, stopped=stopped, details=details, found=proposal
+    )
+
+
+def curve_of(
+    assembly: Assembly,
+    standing: Standing,
+    proposal: Proposal,
+    comparison: Comparison,
+    number: int,
+    progress: Progress,
+) -> Found | None:
+    """The shape of what no candidate explains; nothing where what is left is white.
+
+    Where effects admitted before have led astray (the fit diverges, or the free run does), it
+    starts from the seed.
+    """
+    white = comparison.whiteness_p >= assembly.problem.settings.whiteness_level
+    seed = assembly.problem.model.labels
+    astray = proposal.diverged or not np.isfinite(comparison.fit_error + comparison.test_error)
+    if white or not applies(assembly) or (proposal.diverged and standing.labels == seed):
+        return None
+    return unknown_shape(assembly, standing, half_masks(assembly), number, progress, astray)
+
+
+def _details(proposal: Proposal) -> dict[str, Any]:
+    """What the record cannot separate, and amplitudes held at zero for it."""
+    details: dict[str, Any] = {
+        "not_separable": {k: list(v) for k, v in proposal.not_separable.items()}
+    }
+    if proposal.admitted is not None and proposal.admitted.held:
+        details["held"] = list(proposal.admitted.held)
+    return details
+
+
+def _in_place(begun: Assembly, place: Assembly, proposal: Proposal) -> Proposal:
+    """The proposal with its admission in the study that goes on, not in that of its evidence.
+
+    It has what was compiled at first and what the new standing holds beyond it: no curves or
+    resonances tried beside it, none that it lets go.
+    """
+    admitted = proposal.admitted
+    assert admitted is not None
+    final = having(begun, admitted.standing.labels)
+    if final is place:
+        return proposal
+    return replace(proposal, admitted=moved(admitted, place, final))
+
+
+def _step(standing: Standing, proposal: Proposal) -> Step:
+    assert proposal.admitted is not None
+    effect = proposal.admitted.variant.original
+    mediated = any(x.split("#")[0] == "gyroscopic" for x in standing.labels)
+    return Step(
+        proposal.suggestions,
+        proposal.rejected,
+        admitted=(effect.label,),
+        aliases={effect.label: proposal.aliases},
+        second_order=mediated and effect.plugin_name() in SECOND_ORDER,
+        meaning=effect.meaning(),
+        details=_details(proposal),
+        found=proposal,
+    )
+
+
+def _ranked(step: Step) -> tuple[Suggestion, ...]:
+    proposal: Proposal = step.found
+    if proposal.evidence is None:
+        return proposal.suggestions
+    return listed(proposal.evidence, proposal.admitted, proposal.aliases, None)
+
+
+def _choose(assembly: Assembly, standing: Standing, step: Step, label: str) -> Step:
+    """Another candidate at the windows on which all were scored; no gate is asked."""
+    proposal: Proposal = step.found
+    evidence = proposal.evidence
+    assert evidence is not None
+    begun, assembly = assembly, holding(assembly, standing)
+    study, there = assembly, standing
+    if proposal.wide is not None:
+        study, there = proposal.wide, carried(standing, assembly, proposal.wide)
+    wanted = next(r for r in evidence.ranked if r.variant.original.label == label)
+    admitted = admit(study, there, evidence.stage, wanted)
+    others = (*step.admitted, *proposal.aliases)
+    aliases = tuple(o for o in others if o != label) if label in others else ()
+    chosen = replace(proposal, admitted=admitted, aliases=aliases)
+    return _step(standing, _in_place(begun, study, chosen))
+
+
+def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
+    """Refit and compare after an admission, letting go of effects it has made superfluous."""
+    proposal: Proposal = step.found
+    latest = proposal.admitted
+    assert latest is not None
+    begun, assembly = assembly, holding(assembly, latest.standing)
+    mask = half_masks(assembly)[1]
+    assert proposal.evidence is not None
+    comparison = _judge(assembly, latest.standing, mask, progress)
+    if not np.isfinite(comparison.chi2_per_dof):
+        latest = replace(latest, standing=_without_amplitudes(assembly, latest))
+        comparison = _judge(assembly, latest.standing, mask, progress)
+    gone = superfluous(assembly, latest, comparison.model, mask, proposal.evidence.block)
+    if not gone:
+        return Settled(latest.standing, comparison, proposal.dropped)
+    standing = let_go(assembly, latest.standing, gone)
+    comparison = _judge(assembly, standing, mask, progress)
+    retired = tuple(assembly.variant(x).original.label for x in gone)
+    standing = carried(standing, assembly, having(begun, standing.labels))
+    return Settled(standing, comparison, (*proposal.dropped, *retired))
+
+
+def _without_amplitudes(assembly: Assembly, latest: Admitted) -> Standing:
+    """The standing with the new effect's amplitudes at zero, where short windows must not diverge.
+
+    Fitted to long windows of a model that is far off, a softening spring may let the short windows
+    of the other half run away; from zero they find their own value, and windows grow again.
+    """
+    values = latest.standing.values.copy()
+    for key in tested_keys(assembly, latest.variant):
+        values[:, assembly.study.index(key)] = 0.0
+    return replace(latest.standing, values=values)
+
+
+def _judge(
+    assembly: Assembly,
+    standing: Standing,
+    mask: Masks,
+    progress: Progress,
+) -> Comparison:
+    """Refit on the half that did not select, and compare."""
+    progress("refitting on the half that did not select")
+    stage = last_stage(assembly, standing, mask)
+    refitted = replace(standing, values=stage.fitted.point.values)
+    return judged(assembly, refitted, stage, progress)
+
+
+def _why_stopped(proposal: Proposal, comparison: Comparison, level: float) -> Stopped:
+    if proposal.diverged:
+        return "diverged"
+    return "whiteness" if comparison.whiteness_p >= level else "no_candidate"
+
+
+SHOOTING = Strategy("shooting", _begin, _propose, _settle, _ranked, _choose)

@@ -1,0 +1,288 @@
+"""Suggest what is missing: the longest window that agrees, the gates, and the alias groups."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import stats
+
+from spiral.engine.growth import Stage
+from spiral.engine.score import cosine
+from spiral.engine.statistics import Paired, paired_errors, spent
+from spiral.inference.evidence.admission import Admitted, admit
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.farstart import from_afar
+from spiral.inference.evidence.judge import held_out
+from spiral.inference.evidence.scoring import Evidence, Ranked, score_stage
+from spiral.inference.evidence.standing import Masks, Standing, grown
+from spiral.inference.problem import Progress, Settings, silent
+from spiral.types.effect import SensorEffect
+from spiral.types.run import Suggestion
+
+_RIVALS = 4  # candidates refitted beside the first
+_RIVAL_SHARE = 0.5  # least share of the first one's gain to be a rival
+_TWIN, _TWIN_SHARE = 0.999, 0.99  # cosine and share of the gain from which two are one
+_LISTED = 5
+_HINT = 0.95
+_STAGES = 4  # looks at the data, over which the level is shared
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What one round found: evidence, the candidate to admit with its aliases, refusals.
+
+    ``dropped`` are effects of earlier rounds that the admission starts without. ``wide`` is the
+    study in which candidates with states of their own were scored too, where a round called for
+    them; evidence and admission then are in its terms.
+    """
+
+    evidence: Evidence | None
+    stages: tuple[Stage, ...]
+    admitted: Admitted | None
+    aliases: tuple[str, ...]
+    suggestions: tuple[Suggestion, ...]
+    rejected: Mapping[str, str] = field(default_factory=dict)
+    dropped: tuple[str, ...] = ()
+    wide: Assembly | None = None
+
+    @property
+    def not_separable(self) -> Mapping[str, tuple[str, ...]]:
+        """Candidates that the model's own parameters can take over, in part or whole, and whose."""
+        if self.evidence is None:
+            return {}
+        found = {r.variant.original.label: r.tied for r in self.evidence.ranked if r.tied}
+        return dict(sorted(found.items()))
+
+    @property
+    def diverged(self) -> bool:
+        """Whether not even the shortest windows could be fitted."""
+        return self.evidence is None
+
+
+def propose(
+    assembly: Assembly,
+    standing: Standing,
+    masks: tuple[Masks, Masks],
+    round_number: int,
+    progress: Progress = silent,
+) -> Proposal:
+    """One round's evidence on the selecting half, judged on the other half.
+
+    Parameters
+    ----------
+    masks : (select, judge) for every record.
+    round_number : from 1; decides the share of the study's error rate that is spent.
+    """
+    settings = assembly.problem.settings
+    evidence, stages = _longest_that_agrees(assembly, standing, masks[0], round_number, progress)
+    if evidence is None:
+        return Proposal(None, stages, None, (), ())
+    rejected: dict[str, str] = {}
+    chosen: Admitted | None = None
+    aliases: tuple[str, ...] = ()
+    tests = _tests(assembly, evidence)
+    passing = [r for r in evidence.ranked if _significant(r, tests, settings, round_number)]
+    for ranked in passing[: _RIVALS + 1]:
+        if ranked.variant.original.label in rejected:
+            continue
+        progress(f"refitting with {ranked.variant.original.label} and its rivals")
+        first, aliases = _contest(assembly, standing, evidence, ranked, passing, masks[1], rejected)
+        reason = _refused(assembly, standing, evidence, first, masks[1])
+        if not reason:
+            chosen = first
+            break
+        rejected[first.variant.original.label] = reason
+    shown = listed(evidence, chosen, aliases)
+    return Proposal(evidence, stages, chosen, aliases, shown, rejected)
+
+
+def _longest_that_agrees(
+    assembly: Assembly,
+    standing: Standing,
+    mask: Masks,
+    round_number: int,
+    progress: Progress,
+) -> tuple[Evidence | None, tuple[Stage, ...]]:
+    """Score at growing windows; keep the longest whose fit converged and whose leaders agree."""
+    settings = assembly.problem.settings
+    kept: Evidence | None = None
+    stages: list[Stage] = []
+    for stage in grown(assembly, standing, mask):
+        stages.append(stage)
+        if not np.isfinite(stage.fitted.cost) or (kept is not None and not stage.fitted.converged):
+            break
+        progress(f"scoring candidates on windows of {stage.length} samples")
+        evidence = from_afar(assembly, standing, score_stage(assembly, standing, stage))
+        tests = _tests(assembly, evidence)
+        if kept is not None and not _agree(kept, evidence, tests, settings, round_number):
+            break
+        kept = evidence
+    return kept, tuple(stages)
+
+
+def _leaders(evidence: Evidence, tests: int, settings: Settings, round_number: int) -> list[str]:
+    """The significant ones of the top three that come near the first (half its gain)."""
+    top = evidence.ranked[:3]
+    return [
+        r.variant.original.label
+        for r in top
+        if _significant(r, tests, settings, round_number)
+        and r.score.gain >= _RIVAL_SHARE * top[0].score.gain
+    ]
+
+
+def _agree(
+    before: Evidence, after: Evidence, tests: int, settings: Settings, round_number: int
+) -> bool:
+    """Whether longer windows keep the first suggestion and lose none of its near rivals.
+
+    Where nothing was significant before, or where the model is nearly right on the longer windows
+    (so that they cannot have led it into a wrong basin), the first suggestion alone must stay.
+    """
+    old = _leaders(before, tests, settings, round_number)
+    new = _leaders(after, tests, settings, round_number)
+    if not old:
+        return True
+    nearly_right = after.stage.fitted.chi2_per_dof < settings.chi2_limit
+    kept = old[0] in new[:1] or (bool(new) and old[0] in _twins(after))
+    return kept and (nearly_right or set(old) <= set(new))
+
+
+def _twins(evidence: Evidence) -> list[str]:
+    """Those of the top three whose signatures and gains are the first one's: either may lead."""
+    first, *others = evidence.ranked[:3]
+    return [
+        r.variant.original.label
+        for r in others
+        if r.score.gain >= _TWIN_SHARE * first.score.gain
+        and cosine(evidence.table, first.columns, r.columns) > _TWIN
+    ]
+
+
+def _tests(assembly: Assembly, evidence: Evidence) -> int:
+    """Tests of a round: its candidates, those that wait for their turn too, at every stage."""
+    names = {r.variant.original.label for r in evidence.ranked}
+    waiting = sum(e.label not in names for e in assembly.later)
+    return (len(evidence.ranked) + waiting) * _STAGES
+
+
+def _significant(ranked: Ranked, tests: int, settings: Settings, round_number: int) -> bool:
+    """Classical and robust p-values below the candidate's share of the round's level."""
+    level = np.log(spent(settings.level, round_number) / tests)
+    return max(ranked.log_p) < level
+
+
+def _contest(
+    assembly: Assembly,
+    standing: Standing,
+    evidence: Evidence,
+    ranked: Ranked,
+    passing: list[Ranked],
+    mask: Masks,
+    rejected: Mapping[str, str],
+) -> tuple[Admitted, tuple[str, ...]]:
+    """Refit candidate and rivals; the best on held-out data wins, its equals are aliases."""
+    gain = ranked.score.gain
+    rivals = [
+        r
+        for r in passing
+        if r.score.gain >= _RIVAL_SHARE * gain and r.variant.original.label not in rejected
+    ]
+    rivals = sorted(rivals, key=lambda r: r is not ranked)[: _RIVALS + 1]
+    refits = [admit(assembly, standing, evidence.stage, r) for r in rivals]
+    errors = [held_out(assembly, a.standing.labels, a.stage, mask)[1] for a in refits]
+    winner = 0
+    for i in range(1, len(refits)):
+        if paired_errors(errors[winner], errors[i], evidence.block).p_fall < _alias_level(assembly):
+            winner = i
+
+    def alike(i: int) -> bool:
+        return _alike(assembly, paired_errors(errors[winner], errors[i], evidence.block))
+
+    equals = [i for i in range(len(refits)) if i != winner and alike(i)]
+    if _is_reading(refits[winner]):  # a change of the machine goes before one of a sensor
+        machine = next((i for i in equals if not _is_reading(refits[i])), winner)
+        equals, winner = [winner, *(i for i in equals if i != machine)], machine
+        equals = [i for i in equals if i != winner]
+    return refits[winner], tuple(refits[i].variant.original.label for i in equals)
+
+
+def _is_reading(found: Admitted) -> bool:
+    return isinstance(found.variant.original, SensorEffect)
+
+
+def _alias_level(assembly: Assembly) -> float:
+    return assembly.problem.settings.alias_level
+
+
+def _alike(assembly: Assembly, paired: Paired) -> bool:
+    """Not significantly different, or so near that no draw of the noise could tell them apart.
+
+    Twins differ by what their fits left to converge, of which a paired test may make anything.
+    """
+    level = _alias_level(assembly)
+    return paired.p_differ >= level or paired.energy < 4 * float(stats.norm.isf(level / 2)) ** 2
+
+
+def _refused(
+    assembly: Assembly, standing: Standing, evidence: Evidence, first: Admitted, mask: Masks
+) -> str:
+    """Why the gates refuse a refitted candidate; empty where they let it pass."""
+    settings = assembly.problem.settings
+    fitted = first.stage.fitted
+    if not np.isfinite(fitted.cost):
+        return "the refitted model diverges"
+    gain = max(evidence.stage.fitted.cost - fitted.cost, 0.0)
+    size = float(np.sqrt(gain / fitted.samples))
+    if size < settings.smallest:
+        return (
+            f"significant, but too small to matter: it changes the prediction by {size:.3f} noise "
+            f"standard deviations (least {settings.smallest:g})"
+        )
+    before = held_out(assembly, standing.labels, evidence.stage, mask)[1]
+    after = held_out(assembly, first.standing.labels, first.stage, mask)[1]
+    paired = paired_errors(before, after, evidence.block)
+    if paired.p_fall >= settings.level:
+        fall = "no significant fall of the error on held-out blocks"
+        return f"rolled back: {fall} (p = {paired.p_fall:.2g})"
+    return ""
+
+
+def listed(
+    evidence: Evidence,
+    chosen: Admitted | None,
+    aliases: tuple[str, ...],
+    count: int | None = _LISTED,
+) -> tuple[Suggestion, ...]:
+    """The best candidates (all, where no count is given) as suggestions; the admitted one first."""
+    order = list(evidence.ranked)
+    if chosen is not None:
+        label = chosen.variant.original.label
+        order.sort(key=lambda r: (r.variant.original.label != label, r.rank))
+    lead = order[0] if order else None
+    found = []
+    for ranked in order[:count]:
+        hint = tuple(
+            r.variant.original.label
+            for r in order[:_LISTED]
+            if r is not ranked and cosine(evidence.table, ranked.columns, r.columns) > _HINT
+        )
+        is_first = chosen is not None and ranked is lead
+        found.append(_suggestion(ranked, aliases if is_first else (), hint))
+    return tuple(found)
+
+
+def _suggestion(ranked: Ranked, aliases: tuple[str, ...], hint: tuple[str, ...]) -> Suggestion:
+    scored = ranked.score
+    return Suggestion(
+        effect=ranked.variant.original.label,
+        meaning=ranked.variant.original.meaning(),
+        aliases=aliases,
+        p_value=float(np.exp(ranked.log_p[0])),
+        statistic=scored.statistic,
+        wald_p_value=float(np.exp(ranked.log_p[1])),
+        explains=scored.explains,
+        hint=hint,
+    )

@@ -1,0 +1,136 @@
+"""What a learned curve reads and gives: values of its state that a record visits, forces there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from spiral.engine.growth import Stage
+from spiral.engine.sensitivities import run_windows
+from spiral.inference.evidence.assembly import Assembly, effects_of
+from spiral.inference.evidence.scales import at_port
+from spiral.physics.learned import Learned, LearnedFlow
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, expand
+from spiral.types.port import At
+from spiral.types.record import Array
+
+_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Course:
+    """One curve of a learned effect: ``axis`` the direction or channel that it acts in.
+
+    ``state`` in words what it follows; ``seen`` (samples,) the values visited; ``typical`` the rms
+    velocity along the axis.
+    """
+
+    number: int
+    axis: str
+    state: str
+    seen: Array
+    typical: float
+
+
+def courses(assembly: Assembly, stage: Stage, learned: Learned) -> tuple[Course, ...]:
+    """The curves of an effect with the values of their states in the fitted windows."""
+    traced, system = assembly.study.compiled.traced, assembly.problem.model.system
+    parts = [
+        run_windows(assembly.study, r, layout, stage.fitted.point)[0]
+        for r, layout in enumerate(stage.layouts)
+    ]
+    states = np.concatenate([p[np.isfinite(p).all(axis=1)] for p in parts])
+    if isinstance(learned, LearnedFlow):
+        level = states[:, traced.states.index(learned.state)]
+        return (Course(0, learned.into, learned.state, level, 0.0),)
+    port = system.place(learned)
+    at: dict[str, list[Array]] = {}
+    for kind, expressions in at_port(system, port, traced):
+        values = sp.lambdify(traced.x, expressions, "numpy")(*states.T)
+        at[kind] = [np.broadcast_to(v, (len(states),)) for v in values]
+    if learned.follows == "radius":
+        radius = np.sqrt(sum(v**2 for v in at["position"]))
+        return (Course(0, port.axes[0], f"the radius of {' and '.join(port.axes)}", radius, 0.0),)
+    rate = "'" if learned.follows == "velocity" else ""
+    speeds = [float(np.sqrt(np.mean(v**2))) for v in at["velocity"]]
+    rows = zip(port.axes, at[learned.follows], speeds, strict=True)
+    return tuple(Course(i, a, a + rate, seen, v) for i, (a, seen, v) in enumerate(rows))
+
+
+@dataclass(frozen=True)
+class Path:
+    """A state that takes the values ``at``, all others at rest.
+
+    Of a curve that is multiplied by a velocity it is the part of the force that turns with the
+    velocity's sign, at its rms value.
+    """
+
+    assembly: Assembly
+    learned: Learned
+    course: Course
+    at: Array
+
+    def force(self, row: Array, labels: list[str]) -> Array:
+        """(points,) the force or flow of some effects along the path."""
+        if not self.learned.times:
+            return self._total(row, labels, 0.0)
+        speed = self.course.typical
+        ahead, back = (self._total(row, labels, v) for v in (speed, -speed))
+        return (ahead - back) / 2
+
+    def slope(self, row: Array, labels: list[str], index: int) -> Array:
+        """(points,) its derivative by a parameter."""
+        keys = self.assembly.study.keys
+        if index >= len(keys) or keys[index].rsplit(".", 1)[0] not in labels:
+            return np.zeros(len(self.at))
+        step = _STEP * max(abs(row[index]), 1e-12)
+        if self.assembly.study.compiled.traced.parameters[index].role == "amplitude":
+            step = 1.0  # linear: exact for any step
+        ahead, back = row.copy(), row.copy()
+        ahead[index] += step
+        back[index] -= step
+        owner = [keys[index].rsplit(".", 1)[0]]
+        return (self.force(ahead, owner) - self.force(back, owner)) / (2 * step)
+
+    def _total(self, row: Array, labels: list[str], velocity: float) -> Array:
+        total = np.zeros(len(self.at))
+        for effect in effects_of(self.assembly, labels):
+            alike = isinstance(effect, FlowEffect) == isinstance(self.learned, LearnedFlow)
+            if effect.inputs or effect.states or effect.port != self.learned.port or not alike:
+                continue
+            with np.errstate(invalid="ignore", divide="ignore"):
+                given = self._given(effect, self._values(effect, row), velocity)
+            total = total + np.nan_to_num(np.broadcast_to(given, total.shape))
+        return total
+
+    def _values(self, effect: Effect, row: Array) -> SimpleNamespace:
+        study, p = self.assembly.study, SimpleNamespace()
+        axes = self.assembly.problem.model.system.place(effect).axes
+        for parameter in effect.parameters:
+            keys = [k for k, _ in expand(effect.label, (parameter,), axes)]
+            values = [row[study.index(k)] for k in keys]
+            setattr(p, parameter.name, tuple(values) if parameter.per_axis else values[0])
+        return p
+
+    def _given(self, effect: Effect, p: SimpleNamespace, velocity: float) -> Any:
+        """The force of one effect along the axis, or its flow into the channel."""
+        system, still = self.assembly.problem.model.system, np.zeros(len(self.at))
+        if isinstance(self.learned, LearnedFlow):
+            assert isinstance(effect, FlowEffect)
+            x = SimpleNamespace(**{s.name: still for s in system.states})
+            setattr(x, self.learned.state, self.at)
+            return effect.flow(x, SimpleNamespace(), p).get(self.learned.into, 0.0)
+        if not isinstance(effect, ForceEffect):
+            return 0.0
+        axes = system.place(self.learned).axes
+        q, v = [still] * len(axes), [still] * len(axes)
+        moving = v if self.learned.follows == "velocity" else q
+        moving[self.course.number] = self.at
+        if self.learned.times:
+            v[self.course.number] = still + velocity
+        given = effect.force(At(tuple(q), tuple(v), SimpleNamespace()), SimpleNamespace(), p)
+        return given[self.course.number]

@@ -1,0 +1,218 @@
+"""The curve of a missing force over the state it follows, with its band.
+
+A force is known up to what the seed's own effects can take over (a linear spring hides any linear
+part), so the curve of all that a study has added to its seed is what is left of it beside them, by
+least squares weighted by how often each value was visited.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from spiral.engine.fit import covariance
+from spiral.engine.growth import Stage
+from spiral.inference.compare import last_stage
+from spiral.inference.evidence.admission import Admitted
+from spiral.inference.evidence.assembly import Assembly, columns
+from spiral.inference.evidence.standing import Masks, Standing
+from spiral.inference.unknown.curvepath import Course, Path, courses
+from spiral.physics.learned import Learned, LearnedFlow, LearnedForce, spacing
+from spiral.types.record import Array
+from spiral.types.run import Suggestion
+
+_POINTS = 81
+_TAILS = 0.5  # per cent of the visited values left out at either end
+_ONE_SIDED = 0.1  # share of the curve's energy under which a part (odd, even) is left unsaid
+_ONE_SIGN = 0.05  # share of the largest value under which the other sign counts as not visited
+_KINKED = 0.6  # share of all bending within a stretch of 1.5 spacings from which a curve is kinked
+_DRAWS = 4000
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The missing force along one axis: ``band`` holds the whole curve with 95 % (simultaneous).
+
+    ``at`` (81,) values of the state in its unit, ``force``, ``se`` and ``band`` (81,) in the port's
+    unit of force, ``visited`` (81,) how often each value occurs, summing to one. ``speed`` is the
+    velocity at which a curve that is multiplied by one is given, its rms.
+    """
+
+    axis: str
+    state: str
+    at: Array
+    force: Array
+    se: Array
+    band: Array
+    visited: Array
+    speed: float
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """The shape of what is missing.
+
+    ``effect`` is the learned effect that may be admitted; ``quantity`` what its curve gives (a
+    force, a flow); ``parity`` odd, even, neither, or one-sided where the state has one sign;
+    ``kinked`` the value of the state at which the curve bends sharply, where it does; ``explains``
+    its share of the residual's energy; ``others`` the other curves with theirs.
+    """
+
+    effect: str
+    meaning: str
+    state: str
+    state_unit: str
+    force_unit: str
+    times: str
+    parity: str
+    kinked: float | None
+    explains: float
+    p_value: float
+    curves: tuple[Curve, ...]
+    others: Mapping[str, float] = field(default_factory=dict)
+    quantity: str = "force"
+
+    @property
+    def sentence(self) -> str:
+        """In words; of a state that is never negative there is no odd or even."""
+        times = f" times {self.times}" if self.times else ""
+        ways = {"odd": "odd, ", "even": "even, ", "one-sided": ""}
+        way = ways.get(self.parity, "neither odd nor even, ")
+        bend = "smooth"
+        if self.kinked is not None:
+            bend = f"kinked near {self.kinked:.3g} {self.state_unit}"
+        return f"A {self.quantity} that follows {self.state}{times}: {way}{bend}."
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        plain = {k: v for k, v in vars(self).items() if k not in ("curves", "others", "kinked")}
+        curves = [
+            {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(c).items()}
+            for c in self.curves
+        ]
+        smooth = {"smooth": self.kinked is None, "kinked_at": self.kinked}
+        return {**plain, **smooth, "sentence": self.sentence, "others": dict(self.others),
+                "curves": curves}  # fmt: skip
+
+
+def described(
+    assembly: Assembly, admitted: Admitted, suggestions: tuple[Suggestion, ...], mask: Masks
+) -> Unknown:
+    """The shape of an admitted learned effect, refitted on the half that did not select it."""
+    stage = last_stage(assembly, admitted.standing, mask)
+    learned = admitted.variant.effect
+    assert isinstance(learned, Learned)
+    port = assembly.problem.model.system.place(learned)
+    curves = tuple(
+        _curve(assembly, admitted.standing, stage, learned, course)
+        for course in courses(assembly, stage, learned)
+    )
+    best = suggestions[0]
+    rate = isinstance(learned, LearnedForce) and learned.follows == "velocity"
+    return Unknown(
+        effect=admitted.variant.original.label,
+        meaning=learned.meaning(),
+        state=" and ".join(c.state for c in curves),
+        state_unit=port.position_unit + ("/s" if rate else ""),
+        force_unit=port.force_unit,
+        times=learned.times,
+        parity=_parity(curves),
+        kinked=_kink(curves),
+        explains=best.explains,
+        p_value=best.p_value,
+        curves=curves,
+        others={s.effect: s.explains for s in suggestions[1:]},
+        quantity=_quantity(learned),
+    )
+
+
+def _quantity(learned: Learned) -> str:
+    if isinstance(learned, LearnedFlow):
+        return "flow"
+    return "radial force" if learned.follows == "radius" else "force"
+
+
+def _curve(
+    assembly: Assembly, standing: Standing, stage: Stage, learned: Learned, course: Course
+) -> Curve:
+    low, high = np.percentile(course.seen, [_TAILS, 100 - _TAILS])
+    at = np.linspace(low, high, _POINTS)
+    edges = np.concatenate([at - (at[1] - at[0]) / 2, [at[-1] + (at[1] - at[0]) / 2]])
+    visited = np.histogram(course.seen, edges)[0].astype(float)
+    visited /= visited.sum()
+    seed = assembly.problem.model.labels
+    added = [x for x in standing.labels if x not in seed]
+    row = stage.fitted.point.values[0]
+    moving, _ = columns(assembly, standing.keys(assembly))
+    path = Path(assembly, learned, course, at)
+    slopes = np.array([path.slope(row, added, int(i)) for i in moving.index]).T
+    seeds = [i for i, k in enumerate(assembly.study.keys) if k.rsplit(".", 1)[0] in seed]
+    basis = np.array([path.slope(row, list(seed), i) for i in seeds]).T
+    left = beside(basis, visited)
+    spread = left @ slopes @ covariance(stage.fitted) @ slopes.T @ left.T
+    spread = spread * max(stage.fitted.chi2_per_dof, 1.0)
+    se = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    return Curve(
+        axis=course.axis,
+        state=course.state,
+        at=at,
+        force=left @ path.force(row, added),
+        se=se,
+        band=_critical(spread, se) * se,
+        visited=visited,
+        speed=course.typical if learned.times else 0.0,
+    )
+
+
+def beside(basis: Array, weight: Array) -> Array:
+    """(points, points): what is left of a curve once these columns have taken what they can."""
+    size = np.linalg.norm(basis, axis=0) if basis.size else np.zeros(0)
+    kept = basis[:, size > 0] / size[size > 0] if len(size) else np.zeros((len(weight), 0))
+    if not kept.shape[1]:
+        return np.eye(len(weight))
+    root = np.sqrt(weight)[:, None]
+    taken = np.linalg.pinv(root * kept, rcond=1e-9) * root.T
+    return np.eye(len(weight)) - kept @ taken
+
+
+def _critical(spread: Array, se: Array) -> float:
+    """The 95 % quantile of the largest |t| along the curve, by draws from its covariance."""
+    unit = spread / np.maximum(np.outer(se, se), 1e-300)
+    values, vectors = np.linalg.eigh(unit)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = np.random.default_rng(0).normal(size=(_DRAWS, len(se))) @ root.T
+    return float(np.quantile(np.abs(draws).max(axis=1), 0.95))
+
+
+def _parity(curves: tuple[Curve, ...]) -> str:
+    """Odd, even or neither, by the energies of both parts over the values visited both ways."""
+    odd = even = 0.0
+    for c in curves:
+        reach = min(-c.at[0], c.at[-1])
+        if reach <= _ONE_SIGN * float(np.abs(c.at).max()):
+            return "one-sided"
+        s = np.linspace(-reach, reach, _POINTS)
+        force, weight = np.interp(s, c.at, c.force), np.interp(s, c.at, c.visited)
+        weight = weight + weight[::-1]
+        odd += float(np.sum(weight * ((force - force[::-1]) / 2) ** 2))
+        even += float(np.sum(weight * ((force + force[::-1]) / 2) ** 2))
+    share = even / max(odd + even, 1e-300)
+    if share < _ONE_SIDED:
+        return "odd"
+    return "even" if share > 1 - _ONE_SIDED else "neither"
+
+
+def _kink(curves: tuple[Curve, ...]) -> float | None:
+    """Where most of a curve's bending lies within 1.5 spacings of its knots; else nothing."""
+    c = max(curves, key=lambda c: float(np.sum(c.visited * c.force**2)))
+    middle = 0.0 if _parity(curves) != "one-sided" else float(c.at[0] + c.at[-1]) / 2
+    half = float(np.abs(c.at - middle).max())
+    bend, at = np.abs(np.diff(c.force, 2)), c.at[1:-1]
+    near = [
+        float(bend[np.abs(at - x) <= 0.75 * half * spacing((x - middle) / half)].sum()) for x in at
+    ]
+    best = int(np.argmax(near))
+    return float(at[best]) if near[best] > _KINKED * bend.sum() > 0 else None

@@ -1,0 +1,93 @@
+"""Studies that hold more than their candidates: a learned curve, or an effect with own states.
+
+A study is compiled once with all candidates that are cheap. What is called for later (in a round
+whose residual asks for it) is compiled in a study of its own, from which a standing and an
+admission are carried to another by the names of their parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from spiral.inference.compare import substeps_for
+from spiral.inference.evidence.admission import Admitted
+from spiral.inference.evidence.assembly import Assembly, Variant, assemble, first_row, with_steps
+from spiral.inference.evidence.standing import Standing
+from spiral.types.effect import Effect
+
+
+def holding(assembly: Assembly, standing: Standing) -> Assembly:
+    """A study that has all effects of a standing, late ones too; the same where it has them.
+
+    The standing's values are in its order. Where an effect brings fast states its steps are finer.
+    """
+    made = having(assembly, standing.labels)
+    if not len(made.study.own):
+        return made
+    now = made.study.series[0].substeps
+    substeps = substeps_for(made, standing.values[0])
+    if substeps <= now:
+        return made
+    return with_steps(made, substeps)
+
+
+def having(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
+    """A study that has all effects with these compiled labels, at the same steps per sample."""
+    known = {*assembly.problem.model.labels, *(v.label for v in assembly.variants)}
+    names = {x.split("#")[0] for x in labels if x not in known}
+    if not names:
+        return assembly
+    more = tuple(e for e in assembly.problem.dictionary if e.label in names)
+    candidates = (*assembly.problem.candidates, *more)
+    return reassembled(assembly, candidates, held_variants(assembly, labels))
+
+
+def held_variants(assembly: Assembly, labels: tuple[str, ...]) -> tuple[Variant, ...]:
+    """Variants of effects with own states among these labels; their shapes stay to be carried."""
+    later = {e.label: e for e in assembly.later}
+    pairs = [label.partition("#") for label in labels]
+    return tuple(variant_of(later[name], tag, {}) for name, _, tag in pairs if name in later)
+
+
+def variant_of(effect: Effect, tag: str, shapes: dict[str, float], searched: int = 1) -> Variant:
+    """A copy of an effect with its shapes by name, all of which a refit may set free."""
+    copy = replace(effect, variant=tag)
+    loose = [p for p in effect.parameters if p.role == "shape" and (p.spectrum or p.grid)]
+    tuned = tuple(f"{copy.label}.{p.name}" for p in loose)
+    values = {f"{copy.label}.{name}": value for name, value in shapes.items()}
+    return Variant(copy, effect, values, None, tuned, searched)
+
+
+def reassembled(
+    assembly: Assembly, candidates: tuple[Effect, ...], more: tuple[Variant, ...] = ()
+) -> Assembly:
+    """The same records with other candidates, at the same steps per sample."""
+    problem = replace(assembly.problem, candidates=candidates)
+    made = assemble(problem, more=more)
+    substeps = assembly.study.series[0].substeps
+    if substeps == 1:
+        return made
+    return with_steps(made, substeps)
+
+
+def carried(standing: Standing, old: Assembly, new: Assembly) -> Standing:
+    """A standing's values in another study's order of parameters."""
+    values = first_row(new)
+    tail = len(old.study.keys)
+    for i, key in enumerate(old.study.keys):
+        if key in new.study.keys:
+            values[:, new.study.index(key)] = standing.values[:, i]
+    values[:, len(new.study.keys) :] = standing.values[:, tail:]
+    return replace(standing, values=values)
+
+
+def moved(admitted: Admitted, old: Assembly, new: Assembly) -> Admitted:
+    """An admission on another study: values in its order, the fit's windows as they were."""
+    standing = carried(admitted.standing, old, new)
+    stage = admitted.stage
+    states = old.study.compiled.traced.states
+    kept = [states.index(n) for n in new.study.compiled.traced.states]
+    starts = tuple(x[:, kept] for x in stage.fitted.point.starts)
+    point = replace(stage.fitted.point, values=standing.values, starts=starts)
+    stage = replace(stage, fitted=replace(stage.fitted, point=point, reduction=None))
+    return Admitted(standing, stage, new.variant(admitted.variant.label))

@@ -1,0 +1,287 @@
+"""Verdicts: what the figures of a study amount to, and what to do next.
+
+A model is *near its noise* where all of these hold:
+
+    1 / L <= chi2 / dof <= L          on the samples that were fitted,
+    p >= level or Q / N <= s^2        what is left is white, or its colour harmless,
+    (test error)^2 <= L (floor)^2     on samples that no fit has seen,
+
+L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box. Q/N is about the share of what is
+left that its own past predicts: below s^2 it is smaller than the smallest effect that counts.
+
+An admitted effect is *determined* where one of its amplitudes has |t| >= ``least_t`` and does not
+lie at a bound. Only such an effect is named as what was missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from spiral.inference.problem import Settings
+from spiral.types.formatting import number, percent
+from spiral.types.model import Model
+from spiral.types.run import Comparison, Round, Stopped, Verdict
+
+_VERDICTS = {
+    "effect_missing": "An effect is missing.",
+    "nothing_missing": "Nothing is missing",
+    "not_identifiable": "This record cannot tell the effects of the model apart.",
+    "unknown_structure": "Something is missing that no known effect explains",
+}
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+def white(found: Comparison, settings: Settings) -> bool:
+    """Whether what is left is white, or so nearly that its colour is smaller than any effect."""
+    harmless = found.whiteness_effect <= settings.smallest**2
+    return found.whiteness_p >= settings.whiteness_level or harmless
+
+
+def noise_factor(found: Comparison, settings: Settings) -> float:
+    """The noise over what the record says of it; 1 where the two do not contradict one another.
+
+    What is left is white, and as large as the model-free estimate of the noise (or smaller than
+    the noise is said to be): then it is the noise, and the statement is off.
+    """
+    chi2, limit = found.chi2_per_dof, settings.chi2_limit
+    if not white(found, settings) or not np.isfinite(chi2) or 1 / limit <= chi2 <= limit:
+        return 1.0
+    seen = found.noise_ratio
+    agrees = seen is not None and 1 / limit <= chi2 / seen**2 <= limit
+    return float(np.sqrt(chi2)) if chi2 < 1 / limit or agrees else 1.0
+
+
+def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
+    """Why a model is not near its noise, one phrase with its figure for each reason."""
+    factor, limit = noise_factor(found, settings), settings.chi2_limit
+    reasons = []
+    if not found.converged:
+        reasons.append(f"the fit did not converge on windows of {found.horizon} samples")
+    if not found.chi2_per_dof <= limit * factor**2:
+        reasons.append(f"chi2 per degree of freedom is {number(found.chi2_per_dof)}, noise is 1")
+    if not white(found, settings):
+        share = percent(min(found.whiteness_effect, 1.0))
+        reasons.append(f"what is left is not white (its past predicts about {share} of it)")
+    if not found.test_error**2 <= limit * (factor * found.noise_floor) ** 2:
+        floor = percent(factor * found.noise_floor)
+        reasons.append(f"the test error is {percent(found.test_error)} where noise makes {floor}")
+    return tuple(reasons)
+
+
+def near_noise(found: Comparison, settings: Settings) -> bool:
+    """Whether the noise explains all that a model leaves, on seen and unseen samples."""
+    return not shortfalls(found, settings)
+
+
+def doubts(model: Model, label: str, settings: Settings) -> str:
+    """Why a fitted model does not determine one of its effects; empty where it does.
+
+    Amplitudes with a standard error are asked; an effect that was not fitted is as it was given.
+    """
+    table = model.estimates().get(label, {})
+    reasons: list[str] = []
+    for key, parameter in model.pairs:
+        owner, name = key.rsplit(".", 1)
+        if owner != label or parameter.role != "amplitude" or (t := table[name].t) is None:
+            continue
+        value = table[name].estimate
+        bounds = [b for b in (parameter.lower, parameter.upper) if b]
+        if any(np.isclose(value, b, rtol=1e-6) for b in bounds):
+            reasons.append(f"{name} lies at its bound of {number(value)}")
+        elif not abs(t) >= settings.least_t:
+            reasons.append(f"{name} is {number(abs(t), 2)} standard errors from zero")
+        else:
+            return ""
+    return " and ".join(reasons)
+
+
+def determined(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
+    """Effects admitted and still held that the final model determines."""
+    model = rounds[-1].comparison.model
+    return tuple(x for x in _admitted(rounds) if not doubts(model, x, settings))
+
+
+def missing(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
+    """The effects that were missing: determined ones, where they lower the error on unseen data."""
+    return () if _worse(rounds) else determined(rounds, settings)
+
+
+def _admitted(rounds: Sequence[Round]) -> tuple[str, ...]:
+    held = rounds[-1].comparison.model.labels
+    return tuple(dict.fromkeys(x for r in rounds for x in r.admitted if x in held))
+
+
+def _worse(rounds: Sequence[Round]) -> bool:
+    first, last = rounds[0].comparison, rounds[-1].comparison
+    return len(rounds) > 1 and not last.test_error <= first.test_error
+
+
+# --- verdicts ------------------------------------------------------------------------------------
+
+
+def study_verdict(rounds: Sequence[Round], stopped: Stopped, settings: Settings) -> Verdict:
+    """The verdict on the seed after a study: ``effect_missing`` where it found one.
+
+    Where it admitted effects of which none is determined, or which raise the error on unseen data,
+    something is missing and nothing explains it.
+    """
+    if stopped != "not_identifiable" and len(rounds) > 1 and "unknown" not in rounds[0].details:
+        return "effect_missing" if missing(rounds, settings) else "unknown_structure"
+    return seed_verdict(rounds[0], stopped, settings)
+
+
+def seed_verdict(
+    seed: Round, stopped: Stopped, settings: Settings, proposed: bool = False
+) -> Verdict:
+    """The verdict on a seed, which ``diagnose`` gives; ``proposed``: an effect passed the gates.
+
+    ``nothing_missing`` needs no candidate passing *and* a model near its noise; candidates
+    exhausted while it is not is ``unknown_structure``, also where a learned curve went on.
+    """
+    if stopped == "not_identifiable":
+        return "not_identifiable"
+    if proposed and "unknown" not in seed.details:
+        return "effect_missing"
+    if stopped == "diverged" or "unknown" in seed.details:
+        return "unknown_structure"
+    return "nothing_missing" if near_noise(seed.comparison, settings) else "unknown_structure"
+
+
+# --- words ---------------------------------------------------------------------------------------
+
+
+def verdict_sentence(verdict: Verdict, found: Comparison, settings: Settings) -> str:
+    """A verdict on one model with its figures."""
+    words = _VERDICTS[verdict]
+    if words.endswith("."):
+        return words
+    if verdict == "nothing_missing":
+        return f"{words}: {_figures(found)}."
+    reasons = shortfalls(found, settings)
+    if len(reasons) == 1 and not found.test_error <= found.fit_error and _fits(found, settings):
+        return (
+            f"The model explains what it was fitted to, but not the test record: {reasons[0]}. "
+            "Another machine or setting, or motions that the fitted record does not hold?"
+        )
+    return f"{words}: {'; '.join(reasons)}." if reasons else f"{words}."
+
+
+def _fits(found: Comparison, settings: Settings) -> bool:
+    """Whether what was fitted is explained, whatever the test record says."""
+    return found.chi2_per_dof <= settings.chi2_limit and white(found, settings)
+
+
+def _figures(found: Comparison) -> str:
+    return (
+        f"chi2 per degree of freedom is {number(found.chi2_per_dof, 3)}, what is left is white, "
+        f"and the test error is {percent(found.test_error)} (noise floor "
+        f"{percent(found.noise_floor)})"
+    )
+
+
+def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, settings: Settings) -> str:
+    """What a study found, with its figures, in sentences to be signed."""
+    admitted = _admitted(rounds)
+    first, last = rounds[0].comparison, rounds[-1].comparison
+    if verdict == "not_identifiable":
+        return _VERDICTS[verdict]
+    if not admitted:
+        if stopped == "diverged":
+            return "The fit diverged."
+        return verdict_sentence(verdict, first, settings)
+    said = [_change(rounds, admitted, settings)]
+    said += [
+        f"This record does not determine {label}: {doubt}."
+        for label in admitted
+        if (doubt := doubts(last.model, label, settings))
+    ]
+    if reasons := shortfalls(last, settings):
+        more = "More is missing" if last.converged else "Whether more is missing cannot be told"
+        said.append(f"{more}: {'; '.join(reasons)}.")
+    return " ".join(said)
+
+
+def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:
+    """What the admitted effects did to the error on unseen data."""
+    first, last = rounds[0].comparison, rounds[-1].comparison
+    change = (
+        f"test error {percent(first.test_error)} -> {percent(last.test_error)} "
+        f"(noise floor {percent(last.noise_floor)})"
+    )
+    if _worse(rounds):
+        them = "it" if len(admitted) == 1 else "them"
+        return (
+            f"The model now holds {', '.join(admitted)}, but on data that no fit has seen the "
+            f"error grew: {change}. Do not take {them} for what is missing."
+        )
+    named = determined(rounds, settings)
+    if not named:
+        return f"The model now holds {', '.join(admitted)}: {change}."
+    return f"Missing {'was' if len(named) == 1 else 'were'} {', '.join(named)}: {change}."
+
+
+def noise_sentence(found: Comparison, settings: Settings) -> str:
+    """What the noise is where the record says otherwise; empty where it does not."""
+    factor = noise_factor(found, settings)
+    if factor == 1.0:
+        return ""
+    stated = "the record declares" if found.noise_ratio is not None else "was estimated"
+    return (
+        f"The noise is {number(factor, 2)} times what {stated}: what is left is white and of that "
+        "size. Correct record.noise; standard errors here are for the noise that was seen."
+        if factor > 1
+        else f"The noise is only {number(factor, 2)} times what {stated}: what is left is smaller. "
+        "Correct record.noise; standard errors here are too large."
+    )
+
+
+def advice_for(
+    verdict: Verdict,
+    stopped: Stopped,
+    rounds: Sequence[Round],
+    groups: tuple[tuple[str, ...], ...],
+    settings: Settings,
+) -> str:
+    """One or two sentences: what to do next."""
+    if verdict == "not_identifiable":
+        tied = "; ".join(" = ".join(g) for g in groups)
+        return (
+            (f"Alike on it are {tied}. " if tied else "")
+            + "Sweep the speed (run-up or coast-down) through the resonance, or record the "
+            "start-up transient, and try again."
+        )
+    if stopped == "diverged":
+        return (
+            "The model diverged even on short windows. Check units and signs of the channels, or "
+            "give starts with values='{...}'."
+        )
+    last = rounds[-1].comparison
+    shape = next((r.details["unknown"] for r in reversed(rounds) if "unknown" in r.details), None)
+    if shape is not None and stopped == "no_candidate" and "unknown" in rounds[-1].details:
+        return (
+            f"Its shape: {shape['sentence']} Admit the curve (spiral add {shape['effect']} "
+            "run=latest, or settings.learned=true), or write the effect that it suggests."
+        )
+    if verdict == "unknown_structure" and len(rounds) == 1:
+        return (
+            "See where the residual lives with `spiral diagnose`, and add an effect of your own "
+            "(a file in ./plugins)."
+        )
+    return " ".join(s for s in (_ending(verdict, stopped, last, settings),
+                                noise_sentence(last, settings)) if s)  # fmt: skip
+
+
+def _ending(verdict: Verdict, stopped: Stopped, last: Comparison, settings: Settings) -> str:
+    """Why the loop ended."""
+    near = near_noise(last, settings)
+    if verdict == "nothing_missing":
+        return "The model explains this record down to its noise."
+    if stopped == "max_rounds":
+        return "The loop stopped at its largest number of rounds."
+    if stopped == "no_candidate" or not near:
+        return "No further candidate passes the gates."
+    return "What is left is white noise."

@@ -1,0 +1,149 @@
+"""What the missing force follows: a restoring-force surface, judged state by state.
+
+The missing force is known up to what the model's own free parameters can take over, so their
+columns are projected out first. What is left, f, is explained in turn by one shape of one state,
+
+    f_i ~ s r^(n-1)    (s a position or a velocity, r its size over all axes, n = 0, 1, 2, 3),
+
+or by the rotor's angle, cos k theta and sin k theta. A shape describes data; it is no effect: with
+what the force grows is read off before any candidate is named. (Masri and Caughey 1979.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from spiral.inference.evidence.assembly import ORIGIN
+from spiral.inference.where.latent import LatentForce, MissingForce
+from spiral.types.record import Array
+
+Kind = Literal["position", "velocity", "other position", "other velocity", "angle"]
+
+_Named = tuple[Kind, str, int, bool]
+
+_MOST = 6000  # samples that are regressed
+_TINY = 1e-9
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One shape of the missing force on one axis.
+
+    ``power`` is n, or k for an angle; ``even`` where the sign of the state does not matter;
+    ``share`` of the force's energy explained (that the model cannot take over itself), from 0 to 1.
+    """
+
+    axis: str
+    kind: Kind
+    state: str
+    power: int
+    share: float
+    even: bool = False
+
+
+def shapes(missing: MissingForce, active: tuple[str, ...]) -> tuple[Shape, ...]:
+    """All shapes on all axes, best first.
+
+    Parameters
+    ----------
+    active : parameters of the model that its fit moves.
+    """
+    samples = len(missing.force)
+    at = np.unique(np.linspace(0, samples - 1, min(samples, _MOST)).astype(int))
+    own = _own_columns(missing, active, at)
+    found = []
+    for number, axis in enumerate(missing.axes):
+        basis = _orthonormal(np.column_stack([own[:, number], np.ones(len(at))]))
+        left = _without(missing.force[at, number : number + 1], basis)
+        energy = float(np.sum(left**2))
+        for shape, columns in _candidates(missing, number, at):
+            seen = _orthonormal(_without(columns / np.linalg.norm(columns, axis=0), basis))
+            share = float(np.sum((seen.T @ left) ** 2)) / energy if energy > 0 else 0.0
+            kind, state, power, even = shape
+            found.append(Shape(axis, kind, state, power, share, even))
+    return tuple(sorted(found, key=lambda s: -s.share))
+
+
+def best_shape(found: tuple[Shape, ...], axes: tuple[str, ...]) -> Shape | None:
+    """The shape that explains most on these axes together, as the first of them has it."""
+    groups: dict[tuple, list[Shape]] = {}
+    for shape in (s for s in found if s.axis in axes):
+        groups.setdefault((shape.kind, shape.power, shape.even), []).append(shape)
+    if not groups:
+        return None
+    means = {key: float(np.mean([s.share for s in group])) for key, group in groups.items()}
+    best = max(means, key=lambda key: means[key])
+    first = max(groups[best], key=lambda s: s.share)
+    return Shape(first.axis, first.kind, first.state, first.power, means[best], first.even)
+
+
+def _own_columns(missing: MissingForce, active: tuple[str, ...], at: Array) -> Array:
+    """(samples, axes, columns): forces at the port that the model's own parameters stand for."""
+    task = missing.task
+    n, count = len(task.states), len(task.keys)
+    latent = [i for i, k in enumerate(task.keys) if k.startswith(f"{LatentForce().label}.")]
+    wanted = [task.keys.index(k) for k in {*active, ORIGIN} if k in task.keys]
+    inputs = task.inputs[:: 2 * task.series.substeps]
+    a, b, slope = np.zeros((n, n)), np.zeros((n, count)), np.empty(n)
+    columns = np.zeros((len(at), len(latent), len(wanted)))
+    for row, sample in enumerate(at):
+        state = np.ascontiguousarray(missing.states[sample])
+        task.compiled.rate(state, inputs[sample], task.values, slope, a, b)
+        columns[row] = np.linalg.pinv(b[:, latent]) @ b[:, wanted]
+    return columns
+
+
+def _candidates(missing: MissingForce, number: int, at: Array) -> Iterator[tuple[_Named, Array]]:
+    """Every shape of one axis with its columns (samples, 1 or 2)."""
+    task = missing.task
+    names = task.states
+    axes = [a if a in names else None for a in missing.axes]
+    q = {a: missing.states[at, names.index(a)] for a in axes if a}
+    v = {a: missing.states[at, names.index(f"{a}_rate")] for a in q if f"{a}_rate" in names}
+    axis = missing.axes[number]
+    if axis in q:
+        yield from _powers("position", axis, q, 1)
+        yield ("position", axis, 2, True), q[axis][:, None] ** 2
+        for other in (o for o in q if o != axis):
+            yield ("other position", other, 1, False), q[other][:, None]
+    if axis in v:
+        yield from _powers("velocity", f"{axis}_rate", v, 0, axis)
+        for other in (o for o in v if o != axis):
+            yield ("other velocity", f"{other}_rate", 1, False), v[other][:, None]
+    columns = task.compiled.traced.inputs
+    if "phase" in columns:
+        phase = task.inputs[:: 2 * task.series.substeps][at, columns.index("phase")]
+        for k in (1, 2, 3):
+            yield (
+                ("angle", "phase", k, False),
+                np.column_stack([np.cos(k * phase), np.sin(k * phase)]),
+            )
+
+
+def _powers(
+    kind: Kind, name: str, states: dict[str, Array], lowest: int, axis: str = ""
+) -> Iterator[tuple[_Named, Array]]:
+    """s r^(n-1) for n up to 3; the sign of s for n = 0."""
+    own = states[axis or name]
+    size = np.sqrt(sum(s * s for s in states.values()))
+    for power in range(lowest, 4):
+        column = np.sign(own) if power == 0 else own * size ** (power - 1)
+        yield (kind, name, power, False), column[:, None]
+
+
+def _orthonormal(columns: Array) -> Array:
+    """An orthonormal basis of the columns' span, nearly dependent ones left out."""
+    norms = np.linalg.norm(columns, axis=0)
+    kept = columns[:, norms > _TINY] / norms[norms > _TINY]
+    if not kept.shape[1]:
+        return np.zeros((len(columns), 0))
+    left, sizes, _ = np.linalg.svd(kept, full_matrices=False)
+    return left[:, sizes > 1e-7 * sizes[0]]
+
+
+def _without(columns: Array, basis: Array) -> Array:
+    return columns - basis @ (basis.T @ columns)

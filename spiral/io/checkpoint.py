@@ -1,0 +1,148 @@
+"""Unfinished studies: kept on disk after every round, taken up by the next start.
+
+``OUT/.unfinished/FINGERPRINT/checkpoint.json`` holds the rounds so far and where the study stands.
+The fingerprint names everything that the result depends on, so that a study is taken up only by
+the same study: same configuration, same data, same plugins, same version of the program.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from spiral.inference.rounds import Checkpoint
+from spiral.io.storage import model_data, model_from, unwritable, write_whole
+
+if TYPE_CHECKING:
+    from cattrs import Converter
+
+    from spiral.inference.problem import Problem
+    from spiral.io.registry import Registry
+
+FOLDER = ".unfinished"
+FILE = "checkpoint.json"
+_NO_INFLUENCE = ("out", "n_jobs", "run", "tracking", "sweep")  # on the result of a study
+
+
+@dataclass(frozen=True)
+class Keeper:
+    """Keeps the checkpoints of one study; ``folder`` is ``None`` where a twin runs right now."""
+
+    folder: Path | None
+    registry: Registry
+
+    def keep(self, checkpoint: Checkpoint) -> None:
+        """Write a checkpoint over the last one.
+
+        Raises
+        ------
+        InputError : the folder cannot be written, for instance on a full disk.
+        """
+        if self.folder is None:
+            return
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_checkpoint(checkpoint, self.folder / FILE, self.registry)
+        except OSError as error:
+            raise unwritable(self.folder.parent.parent, error) from error
+
+    def last(self) -> Checkpoint | None:
+        """The checkpoint that an unfinished study left, or nothing."""
+        if self.folder is None or not (self.folder / FILE).is_file():
+            return None
+        try:
+            return read_checkpoint(self.folder / FILE, self.registry)
+        except Exception:  # damaged, or written by another version: the study starts anew
+            return None
+
+    def done(self) -> None:
+        """The study is saved; its checkpoint goes."""
+        if self.folder is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def write_checkpoint(checkpoint: Checkpoint, file: Path, registry: Registry) -> None:
+    """Write a checkpoint over the last one, whole or not at all."""
+    plain = _converter(registry).unstructure(checkpoint)
+    write_whole(file, json.dumps(plain, default=_number))
+
+
+def read_checkpoint(file: Path, registry: Registry) -> Checkpoint:
+    """A checkpoint from its file; whatever is wrong with it raises."""
+    text = file.read_text(encoding="utf-8")
+    return _converter(registry).structure(json.loads(text), Checkpoint)
+
+
+@contextmanager
+def keeper(
+    config: Mapping[str, Any], problem: Problem, registry: Registry, out: str | os.PathLike[str]
+) -> Iterator[Keeper]:
+    """The keeper of a study, locked against a twin that runs at the same time."""
+    from filelock import FileLock, Timeout
+
+    place = Path(out).expanduser() / FOLDER / fingerprint(config, problem, registry)
+    lock = FileLock(f"{place}.lock", blocking=False)
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout:
+        yield Keeper(None, registry)
+        return
+    except OSError as error:
+        raise unwritable(out, error) from error
+    try:
+        yield Keeper(place, registry)
+    finally:
+        lock.release()
+        Path(f"{place}.lock").unlink(missing_ok=True)
+        _remove_empty(place.parent)
+        _remove_empty(place.parent.parent)  # made here, and nothing was saved
+
+
+def fingerprint(config: Mapping[str, Any], problem: Problem, registry: Registry) -> str:
+    """Of everything that the result of a study depends on."""
+    from spiral import __version__
+
+    content = {
+        "config": {k: v for k, v in config.items() if k not in _NO_INFLUENCE},
+        "data": [r.sha256 for r in (*problem.records, *problem.test)],
+        "model": model_data(problem.model),
+        "plugins": registry.versions(),
+        "version": __version__,
+    }
+    text = json.dumps(content, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def _number(value: Any) -> Any:
+    """A number or array of NumPy's as Python's own."""
+    return value.tolist()
+
+
+def _remove_empty(folder: Path) -> None:
+    try:
+        folder.rmdir()
+    except OSError:
+        return  # another study is unfinished
+
+
+def _converter(registry: Registry) -> Converter:
+    """Frozen dataclasses to JSON and back; models by their plugins' names, arrays as lists."""
+    import numpy as np
+    from cattrs import Converter
+
+    from spiral.types.model import Model
+
+    converter = Converter()
+    converter.register_unstructure_hook(Model, model_data)
+    converter.register_structure_hook(Model, lambda data, _: model_from(data, registry))
+    converter.register_unstructure_hook(np.ndarray, lambda a: a.tolist())
+    converter.register_structure_hook(np.ndarray, lambda data, _: np.asarray(data, dtype=float))
+    return converter

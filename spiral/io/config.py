@@ -1,0 +1,391 @@
+"""The configuration of a study: composed by Hydra, checked by the registry, built into a Problem.
+
+Hydra composes ``conf/config.yaml`` and a preset of ``conf/experiment``; groups and values given on
+the command line are parsed by its grammar and applied here, so that every name is checked against
+the registry and mappings are replaced rather than merged. A composed configuration is plain data.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from spiral.inference.plan_options import Wishes
+from spiral.inference.problem import Problem, Sampling, Settings
+from spiral.io import custom
+from spiral.io.overrides import Assignment, parse, set_value
+from spiral.io.paper_options import gate_chain, gate_fields, with_published, with_strategy
+from spiral.io.registry import Registry
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.fields import by_name, construct, defaults_of, field_names, is_open, plain
+
+Config = dict[str, Any]
+
+GROUPS = {
+    "system": "system",
+    "record": "source",
+    "test": "source",
+    "derivative": "derivative",
+    "observer": "observer",
+    "learner": "learner",
+    "library": "library",
+}
+# Of groups that runs saved before them lack.
+USUAL = {
+    "derivative": "total_variation",
+    "observer": "ekf",
+    "learner": "tanh_network",
+    "library": "paper",
+}
+STRATEGIES = ("shooting", "paper", "innovation")
+PACKAGE = "spiral_conf"
+_TEST_SEED_FIELDS = ("name", "settle")
+
+
+@dataclass(frozen=True)
+class Options:
+    """The top-level values of a configuration, typed."""
+
+    strategy: str = "shooting"
+    effect: Any = None
+    seed: tuple[str, ...] | None = None
+    without: tuple[str, ...] = ()
+    candidates: tuple[str, ...] | None = None
+    values: Mapping[str, float] | None = None
+    free: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+    calibrate: bool | None = None
+    holdout: float = 0.2
+    settings: Any = field(default_factory=dict)
+    gate: Any = None
+    paper: Any = field(default_factory=dict)
+    run: str | None = None
+    out: str = "runs"
+    curves: bool = True
+    n_jobs: int = -1
+    tracking: Any = field(default_factory=dict)
+
+
+def experiments() -> tuple[str, ...]:
+    """Names of the presets."""
+    from importlib.resources import files
+
+    folder = files(PACKAGE) / "experiment"
+    return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".yaml")))
+
+
+def register(registry: Registry) -> None:
+    """Tell Hydra about the plugins, so that presets can choose them."""
+    from hydra.core.config_store import ConfigStore
+
+    store = ConfigStore.instance()
+    for group, kind in GROUPS.items():
+        for name in registry.names(kind):
+            store.store(name=name, group=group, node=_section(group, name, registry))
+
+
+def compose(overrides: Sequence[str], registry: Registry, base: Config | None = None) -> Config:
+    """The configuration that overrides ask for, on top of ``base`` or the usual values.
+
+    Raises
+    ------
+    ConfigError : an unknown key, name or field, with near misses; a value that does not parse.
+    """
+    items = parse(overrides)
+    config = copy.deepcopy(base) if base is not None else _from_hydra(_preset(items), registry)
+    if base is not None and _preset(items):
+        raise ConfigError(
+            f"experiment={_preset(items)} together with run=", "one of them", "leave one out"
+        )
+    items, registry = custom.routed(config, items, registry)
+    with_strategy(config, items)
+    _normalise(config, registry)
+    rest = [i for i in items if i.path != ("experiment",)]
+    for item in [i for i in rest if len(i.path) == 1]:
+        _apply(config, item, registry)
+    for item in [i for i in rest if len(i.path) > 1]:
+        _apply(config, item, registry)
+    options(config)
+    return config
+
+
+def options(config: Config) -> Options:
+    """The top-level values, checked."""
+    given = {k: config[k] for k in field_names(Options) if k in config}
+    found = construct(Options, given, "")
+    if found.strategy not in STRATEGIES:
+        raise ConfigError(
+            f"strategy={found.strategy}",
+            f"one of {', '.join(STRATEGIES)}",
+            did_you_mean(found.strategy, STRATEGIES),
+        )
+    if not 0.02 <= found.holdout <= 0.9:
+        raise ConfigError(f"holdout={found.holdout:g}", "a share between 0.02 and 0.9")
+    return found
+
+
+def settings(config: Config) -> Settings:
+    """Levels and sizes of the statistics."""
+    found = construct(Settings, config["settings"], "settings")
+    for name in ("level", "alias_level", "whiteness_level", "share", "miss"):
+        if not 0 < getattr(found, name) < 1:
+            raise ConfigError(
+                f"settings.{name}={getattr(found, name):g}", "a probability between 0 and 1"
+            )
+    return found
+
+
+def build_system(config: Config, registry: Registry) -> Any:
+    """The system of a configuration."""
+    return _plugin("system", config, registry)
+
+
+def build_derivative(config: Config, registry: Registry) -> Any:
+    """The estimator of derivatives of a configuration."""
+    return _plugin("derivative", config, registry)
+
+
+def build_observer(config: Config, registry: Registry) -> Any:
+    """The state estimator of a configuration."""
+    return _plugin("observer", config, registry)
+
+
+def build_sources(config: Config, registry: Registry) -> tuple[Any, Any | None]:
+    """Where the record comes from, and the test record where one is named.
+
+    A field of the test that is left out is as in the record where both have one source.
+    """
+    registry = custom.bound(config, registry)
+    record = _plugin("record", config, registry)
+    section = config["test"]
+    if not section.get("name"):
+        return record, None
+    given = {k: v for k, v in section.items() if k not in _TEST_SEED_FIELDS and v is not None}
+    if section["name"] == config["record"]["name"]:
+        given = {**plain(record.as_test()), **given}
+        given.pop("name", None)
+    return record, registry.make("source", section["name"], given, "test")
+
+
+def build_effects(config: Config, registry: Registry, system: Any) -> tuple[Any, ...]:
+    """The effects of the model: its seed and those added, less those left out."""
+    registry = custom.bound(config, registry)
+    chosen = options(config)
+    if chosen.seed is None:
+        effects = list(system.seed)
+    else:
+        effects = [registry.effect_from_label(label) for label in chosen.seed]
+    effects += [registry.effect_from_label(k, v) for k, v in config["effect"].items()]
+    labels = [e.label for e in effects]
+    for label in chosen.without:
+        if label not in labels:
+            raise ConfigError(
+                f"without={label}",
+                f"an effect of the model: {', '.join(labels)}",
+                did_you_mean(label, labels),
+            )
+    return tuple(e for e in effects if e.label not in chosen.without)
+
+
+def build_model(config: Config, registry: Registry) -> Any:
+    """The model of a configuration; a system's nominal values are first values."""
+    from spiral.inference.simulate import with_defaults
+    from spiral.types.model import Model
+
+    registry = custom.bound(config, registry)
+    system = build_system(config, registry)
+    chosen = options(config)
+    effects = build_effects(config, registry, system)
+    values = dict(chosen.values or {})
+    free, fixed = chosen.free, chosen.fixed
+    if chosen.run:  # numbers of effects that its model had and this one has not
+        gone = set(registry.names("effect"))
+
+        def kept(key: str) -> bool:
+            owner = key.rsplit(".", 1)[0]
+            return owner in {e.label for e in effects} or owner.partition("@")[0] not in gone
+
+        values = {k: v for k, v in values.items() if kept(k)}
+        free, fixed = tuple(filter(kept, free)), tuple(filter(kept, fixed))
+    return with_defaults(Model(system, effects, values=values, freed=free, fixed=fixed))
+
+
+def build_candidates(config: Config, registry: Registry, model: Any) -> tuple[Any, ...]:
+    """Effects that may be missing: those named, or all that fit, less those of the model."""
+    from spiral.types.placement import check_effect
+
+    registry, named = custom.bound(config, registry), options(config).candidates
+    if named is None:
+        found = registry.candidates(model.system)
+    else:
+        found = tuple(registry.effect_from_label(label) for label in dict.fromkeys(named))
+        for effect in found:
+            check_effect(model.system, effect)
+    return tuple(e for e in found if e.label not in model.labels)
+
+
+def build_problem(config: Config, registry: Registry) -> Problem:
+    """The question of a study: its model, with the records loaded and the test kept apart."""
+    from spiral.types.record import split_off_test
+
+    levels = settings(config)
+    settle = config["test"].get("settle")
+    if settle is not None and not (isinstance(settle, int | float) and settle >= 0):
+        raise ConfigError(f"test.settle={settle!r}", "seconds, zero or above")
+    model = build_model(config, registry)
+    strategy = options(config).strategy
+    candidates = build_candidates(config, registry, model) if strategy != "paper" else ()
+    record, test_source = build_sources(config, registry)
+    records = record.load(model.system)
+    if test_source is not None:
+        test = test_source.load(model.system)
+    else:
+        pairs = [split_off_test(r, options(config).holdout) for r in records]
+        records, test = tuple(f for f, _ in pairs), tuple(t for _, t in pairs)
+    problem = Problem(model, records, test, settle, candidates, levels)
+    if strategy == "innovation":
+        return replace(problem, innovation=gate_chain(config["gate"], registry))
+    if strategy == "shooting":
+        return replace(problem, dictionary=registry.dictionary(model.system))
+    parts = {g: _plugin(g, config, registry) for g in ("derivative", "learner", "library")}
+    named = options(config).candidates
+    return with_published(problem, parts, config["gate"], config["paper"], named, registry)
+
+
+def _preset(items: Iterable[Assignment]) -> str | None:
+    name = None
+    for item in items:
+        if item.path == ("experiment",):
+            name = item.value
+    known = experiments()
+    if name is not None and name not in known:
+        raise ConfigError(
+            f"experiment={name}",
+            f"one of {', '.join(known)}",
+            did_you_mean(str(name), known),
+        )
+    return name
+
+
+def _from_hydra(preset: str | None, registry: Registry) -> Config:
+    """``config.yaml`` with a preset, as plain data."""
+    import hydra
+    from hydra.core.global_hydra import GlobalHydra
+    from omegaconf import OmegaConf
+
+    register(registry)
+    given = [f"experiment={preset}"] if preset else []
+    shared = GlobalHydra.instance()
+    outer, shared.hydra = shared.hydra, None  # a Hydra application may be running around us
+    try:
+        with hydra.initialize_config_module(PACKAGE, version_base="1.3"):
+            composed = hydra.compose("config", overrides=given)
+    finally:
+        shared.hydra = outer
+    config = OmegaConf.to_container(composed, resolve=True)
+    assert isinstance(config, dict)
+    return {"experiment": preset, "system": None, "record": None, **config}  # type: ignore[dict-item]
+
+
+def _section(group: str, name: str, registry: Registry) -> Config:
+    """A plugin's fields with their defaults; a test's are empty, to be as in the record."""
+    fields = defaults_of(registry.entry(GROUPS[group], name).plugin)
+    if group == "test":
+        fields = dict.fromkeys(fields)
+    return {"name": name, **fields}
+
+
+def _normalise(config: Config, registry: Registry) -> None:
+    """One shape inside: ``test`` with all its fields, ``effect`` as label -> fields."""
+    for group, name in USUAL.items():
+        if not config.get(group):
+            config[group] = _section(group, name, registry)
+    test = config["test"] or {}
+    extra = [k for k in test if k not in _TEST_SEED_FIELDS]
+    if extra and not test.get("name"):
+        test = _test_like_record(config, registry, test)
+    config["test"] = {"name": None, "settle": None, **test}
+    config["effect"] = _effect_fields(config["effect"], registry)
+    config["gate"] = gate_fields(config.get("gate"), registry, config["strategy"])
+    config.setdefault("paper", plain(defaults_of(Sampling)))
+    config["plan"] = {**defaults_of(Wishes), **(config.get("plan") or {})}
+
+
+def _test_like_record(config: Config, registry: Registry, test: Config) -> Config:
+    if not config["record"]:
+        raise ConfigError("a test without a record", "record=NAME", "record=csv record.path=FILE")
+    name = config["record"]["name"]
+    return {**_section("test", name, registry), **test, "name": name}
+
+
+def _effect_fields(given: Any, registry: Registry) -> Config:
+    """``[a, b@PORT]``, ``a`` or ``{a: {field: value}}`` -> label -> all its fields."""
+    found = {}
+    for label, fields in by_name(given, "effect", "effect=[cubic_stiffness]").items():
+        name, _, port = label.partition("@")
+        defaults = defaults_of(registry.entry("effect", name).plugin)
+        for hidden in ("variant", *(["port"] if port else [])):
+            defaults.pop(hidden)
+        found[label] = {**defaults, **fields}
+    return found
+
+
+def _apply(config: Config, item: Assignment, registry: Registry) -> None:
+    first = item.path[0]
+    if len(item.path) == 1 and first in GROUPS:
+        _choose(config, first, None if item.delete else item.value, registry)
+        return
+    if item.path == ("effect",):
+        config["effect"] = _effect_fields(None if item.delete else item.value, registry)
+        return
+    if item.path == ("gate",):
+        given = [] if item.delete else item.value
+        config["gate"] = gate_fields(given, registry, config["strategy"])
+        return
+    if first == "test" and item.path[1:] != ("settle",) and not config["test"]["name"]:
+        config["test"] = {"settle": None, **_test_like_record(config, registry, config["test"])}
+    if item.path[-1] == "name" and first in GROUPS:
+        raise ConfigError(f"{item.text!r}", f"{first}=NAME", f"{first}={item.value}")
+    if first in ("effect", "gate") and len(item.path) == 2 and item.delete:
+        config[first].pop(item.path[-1], None)
+        return
+    set_value(config, item, _open_keys(config, registry))
+
+
+def _choose(config: Config, group: str, name: Any, registry: Registry) -> None:
+    """Take another plugin for a group; the fields a preset gave the same one are kept."""
+    if name is None:
+        settle = (config["test"] or {}).get("settle")
+        config[group] = {"name": None, "settle": settle} if group == "test" else None
+        return
+    if config[group] and config[group].get("name") == name:
+        return
+    chosen = _section(group, str(name), registry)
+    if group == "test":
+        chosen["settle"] = config["test"].get("settle")
+    config[group] = chosen
+
+
+def _open_keys(config: Config, registry: Registry) -> tuple[str, ...]:
+    found = ["values", *custom.open_keys(config)]
+    for group, kind in GROUPS.items():
+        if config[group] and config[group].get("name"):
+            plugin = registry.entry(kind, config[group]["name"]).plugin
+            found += [f"{group}.{f}" for f in field_names(plugin) if is_open(plugin, f)]
+    return tuple(found)
+
+
+def _plugin(group: str, config: Config, registry: Registry) -> Any:
+    kind = GROUPS[group]
+    section = config[group]
+    if not section:
+        names = registry.names(kind)
+        raise ConfigError(
+            f"no {group}",
+            f"{group}=NAME with one of {', '.join(names)}",
+            f"or a preset: experiment={' | '.join(experiments())}",
+        )
+    fields = {k: v for k, v in section.items() if k != "name"}
+    return registry.make(kind, section["name"], fields, group)

@@ -1,0 +1,364 @@
+"""What the conformance suite looks at: functions that return what was seen, or raise what is wrong.
+
+f_x, f_p, h_x, h_p are those of the compiled model, held against central differences
+(f(z + d) - f(z - d)) / 2d.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spiral.types.effect import Effect
+from spiral.types.errors import PluginError, did_you_mean
+from spiral.types.parameter import Parameter
+from spiral.types.placement import model_keys
+from spiral.types.plugin import Plugin
+from spiral.types.record import Array
+from spiral.types.system import MechanicalSystem, System
+
+if TYPE_CHECKING:
+    from spiral.physics.compile import Compiled
+    from spiral.types.model import Model
+
+_STEP, _TOLERANCE, _EXACT = 1e-5, 1e-5, 1e-12
+_DRAWS = 16
+_SAMPLES = 8192  # of the short simulated record: exp(819) of the fastest motion is infinite
+
+
+@dataclass(frozen=True)
+class Physics:
+    """The compiled model of a system with effects (left out: its seed), made when first asked for.
+
+    f and h are stacked into one vector.
+    """
+
+    system: System
+    effects: tuple[Effect, ...] | None = None
+
+    @cached_property
+    def compiled(self) -> Compiled:
+        """Its functions."""
+        from spiral.physics.compile import compile_model
+        from spiral.physics.trace import trace
+
+        return compile_model(
+            trace(self.system, self.system.seed if self.effects is None else self.effects)
+        )
+
+    def evaluated(self, x: Array, u: Array, p: Array) -> tuple[Array, Array, Array]:
+        """(f, h) and its Jacobians in x and p."""
+        parts = []
+        traced = self.compiled.traced
+        for function, count in (
+            (self.compiled.rate, len(traced.states)),
+            (self.compiled.output, len(traced.channels)),
+        ):
+            value = np.zeros(count)
+            by_x, by_p = np.zeros((count, len(x))), np.zeros((count, len(p)))
+            function(x, u, p, value, by_x, by_p)
+            parts.append((value, by_x, by_p))
+        value, by_x, by_p = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return value, by_x, by_p
+
+    def drawn(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+        """Random states, inputs and parameters, the last within their bounds."""
+        traced = self.compiled.traced
+        x, u = (rng.normal(size=len(names)) for names in (traced.states, traced.inputs))
+        return x, u, np.array([_inside(q, rng.uniform(0.3, 0.9)) for q in traced.parameters])
+
+    def amplitudes(self, effect: Effect) -> Array:
+        """Which parameters are amplitudes of the effect."""
+        traced = self.compiled.traced
+        pairs = zip(traced.keys, traced.parameters, strict=True)
+        own = [k.startswith(f"{effect.label}.") and q.role == "amplitude" for k, q in pairs]
+        return np.array(own, dtype=bool)
+
+
+def _inside(parameter: Parameter, share: float) -> float:
+    """``share`` itself where the bounds allow it, else that share of the way between them."""
+    low, high = parameter.lower, parameter.upper
+    if (low is None or low <= share) and (high is None or share <= high):
+        return share
+    if low is None:
+        return float(high or 0.0) - share
+    return low + share * ((low + 1.0 if high is None else high) - low)
+
+
+def said(plugin: Plugin | type[Plugin]) -> str:
+    """The first line of the docstring."""
+    meaning = plugin.meaning()
+    kind = plugin if isinstance(plugin, type) else type(plugin)
+    if not meaning or meaning.startswith(f"{kind.__name__}("):  # what dataclass writes by itself
+        raise PluginError("no docstring", "a first line that says what it is")
+    return meaning
+
+
+def docstring(plugin: Plugin) -> str:
+    """The line of the docstring that holds the equation."""
+    said(plugin)
+    for line in (inspect.getdoc(type(plugin)) or "").splitlines():
+        if " = " in line:
+            return line.strip()
+    raise PluginError("a docstring without an equation", "a line with ' = '")
+
+
+def fits(effect: Effect, system: System) -> str:
+    """The port: its axes and the system's inputs are what the effect needs."""
+    from spiral.types.placement import check_effect as check_needs
+
+    return f"port {check_needs(system, effect).name}"
+
+
+def effect_units(effect: Effect, system: System) -> str:
+    """Parameters and own states: each name once, units that parse, an amplitude."""
+    port = system.place(effect)
+    _once("parameter", [q.name for q in effect.parameters])
+    _once("state", [s.name for s in effect.states])
+    if not effect.amplitudes():
+        raise PluginError(
+            "no parameter of role 'amplitude'",
+            "one that is zero when the effect is absent",
+            "Parameter('stiffness', 'force/position') and use it as a factor",
+        )
+    return _parsed({i.name: port.unit(i.unit) for i in (*effect.parameters, *effect.states)})
+
+
+def _once(kind: str, names: Sequence[str]) -> None:
+    twice = sorted({n for n in names if list(names).count(n) > 1})
+    if twice:
+        raise PluginError(f"{kind} {', '.join(twice)} twice", "each name once")
+
+
+def _parsed(units: dict[str, str]) -> str:
+    from spiral.types.units import short_form
+
+    found = []
+    for name, unit in units.items():
+        try:
+            found.append(f"{name} in {short_form(unit) or '1'}")
+        except Exception as error:
+            raise PluginError(f"unit {unit!r} of {name!r}", "a unit that parses") from error
+    return ", ".join(found) or "none"
+
+
+def traces(physics: Physics) -> str:
+    """The physics becomes expressions and compiles."""
+    traced = physics.compiled.traced
+    return f"{len(traced.states)} states, {len(traced.keys)} parameters"
+
+
+def own_states(effect: Effect, physics: Physics) -> str:
+    """States that the effect brings have rates."""
+    own = [n for n in physics.compiled.traced.states if n.startswith(f"{effect.label}.")]
+    if effect.states and not own:
+        raise PluginError("states of its own without rates", "a rate for each")
+    return ", ".join(n.split(".", 1)[1] for n in own) or "none"
+
+
+def units(system: System, effects: Sequence[Effect]) -> str:
+    """The equations give forces (readings, flows) in the unit of their port."""
+    from spiral.types.units import check_units
+
+    for effect in effects:
+        check_units(system, effect)
+    return ", ".join(system.place(e).force_unit for e in effects) or "none"
+
+
+def jacobians(physics: Physics) -> str:
+    """f_x, f_p, h_x, h_p against central differences at random states and parameters."""
+    rng = np.random.default_rng(1)
+    worst = max(_worst_slope(physics, *physics.drawn(rng)) for _ in range(_DRAWS))
+    return f"{worst:.0e} from central differences"
+
+
+def _worst_slope(physics: Physics, x: Array, u: Array, p: Array) -> float:
+    names = (*physics.compiled.traced.states, *physics.compiled.traced.keys)
+    value, *slopes = physics.evaluated(x, u, p)
+    size = np.full(len(value), np.abs(value[: len(x)]).max())  # of rates, then of readings
+    size[len(x) :] = np.abs(value[len(x) :]).max()
+    point = np.concatenate([x, p])
+    worst = 0.0
+    for name, given, d in zip(names, np.hstack(slopes).T, _STEP * np.eye(len(point)), strict=True):
+        above, below = (
+            physics.evaluated(z[: len(x)], u, z[len(x) :])[0] for z in (point + d, point - d)
+        )
+        slope = (above - below) / (2 * _STEP)
+        allowed = _TOLERANCE * (np.abs(slope) + size)
+        error = np.abs(given - slope)
+        if not np.all(error <= allowed):
+            raise PluginError(
+                f"derivative by {name!r} off by {np.max(error):.2g}",
+                f"at most {allowed.min():.2g} from the central difference",
+            )
+        worst = max(worst, float(np.max(error)))
+    return worst
+
+
+def finite(physics: Physics) -> str:
+    """Values and slopes at zero states and inputs, and in motion, with amplitudes 0 and 1."""
+    traced = physics.compiled.traced
+    x, u, p = physics.drawn(np.random.default_rng(2))
+    pairs = zip(traced.keys, traced.parameters, strict=True)
+    kept = np.array([k.startswith("system.") or q.role == "shape" for k, q in pairs], dtype=bool)
+    for amplitude in (0.0, 1.0):
+        given = np.where(kept, p, amplitude)
+        for where, at in (("at rest", (0 * x, 0 * u, given)), ("in motion", (x, u, given))):
+            parts = zip(("value", "slope by x", "slope by p"), physics.evaluated(*at), strict=True)
+            for what, part in parts:
+                if not np.isfinite(part).all():
+                    raise PluginError(
+                        f"{what} {part[~np.isfinite(part)][0]} {where} "
+                        f"with amplitudes {amplitude:g}",
+                        "finite numbers",
+                    )
+    return "with amplitudes 0 and 1"
+
+
+def linear(effect: Effect, physics: Physics) -> str:
+    """f(2a) - f(0) = 2 (f(a) - f(0)) in the amplitudes a, which change something."""
+    rng = np.random.default_rng(3)
+    own = physics.amplitudes(effect)
+    acts = False
+    for _ in range(_DRAWS):
+        x, u, p = physics.drawn(rng)
+        none, one, two = (
+            physics.evaluated(x, u, np.where(own, scale * p, p))[0] for scale in (0.0, 1.0, 2.0)
+        )
+        error = np.abs((two - none) - 2 * (one - none))
+        if not np.all(error <= _EXACT * (1 + np.abs(2 * (one - none)))):
+            raise PluginError(
+                f"twice the amplitudes miss twice the effect by {np.max(error):.2g}",
+                "an effect linear in its amplitudes",
+            )
+        acts = acts or bool(np.any(one != none))
+    if not acts:
+        raise PluginError("the amplitudes change nothing", "an effect that acts")
+    return f"{int(own.sum())} amplitudes"
+
+
+def absent(effect: Effect, physics: Physics, bare: Physics) -> str:
+    """With zero amplitudes the system's own rates and readings are as without the effect."""
+    x, u, p = physics.drawn(np.random.default_rng(4))
+    none = physics.evaluated(x, u, np.where(physics.amplitudes(effect), 0.0, p))[0]
+    count = len(physics.system.states)
+    alone = bare.evaluated(x[:count], u, p[: len(bare.compiled.traced.keys)])[0]
+    kept = np.concatenate([none[:count], none[len(x) :]])
+    error = np.abs(kept - alone)
+    if not np.all(error <= _EXACT * (1 + np.abs(alone))):
+        raise PluginError(
+            f"with zero amplitudes it still changes the model by {np.nanmax(error):.2g}",
+            "no change",
+        )
+    return "as without it"
+
+
+def names(system: System) -> str:
+    """States, channels, inputs, ports and parameters: each name once, and known where used."""
+    states, inputs = [s.name for s in system.states], [i.name for i in system.inputs]
+    _once("state or input", [*states, *inputs])
+    _once("parameter", [q.name for q in system.parameters])
+    _once("channel", list(system.observed))
+    _once("port", [port.name for port in system.ports])
+    _once("effect of the seed", [e.label for e in system.seed])
+    for what, found in (("states", states), ("channels", system.observed), ("ports", system.ports)):
+        if not found:
+            raise PluginError(f"no {what}", "at least one")
+    for port in system.ports:
+        _once(f"axis of port {port.name!r}", list(port.axes))
+    _known("observed", system.observed, states)
+    sources = [i.derived_from for i in system.inputs if i.derived_from]
+    _known("derived_from", sources, inputs)
+    keys = [k for k, _ in model_keys(system, system.seed)]
+    _known("defaults", list(system.defaults), keys)
+    hidden = [n for n in states if n not in system.observed]
+    return f"observed {', '.join(system.observed)}; hidden {', '.join(hidden) or 'none'}"
+
+
+def _known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
+    for name in given:
+        if name not in known:
+            raise PluginError(
+                f"{what} names {name!r}", f"one of {', '.join(known)}", did_you_mean(name, known)
+            )
+
+
+def system_units(system: System) -> str:
+    """Units of states, inputs, parameters, injections and ports parse."""
+    _parsed({i.name: i.unit for i in system.injections})
+    for port in system.ports:
+        _parsed({f"position at {port.name}": port.position_unit})
+        _parsed({f"force at {port.name}": port.force_unit})
+    return _parsed({i.name: i.unit for i in (*system.states, *system.inputs, *system.parameters)})
+
+
+def mass(system: System) -> str:
+    """M(q, p) is n x n for n coordinates, symmetric and positive; ports have their axes."""
+    if not isinstance(system, MechanicalSystem):
+        return "no coordinates: not a mechanical system"
+    coordinates = [c.name for c in system.coordinates]
+    if [i.name for i in system.injections] != coordinates:
+        raise PluginError(
+            f"injections {', '.join(i.name for i in system.injections)}",
+            f"one for each coordinate, named like it: {', '.join(coordinates)}",
+        )
+    rng = np.random.default_rng(5)
+    q = SimpleNamespace(**{n: rng.normal() for n in coordinates})
+    p = SimpleNamespace(
+        **{k.name: _inside(k, rng.uniform(0.3, 0.9)) for k in system.parameters},
+    )
+    for port in system.ports:
+        if len(port.coordinates(q, p)) != len(port.axes):
+            raise PluginError(f"port {port.name!r}", "one coordinate for each of its axes")
+    matrix = np.array(system.mass(q, p), dtype=float)
+    if matrix.shape != (len(coordinates), len(coordinates)):
+        raise PluginError(f"a mass matrix of shape {matrix.shape}", f"{len(coordinates)} squared")
+    if not np.allclose(matrix, matrix.T, rtol=_EXACT, atol=0):
+        raise PluginError("a mass matrix that is not symmetric", "M = M^T")
+    least = float(np.linalg.eigvalsh(matrix).min())
+    if not least > 0:
+        raise PluginError(f"a mass matrix with eigenvalue {least:.3g}", "a positive mass matrix")
+    return f"{len(coordinates)} x {len(coordinates)}, positive"
+
+
+def mechanical_units(system: System) -> str:
+    """M q'' and the system's own force have the units of the injections."""
+    from spiral.types.units import check_system_units
+
+    if not isinstance(system, MechanicalSystem):
+        return "no coordinates: not a mechanical system"
+    check_system_units(system)
+    return ", ".join(i.unit for i in system.injections)
+
+
+def simulates(system: System) -> str:
+    """A short record with every input at one, where all values are known."""
+    from spiral.inference.simulate import integrate, with_defaults
+    from spiral.types.model import seed_model
+
+    model = with_defaults(seed_model(system))
+    unknown = [k for k, q in model.pairs if q.start is None and k not in model.values]
+    if unknown:
+        return f"not tried: no nominal value for {', '.join(unknown)}"
+    time = time_step(system, model) * np.arange(_SAMPLES)
+    given = {i.name: np.ones(_SAMPLES) for i in system.inputs if i.derived_from is None}
+    states, _ = integrate(model, time, given)
+    if not np.isfinite(states).all():
+        raise PluginError("a short simulation that is not finite", "finite states")
+    return f"{_SAMPLES} samples, {time[-1]:.3g} s"
+
+
+def time_step(system: System, model: Model) -> float:
+    """A tenth of the fastest motion about rest, at most 1 ms, in s."""
+    physics = Physics(system, model.effects)
+    traced = physics.compiled.traced
+    p = np.array([float(model.values.get(k, q.start or 0.0)) for k, q in model.pairs])
+    slopes = physics.evaluated(np.zeros(len(traced.x)), np.zeros(len(traced.u)), p)[1]
+    fastest = float(np.abs(np.linalg.eigvals(slopes[: len(traced.x)])).max())
+    return min(1e-3, 0.1 / fastest) if fastest > 0 else 1e-3

@@ -1,0 +1,257 @@
+"""The model as text: an equation in plain Unicode, and in LaTeX."""
+
+# ruff: noqa: N802, RUF001, RUF002  (SymPy's printers look methods up by class name; Greek is meant)
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import sympy as sp
+from sympy.printing.str import StrPrinter
+
+from spiral.physics.trace import Traced, trace
+from spiral.types.effect import SensorEffect
+from spiral.types.model import Model
+from spiral.types.system import MechanicalSystem
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_GREEK = {"alpha": "α", "beta": "β", "theta": "θ", "phase": "θ", "speed": "Ω"}
+_DIGITS = 4
+
+
+@dataclass(frozen=True)
+class Term:
+    """What one effect (or the system itself) contributes to one equation."""
+
+    owner: str
+    value: sp.Expr
+
+
+@dataclass(frozen=True)
+class Equation:
+    """left = sum of terms."""
+
+    left: str
+    terms: tuple[Term, ...]
+
+
+def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
+    """One equation for each state that is not merely the rate of another, and each changed reading.
+
+    Contributions are differences of the traced right-hand side with and without an effect, so the
+    text shows what is integrated.
+    """
+    whole = trace(model.system, model.effects)
+    bare = trace(model.system, ())
+    alone = {e.label: trace(model.system, (e,)) for e in model.effects}
+    base = _with_values(bare, model)
+    found = []
+    for name in whole.states:
+        if isinstance(model.system, MechanicalSystem) and f"{name}_rate" in whole.states:
+            continue
+        terms = []
+        if name in bare.states:
+            terms.append(Term("", base.rate[base.states.index(name)]))
+        for label, one in alone.items():
+            seen = _with_values(one, model)
+            if name in one.states:
+                own = seen.rate[seen.states.index(name)]
+                before = (
+                    base.rate[base.states.index(name)] if name in bare.states else sp.Integer(0)
+                )
+                terms.append(Term(label, _difference(own, before)))
+        found.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0)))
+    return (*found, *_readings(model)), whole
+
+
+def equation(model: Model) -> str:
+    """The model in plain text, one effect on each line with its name.
+
+    x'' = - 8085 x            linear_stiffness
+          - 4.5 x'            linear_damping
+    """
+    blocks = []
+    for item in equations(model)[0]:
+        left = _left(item.left)
+        lines = [(_signed(t.value), t.owner or "system") for t in item.terms] or [("0", "")]
+        wide = min(max(len(text) for text, _ in lines), 60)
+        pad = " " * (len(left) + 3)
+        lines[0] = (lines[0][0].removeprefix("+ "), lines[0][1])
+        rows = [f"{pad}{text:<{wide}}   {owner}".rstrip() for text, owner in lines]
+        rows[0] = f"{left} = {rows[0][len(pad) :]}"
+        blocks.append("\n".join(rows))
+    return "\n".join(blocks)
+
+
+def latex(model: Model) -> str:
+    """The model as an ``align`` environment, one effect on each line with its name."""
+    found, _ = equations(model)
+    rows = []
+    for item in found:
+        for index, term in enumerate(item.terms):
+            text = sp.latex(_named(term.value, _latex_name), mul_symbol=r"\,")
+            text = text if text.startswith("-") or index == 0 else f"+ {text}"
+            owner = (term.owner or "system").replace("_", r"\_")
+            left = _latex_left(item.left) + " &= " if index == 0 else "&\\quad "
+            rows.append(rf"{left}{text} && \text{{{owner}}} \\")
+    return "\n".join([r"\begin{align*}", *rows, r"\end{align*}"])
+
+
+def _readings(model: Model) -> list[Equation]:
+    """What the sensors report, where effects change it: each effect's change, in their order."""
+    sensors = tuple(e for e in model.effects if isinstance(e, SensorEffect))
+    if not sensors:
+        return []
+    others = tuple(e for e in model.effects if e not in sensors)
+    steps = [
+        _with_values(trace(model.system, (*others, *sensors[:count])), model).output
+        for count in range(len(sensors) + 1)
+    ]
+    found = []
+    for row, name in enumerate(model.system.observed):
+        terms = [Term("", steps[0][row])]
+        for effect, before, after in zip(sensors, steps, steps[1:], strict=False):
+            terms.append(Term(effect.label, _difference(after[row], before[row])))
+        found.append(Equation(f"reading of {name}", tuple(t for t in terms if t.value != 0)))
+    return found
+
+
+def _with_values(traced: Traced, model: Model) -> Traced:
+    """Symbols renamed after states and inputs, parameters replaced by their values."""
+    swap: dict[Any, Any] = {}
+    for names, symbols in ((traced.states, traced.x), (traced.inputs, traced.u)):
+        swap.update({s: _symbol(n) for n, s in zip(names, symbols, strict=True)})
+    starts = {k: p.start for k, p in model.pairs}
+    for key, symbol in zip(traced.keys, traced.p, strict=True):
+        value = model.values.get(key, starts.get(key))
+        known = value is not None and value == value
+        swap[symbol] = sp.Float(value) if known else _symbol(key.rsplit(".", 1)[-1])
+    tiny = {f: 0 for e in traced.rate for f in e.atoms(sp.Float) if 0 < abs(f) < 1e-150}
+    rate = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.rate)
+    output = tuple(sp.sympify(e).xreplace(swap) for e in traced.output)
+    return replace(traced, rate=rate, output=output)
+
+
+def _symbol(name: str) -> sp.Symbol:
+    return sp.Symbol(name, real=True)
+
+
+def _difference(value: sp.Expr, before: sp.Expr) -> Any:
+    """value - before; multiplied out only where that is shorter."""
+    left = value - before
+    expanded = sp.expand(left) if before != 0 else left
+    return min((left, expanded), key=sp.count_ops)
+
+
+def _left(text: str) -> str:
+    return f"{_plain(text[:-1])}'" if text.endswith("'") else text
+
+
+def _latex_left(text: str) -> str:
+    if not text.endswith("'"):
+        return rf"\text{{{text}}}"
+    name = text[:-1]
+    if name.endswith("_rate"):
+        return rf"\ddot{{{_latex_name(name.removesuffix('_rate'))}}}"
+    return rf"\dot{{{_latex_name(name)}}}"
+
+
+def _plain(name: str) -> str:
+    """``x_rate`` -> ``x'``, ``alpha`` -> ``α``."""
+    if name.endswith("_rate"):
+        return f"{_plain(name.removesuffix('_rate'))}'"
+    return _GREEK.get(name, name)
+
+
+def _latex_name(name: str) -> str:
+    if name.endswith("_rate"):
+        return rf"\dot{{{_latex_name(name.removesuffix('_rate'))}}}"
+    words = {"speed": r"\Omega", "phase": r"\theta", "alpha": r"\alpha", "beta": r"\beta"}
+    text = name.replace("_", r"\_")
+    return words.get(name, name if len(name) == 1 else rf"\mathrm{{{text}}}")
+
+
+def _named(value: Any, name: Any) -> Any:
+    """Symbols renamed and numbers rounded, for a printer."""
+    swap: dict[Any, Any] = {s: sp.Symbol(name(s.name)) for s in value.free_symbols}
+    swap.update({f: sp.Float(f"{float(f):.{_DIGITS}g}", _DIGITS) for f in value.atoms(sp.Float)})
+    return value.xreplace(swap)
+
+
+class _Unicode(StrPrinter):
+    """Products by spaces, powers by superscripts, a few significant digits."""
+
+    def _print_Float(self, expr: sp.Float) -> str:
+        return _number(float(expr))
+
+    def _print_Symbol(self, expr: sp.Symbol) -> str:
+        return _plain(expr.name)
+
+    def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:
+        base, exponent = expr.args
+        if exponent == sp.Rational(1, 2):
+            return f"√({self._print(base)})"
+        text = self.parenthesize(base, 1000, strict=True)
+        if exponent.is_Integer and exponent > 0:
+            return text + str(int(exponent)).translate(_SUPERSCRIPT)
+        return f"{text}^({self._print(exponent)})"
+
+    def _print_Mul(self, expr: sp.Mul) -> str:
+        sign = "-" if expr.could_extract_minus_sign() else ""
+        value: Any = -expr if sign else expr
+        top, bottom = value.as_numer_denom()
+        text = self._product(top)
+        if bottom == 1:
+            return sign + text
+        below = self._product(bottom)
+        return f"{sign}{text}/{below if ' ' not in below else f'({below})'}"
+
+    def _product(self, value: sp.Expr) -> str:
+        factors = sp.Mul.make_args(value)
+        numbers = [f for f in factors if f.is_Number]
+        rest = [f for f in factors if not f.is_Number]
+        rest.sort(key=lambda f: (isinstance(f, sp.Function), str(f)))
+        words = [self._print(sp.Mul(*numbers))] if numbers and sp.Mul(*numbers) != 1 else []
+        words += [self.parenthesize(f, 50) for f in rest]
+        return " ".join(words) or "1"
+
+    def _print_Abs(self, expr: sp.Abs) -> str:
+        return f"|{self._print(expr.args[0])}|"
+
+    def _print_Piecewise(self, expr: sp.Piecewise) -> str:
+        pairs: Any = expr.args
+        (first, condition), *others = pairs
+        last = others[-1][0] if others else sp.Integer(0)
+        if last == 0 and _is_positive_part(first, condition):
+            return f"max({self._print(first)}, 0)"
+        if isinstance(last, sp.Piecewise) and last.args[0].args[0] == 0:  # spiral.math.ramp
+            return f"max({self._print(first)}, 0)"
+        return f"[{self._print(first)} where {self._print(condition)}, else {self._print(last)}]"
+
+
+def _is_positive_part(value: Any, condition: Any) -> bool:
+    """Whether a condition reads value >= 0."""
+    if not isinstance(condition, sp.Ge | sp.Gt | sp.Le | sp.Lt):
+        return False
+    relation: Any = condition
+    return sp.expand(value - (relation.gts - relation.lts)) == 0
+
+
+def _number(value: float) -> str:
+    text = f"{value:.{_DIGITS}g}"
+    if "e" not in text:
+        return text
+    digits, _, power = text.partition("e")
+    return f"{digits}e{int(power)}"
+
+
+def _signed(value: sp.Expr) -> str:
+    """The text with its sign first, as a term of a sum."""
+    parts = sp.Add.make_args(value)
+    printer = _Unicode()
+    words = []
+    for part in parts:
+        text = printer.doprint(part)
+        negative = text.startswith("-")
+        words.append(f"{'-' if negative else '+'} {text.removeprefix('-')}")
+    return " ".join(words)

@@ -1,0 +1,395 @@
+"""Records from columns of a table: which column is what, in which unit, which rows."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spiral.io.readers import preparation
+from spiral.io.readers.files import Table
+from spiral.io.readers.pulses import Edge
+from spiral.io.readers.sampling import Series, resampled, without_gaps
+from spiral.types.errors import ConfigError, InputError, did_you_mean
+from spiral.types.fields import construct
+from spiral.types.record import Array, Record, check_increasing, check_noise, make_record
+from spiral.types.source import Source
+from spiral.types.system import System
+from spiral.types.units import factor
+
+_TIME_COLUMNS = ("time", "t")
+
+
+@dataclass(frozen=True)
+class SlowRoll:
+    """Where a shaft turns slowly: rows of a file, or a range of speed in the file's unit."""
+
+    rows: tuple[int, int] | None = None
+    speed: tuple[float, float] | None = None
+    path: str | None = None
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Name -> the file's column, its unit, factor to the system's unit, and reading at rest.
+
+    ``constant`` are inputs that have no column but one value throughout, in the system's unit.
+    """
+
+    channels: Mapping[str, str]
+    inputs: Mapping[str, str]
+    clock: Mapping[str, str]
+    pulse: Mapping[str, str]
+    units: Mapping[str, str]
+    scale: Mapping[str, float]
+    offset: Mapping[str, float]
+    constant: Mapping[str, float]
+
+    def options(self) -> dict[str, str]:
+        """Option, as messages call it -> column, for all columns in use."""
+        return {
+            **{f"record.channels {k}": c for k, c in self.channels.items()},
+            **{f"record.inputs {k}": c for k, c in self.inputs.items()},
+            **{f"record.{k}": c for k, c in (*self.clock.items(), *self.pulse.items())},
+        }
+
+
+class Columns(Source):
+    """Columns of one or several files, each a table of named columns.
+
+    Fields
+    ------
+    path : a file, or a list of files of one machine; also looked for under ``SPIRAL_DATA``.
+    time : the column of time in s.
+    rate : samples per s, where the file has no column of time.
+    channels, inputs : the system's name -> the file's column; names that agree may be left out. An
+        input may be a number instead (``0`` where nothing drives), in the system's unit. A star
+        stands for every number that makes a column, one record for each: ``Y_id[*][0]``.
+    units : name of a channel or input (or ``time``) -> its unit; else the unit that the file names.
+    rows : [start, stop], zero-based data rows, stop excluded.
+    noise : channel -> standard deviation in the system's unit, where it is known.
+    offset : name -> what the instrument reads at rest, in the file's unit; it is subtracted.
+    separator : what stands between a text file's columns, where that is not found.
+    decimal : its decimal mark, where that is not found.
+    pulse : the column of a once-per-turn pulse, taken as phase, and as speed where there is none.
+    pulse_level : its threshold in the file's unit, where half its height is not right.
+    pulse_edge : rising or falling; left out, the edge into the shorter of its two levels.
+    rotation : sense of rotation with the first axis to the right and the second one up;
+        ``clockwise`` makes speed and phase negative.
+    probe_angles : channel -> direction of its probe in degrees, from the first axis towards the
+        second; readings are turned to the axes.
+    slow_roll : {rows: [start, stop]} or {speed: [low, high]} (in the file's unit), perhaps with
+        {path: FILE}: where the shaft turns slowly; mean and 1X there are subtracted everywhere.
+    fill_gaps : longest gap, in samples, that is bridged by interpolation.
+    resample : samples per s to bring the record to, through an anti-alias filter.
+    """
+
+    path: str | tuple[str, ...] | None = None
+    time: str | None = None
+    rate: float | None = None
+    channels: Mapping[str, str] | None = None
+    inputs: Mapping[str, str] | None = None
+    units: Mapping[str, str] | None = None
+    rows: tuple[int, int] | None = None
+    noise: Mapping[str, float] | None = None
+    offset: Mapping[str, float] | None = None
+    separator: str | None = None
+    decimal: str | None = None
+    pulse: str | None = None
+    pulse_level: float | None = None
+    pulse_edge: Edge | None = None
+    rotation: preparation.Rotation = "counterclockwise"
+    probe_angles: Mapping[str, float] | None = None
+    slow_roll: Mapping[str, Any] | None = None
+    fill_gaps: int | None = None
+    resample: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.time is not None and self.rate is not None:
+            raise ConfigError(
+                f"both record.time={self.time!r} and record.rate={self.rate:g}",
+                "one of them",
+                "give the rate only where the file has no column of time",
+            )
+        if self.rate is not None and not (np.isfinite(self.rate) and self.rate > 0):
+            raise ConfigError(f"record.rate={self.rate!r}", "samples per second, above zero")
+        if self.resample is not None and not (np.isfinite(self.resample) and self.resample > 0):
+            raise ConfigError(f"record.resample={self.resample!r}", "samples per s, above zero")
+        if self.fill_gaps is not None and self.fill_gaps < 1:
+            raise ConfigError(
+                f"record.fill_gaps={self.fill_gaps}", "samples, one or more", "or leave it out"
+            )
+        for name in ("pulse_level", "pulse_edge"):
+            if getattr(self, name) is not None and self.pulse is None:
+                raise ConfigError(
+                    f"record.{name} without a pulse", "record.pulse=COLUMN", "or leave it out"
+                )
+        self._slow_roll()
+
+    def as_test(self) -> Source:
+        """The same columns and units; rows are the test's own."""
+        return replace(self, rows=None)
+
+    @abstractmethod
+    def read(self, path: str) -> Table:
+        """The table of one file."""
+
+    def load(self, system: System) -> tuple[Record, ...]:
+        """One record for each file, or for each series that a star in a column's name means."""
+        if not self.path:
+            name = self.plugin_name()
+            raise ConfigError(
+                f"record={name} without a file", "record.path=FILE", "record.path=a.csv"
+            )
+        paths = [self.path] if isinstance(self.path, str) else list(self.path)
+        return tuple(record for path in paths for record in self._of_file(system, path))
+
+    def _of_file(self, system: System, path: str) -> tuple[Record, ...]:
+        table = self.read(path)
+        return tuple(one._one(system, table, path) for one in self._numbered(table))
+
+    def _numbered(self, table: Table) -> list[Columns]:
+        """One source for each number that a star in a column's name stands for; else itself."""
+        names = [*(self.channels or {}).values(), *(self.inputs or {}).values(), self.time or ""]
+        starred = [c for c in map(str, names) if "*" in c and c not in table.columns]
+        if not starred:
+            return [self]
+        return [
+            replace(
+                self,
+                channels=_filled(self.channels, n),
+                inputs=_filled(self.inputs, n),
+                time=self.time and self.time.replace("*", n),
+            )
+            for n in table.numbers(starred[0])
+        ]
+
+    def _one(self, system: System, table: Table, path: str) -> Record:
+        layout = self._layout(system, table)
+        start, stop = _inside(table, layout.options(), self.rows, "record.rows")
+        series = self._series(system, table, layout, start, stop)
+        series = replace(series, noise=check_noise(dict(self.noise or {}), series.channels))
+        wish = self._slow_roll()
+        if (wish, self.probe_angles, self.resample) != (None, None, None):
+            series = preparation.checked(series)
+        if wish is not None:
+            series = self._without_run_out(system, table, layout, wish, series)
+        if self.probe_angles is not None:
+            series = preparation.to_axes(system, series, self.probe_angles)
+        if self.resample is not None:
+            series = resampled(system, series, self.resample)
+        told = _told(system, layout, self.rate)
+        return make_record(
+            system,
+            Path(path).name + (f" rows [{start}, {stop})" if self.rows else ""),
+            series.time,
+            series.channels,
+            series.inputs,
+            series.noise,
+            notes=(*table.notes, told, *series.notes),
+        )
+
+    def _layout(self, system: System, table: Table) -> Layout:
+        channels = self._mapped(table, "channels", system.observed, required=system.observed)
+        driving = tuple(i.name for i in system.inputs if i.derived_from is None)
+        known = tuple(i.name for i in system.inputs)
+        if self.pulse is not None:  # phase and perhaps speed come from it
+            driving = tuple(n for n in driving if n != "speed")
+            if self.inputs is None:
+                known = tuple(n for n in known if n != "phase")
+        inputs = self._mapped(table, "inputs", known, required=driving)
+        constant = {n: float(c) for n, c in inputs.items() if _is_number(c, table)}
+        inputs = {n: c for n, c in inputs.items() if n not in constant}
+        clock = self._clock(table)
+        units = self._units(system, table, {**channels, **inputs, **clock})
+        scale = {
+            n: factor(u, "s" if n == "time" else system.unit_of(n), n) for n, u in units.items()
+        }
+        offset = self._offsets((*channels, *inputs))
+        pulse = {} if self.pulse is None else {"pulse": self.pulse}
+        return Layout(channels, inputs, clock, pulse, units, scale, offset, constant)
+
+    def _series(
+        self, system: System, table: Table, layout: Layout, start: int, stop: int
+    ) -> Series:
+        """Rows [start, stop) in the system's units; gaps, pulses and signs as configured."""
+        name = Path(table.name).name
+
+        def values(option: str, given: Mapping[str, str]) -> dict[str, Array]:
+            return {
+                k: layout.scale.get(k, 1.0)
+                * (
+                    table.column(c, f"record.{option} {k}", start, stop, self.fill_gaps is not None)
+                    - layout.offset.get(k, 0.0)
+                )
+                for k, c in given.items()
+            }
+
+        pulse = values("pulse", layout.pulse).get("pulse")
+        time = self._time(table, layout.clock, start, stop) * layout.scale.get("time", 1.0)
+        series = Series(
+            name,
+            time,
+            values("channels", layout.channels),
+            {
+                **values("inputs", layout.inputs),
+                **{n: np.full(len(time), value) for n, value in layout.constant.items()},
+            },
+            pulse=pulse,
+        )
+        if self.resample is not None or self.fill_gaps is not None or self.pulse is not None:
+            check_increasing(name, time)
+        series = preparation.unwrapped(series)
+        if self.fill_gaps is not None:
+            series = without_gaps(series, self.fill_gaps)
+        if self.pulse is not None:
+            series = preparation.with_pulse(
+                system, series, self.pulse, self.pulse_level, self.pulse_edge
+            )
+        return preparation.with_rotation(system, series, self.rotation)
+
+    def _slow_roll(self) -> SlowRoll | None:
+        """The stretch of the slow roll, checked."""
+        if self.slow_roll is None:
+            return None
+        found: SlowRoll = construct(SlowRoll, self.slow_roll, "record.slow_roll")
+        ranges = [found.rows, found.speed]
+        if ranges.count(None) != 1 and not (found.path and ranges.count(None) == 2):
+            raise ConfigError(
+                f"record.slow_roll={dict(self.slow_roll)}",
+                "rows or a range of speed; with a path of its own perhaps neither",
+                "record.slow_roll='{rows: [0, 2000]}' or record.slow_roll='{speed: [200, 400]}'",
+            )
+        if found.speed is not None and not 0 <= found.speed[0] < found.speed[1]:
+            raise ConfigError(
+                f"record.slow_roll speed {list(found.speed)}", "[low, high], zero or above"
+            )
+        return found
+
+    def _without_run_out(
+        self, system: System, table: Table, layout: Layout, wish: SlowRoll, series: Series
+    ) -> Series:
+        """Slow-roll vectors of the named stretch, subtracted."""
+        slow = series
+        if wish.path is not None:
+            table = self.read(wish.path)
+        if wish.rows is not None or wish.path is not None:
+            start, stop = _inside(table, layout.options(), wish.rows, "record.slow_roll rows")
+            slow = self._series(system, table, layout, start, stop)
+        rows = np.arange(len(slow.time))
+        if wish.speed is not None:
+            low, high = (layout.scale.get("speed", 1.0) * v for v in wish.speed)
+            rows = preparation.slow_roll_rows(slow, low, high)
+        vectors = preparation.slow_roll_vectors(slow, rows)
+        preparation.must_be_slow(slow, rows, series)
+        return preparation.without_run_out(system, series, vectors)
+
+    def _offsets(self, names: tuple[str, ...]) -> dict[str, float]:
+        given = dict(self.offset or {})
+        for name, value in given.items():
+            if name not in names:
+                raise InputError(
+                    f"record.offset names {name!r}",
+                    f"a channel or input of this record: {', '.join(names)}",
+                    did_you_mean(name, names),
+                )
+            if not np.isfinite(value):
+                raise InputError(f"record.offset of {name!r}: {value}", "a finite number")
+        return given
+
+    def _clock(self, table: Table) -> dict[str, str]:
+        """``time`` -> its column; empty where the rate is given."""
+        if self.rate is not None:
+            return {}
+        if self.time is not None:
+            return {"time": self.time}
+        for name in _TIME_COLUMNS:
+            if name in table.columns:
+                return {"time": name}
+        raise InputError(
+            f"{table.name}: no column of time among {', '.join(table.columns[:12])}",
+            "its name, or the sample rate",
+            "record.time=COLUMN, or record.rate=SAMPLES_PER_SECOND",
+        )
+
+    def _time(self, table: Table, clock: Mapping[str, str], start: int, stop: int) -> Array:
+        if self.rate is not None:
+            return np.arange(stop - start) / self.rate
+        return table.column(clock["time"], "record.time", start, stop)
+
+    def _mapped(
+        self, table: Table, option: str, known: tuple[str, ...], required: tuple[str, ...]
+    ) -> dict[str, str]:
+        """Name -> column: as configured, else columns with the system's own names."""
+        given: Mapping[str, str] | None = getattr(self, option)
+        if given is None:
+            return {n: n for n in known if n in table.columns or n in required}
+        for name in given:
+            if name not in known:
+                raise InputError(
+                    f"record.{option} names {name!r}",
+                    f"one of the system's {option}: {', '.join(known) or 'none'}",
+                    did_you_mean(name, known),
+                )
+        return dict(given)
+
+    def _units(self, system: System, table: Table, columns: Mapping[str, str]) -> dict[str, str]:
+        """Name -> unit, as configured, else as the file names it."""
+        given = dict(self.units or {})
+        from_pulse = self.pulse is not None and any(i.name == "speed" for i in system.inputs)
+        also = ("time", "speed") if from_pulse else ("time",)
+        allowed = tuple(dict.fromkeys((*columns, *also)))
+        for name in given:
+            if name not in allowed:
+                raise InputError(
+                    f"record.units names {name!r}",
+                    f"a channel or input of this record: {', '.join(allowed)}",
+                    did_you_mean(name, allowed),
+                )
+        named = {n: table.units[c] for n, c in columns.items() if c in table.units}
+        return {**named, **given}
+
+
+def _inside(
+    table: Table, columns: Mapping[str, str], rows: tuple[int, int] | None, option: str
+) -> tuple[int, int]:
+    """The rows asked for, or all, of a table whose columns have one length."""
+    count = table.rows(columns)
+    start, stop = rows or (0, count)
+    if not 0 <= start < stop <= count and rows is not None:
+        raise InputError(
+            f"{option}=[{start}, {stop}] of {table.name}",
+            f"0 <= start < stop <= {count}, the number of its data rows",
+            f"for instance {option}='[0,{count}]'",
+        )
+    return start, stop
+
+
+def _filled(names: Mapping[str, str] | None, number: str) -> Mapping[str, str] | None:
+    """Columns with a number in place of their star."""
+    return names and {k: str(c).replace("*", number) for k, c in names.items()}
+
+
+def _is_number(given: str, table: Table) -> bool:
+    """Whether an input's column is a number, and no column is called so."""
+    try:
+        return given not in table.columns and bool(np.isfinite(float(given)))
+    except ValueError:
+        return False
+
+
+def _told(system: System, layout: Layout, rate: float | None) -> str:
+    """What was taken for what, in words."""
+    clock, units = layout.clock, layout.units
+    words = [
+        f"time from {clock['time']!r} in {units.get('time', 's')}" if clock else f"{rate:g} Hz"
+    ]
+    for name, column in (*layout.channels.items(), *layout.inputs.items()):
+        words.append(f"{name} from {column!r} in {units.get(name, system.unit_of(name))}")
+    for name, value in layout.constant.items():
+        words.append(f"{name} {value:g} {system.unit_of(name)} throughout")
+    return ", ".join(words)

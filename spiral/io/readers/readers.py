@@ -1,0 +1,336 @@
+"""Files of numbers read into tables of named columns; which reader is told by the content.
+
+Arrays inside containers are addressed as in the file's own language: ``group/name`` (HDF5, TDMS),
+``struct.field`` and ``cell[0]`` (MATLAB). A matrix is a set of series along its longer side:
+``name[1]`` is the second one, counted from zero.
+"""
+
+from __future__ import annotations
+
+import codecs
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spiral.io.readers.dialect import find_dialect, units_in
+from spiral.io.readers.files import Table, find_file, first_line_of
+from spiral.types.errors import ConfigError, InputError
+
+EXTRA = "formats"
+_HEAD = 65536
+_DEPTH = 12
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_EXTENSIONS = {
+    ".mat": "mat", ".npz": "npz", ".parquet": "parquet", ".h5": "hdf5", ".hdf5": "hdf5",
+    ".hdf": "hdf5", ".uff": "uff", ".unv": "uff", ".tdms": "tdms",
+}  # fmt: skip
+_WORDS = {
+    "mat": "a MATLAB file (version 5 to 7.3)", "npz": "an NPZ file", "parquet": "a Parquet file",
+    "hdf5": "an HDF5 file", "uff": "a UFF file", "tdms": "a TDMS file",
+}  # fmt: skip
+
+
+def read_table(
+    given: str, separator: str | None = None, decimal: str | None = None, only_text: bool = False
+) -> Table:
+    """The table in a file, named as it is or under ``SPIRAL_DATA``.
+
+    Parameters
+    ----------
+    separator, decimal : how a text file writes columns and fractions; found where left out.
+    only_text : refuse what is neither text nor Parquet.
+
+    Raises
+    ------
+    InputError : a missing, empty or broken file, or one with no column of numbers.
+    ConfigError : a library that reads this format is not installed.
+    """
+    path = find_file(given)
+    head = _head(given, path)
+    kind = format_of(head, path.suffix)
+    if kind == "text" or (only_text and kind != "parquet"):
+        return _named(read_text(given, path, head, separator, decimal))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            table = _READERS[kind](given, path)
+    except (InputError, ConfigError):
+        raise
+    except Exception as error:  # each library raises a family of its own
+        raise InputError(
+            f"{given}: {first_line_of(error)}", f"{_WORDS[kind]} that is whole", "export it anew"
+        ) from error
+    if not table.columns:
+        raise InputError(f"{given}: {_WORDS[kind]} without a series", "columns of numbers")
+    return _named(table)
+
+
+def _named(table: Table) -> Table:
+    """The table with the units that its columns' names hold, where the file says no other."""
+    return replace(table, units={**units_in(table.columns), **table.units})
+
+
+def format_of(head: bytes, suffix: str) -> str:
+    """The format of a file by its first bytes, else by its extension, else text."""
+    if head.startswith(b"PAR1"):
+        return "parquet"
+    if head.startswith(b"MATLAB 5.0"):
+        return "mat"
+    if head.startswith((b"MATLAB 7.3", _HDF5)) or head[512:520] == _HDF5:
+        return "hdf5"
+    if head.startswith(b"TDSm"):
+        return "tdms"
+    if head.startswith(b"PK\x03\x04"):
+        return "npz"
+    if head.startswith(b"    -1"):
+        return "uff"
+    return _EXTENSIONS.get(suffix.lower(), "text")
+
+
+def read_text(
+    given: str, path: Path, head: bytes, separator: str | None = None, decimal: str | None = None
+) -> Table:
+    """A table from a text file: a line of names, perhaps a row of units, rows of numbers."""
+    import pandas as pd
+
+    encoding = _encoding(given, head)
+    text = codecs.getincrementaldecoder(encoding)("replace").decode(head)
+    if len(head) == _HEAD and "\n" in text:
+        text = text[: text.rindex("\n") + 1]
+    found = find_dialect(given, text, separator, decimal)
+    padding = [f"\0{i}" for i in range(len(found.names), found.width)]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # cells without a name
+            frame = pd.read_csv(
+                path, sep=found.separator, decimal=found.decimal, skipinitialspace=True,
+                low_memory=False, skip_blank_lines=False, encoding=encoding, index_col=False,
+                encoding_errors="replace", header=None, names=[*found.names, *padding],
+                skiprows=found.first,
+            )  # fmt: skip
+    except (pd.errors.EmptyDataError, pd.errors.ParserError, pd.errors.ParserWarning,
+            ValueError, TypeError, OverflowError) as error:  # fmt: skip
+        raise InputError(
+            f"{given}: rows with other numbers of cells than the line of names "
+            f"({first_line_of(error)})",
+            "as many cells in every row",
+            f"it was read as: {found.in_words()}; correct with record.separator and record.decimal",
+        ) from error
+    filled = frame.notna().any(axis=1).to_numpy()
+    if filled.any():  # blank lines at the end are no rows
+        frame = frame.iloc[: len(filled) - int(filled[::-1].argmax())]
+    words = found.in_words() + {"utf-16": ", UTF-16", "cp1252": ", Latin-1"}.get(encoding, "")
+    if head.startswith(codecs.BOM_UTF8):
+        words += ", byte order mark left out"
+    values = {str(name): frame[name] for name in found.names}
+    notes = (f"{Path(given).name}: {words}",)
+    return Table(given, values, found.units, notes, found.first + 1, found.decimal)
+
+
+def _head(given: str, path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError as error:
+        raise InputError(f"{given}: {error.strerror}", "a file that can be read") from error
+    if not head.strip():
+        raise InputError(
+            f"{given}: an empty file" if not head else f"{given}: only blank lines",
+            "a line of names, then rows of numbers",
+        )
+    return head
+
+
+def _encoding(given: str, head: bytes) -> str:
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    if any(byte < 9 for byte in head):
+        raise InputError(
+            f"{given}: a binary file",
+            "a text file with separated columns",
+            "record=file reads MAT, NPZ, HDF5, Parquet, UFF and TDMS; else export it as CSV",
+        )
+    try:
+        codecs.getincrementaldecoder("utf-8-sig")().decode(head)
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
+
+
+def _table(given: str, kind: str, series: Iterator[tuple[str, Any]], **more: Any) -> Table:
+    values = dict(series)
+    return Table(given, values, notes=(f"{Path(given).name}: {_WORDS[kind]}",), **more)
+
+
+def series_of(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
+    """The one-dimensional series of an array: itself, the lines of a matrix, a record's fields."""
+    array = np.asarray(value)
+    if array.dtype.names and array.ndim == 1:
+        for part in array.dtype.names:
+            yield from series_of(f"{name}.{part}", array[part])
+        return
+    if array.dtype.kind not in "biuf" or array.size < 2:
+        return
+    lines = np.squeeze(array)
+    if lines.ndim == 1:
+        yield name, lines
+    elif lines.ndim == 2:
+        lines = lines if lines.shape[0] < lines.shape[1] else lines.T
+        yield from ((f"{name}[{i}]", line) for i, line in enumerate(lines))
+
+
+def _read_parquet(given: str, path: Path) -> Table:
+    import pandas as pd
+
+    frame = pd.read_parquet(path)
+    return _table(given, "parquet", ((str(c), frame[c]) for c in frame.columns))
+
+
+def _read_npz(given: str, path: Path) -> Table:
+    with np.load(path, allow_pickle=False) as arrays:
+        if not isinstance(arrays, np.lib.npyio.NpzFile):
+            raise InputError(f"{given}: one array without a name", "an NPZ file", "numpy.savez")
+        found = [pair for name in arrays.files for pair in series_of(name, arrays[name])]
+    return _table(given, "npz", iter(found))
+
+
+def _read_mat(given: str, path: Path) -> Table:
+    from scipy.io import loadmat
+
+    variables = loadmat(path, struct_as_record=True)
+    found = (
+        pair for k, v in variables.items() if not k.startswith("__") for pair in _of_matlab(k, v)
+    )
+    return _table(given, "mat", found)
+
+
+def _of_matlab(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
+    """Series inside a variable: cells as ``name[0]``, structs as ``name.field``."""
+    if not isinstance(value, np.ndarray) or depth > _DEPTH:
+        return
+    if value.dtype.names is None and value.dtype != object:
+        yield from series_of(name, value)
+        return
+    items = value.ravel(order="F")
+    for position, item in enumerate(items):
+        if value.dtype.names is None:
+            yield from _of_matlab(f"{name}[{position}]", item, depth + 1)
+            continue
+        place = name if len(items) == 1 else f"{name}[{position}]"
+        for part in value.dtype.names:
+            yield from _of_matlab(f"{place}.{part}", item[part], depth + 1)
+
+
+def _read_hdf5(given: str, path: Path) -> Table:
+    h5py = _library("h5py", given)
+    units: dict[str, str] = {}
+    with h5py.File(path, "r") as file:
+        found = list(_of_group(file, "", h5py, units))
+    return _table(given, "hdf5", iter(found), units=units)
+
+
+def _of_group(
+    group: Any, prefix: str, h5py: Any, units: dict[str, str], depth: int = 0
+) -> Iterator[tuple[str, np.ndarray]]:
+    for key, item in group.items():
+        if not key.startswith("#"):
+            yield from _of_hdf5(prefix + key, item, h5py, units, depth)
+
+
+def _of_hdf5(
+    name: str, item: Any, h5py: Any, units: dict[str, str], depth: int
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Series of a group, a dataset, or the cells and structs of MATLAB 7.3."""
+    if depth > _DEPTH:
+        return
+    matlab = "MATLAB_class" in item.attrs
+    if isinstance(item, h5py.Group):
+        separator = "." if matlab else "/"
+        yield from _of_group(item, name + separator, h5py, units, depth + 1)
+        return
+    if h5py.check_ref_dtype(item.dtype) is not None:
+        # MATLAB counts the cells along columns; HDF5 holds the transposed array.
+        for position, reference in enumerate(np.asarray(item[()]).ravel()):
+            if reference:
+                inside = item.file[reference]
+                yield from _of_hdf5(f"{name}[{position}]", inside, h5py, units, depth + 1)
+        return
+    if matlab and "MATLAB_empty" in item.attrs:
+        return
+    unit = item.attrs.get("units", item.attrs.get("unit", ""))
+    for label, values in series_of(name, item[()]):
+        if isinstance(unit, str | bytes) and unit:
+            units[label] = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+        yield label, values
+
+
+def _read_uff(given: str, path: Path) -> Table:
+    """Time responses of type 58: ``data[0]``, ``data[1]`` ... in the file's order, and ``time``."""
+    pyuff = _library("pyuff", given)
+    sets = pyuff.UFF(str(path)).read_sets()
+    sets = sets if isinstance(sets, list) else [sets]
+    functions = [s for s in sets if s.get("type") == 58 and not np.iscomplexobj(s["data"])]
+    if not functions:
+        kinds = sorted({str(s.get("type")) for s in sets})
+        raise InputError(
+            f"{given}: no series of type 58 (there are {', '.join(kinds) or 'no sets'})",
+            "real functions of time",
+            "export time responses, not spectra",
+        )
+    found: list[tuple[str, Any]] = [(f"data[{i}]", s["data"]) for i, s in enumerate(functions)]
+    first = np.asarray(functions[0]["x"])
+    if all(np.array_equal(first, s["x"]) for s in functions):
+        found.append(("time", first))
+    listed = ", ".join(f"data[{i}] {_told(s)}" for i, s in enumerate(functions[:12]))
+    table = _table(given, "uff", iter(found))
+    return Table(given, table.values, notes=(f"{table.notes[0]}: {listed}",))
+
+
+def _told(function: dict[str, Any]) -> str:
+    identity = str(function.get("id1", "")).strip()
+    node = f"node {function.get('rsp_node', '?')} direction {function.get('rsp_dir', '?')}"
+    return f"{identity} ({node})" if identity and identity.upper() != "NONE" else node
+
+
+def _read_tdms(given: str, path: Path) -> Table:
+    """Channels as ``group/name``; ``time`` from the sample interval where all have the same."""
+    nptdms = _library("nptdms", given)
+    units: dict[str, str] = {}
+    found: list[tuple[str, Any]] = []
+    steps = set()
+    for group in nptdms.TdmsFile.read(path).groups():
+        for channel in group.channels():
+            name = f"{group.name}/{channel.name}"
+            for label, values in series_of(name, channel[:]):
+                found.append((label, values))
+                unit = str(channel.properties.get("unit_string", "")).strip()
+                if unit:
+                    units[label] = unit
+                steps.add((len(values), float(channel.properties.get("wf_increment", 0.0))))
+    if len(steps) == 1 and min(steps)[1] > 0:
+        count, step = steps.pop()
+        found.append(("time", step * np.arange(count)))
+    return _table(given, "tdms", iter(found), units=units)
+
+
+def _library(name: str, given: str) -> Any:
+    import importlib
+
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ConfigError(
+            f"{given} without the library {name}",
+            f"the extra {EXTRA!r} of spiral-po",
+            f"pip install 'spiral-po[{EXTRA}]'",
+        ) from error
+
+
+_READERS: dict[str, Callable[[str, Path], Table]] = {
+    "parquet": _read_parquet, "mat": _read_mat, "npz": _read_npz, "hdf5": _read_hdf5,
+    "uff": _read_uff, "tdms": _read_tdms,
+}  # fmt: skip

@@ -1,0 +1,245 @@
+"""A file's numbers on a time grid: gaps bridged and rates changed, only where that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from spiral.types.errors import InputError
+from spiral.types.record import JITTER, MINIMUM_SAMPLES
+from spiral.types.system import System
+
+Array = np.ndarray
+
+_FINEST = 20000  # largest denominator of a change of rate
+_TAPS = 10  # half length of the anti-alias filter, in samples of the lower rate
+_KAISER = 5.0
+_SKIP = 1.5  # a step longer than the usual one by this skips at least one sample
+
+
+@dataclass(frozen=True)
+class Series:
+    """One file's numbers in the system's units, before they are checked as a record.
+
+    Parameters
+    ----------
+    name : for messages. time : (samples,) in s.
+    channels : as the probes read them. inputs : as given or derived from pulses.
+    noise : declared standard deviation of channels. notes : what was done, in words.
+    pulse : (samples,) of a once-per-turn pulse, where there is one, until it has become phase.
+    """
+
+    name: str
+    time: Array
+    channels: Mapping[str, Array]
+    inputs: Mapping[str, Array]
+    noise: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    pulse: Array | None = None
+
+    def noted(self, words: str) -> Series:
+        """The same numbers with one more note."""
+        return replace(self, notes=(*self.notes, words))
+
+    def mapped(self, change: Callable[[str, Array], Array]) -> Series:
+        """Every channel and input, and the pulse, changed by a function of its name and values."""
+        channels = {k: change(k, v) for k, v in self.channels.items()}
+        inputs = {k: change(k, v) for k, v in self.inputs.items()}
+        pulse = None if self.pulse is None else change("pulse", self.pulse)
+        return replace(self, channels=channels, inputs=inputs, pulse=pulse)
+
+
+# --- gaps ----------------------------------------------------------------------------------------
+
+
+def without_gaps(series: Series, longest: int) -> Series:
+    """Missing values and missing rows bridged by Akima interpolation, up to ``longest`` in a row.
+
+    Raises
+    ------
+    InputError : a longer gap, or one at the start or end; the message names the place.
+    """
+    opened, absent = _with_missing_rows(series, longest)
+    counts = {}
+
+    def bridge(key: str, values: Array) -> Array:
+        gaps = _runs(~np.isfinite(values))
+        if not gaps:
+            return values
+        _check_gaps(opened, key, gaps, longest)
+        counts[key] = gaps
+        return _bridged(values)
+
+    bridged = opened.mapped(bridge)
+    if not counts:
+        return series
+    values = sum(stop - start for gaps in counts.values() for start, stop in gaps)
+    worst = max(stop - start for gaps in counts.values() for start, stop in gaps)
+    rows = f" ({absent} rows that the file lacks)" if absent else ""
+    return bridged.noted(
+        f"gaps filled by interpolation in {', '.join(counts)}: {values} values{rows}, "
+        f"at most {worst} in a row"
+    )
+
+
+def _with_missing_rows(series: Series, longest: int) -> tuple[Series, int]:
+    """Rows put in where time skips a whole number of steps, their values missing."""
+    steps = np.diff(series.time)
+    usual = float(np.median(steps)) if len(steps) else 1.0
+    missing = np.where(steps > _SKIP * usual, np.rint(steps / usual) - 1, 0).astype(int)
+    if not missing.any():
+        return series, 0
+    at = int(np.argmax(missing))
+    if missing[at] > longest:
+        raise _too_long(series, "time", int(missing[at]), at + 1, float(series.time[at]), longest)
+    position = np.concatenate([[0], np.cumsum(1 + missing)])
+    time = np.interp(np.arange(position[-1] + 1), position, series.time)
+
+    def opened(key: str, values: Array) -> Array:
+        found = np.full(len(time), np.nan)
+        found[position] = values
+        return found
+
+    return replace(series.mapped(opened), time=time), int(missing.sum())
+
+
+def _runs(bad: Array) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _check_gaps(series: Series, key: str, gaps: list[tuple[int, int]], longest: int) -> None:
+    samples = len(series.time)
+    for start, stop in gaps:
+        if stop - start > longest:
+            at = float(series.time[start])
+            raise _too_long(series, repr(key), stop - start, start, at, longest)
+        if start == 0 or stop == samples:
+            end = "start" if start == 0 else "end"
+            raise InputError(
+                f"{series.name}: a gap at the {end} of {key!r} ({stop - start} values)",
+                "a number on either side of a gap",
+                f"cut it off with record.rows; {samples - (stop - start)} rows remain",
+            )
+
+
+def _too_long(
+    series: Series, what: str, count: int, row: int, at: float, longest: int
+) -> InputError:
+    return InputError(
+        f"{series.name}: a gap of {count} samples in {what} at {at:.6g} s (row {row})",
+        f"gaps of at most {longest} samples (record.fill_gaps={longest})",
+        "cut the record there with record.rows, or give its parts as several records",
+    )
+
+
+def _bridged(values: Array) -> Array:
+    from scipy.interpolate import Akima1DInterpolator
+
+    known = np.isfinite(values)
+    rows = np.arange(len(values))
+    filled = values.copy()
+    filled[~known] = Akima1DInterpolator(rows[known], values[known])(rows[~known])
+    return filled
+
+
+# --- rates ---------------------------------------------------------------------------------------
+
+
+def resampled(system: System, series: Series, rate: float) -> Series:
+    """Another, uniform rate: interpolation where steps differ, then an anti-alias filter.
+
+    Signals pass a linear-phase low-pass (Kaiser window) at half the new rate; what the system calls
+    smooth (speed, phase) is interpolated by a cubic spline. The ends that the filter cannot fill
+    are left out. Declared noise shrinks as white noise does in that filter.
+
+    Raises
+    ------
+    InputError : a rate above the file's own, or a gap.
+    """
+    from scipy.interpolate import CubicSpline
+
+    steps = np.diff(series.time)
+    own = float(len(steps) / (series.time[-1] - series.time[0]))
+    _check_rate(series, steps, own, rate)
+    even = bool(np.max(np.abs(steps - 1 / own)) <= JITTER / own)
+    up, down, grid = _ratio(series.time, own, rate, even)
+    smooth = {i.name for i in system.inputs if i.interpolation == "smooth"}
+    taps = _low_pass(up, down)
+    edge = 0 if up == down == 1 else _TAPS
+    count = -(-len(grid) * up // down)
+    step = (grid[1] - grid[0]) * down / up
+    time = (grid[0] + step * np.arange(count))[edge : count - edge]
+
+    def change(key: str, values: Array) -> Array:
+        if key in smooth:
+            return CubicSpline(series.time, values)(time)
+        level = values if even else CubicSpline(series.time, values)(grid)
+        return _filtered(level, up, down, taps)[edge : count - edge]
+
+    gain = float(np.sqrt(up * np.sum(taps**2)))
+    noise = {k: gain * v for k, v in series.noise.items()}
+    steps_word = "" if even else f", uneven steps of {steps.min():.4g} to {steps.max():.4g} s"
+    return replace(series.mapped(change), time=time, noise=noise).noted(
+        f"resampled from {own:.6g} to {1 / step:.6g} Hz{steps_word}"
+        + ("" if edge == 0 else f", anti-alias filter, {edge} samples less at each end")
+    )
+
+
+def _check_rate(series: Series, steps: Array, own: float, rate: float) -> None:
+    if rate > own * (1 + 1e-3):
+        raise InputError(
+            f"record.resample={rate:g} of {series.name}",
+            f"at most its own rate, {own:.6g} samples per s",
+            "more samples than were measured hold nothing new, and their noise is not white",
+        )
+    lowest = (MINIMUM_SAMPLES + 2 * _TAPS) / float(series.time[-1] - series.time[0])
+    if rate < min(lowest, own * (1 - 1e-3)):
+        raise InputError(
+            f"record.resample={rate:g} of {series.name}",
+            f"at least {lowest:.6g} samples per s: {MINIMUM_SAMPLES} samples, and the "
+            f"{2 * _TAPS} at the ends that the anti-alias filter cannot fill",
+            "a higher rate, or a longer record",
+        )
+    usual = float(np.median(steps))
+    at = int(np.argmax(steps))
+    if steps[at] > (_SKIP + 1) * usual:
+        missing = int(np.rint(steps[at] / usual)) - 1
+        raise InputError(
+            f"{series.name}: a gap of {steps[at]:.6g} s after {series.time[at]:.6g} s (row {at}), "
+            f"where steps of {usual:.4g} s are usual",
+            "steps that may be uneven, but no gaps",
+            f"record.fill_gaps={missing} as well, or cut the record there with record.rows",
+        )
+
+
+def _ratio(time: Array, own: float, rate: float, even: bool) -> tuple[int, int, Array]:
+    """Samples taken up and down by, from an even grid at or above the file's own rate."""
+    if even:
+        share = Fraction(rate / own).limit_denominator(_FINEST)
+        return share.numerator, share.denominator, time
+    down = max(int(np.ceil(own / rate - 1e-3)), 1)
+    step = 1 / (rate * down)
+    count = int(np.floor((time[-1] - time[0]) / step * (1 + 1e-12))) + 1
+    return 1, down, time[0] + step * np.arange(count)
+
+
+def _low_pass(up: int, down: int) -> Array:
+    """Unit-gain filter for a change of rate by up/down, at the rate times ``up``."""
+    from scipy.signal import firwin
+
+    widest = max(up, down)
+    if widest == 1:
+        return np.ones(1)
+    window: Any = ("kaiser", _KAISER)
+    return np.asarray(firwin(2 * _TAPS * widest + 1, 1 / widest, window=window))
+
+
+def _filtered(values: Array, up: int, down: int, taps: Array) -> Array:
+    from scipy.signal import resample_poly
+
+    return values if up == down == 1 else resample_poly(values, up, down, window=taps)

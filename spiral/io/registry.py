@@ -1,0 +1,332 @@
+"""The plugins that are known: from installed packages and from a local folder.
+
+A plugin is a concrete subclass of one of the abstract kinds, defined in a loaded module. There is
+no global registry: ``load_registry`` returns a value that is passed on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import os
+import pkgutil
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from spiral.types.errors import ConfigError, PluginError, SpiralError, did_you_mean
+from spiral.types.fields import construct
+from spiral.types.plugin import Plugin, is_concrete
+
+if TYPE_CHECKING:
+    from spiral.types.effect import Effect
+    from spiral.types.system import System
+
+GROUP = "spiral.plugins"
+FOLDER_VARIABLE = "SPIRAL_PLUGINS"
+DEFAULT_FOLDER = "plugins"
+LOCAL = "local"  # the origin of a plugin that comes from a folder
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One plugin: its kind, name and class, where it is defined, and in which version."""
+
+    kind: str
+    name: str
+    plugin: type[Plugin]
+    file: str
+    origin: str
+    version: str
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A plugin file that could not be used, and why."""
+
+    name: str
+    file: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Every known plugin; the allowlist of what a configuration may name."""
+
+    entries: tuple[Entry, ...]
+    failures: tuple[Failure, ...] = field(default=())
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds that have a plugin."""
+        return tuple(sorted({e.kind for e in self.entries}))
+
+    def names(self, kind: str) -> tuple[str, ...]:
+        """Names of one kind, sorted."""
+        return tuple(sorted(e.name for e in self.entries if e.kind == kind))
+
+    def entry(self, kind: str, name: str) -> Entry:
+        """A plugin by kind and name.
+
+        Raises
+        ------
+        ConfigError : unknown; near misses and files that failed to import are named.
+        """
+        for entry in self.entries:
+            if entry.kind == kind and entry.name == name:
+                return entry
+        names = self.names(kind)
+        expected = f"one of {', '.join(names) or 'none'}"
+        raise ConfigError(f"{kind} {name!r}", expected, self._hint(name, names))
+
+    def named(self, name: str) -> tuple[Entry, ...]:
+        """Plugins of any kind by name.
+
+        Raises
+        ------
+        ConfigError : unknown; near misses and files that failed to import are named.
+        """
+        found = tuple(e for e in self.entries if e.name == name)
+        if not found:
+            names = tuple(e.name for e in self.entries)
+            expected = "the name of a plugin; spiral plugins lists them"
+            raise ConfigError(f"plugin {name!r}", expected, self._hint(name, names))
+        return found
+
+    def _hint(self, name: str, names: tuple[str, ...]) -> str:
+        for failure in self.failures:
+            if name in (failure.name, Path(failure.file).stem):
+                return f"{failure.file} could not be used: {failure.message}"
+        return did_you_mean(name, names)
+
+    def make(
+        self, kind: str, name: str, fields: Mapping[str, Any] | None = None, where: str = ""
+    ) -> Any:
+        """A plugin's instance from plain field values; ``where`` is what messages call it."""
+        plugin = self.entry(kind, name).plugin
+        return construct(plugin, fields or {}, where or name, self.resolve)
+
+    def simulation(self, fields: Mapping[str, Any]) -> Any:
+        """The source ``record=simulation`` with these fields."""
+        return self.make("source", "simulation", fields, "record")
+
+    def resolve(self, kind: type, given: Any, where: str) -> Any:
+        """A plugin named inside a field: a name, a label, or ``{name: ..., fields...}``."""
+        fields: dict[str, Any] = dict(given) if isinstance(given, Mapping) else {"name": given}
+        name = fields.pop("name", None)
+        if not isinstance(name, str):
+            raise ConfigError(f"{where}={given!r}", f"the name of a {kind.kind}")  # type: ignore[attr-defined]
+        if kind.kind == "effect":  # type: ignore[attr-defined]
+            return self.effect_from_label(name, fields)
+        return self.make(kind.kind, name, fields)  # type: ignore[attr-defined]
+
+    def effect_from_label(self, label: str, fields: Mapping[str, Any] | None = None) -> Effect:
+        """``cubic_stiffness@bearing_2`` and further fields -> the effect."""
+        name, _, port = label.partition("@")
+        given = dict(fields or {})
+        if port:
+            given["port"] = port
+        return self.make("effect", name, given)
+
+    def candidates(self, system: System) -> tuple[Effect, ...]:
+        """Every effect with a physical name that fits the system's first port."""
+        from spiral.types.effect import FlowEffect, ForceEffect, SensorEffect
+        from spiral.types.placement import check_effect
+        from spiral.types.units import units_fit
+
+        found: list[Effect] = []
+        for name in self.names("effect"):
+            plugin = self.entry("effect", name).plugin
+            if not issubclass(plugin, ForceEffect | SensorEffect | FlowEffect) or plugin.bare:
+                continue
+            effect = plugin()
+            try:
+                check_effect(system, effect)
+            except ConfigError:
+                continue
+            if units_fit(system, effect):
+                found.append(effect)
+        return tuple(found)
+
+    def dictionary(self, system: System) -> tuple[Effect, ...]:
+        """Learned effects (``spiral.physics.learned``) that fit the system's first port."""
+        from spiral.physics.learned import Learned
+        from spiral.types.placement import check_effect
+
+        found: list[Effect] = []
+        for name in self.names("effect"):
+            plugin = self.entry("effect", name).plugin
+            if issubclass(plugin, Learned):
+                with contextlib.suppress(ConfigError):
+                    check_effect(system, plugin())
+                    found.append(plugin())
+        return tuple(found)
+
+    def versions(self) -> dict[str, str]:
+        """``kind/name`` -> version, for the history of a run."""
+        return {f"{e.kind}/{e.name}": f"{e.origin} {e.version}".strip() for e in self.entries}
+
+
+def load_registry(folder: str | os.PathLike[str] | None = None, local: bool = True) -> Registry:
+    """Load installed plugins and those of a local folder.
+
+    Parameters
+    ----------
+    folder : left out, ``SPIRAL_PLUGINS``, else ``./plugins`` where there is one.
+    local : whether to read a local folder at all.
+
+    Raises
+    ------
+    ConfigError : a folder was named and is not there.
+    PluginError : two plugins of one kind have one name.
+    """
+    modules: list[tuple[ModuleType, str, str]] = []
+    failures: list[Failure] = []
+    seen: set[Path] = set()
+    for package, origin, version in _installed(failures):
+        modules += [(m, origin, version) for m in _walk(package, failures, seen)]
+    place = _local_folder(folder) if local else None
+    if place is not None:
+        modules += [(m, LOCAL, _digest(m)) for m in _load_folder(place, failures, seen)]
+    return Registry(_entries(modules, failures), tuple(failures))
+
+
+def _installed(failures: list[Failure]) -> Iterator[tuple[ModuleType, str, str]]:
+    from importlib.metadata import entry_points
+
+    for point in entry_points(group=GROUP):
+        origin = point.dist.name if point.dist else point.name
+        version = point.dist.version if point.dist else ""
+        try:
+            yield importlib.import_module(point.module), origin, version
+        except Exception as error:
+            failures.append(Failure(point.name, point.value, told(error)))
+
+
+def _walk(package: ModuleType, failures: list[Failure], seen: set[Path]) -> Iterator[ModuleType]:
+    """The package and all modules under it; those that fail are reported by name and file."""
+    yield package
+    _see(package.__file__, seen)
+    if not hasattr(package, "__path__"):
+        return
+    prefix = f"{package.__name__}."
+    for info in pkgutil.walk_packages(package.__path__, prefix, onerror=lambda name: None):
+        spec = importlib.util.find_spec(info.name)
+        file = spec.origin if spec and spec.origin else info.name
+        _see(file, seen)
+        try:
+            yield importlib.import_module(info.name)
+        except (Exception, SystemExit) as error:
+            failures.append(Failure(info.name.rsplit(".", 1)[-1], file, told(error)))
+
+
+def _see(file: str | None, seen: set[Path]) -> None:
+    if file:
+        seen.add(Path(file).resolve())
+
+
+def _local_folder(folder: str | os.PathLike[str] | None) -> Path | None:
+    given = folder or os.environ.get(FOLDER_VARIABLE)
+    if not given:
+        default = Path(DEFAULT_FOLDER)
+        return default if default.is_dir() else None
+    path = Path(given).expanduser()
+    if not path.is_dir():
+        raise ConfigError(
+            f"plugin folder {str(given)!r}",
+            "a folder with Python files",
+            f"--plugins DIR, or unset {FOLDER_VARIABLE}",
+        )
+    return path
+
+
+def _load_folder(folder: Path, failures: list[Failure], seen: set[Path]) -> Iterator[ModuleType]:
+    for path in sorted(folder.rglob("*.py")):
+        inside = path.relative_to(folder).parts
+        if path.resolve() in seen or any(part.startswith(("_", ".", "test_")) for part in inside):
+            continue
+        _see(str(path), seen)
+        name = f"spiral_local_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:10]}"
+        name = f"{name}_{path.stem}"
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module  # dataclasses look their module up by name
+        try:
+            spec.loader.exec_module(module)
+        except (Exception, SystemExit) as error:
+            del sys.modules[name]
+            failures.append(Failure(path.stem, str(path), told(error)))
+            continue
+        yield module
+
+
+def told(error: BaseException) -> str:
+    """An error in one line, with the place in the plugin's file where there is one."""
+    if isinstance(error, SpiralError):
+        return f"{error.given}; expected {error.expected}"
+    place = f", line {error.lineno}" if isinstance(error, SyntaxError) else _line(error)
+    return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}{place}"
+
+
+def _line(error: BaseException) -> str:
+    frame = error.__traceback__
+    last = ""
+    while frame is not None:
+        if "importlib" not in frame.tb_frame.f_code.co_filename:
+            last = f" ({Path(frame.tb_frame.f_code.co_filename).name}, line {frame.tb_lineno})"
+        frame = frame.tb_next
+    return last
+
+
+def _digest(module: ModuleType) -> str:
+    return hashlib.sha256(Path(str(module.__file__)).read_bytes()).hexdigest()[:12]
+
+
+def _entries(
+    modules: list[tuple[ModuleType, str, str]], failures: list[Failure]
+) -> tuple[Entry, ...]:
+    found: dict[tuple[str, str], Entry] = {}
+    unfinished: dict[type, str] = {}
+    for module, origin, version in modules:
+        for cls in _classes(module):
+            file = str(module.__file__)
+            if not is_concrete(cls):
+                unfinished[cls] = file
+                continue
+            entry = Entry(cls.kind, cls.plugin_name(), cls, file, origin, version)
+            first = found.setdefault((entry.kind, entry.name), entry)
+            if first is not entry:
+                raise PluginError(
+                    f"{entry.kind} {entry.name!r} twice: in {first.file} and in {entry.file}",
+                    "each name once",
+                    "rename one of the two classes",
+                )
+    failures += [
+        Failure(cls.plugin_name(), file, f"{cls.__name__} does not define {_missing(cls)}")
+        for cls, file in unfinished.items()
+        if not cls.__subclasses__()
+    ]
+    return tuple(sorted(found.values(), key=lambda e: (e.kind, e.name)))
+
+
+def _classes(module: ModuleType) -> list[type[Plugin]]:
+    return [
+        c
+        for c in vars(module).values()
+        if inspect.isclass(c)
+        and issubclass(c, Plugin)
+        and c.kind
+        and c.__module__ == module.__name__
+    ]
+
+
+def _missing(cls: type) -> str:
+    return ", ".join(sorted(getattr(cls, "__abstractmethods__", ())))

@@ -1,0 +1,77 @@
+"""What was asked on the command line, the configuration that it composes, and what came of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from spiral.io.config import Config
+    from spiral.io.registry import Registry
+
+OK, BAD_INPUT, REFUSED = 0, 2, 3
+"""Exit codes: an answer, a question that cannot be asked, an honest refusal."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked: a verb, names (effects, kinds), overrides, and where plugins lie."""
+
+    verb: str
+    names: tuple[str, ...] = ()
+    overrides: tuple[str, ...] = ()
+    plugins: str | None = None
+    out: str | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of it.
+
+    ``result`` is the JSON contract's; ``parts`` are the objects that the terminal draws, by name.
+    """
+
+    exit: int
+    result: dict[str, Any]
+    parts: dict[str, Any] = field(default_factory=dict)
+
+
+def configured(request: Request, registry: Registry) -> Config:
+    """The composed configuration, on top of a saved run where ``run=`` names one."""
+    from spiral.io.config import compose
+    from spiral.io.overrides import parse
+    from spiral.io.storage import load_run
+    from spiral.io.tracking.store import tracking_of
+
+    given = {".".join(i.path): i.value for i in parse(request.overrides)}
+    if not given.get("run"):
+        config = compose(request.overrides, registry)
+        tracking_of(config)  # refused before anything is computed
+        return config
+    saved = load_run(str(given["run"]), str(given.get("out") or "runs"))
+    base = saved.as_config()
+    if request.verb == "simulate":
+        base = _as_truth(base, registry)
+    kept = tuple(o for o in request.overrides if not o.startswith("run="))
+    return {**compose(kept, registry, base), "run": saved.run_id}
+
+
+def _as_truth(base: Config, registry: Registry) -> Config:
+    """A saved run's model as what ``record=simulation`` integrates."""
+    from spiral.types.fields import defaults_of
+
+    fields = defaults_of(registry.entry("source", "simulation").plugin)
+    seeded = [e.label for e in registry.make("system", base["system"]["name"]).seed]
+    labels = [*base["seed"], *base["effect"]]
+    record = {
+        "name": "simulation",
+        **fields,
+        "effects": [
+            {"name": label, **base["effect"].get(label, {})}
+            for label in labels
+            if label not in seeded
+        ],
+        "without": [label for label in seeded if label not in labels],
+        "values": dict(base["values"]),
+    }
+    return {**base, "record": record, "test": {"name": None, "settle": None}}

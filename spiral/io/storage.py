@@ -1,0 +1,322 @@
+"""Saved runs: ``OUT/ID/run.json``, written whole or not at all, and taken up again.
+
+A saved run holds the composed configuration, the model (plugin names, fields, values, errors), the
+hashes of its data, the plugins' versions, and the result as the JSON contract writes it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import secrets
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from spiral.io.registry import LOCAL
+from spiral.types.errors import ConfigError, InputError, did_you_mean
+from spiral.types.fields import plain
+
+if TYPE_CHECKING:
+    from spiral.io.registry import Registry
+    from spiral.types.model import Model
+    from spiral.types.record import Record
+    from spiral.types.run import Run
+
+FORMAT = 1
+FILE = "run.json"
+LATEST = "latest"
+MAKE_A_MODEL = ("discover", "add")  # verbs whose runs are meant by ``latest``
+
+
+@dataclass(frozen=True)
+class SavedRun:
+    """A run as it lies on disk."""
+
+    run_id: str
+    file: Path
+    data: Mapping[str, Any]
+
+    @property
+    def verb(self) -> str:
+        """The verb that saved it."""
+        return str(self.data.get("verb", "discover"))
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration it was started with."""
+        return dict(self.data["config"])
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """The result as the JSON contract writes it."""
+        return dict(self.data["result"])
+
+    def model(self, registry: Registry) -> Model:
+        """Its final model, built again from plugins.
+
+        Raises
+        ------
+        ConfigError : a plugin it used is not known here.
+        """
+        return model_from(self.data["model"], registry)
+
+    def as_config(self) -> dict[str, Any]:
+        """A configuration whose model is this run's final one.
+
+        Its effects become ``seed`` (those with fields of their own ``effect``), so that further
+        effects come on top; its values become first values.
+        """
+        saved = self.data["model"]
+        config = self.config
+        own = {_label(e): _own_fields(e) for e in saved["effects"]}
+        config["seed"] = [label for label, fields in own.items() if not fields]
+        config["effect"] = {label: fields for label, fields in own.items() if fields}
+        config["without"] = []
+        config["values"] = _numbers(saved["values"])
+        config["free"], config["fixed"] = list(saved["freed"]), list(saved["fixed"])
+        defined = {**(config.get("expressions") or {}), **saved.get("expressions", {})}
+        config["expressions"] = defined or None
+        config["run"] = self.run_id
+        return config
+
+
+def new_run_id(now: datetime | None = None) -> str:
+    """Sorts by time, and ends in a few random characters: ``20250131-142501-3fa9c2``."""
+    moment = now or datetime.now(UTC)
+    return f"{moment:%Y%m%d-%H%M%S}-{moment.microsecond // 1000:03d}{secrets.token_hex(4)}"
+
+
+def save_run(
+    run: Run,
+    config: Mapping[str, Any],
+    records: Mapping[str, Sequence[Record]],
+    registry: Registry,
+    folder: str | os.PathLike[str],
+    verb: str = "discover",
+) -> Run:
+    """Write a run and return it with its id.
+
+    Raises
+    ------
+    InputError : the folder cannot be written.
+    """
+    named = replace(run, run_id=run.run_id or new_run_id())
+    save_result(verb, named.as_dict(), named.model, config, records, registry, folder)
+    return named
+
+
+def save_result(
+    verb: str,
+    result: Mapping[str, Any],
+    model: Model,
+    config: Mapping[str, Any],
+    records: Mapping[str, Sequence[Record]],
+    registry: Registry,
+    folder: str | os.PathLike[str],
+    overrides: Sequence[str] = (),
+) -> str:
+    """Write what a verb found, with its model and all that it came from; returns the run's id.
+
+    Raises
+    ------
+    InputError : the folder cannot be written.
+    """
+    run_id = str(result.get("run_id") or new_run_id())
+    content = {
+        "format": FORMAT,
+        "run_id": run_id,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "verb": verb,
+        "overrides": list(overrides),
+        "config": dict(config),
+        "plugins": registry.versions(),
+        "local_plugins": _local_files(model, registry),
+        "data": {k: [_data(r) for r in group] for k, group in records.items()},
+        "model": model_data(model),
+        "result": {**result, "run_id": run_id},
+    }
+    target = Path(folder).expanduser() / run_id / FILE
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(target, to_json(content))
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    return run_id
+
+
+def unwritable(folder: str | os.PathLike[str], error: OSError) -> InputError:
+    """The message for a folder of runs that takes nothing more."""
+    return InputError(
+        f"folder of runs {str(folder)!r}: {error.strerror or error}",
+        "a folder that can be written",
+        "out=FOLDER, or free some space; what was written before is kept",
+    )
+
+
+def model_data(model: Model) -> dict[str, Any]:
+    """Enough to build a model again: plugin names, fields, values, errors, formulas."""
+    from spiral.physics.formulas.expression import definitions_of
+
+    return {
+        "system": plain(model.system),
+        "effects": [plain(e) for e in model.effects],
+        "values": dict(model.values),
+        "errors": dict(model.errors),
+        "freed": list(model.freed),
+        "fixed": list(model.fixed),
+        "expressions": definitions_of(model.effects),
+    }
+
+
+def model_from(saved: Mapping[str, Any], registry: Registry) -> Model:
+    """A model built again from what ``model_data`` gave.
+
+    Raises
+    ------
+    ConfigError : a plugin it used is not known here.
+    """
+    from spiral.io.custom import defining
+    from spiral.types.model import Model
+
+    fields = {k: v for k, v in saved["system"].items() if k != "name"}
+    system = registry.make("system", saved["system"]["name"], fields)
+    registry = defining(registry, saved.get("expressions", {}), system)
+    effects = tuple(
+        registry.effect_from_label(e["name"], {k: v for k, v in e.items() if k != "name"})
+        for e in saved["effects"]
+    )
+    return Model(
+        system,
+        effects,
+        values=_numbers(saved["values"]),
+        freed=tuple(saved["freed"]),
+        fixed=tuple(saved["fixed"]),
+        errors=_numbers(saved["errors"]),
+    )
+
+
+def load_run(name: str, folder: str | os.PathLike[str]) -> SavedRun:
+    """A saved run by ``latest``, its id, or the start of its id.
+
+    Raises
+    ------
+    ConfigError : no such run, or several that start so.
+    InputError : a file that is not a saved run.
+    """
+    known = run_ids(folder)
+    if not known:
+        raise ConfigError(f"run={name}", f"a saved run in {str(folder)!r}", "run discover first")
+    found = [_latest(known, folder)] if name == LATEST else [i for i in known if i == name]
+    found = found or [i for i in known if i.startswith(name)]
+    if len(found) > 1:
+        raise ConfigError(
+            f"run={name}, which {len(found)} runs start with",
+            "one run",
+            f"type more of it: {', '.join(found[:4])}",
+        )
+    if not found:
+        raise ConfigError(
+            f"run={name}",
+            f"latest, or one of the {len(known)} runs in {str(folder)!r}",
+            did_you_mean(name, known) if len(known) < 6 else f"the last is {known[-1]}",
+        )
+    return read_run(Path(folder).expanduser() / found[0] / FILE)
+
+
+def _latest(known: Sequence[str], folder: str | os.PathLike[str]) -> str:
+    """The last run that made a model; where none did, the last of all."""
+    for name in reversed(known):
+        if read_run(Path(folder).expanduser() / name / FILE).verb in MAKE_A_MODEL:
+            return name
+    return known[-1]
+
+
+def read_run(file: Path) -> SavedRun:
+    """A saved run from its file."""
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        if data["format"] > FORMAT:
+            raise InputError(
+                f"{file}: format {data['format']}", f"at most {FORMAT}", "update this program"
+            )
+        return SavedRun(data["run_id"], file, data)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{file}: {error}", "a run saved by this program") from error
+
+
+def run_ids(folder: str | os.PathLike[str]) -> list[str]:
+    """Ids of the saved runs, oldest first."""
+    place = Path(folder).expanduser()
+    if not place.is_dir():
+        return []
+    return sorted(p.name for p in place.iterdir() if (p / FILE).is_file())
+
+
+def to_json(value: Any) -> str:
+    """JSON in which NaN and infinity are ``null``."""
+    return json.dumps(finite(value), indent=1, allow_nan=False, ensure_ascii=False)
+
+
+def finite(value: Any) -> Any:
+    """Plain data with ``None`` for NaN and infinity; NumPy's numbers and arrays as Python's."""
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [finite(v) for v in value]
+    if hasattr(value, "tolist"):
+        return finite(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return plain(value) if hasattr(value, "plugin_name") else str(value)
+
+
+def write_whole(file: Path, text: str) -> None:
+    """Write to a temporary name beside the file, then move into place."""
+    handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as out:
+            out.write(text)
+            out.flush()
+            os.fsync(out.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, file)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _data(record: Record) -> dict[str, Any]:
+    return {
+        "name": record.name,
+        "samples": record.samples,
+        "rate": 1.0 / record.dt,
+        "sha256": record.sha256,
+        "notes": list(record.notes),
+    }
+
+
+def _local_files(model: Model, registry: Registry) -> list[str]:
+    """Files of local plugins that a model is made of."""
+    used = {(p.kind, p.plugin_name()) for p in (model.system, *model.effects)}
+    local = [e for e in registry.entries if e.origin == LOCAL]
+    return sorted({str(Path(e.file).resolve()) for e in local if (e.kind, e.name) in used})
+
+
+def _label(effect: Mapping[str, Any]) -> str:
+    return effect["name"] + (f"@{effect['port']}" if effect.get("port") else "")
+
+
+def _own_fields(effect: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields beyond its place."""
+    return {k: v for k, v in effect.items() if k not in ("name", "port", "variant")}
+
+
+def _numbers(values: Mapping[str, float | None]) -> dict[str, float]:
+    return {k: float(v) for k, v in values.items() if v is not None}

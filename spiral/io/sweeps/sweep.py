@@ -1,0 +1,265 @@
+"""Sweeps: the same verb over many configurations, each job a row that is kept as it ends.
+
+A sweep has a folder (``ledger``). Ended at any moment, by whatever, it loses the jobs that
+were under way; the next start of the same sweep takes up the rows that are there.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from spiral.engine.signals import Signals, Stopped
+from spiral.inference.problem import Progress, silent
+from spiral.io.sweeps.jobs import Plan
+from spiral.io.sweeps.ledger import Ledger, open_ledger
+from spiral.io.sweeps.pool import (
+    Answer,
+    ClusterError,
+    Execute,
+    Job,
+    answers,
+    call_for,
+    processes,
+)
+from spiral.types.errors import SpiralError
+
+BAD_INPUT = 2
+_AS_BEFORE = (0, 3)  # exit codes of a job that would come out the same
+
+
+@dataclass(frozen=True)
+class Row:
+    """One job of a sweep, as it ended; ``seconds`` of its own, in its process."""
+
+    overrides: Job
+    exit: int
+    result: dict[str, Any]
+    seconds: float = 0.0
+
+    @property
+    def run_id(self) -> str | None:
+        """The saved run it made, for verbs that save one."""
+        return self.result.get("run_id") or None
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        return {
+            "overrides": list(self.overrides),
+            "exit": self.exit,
+            "result": self.result,
+            "seconds": self.seconds,
+        }
+
+
+OnRow = Callable[[str, int, Row], None]
+"""(sweep's id, job's number from zero, row): told once for each job as it ends, in this process.
+
+Told again where a failed job is tried again, or where the process ended before the call came back;
+what it writes should therefore be found by sweep and number, and replaced.
+"""
+
+
+@dataclass(frozen=True)
+class Status:
+    """How far a sweep is: jobs done, of them failed, s since the start, s to go (a guess)."""
+
+    done: int
+    total: int
+    failed: int
+    seconds: float
+    remaining: float | None
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep as it ended: its rows in the sweep's order, those that are there.
+
+    ``exit``: the largest of the rows', 130 or 143 where it was stopped, 2 where ``error`` says why
+    it could not go on.
+    """
+
+    sweep_id: str
+    folder: str
+    jobs: tuple[Job, ...]
+    rows: tuple[Row, ...]
+    taken_up: int
+    seconds: float
+    exit: int
+    error: dict[str, str] | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        about = {
+            "id": self.sweep_id,
+            "folder": self.folder,
+            "jobs": len(self.jobs),
+            "done": len(self.rows),
+            "taken_up": self.taken_up,
+            "seconds": self.seconds,
+        }
+        found: dict[str, Any] = {"runs": [row.as_dict() for row in self.rows], "sweep": about}
+        return {**found, "error": self.error} if self.error else found
+
+
+def run_sweep(
+    execute: Execute,
+    plan: Plan,
+    tell: Progress = silent,
+    on_status: Callable[[Status], None] | None = None,
+    on_row: OnRow | None = None,
+) -> Sweep:
+    """Run every job that has no row yet; a failed job is a row, a stop keeps what is done.
+
+    Raises
+    ------
+    InputError : the sweep's folder cannot be made.
+    ConfigError : no Dask scheduler with workers answers.
+    """
+    asked = {"verb": plan.verb, "names": plan.names, "jobs": plan.jobs}
+    ledger = open_ledger(plan.out, asked, plan.fingerprint, plan.options.resume)
+    try:
+        with Signals() as signals:
+            desk = _Desk(plan, ledger, signals, tell, on_status or (lambda _: None), on_row)
+            return desk.run(execute)
+    finally:
+        ledger.close()
+
+
+@dataclass
+class _Desk:
+    """What the parent keeps while a sweep is under way."""
+
+    plan: Plan
+    ledger: Ledger
+    signals: Signals
+    tell: Progress
+    on_status: Callable[[Status], None]
+    on_row: OnRow | None
+    rows: dict[int, Row] = field(default_factory=dict)
+    under_way: set[int] = field(default_factory=set)
+    taken_up: int = 0
+    clock: float = field(default_factory=time.perf_counter)
+
+    def run(self, execute: Execute) -> Sweep:
+        """All jobs, and the sweep as it ended."""
+        error, code = None, None
+        try:
+            self._take_up()
+            self._work(execute)
+        except Stopped as stop:
+            code = stop.exit
+            self.tell(self._stopped())
+        except (ClusterError, OSError) as lost:
+            error, code = _as_error(lost), BAD_INPUT
+        except SpiralError as unwritten:
+            if not self.rows:
+                self.ledger.discard()
+                raise
+            error, code = unwritten.as_dict(), BAD_INPUT
+        if code is None:
+            code = max((row.exit for row in self.rows.values()), default=0)
+        return self._finished(code, error)
+
+    def _take_up(self) -> None:
+        """Rows of an earlier start; those that failed are tried again."""
+        if not self.ledger.taken_up:
+            return
+        found = self.ledger.rows()
+        kept = {i: r for i, r in found.items() if i < len(self.plan.jobs)}
+        self.rows = {
+            i: Row(self.plan.jobs[i], r["exit"], r["result"], r.get("seconds", 0.0))
+            for i, r in kept.items()
+            if r["exit"] in _AS_BEFORE
+        }
+        self.taken_up = len(self.rows)
+        again = len(kept) - self.taken_up
+        more = f"; {again} that failed run again" if again else ""
+        there = f"{self.taken_up} of {len(self.plan.jobs)} runs are there{more}"
+        self.tell(f"taking up sweep {self.ledger.sweep_id}: {there}")
+        for index, row in self.rows.items():
+            if not self.ledger.told(index):
+                self._hook(index, row)
+
+    def _work(self, execute: Execute) -> None:
+        mine = f"sweep.id={self.ledger.sweep_id}"
+        calls = {
+            i: call_for(self.plan.verb, self.plan.names, (*job, mine), self.plan.plugins)
+            for i, job in enumerate(self.plan.calls)
+            if i not in self.rows
+        }
+        self._report()
+        found = answers(execute, calls, self.plan.backend, self.under_way.add)
+        with closing(found):
+            for index, answer in found:
+                self._keep(index, answer)
+
+    def _keep(self, index: int, answer: Answer) -> None:
+        """One job has ended: its row is written whole before anything else is done."""
+        from spiral.io.storage import finite
+
+        with self.signals.held():
+            row = Row(
+                self.plan.jobs[index], answer.exit, finite(answer.result), round(answer.seconds, 3)
+            )
+            self.rows[index] = row
+            self.under_way.discard(index)
+            self.ledger.write(index, row.as_dict())
+        self._report()
+        self._hook(index, row)
+
+    def _hook(self, index: int, row: Row) -> None:
+        """Whatever goes wrong in it costs no row."""
+        if self.on_row is None:
+            return
+        try:
+            self.on_row(self.ledger.sweep_id, index, row)
+        except Exception as error:
+            self.tell(f"job {index + 1} is kept, but not told on: {type(error).__name__}: {error}")
+        else:
+            self.ledger.tell(index)
+
+    def _report(self) -> None:
+        total, done = len(self.plan.jobs), len(self.rows)
+        seconds = time.perf_counter() - self.clock
+        new = done - self.taken_up
+        remaining = seconds / new * (total - done) if new else None
+        failed = sum(row.exit != 0 for row in self.rows.values())
+        self.on_status(Status(done, total, failed, seconds, remaining))
+
+    def _stopped(self) -> str:
+        kept = f"{len(self.rows)} of {len(self.plan.jobs)} runs are kept"
+        lost = sorted(self.under_way - set(self.rows))
+        if self.plan.backend.name == "loky":  # jobs begin in order; one may be waiting ready
+            lost = lost[: processes(self.plan.backend.n_jobs)]
+        under_way = f", {len(lost)} under way are not" if lost else ""
+        again = "; the same command takes it up" if len(self.rows) < len(self.plan.jobs) else ""
+        return f"stopped: {kept}{under_way}{again}"
+
+    def _finished(self, code: int, error: dict[str, str] | None) -> Sweep:
+        sweep = Sweep(
+            self.ledger.sweep_id,
+            str(self.ledger.folder),
+            self.plan.jobs,
+            tuple(self.rows[i] for i in sorted(self.rows)),
+            self.taken_up,
+            round(time.perf_counter() - self.clock, 3),
+            code,
+            error,
+        )
+        if error is not None or len(self.rows) < len(self.plan.jobs):
+            return sweep
+        try:
+            self.ledger.finish(sweep.as_dict())
+        except SpiralError as unwritten:
+            return replace(sweep, exit=BAD_INPUT, error=unwritten.as_dict())
+        return sweep
+
+
+def _as_error(lost: Exception) -> dict[str, str]:
+    if isinstance(lost, SpiralError):
+        return lost.as_dict()
+    return {"given": str(lost), "expected": "a sweep that can go on", "try": "the same command"}

@@ -1,0 +1,48 @@
+"""The rows of a sweep into MLflow, one by one as they end, by the sweep's own process alone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from spiral.io.tracking import track as studies
+from spiral.io.tracking.store import Draw, Tracking
+from spiral.io.tracking.track import Failed, Tracked
+
+if TYPE_CHECKING:
+    from spiral.io.sweeps.sweep import Row
+
+_WAITS = 3  # rows that may fail before the rest is left to the end
+
+
+@dataclass
+class SweepTracker:
+    """Told of every row as it ends; ``finish`` logs what could not be logged then."""
+
+    tracking: Tracking
+    out: str | os.PathLike[str]
+    tell: Callable[[str], None]
+    draw: Draw | None = None
+    left: list[Failed] = field(default_factory=list)
+    failures: int = 0
+
+    def on_row(self, sweep_id: str, number: int, row: Row) -> None:
+        """Log one row; where the store fails, the sweep goes on without it."""
+        wanted = (row.run_id,) if row.run_id else ()
+        failed = Failed(sweep_id, number, row.overrides, row.result.get("error") or {})
+        jobs = (failed,) if row.exit and not wanted else ()
+        if self.failures < _WAITS:
+            found = studies.track(
+                self.tracking, self.out, wanted, jobs, catch_up=False, draw=self.draw
+            )
+            if found.failure is None:
+                return
+            self.failures += 1
+            self.tell(f"job {number + 1} is kept, but MLflow did not take it: {found.failure}")
+        self.left += jobs
+
+    def finish(self) -> Tracked:
+        """Log what is left: once more, at the end."""
+        return studies.track(self.tracking, self.out, (), tuple(self.left), draw=self.draw)

@@ -1,0 +1,130 @@
+"""Records and reconstructed states written as tables: CSV or Parquet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from spiral.inference.reconstruction.estimate import BAND
+from spiral.types.errors import ConfigError, InputError, did_you_mean
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from spiral.inference.reconstruction.estimate import Reconstructed
+    from spiral.types.record import Record
+    from spiral.types.system import System
+
+_SUFFIXES = (".csv", ".parquet")
+
+
+@dataclass(frozen=True)
+class Written:
+    """A file that was written: its units by column, and the overrides that read it back."""
+
+    file: str
+    rows: int
+    units: dict[str, str]
+    read_back: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON."""
+        return {"file": self.file, "rows": self.rows, "units": self.units}
+
+
+def write_record(record: Record, system: System, file: str, number: int | None = None) -> Written:
+    """Time, channels and inputs of a record as columns, in the system's units.
+
+    Parameters
+    ----------
+    number : added to the file's name where one source gives several records.
+
+    Raises
+    ------
+    ConfigError : an unknown ending. InputError : a file that cannot be written.
+    """
+    import pandas as pd
+
+    path = _target(file, number)
+    measured = {k: v for k, v in record.inputs.items() if k in record.measured}
+    frame = pd.DataFrame({"time": record.time, **record.channels, **measured})
+    _write(frame, path)
+    units = {"time": "s", **{k: system.unit_of(k) for k in (*record.channels, *measured)}}
+    return Written(str(path), len(frame), units, _read_back(record, system, str(path), measured))
+
+
+def write_states(part: Reconstructed, file: str, number: int | None = None) -> tuple[Written, ...]:
+    """Time, and of every state the estimate with its 95 % band: NAME, NAME_low, NAME_high.
+
+    A file without an ending is written twice, as CSV and as Parquet. Samples after a divergence are
+    left out; a state that the observer does not give has no columns.
+
+    Raises
+    ------
+    ConfigError : an unknown ending. InputError : a file that cannot be written.
+    """
+    import pandas as pd
+
+    given = Path(file).expanduser()
+    targets = [f"{given}{s}" for s in _SUFFIXES] if not given.suffix else [file]
+    stop = part.stable
+    columns = {"time": part.record.time[:stop]}
+    for name in part.found.names:
+        mean, deviation = (v[:stop] for v in part.found.state(name))
+        if pd.isna(mean).all():
+            continue
+        columns[name] = mean
+        columns[f"{name}_low"] = mean - BAND * deviation
+        columns[f"{name}_high"] = mean + BAND * deviation
+    frame = pd.DataFrame(columns)
+    units = {"time": "s", **{n: part.unit(n) for n in part.found.names if n in columns}}
+    written = []
+    for target in targets:
+        path = _target(target, number)
+        _write(frame, path)
+        written.append(Written(str(path), len(frame), units, ()))
+    return tuple(written)
+
+
+def _target(file: str, number: int | None) -> Path:
+    path = Path(file).expanduser()
+    if path.suffix not in _SUFFIXES:
+        raise ConfigError(
+            f"--out {file}", "a file that ends in .csv or .parquet",
+            did_you_mean(path.suffix, _SUFFIXES),
+        )  # fmt: skip
+    return path if number is None else path.with_stem(f"{path.stem}_{number}")
+
+
+def _write(frame: pd.DataFrame, path: Path) -> None:
+    try:
+        if path.suffix == ".csv":
+            frame.to_csv(path, index=False)
+        else:
+            frame.to_parquet(path, index=False)
+    except OSError as error:
+        text = f"--out {path}: {error.strerror or error}"
+        raise InputError(text, "a file that can be written") from error
+
+
+def _read_back(
+    record: Record, system: System, file: str, measured: dict[str, Any]
+) -> tuple[str, ...]:
+    from spiral.types.fields import defaults_of, plain
+
+    usual, name = defaults_of(type(system)), system.plugin_name()
+    own = {k: v for k, v in plain(system).items() if k != "name" and v != usual[k]}
+    channels = ", ".join(f"{c}: {c}" for c in record.channels)
+    inputs = ", ".join(f"{i}: {i}" for i in measured)
+    noise = ", ".join(f"{c}: {s:.6g}" for c, s in record.noise.items())
+    return (
+        f"system={name}",
+        *(f"system.{k}={v}" for k, v in own.items()),
+        "record=csv",
+        f"record.path={file}",
+        "record.time=time",
+        f"record.channels={{{channels}}}",
+        *([f"record.inputs={{{inputs}}}"] if inputs else []),
+        *([f"record.noise={{{noise}}}"] if noise else []),
+    )

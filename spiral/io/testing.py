@@ -1,0 +1,334 @@
+"""The conformance suite of plugins: what ``spiral check NAME`` runs, and what a test calls.
+
+    assert not failed(check_effect(MyEffect(), PlanarRotor()))
+
+No check raises: each is a ``Check`` with what was seen and what to try.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from spiral.engine.filter.observer import Observer
+from spiral.engine.gate import Gate
+from spiral.io.conformance import derivatives, observers, physics, rehearsal
+from spiral.io.registry import told
+from spiral.types.derivative import Derivative
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
+from spiral.types.errors import ConfigError, InputError, PluginError, SpiralError
+from spiral.types.fields import construct, field_names, plain
+from spiral.types.learner import Learner
+from spiral.types.library import Library
+from spiral.types.plugin import Plugin
+from spiral.types.record import Record
+from spiral.types.source import Source
+from spiral.types.system import MechanicalSystem, System
+
+if TYPE_CHECKING:
+    from spiral.io.registry import Entry, Registry
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check: its name, whether it passed, what was seen, what to try, and on what."""
+
+    name: str
+    passed: bool
+    seen: str
+    try_: str = ""
+    on: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As ``spiral check --json`` writes it."""
+        return {
+            "check": self.name,
+            "passed": self.passed,
+            "seen": self.seen,
+            "try": self.try_,
+            "on": self.on,
+        }
+
+
+Step = tuple[str, Callable[[], str], str]
+"""(name of a check, the check: what was seen or an error, what to try)."""
+
+
+def failed(checks: Iterable[Check]) -> list[Check]:
+    """Those that did not pass."""
+    return [c for c in checks if not c.passed]
+
+
+def check_effect(effect: Effect, system: System) -> list[Check]:
+    """An effect at its port of a system: text, units, Jacobians, rest, linearity, own states.
+
+    After a check that the others rest on (it fits, it traces) has failed, no more are run.
+    """
+    still = isinstance(effect, SensorEffect) and not isinstance(system, MechanicalSystem)
+    beside = system.seed if still else ()  # flows that a reading of rates may show
+    whole, bare = physics.Physics(system, (*beside, effect)), physics.Physics(system, beside)
+    return _run(
+        f"{effect.label} on {system.plugin_name()}",
+        [
+            ("docstring", lambda: physics.docstring(effect), _SAY),
+            (
+                "fits",
+                lambda: physics.fits(effect, system),
+                "another system, or another port: NAME@PORT",
+            ),
+            ("parameters", lambda: physics.effect_units(effect, system), _UNITS),
+            ("traces", lambda: physics.traces(whole), _TRACE),
+            (
+                "own states",
+                lambda: physics.own_states(effect, whole),
+                "return their rates from rate()",
+            ),
+            ("units", lambda: physics.units(system, (effect,)), _UNITS),
+            ("jacobians", lambda: physics.jacobians(whole), _SMOOTH),
+            ("finite at rest", lambda: physics.finite(whole), _REST),
+            ("linear in amplitudes", lambda: physics.linear(effect, whole), _LINEAR),
+            ("absent at zero", lambda: physics.absent(effect, whole, bare), _LINEAR),
+        ],
+    )
+
+
+def check_system(system: System) -> list[Check]:
+    """A system with its seed: names, units, tracing, mass, Jacobians, rest, a short record."""
+    whole = physics.Physics(system)
+    return _run(
+        system.plugin_name(),
+        [
+            ("docstring", lambda: physics.docstring(system), _SAY),
+            ("names", lambda: physics.names(system), ""),
+            ("parameters", lambda: physics.system_units(system), _UNITS),
+            ("traces", lambda: physics.traces(whole), _TRACE),
+            ("units of the seed", lambda: physics.units(system, system.seed), _UNITS),
+            (
+                "mass",
+                lambda: physics.mass(system),
+                "one row and column for each coordinate, symmetric",
+            ),
+            ("units of mass and force", lambda: physics.mechanical_units(system), _UNITS),
+            ("jacobians", lambda: physics.jacobians(whole), _SMOOTH),
+            ("finite at rest", lambda: physics.finite(whole), _REST),
+            ("simulates", lambda: physics.simulates(system), "nominal values of a stable motion"),
+        ],
+    )
+
+
+def check_source(source: Source, system: System) -> list[Check]:
+    """A source asked for the records of a system; a refusal that says what to change passes."""
+    return _run(
+        f"{source.plugin_name()} for {system.plugin_name()}",
+        [
+            ("docstring", lambda: physics.said(source), _SAY),
+            ("fields", lambda: _fields(source), "fields of plain values, each with a default"),
+            (
+                "loads",
+                lambda: _loads(source, system),
+                "raise InputError for what cannot be used",
+            ),
+            (
+                "repeatable",
+                lambda: _repeatable(source, system),
+                "seed what is random by a field",
+            ),
+            ("as test", lambda: _as_test(source), "return a Source from as_test()"),
+        ],
+    )
+
+
+def check_derivative(derivative: Derivative) -> list[Check]:
+    """An estimator of derivatives on a sine; a refusal that says what to change passes."""
+    return _run(
+        derivative.plugin_name(),
+        [
+            ("docstring", lambda: physics.docstring(derivative), _SAY),
+            ("fields", lambda: _fields(derivative), "fields of plain values, each with a default"),
+            (
+                "follows a sine",
+                lambda: derivatives.sine_followed(derivative),
+                "slopes per second",
+            ),
+            (
+                "repeatable",
+                lambda: derivatives.estimate_repeatable(derivative),
+                "no hidden state, and no writing into the samples",
+            ),
+        ],
+    )
+
+
+def check_observer(observer: Observer, systems: Sequence[System]) -> list[Check]:
+    """An observer over short records of systems with nominal values; it may refuse some."""
+    watched = observers.Watched(observer, systems)
+    return _run(
+        observer.plugin_name(),
+        [
+            ("docstring", lambda: physics.docstring(observer), _SAY),
+            ("fields", lambda: _fields(observer), "fields of plain values, each with a default"),
+            ("reconstructs", lambda: observers.reconstructs(watched), "(samples, states) arrays"),
+            (
+                "covariances",
+                lambda: observers.covariances(watched),
+                "0.5 * (P + P.T); Joseph",
+            ),
+            ("innovations", lambda: observers.innovations(watched), "S = C P C^T + R"),
+            ("follows", lambda: observers.follows(watched), "signs and order of the states"),
+            (
+                "repeatable",
+                lambda: observers.reconstructs_again(watched),
+                "copies, no memory",
+            ),
+        ],
+    )
+
+
+def check_evidence(plugin: Plugin, registry: Registry) -> list[Check]:
+    """A learner, a library or a gate: what it is for, and that it repeats itself."""
+    steps: list[Step] = [
+        ("docstring", lambda: physics.docstring(plugin), _SAY),
+        ("fields", lambda: _fields(plugin), "fields of plain values, each with a default"),
+    ]
+    if isinstance(plugin, Learner):
+        steps.append(("learns", lambda: rehearsal.learns(plugin), "scaled inputs and outputs"))
+        steps.append(("repeatable", lambda: rehearsal.learns_again(plugin), "use the seed given"))
+    elif isinstance(plugin, Library):
+        systems = [registry.make("system", name) for name in registry.names("system")]
+        steps.append(("terms", lambda: rehearsal.terms_fit(plugin, systems), _UNITS))
+    elif isinstance(plugin, Gate):
+        steps.append(("judges", lambda: rehearsal.judges(plugin), "indices of trial.kept"))
+        steps.append(("log", lambda: rehearsal.logs_plainly(plugin), "float(...) of NumPy numbers"))
+    return _run(plugin.plugin_name(), steps)
+
+
+def check_plugin(entry: Entry, registry: Registry) -> list[Check]:
+    """A registered plugin: an effect on every system that it fits, a source for every system."""
+    if entry.kind == "derivative":
+        return check_derivative(registry.make("derivative", entry.name))
+    if entry.kind in ("learner", "gate", "library"):
+        return check_evidence(registry.make(entry.kind, entry.name), registry)
+    if entry.kind == "system":
+        return check_system(registry.make("system", entry.name))
+    systems = [registry.make("system", name) for name in registry.names("system")]
+    if entry.kind == "effect":
+        return _on_systems(registry.make("effect", entry.name), systems)
+    if entry.kind == "observer":
+        return check_observer(registry.make("observer", entry.name), systems)
+    if entry.kind == "source":
+        source = registry.make("source", entry.name)
+        return [c for system in systems for c in check_source(source, system)]
+    return _run(entry.name, [("docstring", lambda: physics.said(entry.plugin), _SAY)])
+
+
+def misfit(effect: Effect, system: System) -> str:
+    """Why an effect does not fit a system (axes, inputs, units); empty where it does."""
+    from spiral.types.placement import check_effect as check_needs
+    from spiral.types.units import check_units
+
+    if isinstance(effect, ForceEffect) and not isinstance(system, MechanicalSystem):
+        return "a force needs a system with coordinates"
+    try:
+        check_needs(system, effect)
+        check_units(system, effect)
+    except SpiralError as error:
+        # Without a cause from pint (the sine of a length) its own units are wrong, so that it
+        # would pass only where positions are angles: its checks name that.
+        wrong = isinstance(error, PluginError) and error.__cause__ is None
+        return "" if wrong else f"{error.given}, expected {error.expected}"
+    except (AttributeError, KeyError) as error:
+        return f"it lacks {error}" if isinstance(effect, FlowEffect) else ""
+    except Exception:  # a defect of the effect, which its checks name
+        return ""
+    return ""
+
+
+_SAY = "a first line that says what it is, and a line with its equation: F = -k q"
+_UNITS = "units relative to the port (force, position, velocity) or absolute ones such as kg*m^2"
+_TRACE = "plain arithmetic and functions of spiral.math; where(...) in place of if"
+_SMOOTH = "functions with derivatives: tanh(v / w) or where(...) in place of jumps"
+_REST = "avoid x / |x| and roots at zero: spiral.math.length stays smooth there"
+_LINEAR = "amplitudes as plain factors; role='shape' for gaps, widths and exponents"
+# After one of these has failed the others say nothing.
+_ESSENTIAL = ("fits", "names", "parameters", "traces", "fields", "loads", "reconstructs")
+
+
+def _run(on: str, steps: Sequence[Step]) -> list[Check]:
+    found: list[Check] = []
+    for name, step, advice in steps:
+        found.append(_checked(name, on, step, advice))
+        if not found[-1].passed and name in _ESSENTIAL:
+            break
+    return found
+
+
+def _checked(name: str, on: str, step: Callable[[], str], advice: str) -> Check:
+    try:
+        return Check(name, True, step(), "", on)
+    except SpiralError as error:
+        seen = f"{error.given}; expected {error.expected}"
+        return Check(name, False, seen, error.try_ or advice, on)
+    except Exception as error:
+        return Check(name, False, told(error), advice, on)
+
+
+def _on_systems(effect: Effect, systems: Sequence[System]) -> list[Check]:
+    reasons = {s.plugin_name(): misfit(effect, s) for s in systems}
+    found = [c for s in systems if not reasons[s.plugin_name()] for c in check_effect(effect, s)]
+    if found:
+        return found
+    seen = "; ".join(f"{name}: {reason}" for name, reason in reasons.items()) or "no system"
+    advice = "correct its units, or put a system that it fits into the plugin folder"
+    return [Check("fits a system", False, f"it fits none. {seen}", advice, effect.label)]
+
+
+def _fields(plugin: Plugin) -> str:
+    """Fields become plain values and come back as they were."""
+    own = {k: getattr(plugin, k) for k in field_names(type(plugin))}
+    given = {k: plain(v) for k, v in own.items()}
+
+    def nested(kind: type, value: Any, where: str) -> Any:  # a plugin inside a field
+        return next(v for v in own.values() if isinstance(v, kind) and plain(v) == value)
+
+    if construct(type(plugin), given, plugin.plugin_name(), nested) != plugin:
+        raise PluginError("fields that do not come back from plain values", "the same fields")
+    return ", ".join(given) or "none"
+
+
+def _loads(source: Source, system: System) -> str:
+    """Records of the system, or a refusal that says what to change."""
+    records = _records(source, system)
+    if isinstance(records, SpiralError):
+        return f"refused: {records.given}, expected {records.expected}"
+    if not isinstance(records, tuple) or not records:
+        raise PluginError(f"load() gives {type(records).__name__}", "a tuple of records")
+    for record in records:
+        if not isinstance(record, Record) or tuple(record.channels) != tuple(system.observed):
+            raise PluginError(f"load() gives {record!r:.60}", "records made by make_record(system)")
+    return f"{len(records)} record of {records[0].samples} samples"
+
+
+def _records(source: Source, system: System) -> Any:
+    try:
+        return source.load(system)
+    except (InputError, ConfigError) as error:
+        return error
+
+
+def _repeatable(source: Source, system: System) -> str:
+    """Loading twice gives the same numbers."""
+    once, again = (_records(source, system) for _ in range(2))
+    if isinstance(once, SpiralError):
+        return "refused"
+    if [r.sha256 for r in once] != [r.sha256 for r in again]:
+        raise PluginError("two loads that differ", "the same records each time")
+    return once[0].sha256[:12]
+
+
+def _as_test(source: Source) -> str:
+    """What a test record takes from this source is a source."""
+    other = source.as_test()
+    if not isinstance(other, Source):
+        raise PluginError(f"as_test() gives {type(other).__name__}", "a Source")
+    return "the same" if other == source else "another"

@@ -1,0 +1,160 @@
+"""Where runs are tracked: SQLite beside the saved runs, or as `MLFLOW_TRACKING_URI` says."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit, urlunsplit
+
+from spiral.io.storage import SavedRun
+from spiral.types.fields import construct
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+URI_VARIABLE = "MLFLOW_TRACKING_URI"
+DATABASE, ARTIFACTS, LOCK = "mlflow.db", "artifacts", ".tracking.lock"
+_PATIENCE = 120.0  # s to wait for another process that writes to the same store
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How runs are tracked.
+
+    Parameters
+    ----------
+    enabled : whether MLflow is told at all.
+    uri : MLflow's tracking URI; left out, ``MLFLOW_TRACKING_URI``, else SQLite in ``out``.
+    experiment : MLflow's experiment.
+    model : whether the final model is logged, ready to predict.
+    """
+
+    enabled: bool = True
+    uri: str | None = None
+    experiment: str = "spiral"
+    model: bool = True
+
+    def where(self, out: str | os.PathLike[str]) -> str:
+        """The tracking URI in force."""
+        own = Path(out).expanduser().resolve() / DATABASE
+        return self.uri or os.environ.get(URI_VARIABLE) or f"sqlite:///{own}"
+
+    def page(self, out: str | os.PathLike[str]) -> str:
+        """What opens MLflow's page on this store: a command, or the server's own address."""
+        uri = self.where(out)
+        if not uri.startswith("sqlite:"):
+            shown = without_password(uri)
+            return shown if uri.startswith("http") else f"mlflow ui --backend-store-uri {shown}"
+        file = Path(uri.removeprefix("sqlite:///"))
+        with contextlib.suppress(ValueError):
+            file = file.relative_to(Path.cwd())
+        return f"mlflow ui --backend-store-uri sqlite:///{file}"
+
+
+def without_password(uri: str) -> str:
+    """A URI as it may be shown: ``postgresql://me:***@host/db``."""
+    parts = urlsplit(uri)
+    if not parts.password:
+        return uri
+    return urlunsplit(parts._replace(netloc=parts.netloc.replace(f":{parts.password}@", ":***@")))
+
+
+def tracking_of(config: Mapping[str, Any]) -> Tracking:
+    """The tracking that a composed configuration asks for.
+
+    Raises
+    ------
+    ConfigError : an unknown field, or a value of another type.
+    """
+    return construct(Tracking, config.get("tracking") or {}, "tracking")
+
+
+Draw = Callable[[SavedRun], str | None]
+"""Makes the HTML report of a saved run; nothing where the run kept no curves."""
+
+
+@dataclass(frozen=True)
+class Store:
+    """An open store; ``draw`` makes the report of a saved run, where it can have one."""
+
+    client: MlflowClient
+    experiment: str
+    uri: str
+    draw: Draw | None = None
+
+
+@contextlib.contextmanager
+def opened(
+    tracking: Tracking, out: str | os.PathLike[str], draw: Draw | None = None
+) -> Iterator[Store]:
+    """The store, created and migrated where it is new; other processes wait meanwhile.
+
+    Artifacts of a database go into a folder beside the saved runs; a server decides for itself.
+    """
+    from filelock import FileLock
+
+    folder = Path(out).expanduser().resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    import_mlflow()
+    from mlflow import MlflowClient
+
+    with FileLock(folder / LOCK, timeout=_PATIENCE), _quiet():
+        uri = tracking.where(out)
+        client = MlflowClient(tracking_uri=uri)
+        known = client.get_experiment_by_name(tracking.experiment)
+        if known is not None:
+            number = known.experiment_id
+        else:
+            served = uri.startswith("http")
+            place = None if served else (folder / ARTIFACTS).as_uri()
+            number = client.create_experiment(tracking.experiment, artifact_location=place)
+        yield Store(client, number, uri, draw)
+
+
+def import_mlflow() -> None:
+    """Import MLflow, which takes a second or two, without its reports to its makers."""
+    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+    os.environ.setdefault("MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT", "true")  # where JSON may go
+    os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
+    os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
+    import mlflow  # noqa: F401
+
+
+@contextlib.contextmanager
+def in_force(store: Store) -> Iterator[None]:
+    """The store as MLflow's own default, for the calls that take no client.
+
+    MLflow exports a default URI to the environment; what was there before comes back.
+    """
+    import mlflow
+
+    before = os.environ.get(URI_VARIABLE)
+    mlflow.set_tracking_uri(store.uri)
+    try:
+        yield
+    finally:
+        mlflow.set_tracking_uri(before or "")
+        if before is None:
+            os.environ.pop(URI_VARIABLE, None)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the remarks of MLflow, and those of its migrations on a new database."""
+    names = ("mlflow", "alembic", "psycopg")
+    levels = [logging.getLogger(n).level for n in names]
+    for name in names:
+        logging.getLogger(name).setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            yield
+    finally:
+        for name, level in zip(names, levels, strict=True):
+            logging.getLogger(name).setLevel(level)

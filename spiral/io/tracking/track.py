@@ -1,0 +1,276 @@
+"""Saved runs into MLflow: a parent for each study, a child for each round.
+
+A run is logged once: ``tracked.json`` beside its ``run.json`` says where. One that was saved and
+not logged (a locked database, a full disk, a process that was killed) is caught up by the next.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from spiral.io.registry import told
+from spiral.io.storage import FILE, SavedRun, read_run, run_ids, to_json, write_whole
+from spiral.io.tracking import content
+from spiral.io.tracking.store import Draw, Store, Tracking, in_force, opened, without_password
+from spiral.types.run import estimate_rows
+
+MARK = "tracked.json"
+BEFORE_ANY_FIT = ("identify", "plan")  # verbs whose model has no values to predict with
+_BATCH = 100  # parameters or metrics in one call
+_NO_PARAMETER = ("run", "out", "n_jobs", "tracking", "sweep")
+_CAUGHT_UP = 50  # saved runs that one start logs after the fact, at most
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What became of it: MLflow's ids of the experiment and every run, or why there are none."""
+
+    runs: Mapping[str, str]
+    uri: str = ""
+    page: str = ""
+    failure: str | None = None
+    experiment: str = ""
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A job of a sweep that left no saved run: which, with what, and why."""
+
+    sweep: str
+    number: int
+    overrides: tuple[str, ...]
+    error: Mapping[str, Any]
+
+
+def track(
+    tracking: Tracking,
+    out: str | os.PathLike[str],
+    wanted: Sequence[str] = (),
+    failed: Sequence[Failed] = (),
+    catch_up: bool = True,
+    draw: Draw | None = None,
+) -> Tracked:
+    """Log saved runs, and those that an earlier start could not log.
+
+    Parameters
+    ----------
+    tracking : how; nothing happens where it is not enabled.
+    out : folder of saved runs. wanted : ids of runs to log.
+    failed : jobs of a sweep that left no saved run.
+    catch_up : whether to log saved runs that an earlier start could not log.
+    draw : makes the report that is logged with a run; left out, none is.
+
+    A failure of the store never raises: the saved runs stay, and the next start catches up.
+    """
+    if not tracking.enabled:
+        return Tracked({})
+    uri, page = without_password(tracking.where(out)), tracking.page(out)
+    runs: dict[str, str] = {}
+    experiment = ""
+    try:
+        with opened(tracking, out, draw) as store:
+            experiment = str(store.experiment)
+            for run_id in wanted:
+                runs[run_id] = _once(store, tracking, Path(out).expanduser() / run_id)
+            for job in failed:
+                _log_failure(store, job)
+            if catch_up:
+                _catch_up(store, tracking, out)
+    except Exception as error:  # of whatever store: the result is saved and must not be lost
+        return Tracked(runs, uri, page, told(error))
+    return Tracked(runs, uri, page, experiment=experiment)
+
+
+def _catch_up(store: Store, tracking: Tracking, out: str | os.PathLike[str]) -> None:
+    folder = Path(out).expanduser()
+    left = [i for i in run_ids(folder) if not (folder / i / MARK).is_file()]
+    for run_id in left[-_CAUGHT_UP:]:
+        saved = read_run(folder / run_id / FILE)
+        if (saved.config.get("tracking") or {}).get("enabled"):
+            _once(store, tracking, folder / run_id)
+
+
+def _once(store: Store, tracking: Tracking, folder: Path) -> str:
+    """Log a saved run unless that is done; half of one, left by a killed process, goes first."""
+    mark = folder / MARK
+    if mark.is_file():
+        return str(json.loads(mark.read_text(encoding="utf-8"))["mlflow_run_id"])
+    _remove_halves(store, folder.name)
+    saved = read_run(folder / FILE)
+    number = _log_study(store, saved, tracking.model)
+    write_whole(mark, to_json({"mlflow_run_id": number, "uri": without_password(store.uri)}))
+    return number
+
+
+def _remove_halves(store: Store, run_id: str) -> None:
+    found = store.client.search_runs([store.experiment], f"tags.`spiral.run_id` = '{run_id}'")
+    for parent in found:
+        number = parent.info.run_id
+        inner = f"tags.`mlflow.parentRunId` = '{number}'"
+        for child in store.client.search_runs([store.experiment], inner):
+            store.client.delete_run(child.info.run_id)
+        store.client.delete_run(number)
+
+
+def _log_study(store: Store, saved: SavedRun, model: bool) -> str:
+    """One saved run as a parent with its rounds; returns MLflow's id."""
+    data = saved.data
+    started, ended = _times(data)
+    run = store.client.create_run(
+        store.experiment, started, content.tags(data), content.run_name(data)
+    )
+    number = run.info.run_id
+    config = {k: v for k, v in saved.config.items() if k not in _NO_PARAMETER}
+    _log(store, number, content.metrics(data), content.parameters(config), ended)
+    _datasets(store, number, data)
+    _artifacts(store, number, saved)
+    clock = started
+    done = content.rounds(data)
+    for found in done:
+        clock = _log_round(store, number, found, clock, len(done))
+    if model:
+        _log_model(store, number, saved)
+    store.client.set_terminated(number, "FINISHED", ended)
+    return number
+
+
+def _log_failure(store: Store, job: Failed) -> None:
+    """A job as a failed run that says why; one logged before by the same sweep is replaced."""
+    where = {"spiral.sweep": job.sweep, "spiral.job": str(job.number)}
+    query = " and ".join(f"tags.`{k}` = '{v}'" for k, v in where.items())
+    for before in store.client.search_runs([store.experiment], query):
+        store.client.delete_run(before.info.run_id)
+    message = "; ".join(f"{k}: {v}" for k, v in job.error.items() if v)
+    tags = {**where, "spiral.error": message, "mlflow.note.content": message}
+    name = f"failed: {' '.join(job.overrides)}"[:250]
+    run = store.client.create_run(store.experiment, tags=tags, run_name=name)
+    store.client.set_terminated(run.info.run_id, "FAILED")
+
+
+def _log_round(store: Store, parent: str, found: Mapping[str, Any], clock: int, count: int) -> int:
+    """One round as a child; returns when it ended, ms."""
+    tags = {
+        "mlflow.parentRunId": parent,
+        "spiral.round": str(found.get("round", 0)),
+        "spiral.admitted": ", ".join(found.get("admitted", ())),
+    }
+    run = store.client.create_run(store.experiment, clock, tags, content.round_name(found))
+    ended = clock + round(1000 * (found.get("seconds") or 0.0))
+    _log(store, run.info.run_id, content.round_metrics(found), {}, ended)
+    if count > 1:  # a verb that fits once has all of it with the parent
+        store.client.log_dict(run.info.run_id, dict(found), "round.json")
+    store.client.set_terminated(run.info.run_id, "FINISHED", ended)
+    return ended
+
+
+def _log(
+    store: Store,
+    number: str,
+    metrics: Sequence[content.Metric],
+    parameters: Mapping[str, str],
+    moment: int,
+) -> None:
+    from mlflow.entities import Metric, Param
+
+    figures = [Metric(k, v, moment, step) for k, v, step in metrics]
+    given = [Param(k, v) for k, v in parameters.items()]
+    for first in range(0, max(len(figures), len(given)), _BATCH):
+        part = slice(first, first + _BATCH)
+        store.client.log_batch(number, figures[part], given[part])
+
+
+def _datasets(store: Store, number: str, data: Mapping[str, Any]) -> None:
+    """Name, size and hash of every record, as MLflow lists them beside a run."""
+    from mlflow.entities import Dataset, DatasetInput, InputTag
+
+    inputs = [
+        DatasetInput(
+            Dataset(r["name"][-500:] or group, r["sha256"][:36], "local", str(r["name"]),
+                    profile=json.dumps({"samples": r["samples"], "rate_hz": r["rate"]})),
+            [InputTag("mlflow.data.context", group)],
+        )
+        for group, records in data["data"].items()
+        for r in records
+    ]  # fmt: skip
+    if inputs:
+        store.client.log_inputs(number, inputs)
+
+
+def _artifacts(store: Store, number: str, saved: SavedRun) -> None:
+    import pandas as pd
+    import yaml
+
+    tables = {
+        "terms": estimate_rows(saved.result),
+        "suggestions": content.suggestions(saved.data),
+    }
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for name, rows in tables.items():
+            if rows:
+                (folder / f"{name}.json").write_text(to_json(rows), encoding="utf-8")
+                pd.DataFrame(content.columns(rows)).to_parquet(folder / f"{name}.parquet")
+        (folder / "plugins.json").write_text(to_json(saved.data["plugins"]), encoding="utf-8")
+        text = yaml.safe_dump(json.loads(to_json(saved.config)), sort_keys=False)
+        (folder / "config.yaml").write_text(text, encoding="utf-8")
+        (folder / FILE).write_bytes(saved.file.read_bytes())
+        html = store.draw(saved) if store.draw is not None else None
+        if html is not None:
+            (folder / "report.html").write_text(html, encoding="utf-8")
+        store.client.log_artifacts(number, str(folder))
+
+
+def _log_model(store: Store, number: str, saved: SavedRun) -> None:
+    """The final model, with the run it is built from and the local plugins it needs."""
+    import mlflow
+
+    from spiral import __version__
+    from spiral.io.registry import load_registry
+
+    if saved.verb in BEFORE_ANY_FIT or not saved.data["model"]["values"]:
+        return
+    with tempfile.TemporaryDirectory() as place:
+        artifacts = {content.RUN: str(saved.file)}
+        for file in saved.data["local_plugins"]:
+            shutil.copy(file, place)
+            artifacts[content.PLUGINS] = place
+        local = content.PLUGINS in artifacts
+        registry = load_registry(place if local else None, local=local)
+        with in_force(store), mlflow.start_run(run_id=number):
+            mlflow.pyfunc.log_model(
+                name="model",
+                python_model=str(Path(__file__).with_name("served.py")),
+                artifacts=artifacts,
+                signature=_signature(saved.model(registry).system),
+                pip_requirements=[f"spiral-po=={__version__}"],
+            )
+
+
+def _times(data: Mapping[str, Any]) -> tuple[int, int]:
+    """Start and end of a study in ms since 1970; the end is when it was saved."""
+    from datetime import datetime
+
+    ended = round(1000 * datetime.fromisoformat(data["created"]).timestamp())
+    taken = sum(r.get("seconds") or 0.0 for r in content.rounds(data))
+    taken = taken or data["result"].get("seconds") or 0.0
+    return ended - round(1000 * taken), ended
+
+
+def _signature(system: Any) -> Any:
+    """Names and types of what the served model takes and gives."""
+    from mlflow.models import ModelSignature
+    from mlflow.types import ColSpec, ParamSchema, ParamSpec, Schema
+
+    measured: list[Any] = [ColSpec("double", c) for c in (content.TIME, *system.observed)]
+    known: list[Any] = [
+        ColSpec("double", i.name, required=i.derived_from is None) for i in system.inputs
+    ]
+    settle = ParamSpec("settle", "double", float("nan"))
+    return ModelSignature(Schema([*measured, *known]), Schema(measured), ParamSchema([settle]))

@@ -1,0 +1,1 @@
+"""Physics written once: traced to expressions, their Jacobians, units and compiled code."""

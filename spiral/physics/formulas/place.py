@@ -1,0 +1,72 @@
+"""Places: what a formula may name at a port of a system, with units."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from spiral.types.system import MechanicalSystem, System
+
+EACH_AXIS = ("q", "v")  # position and velocity of the axis at hand
+
+
+@dataclass(frozen=True)
+class Place:
+    """What a formula may name at a port of a system, with units.
+
+    ``outputs`` are the axes of the port or the channels of flows, each with the unit of its value.
+    """
+
+    system: str
+    port: str
+    force: bool
+    outputs: tuple[tuple[str, str], ...]
+    positions: tuple[tuple[str, str], ...]
+    states: tuple[tuple[str, str], ...]
+    inputs: tuple[tuple[str, str], ...]
+    position_unit: str
+    force_unit: str
+
+    @property
+    def known(self) -> dict[str, str]:
+        """Name -> unit of everything that is no parameter."""
+        rates = {f"{n}_rate": f"({u})/s" for n, u in self.positions}
+        each = dict(zip(EACH_AXIS, (self.position_unit, f"({self.position_unit})/s"), strict=True))
+        found = {**dict(self.positions), **rates, **each} if self.force else dict(self.states)
+        return {**found, **dict(self.inputs)}
+
+    @property
+    def words(self) -> dict[str, str]:
+        """Words for units in order of preference."""
+        others = self.inputs if self.force else (*self.states, *self.inputs)
+        more = dict.fromkeys(u for _, u in others if u)
+        return {"force": self.force_unit, "position": self.position_unit, "s": "s"} | {
+            u: u for u in more
+        }
+
+    def absolute(self, relative: str) -> str:
+        """A unit in the place's words (``force/position``) in absolute ones: ``(N)/(m)``."""
+        words = {**self.words, "velocity": f"({self.position_unit})/s"}
+        pattern = r"\b(force|position|velocity)\b"
+        return re.sub(pattern, lambda m: f"({words[m[0]]})", relative)
+
+
+def place_of(system: System, port: str = "") -> Place:
+    """What a formula may name at a port of a system."""
+    at = system.port(port)
+    inputs = [(i.name, i.unit) for i in system.inputs]
+    inputs += [(f"{i.name}_rate", f"({i.unit})/s") for i in system.inputs if i.derivative]
+    force = isinstance(system, MechanicalSystem)
+    axes = tuple((axis, at.force_unit) for axis in at.axes)
+    flows = tuple((i.name, i.unit) for i in system.injections)
+    return Place(
+        system=system.plugin_name(),
+        port=at.name,
+        force=force,
+        outputs=axes if force else flows,
+        positions=tuple((axis, at.position_unit) for axis in at.axes),
+        states=tuple((s.name, s.unit) for s in system.states),
+        inputs=tuple(inputs),
+        position_unit=at.position_unit,
+        force_unit=at.force_unit,
+    )

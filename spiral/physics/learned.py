@@ -1,0 +1,114 @@
+"""Learned effects: a force or a flow of unknown form, as a curve over one state.
+
+    F = B(z) g,    B(z) = sum_k c_k b_k(z),    k = 0 .. 20
+
+with natural cubic splines b_k: every cubic spline on the knots z_j = 9/8 sinh(3j/20) / sinh(3/2),
+j = -10 .. 10 (closer in the middle, where a motion is most of its time), that is straight outside
+them, so that a motion larger than any seen goes on along the last slope. Over a state of both signs
+(or a radius) z = s / S, with S 0.8 of the largest |s| that the records show; over a level
+z = 2 s / S - 1. The factor g holds no unknowns (1, a velocity, its direction, a displacement). Such
+an effect is linear in its coefficients c_k, so it is scored, fitted and judged like any other. It
+is no candidate unless it is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar, Literal
+
+from spiral.math import length
+from spiral.types.effect import FlowEffect, ForceEffect
+from spiral.types.parameter import Parameter
+
+COUNT = 21
+_LAST = COUNT // 2
+_UNEVEN = 1.5
+_REACH = 1.125
+KNOTS = tuple(
+    _REACH * math.sinh(_UNEVEN * j / _LAST) / math.sinh(_UNEVEN) for j in range(-_LAST, _LAST + 1)
+)
+Follows = Literal["position", "velocity", "radius"]
+
+
+class LearnedForce(ForceEffect):
+    """A curve over a state, its coefficients named ``c0`` to ``c20`` and its extent ``span``.
+
+    ``follows`` is the kind of state; ``times`` what the curve is multiplied by, in words (nothing
+    where it is the force itself).
+    """
+
+    bare: ClassVar[bool] = True
+    follows: ClassVar[Follows] = "position"
+    times: ClassVar[str] = ""
+
+
+class LearnedFlow(FlowEffect):
+    """A flow that follows the level of one state by a curve: ``c0`` to ``c20`` and ``span``.
+
+    ``state`` is the level that it follows, ``into`` the channel whose flow the curve gives.
+    """
+
+    bare: ClassVar[bool] = True
+    state: ClassVar[str] = ""
+    into: ClassVar[str] = ""
+    times: ClassVar[str] = ""
+
+
+Learned = LearnedForce | LearnedFlow
+
+
+def coefficients(
+    unit: str, of: str, per_axis: bool = True, extent: float = 0.8
+) -> tuple[Parameter, ...]:
+    """Parameters of a curve: its coefficients in ``unit``, and its extent, a share of the largest.
+
+    ``of`` : the unit of the state, ``position`` or ``velocity``.
+    """
+    span = Parameter("span", of, lower=0.0, role="shape", start=1.0, grid=(extent,))
+    parts = (Parameter(f"c{k}", unit, per_axis=per_axis, loose=True) for k in range(COUNT))
+    return (*parts, span)
+
+
+def curve(z: Any, values: Sequence[Any]) -> Any:
+    """B(z) for a dimensionless z and the coefficients of one axis."""
+    return sum(c * b for c, b in zip(values, basis(z), strict=True))
+
+
+def spacing(z: float) -> float:
+    """Distance of knots around z."""
+    steep = z * math.sinh(_UNEVEN) / _REACH
+    return _REACH * _UNEVEN / _LAST / math.sinh(_UNEVEN) * math.hypot(1.0, steep)
+
+
+def basis(z: Any) -> list[Any]:
+    """The natural cubic splines at z: symbols, numbers and arrays alike.
+
+    By their curvature: a function for each knot but the outermost two, whose second derivative is
+    a hat over its knot and which is zero towards the middle, from the outermost inwards; then z
+    and 1. Where no motion reaches a knot, its coefficient says nothing (its column is exactly
+    zero), and at zero the curve goes on straight. Each is in units of the middle spacing.
+    """
+    found = []
+    unit = spacing(0.0)
+    knots = [k / unit for k in KNOTS[_LAST - 1 :]]
+    for side in (1, -1):
+        u = side * z / unit
+        cubes = [_cube(u - k) for k in knots]
+        found.append([_hat(knots[i : i + 3], cubes[i : i + 3]) for i in range(_LAST)][::-1])
+    right, left = found
+    pairs = [f for pair in zip(left[:-1], right[:-1], strict=True) for f in pair]
+    return [*pairs, right[-1], z / unit, z * 0 + 1]
+
+
+def _hat(knots: list[float], cubes: list[Any]) -> Any:
+    """The function whose second derivative is 1 at the middle knot and 0 at the others."""
+    before, after = knots[1] - knots[0], knots[2] - knots[1]
+    weights = (1 / before, -1 / before - 1 / after, 1 / after)
+    return sum(w * c for w, c in zip(weights, cubes, strict=True)) / 6
+
+
+def _cube(u: Any) -> Any:
+    """(u)_+^3 without cases."""
+    positive = (u + length([u])) / 2
+    return positive * positive * positive

@@ -1,0 +1,144 @@
+"""Physics at rest: f, h and their slopes at zero states and inputs must be numbers.
+
+One effect with 0/0 at rest (v/|v|) makes every column of a study NaN, so it is named before a fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from spiral.physics.compile import Compiled
+from spiral.physics.trace import Traced, trace
+from spiral.types.effect import Effect
+from spiral.types.errors import PluginError
+from spiral.types.parameter import Parameter
+from spiral.types.system import System
+
+Array = np.ndarray
+
+
+def check_rest(compiled: Compiled, system: System, effects: Sequence[Effect]) -> None:
+    """Evaluate a compiled model at rest; where it is not finite, find the effect that makes it so.
+
+    Parameters
+    ----------
+    compiled : the model with all effects in use. effects : those, under their own labels.
+
+    Raises
+    ------
+    PluginError : the name of the effect, or of the system whose own rates are no numbers.
+    """
+    if _finite(_compiled_at_rest(compiled)):
+        return
+    alone = _traced_at_rest(trace(system, ()))
+    if not np.isfinite(alone[0]).all():
+        raise _restless(f"system {system.plugin_name()!r}", system.plugin_name())
+    for effect in effects:
+        beside = _traced_at_rest(trace(system, (effect,)))
+        if (_finite(alone) and not _finite(beside)) or not np.isfinite(beside[0]).all():
+            raise _restless(f"effect {effect.label!r}", effect.plugin_name())
+
+
+def finite_along(compiled: Compiled, row: Array, states: Array, inputs: Array) -> bool:
+    """Whether a compiled model and its slopes are numbers at some states and inputs.
+
+    Parameters
+    ----------
+    row : (parameters,) values, 0 where none is known; a parameter of the system then takes 1 or
+        what its bounds allow. states : (points, n) of the system, states that effects bring are at
+        zero. inputs : (points, columns).
+    """
+    traced = compiled.traced
+    x = np.zeros((len(states), len(traced.states)))
+    x[:, : states.shape[1]] = states
+    given = zip(traced.keys, row, traced.parameters, strict=False)
+    p = np.array([v or _value(q) if k.startswith("system.") else v for k, v, q in given])
+    return all(_finite(_evaluated(compiled, at, u, p)) for at, u in zip(x, inputs, strict=True))
+
+
+def undefined_along(
+    system: System,
+    effects: Sequence[Effect],
+    values: Mapping[str, float],
+    states: Array,
+    inputs: Array,
+) -> tuple[str, ...]:
+    """Labels of the effects that are no numbers, values or slopes, at some of these states."""
+    found = []
+    for effect in effects:
+        traced = trace(system, (effect,))
+        p = [
+            (values.get(k) or _value(q)) if k.startswith("system.") else values.get(k, 0.0)
+            for k, q in zip(traced.keys, traced.parameters, strict=True)
+        ]
+        own = np.zeros((len(traced.x) - states.shape[1], len(states)))
+        given = [*states.T, *own, *inputs.T, *np.array(p, float)]
+        if not _finite(_traced_at(traced, given)):
+            found.append(effect.label)
+    return tuple(found)
+
+
+def _restless(who: str, name: str) -> PluginError:
+    return PluginError(
+        f"{who} is no number at rest (zero states and inputs)",
+        "finite values and slopes there",
+        f"spiral.math.length for |q|, a smooth form such as tanh(v/w); spiral check {name}",
+    )
+
+
+def _finite(parts: Sequence[Array]) -> bool:
+    return all(bool(np.isfinite(part).all()) for part in parts)
+
+
+def _value(parameter: Parameter) -> float:
+    """A first value where there is one, else 1 or what its bounds allow."""
+    if parameter.start is not None:
+        return parameter.start
+    low, high = parameter.lower, parameter.upper
+    return 1.0 if high is None or high > 1 else (high + (low or 0.0)) / 2
+
+
+def _compiled_at_rest(compiled: Compiled) -> list[Array]:
+    """f, h, then their slopes."""
+    traced = compiled.traced
+    x, u = np.zeros(len(traced.states)), np.zeros(len(traced.inputs))
+    return _evaluated(compiled, x, u, np.array([_value(q) for q in traced.parameters], float))
+
+
+def _evaluated(compiled: Compiled, x: Array, u: Array, p: Array) -> list[Array]:
+    traced = compiled.traced
+    x, u = np.ascontiguousarray(x), np.ascontiguousarray(u)
+    values, slopes = [], []
+    for function, count in (
+        (compiled.rate, len(x)),
+        (compiled.output, len(traced.channels)),
+    ):
+        value = np.zeros(count)
+        by_x, by_p = np.zeros((count, len(x))), np.zeros((count, len(p)))
+        function(x, u, p, value, by_x, by_p)
+        values.append(value)
+        slopes += [by_x.ravel(), by_p.ravel()]
+    return [np.concatenate(values), *slopes]
+
+
+def _traced_at_rest(traced: Traced) -> list[Array]:
+    """The same from expressions, without compiling."""
+    given = [*np.zeros(len(traced.x) + len(traced.u)), *(_value(q) for q in traced.parameters)]
+    return _traced_at(traced, [np.float64(v) for v in given])
+
+
+def _traced_at(traced: Traced, given: Sequence[Any]) -> list[Array]:
+    """Values of f and h, then their slopes, each (entries, points) where points are given."""
+    import sympy as sp
+
+    symbols = [*traced.x, *traced.u, *traced.p]
+    found = []
+    slopes = (traced.rate_x, traced.rate_p, traced.output_x, traced.output_p)
+    for flat in ([*traced.rate, *traced.output], *(m.flat() for m in slopes)):
+        with np.errstate(all="ignore"):
+            numbers = sp.lambdify(symbols, flat, "numpy")(*given) if flat else []
+        found.append(np.array(np.broadcast_arrays(*numbers), dtype=float))
+    return found

@@ -1,0 +1,333 @@
+"""Physics once: a system and its effects, traced with SymPy to explicit expressions.
+
+    x' = f(x, u, p),    y = h(x, u, p)
+
+with exact Jacobians f_x, f_p, h_x, h_p. Everything else (compiled functions, LaTeX, regression
+columns, exported code) is made from a ``Traced``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import sympy as sp
+
+from spiral.types.cache import kept
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect, expand
+from spiral.types.errors import PluginError, SpiralError, did_you_mean
+from spiral.types.parameter import Parameter
+from spiral.types.placement import TIME, check_effect, model_keys
+from spiral.types.port import At, Port
+from spiral.types.system import MechanicalSystem, System
+
+"""The record's time in s, which every effect may read."""
+
+
+@dataclass(frozen=True)
+class Traced:
+    """Symbols and expressions of one model; order of all tuples is the order of arrays."""
+
+    states: tuple[str, ...]
+    channels: tuple[str, ...]
+    inputs: tuple[str, ...]
+    keys: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    x: tuple[sp.Symbol, ...]
+    u: tuple[sp.Symbol, ...]
+    p: tuple[sp.Symbol, ...]
+    rate: tuple[sp.Expr, ...]
+    output: tuple[sp.Expr, ...]
+    balance: tuple[sp.Expr, ...]
+    acceleration: tuple[sp.Symbol, ...]
+    like: tuple[tuple[str, str], ...] = ()
+
+    @cached_property
+    def rate_x(self) -> sp.Matrix:
+        """f_x, n x n."""
+        return _jacobian(self.rate, self.x)
+
+    @cached_property
+    def rate_p(self) -> sp.Matrix:
+        """f_p, n x number of parameters."""
+        return _jacobian(self.rate, self.p)
+
+    @cached_property
+    def output_x(self) -> sp.Matrix:
+        """h_x, channels x n."""
+        return _jacobian(self.output, self.x)
+
+    @cached_property
+    def output_p(self) -> sp.Matrix:
+        """h_p, channels x number of parameters."""
+        return _jacobian(self.output, self.p)
+
+
+def _jacobian(values: tuple[sp.Expr, ...], symbols: tuple[sp.Symbol, ...]) -> sp.Matrix:
+    if not symbols:
+        return sp.zeros(len(values), 0)
+    return sp.Matrix(values).jacobian(list(symbols))
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """An effect at its port with the symbols it sees."""
+
+    effect: Effect
+    port: Port
+    at: At
+    p: SimpleNamespace
+    jacobian: sp.Matrix | None
+
+
+@kept(128)
+def trace(
+    system: System, effects: tuple[Effect, ...], phase_shift: tuple[float, ...] = ()
+) -> Traced:
+    """Trace a system with effects.
+
+    Parameters
+    ----------
+    system, effects : the physics.
+    phase_shift : per effect, radians added to ``u.phase`` as that effect sees it (0 or pi/2, the
+        quadrature companion of a synchronous effect whose phase origin is not known yet).
+
+    Raises
+    ------
+    ConfigError : an effect needs what the system lacks.
+    PluginError : an effect returns what does not fit its port.
+    """
+    shifts = phase_shift or (0.0,) * len(effects)
+    pairs = model_keys(system, effects)
+    symbols = {k: sp.Symbol(f"p{i}", real=True) for i, (k, _) in enumerate(pairs)}
+    names = (*(s.name for s in system.states), *own_states(system, effects))
+    states = {n: sp.Symbol(f"x{i}", real=True) for i, n in enumerate(names)}
+    inputs = {n: sp.Symbol(f"u{i}", real=True) for i, n in enumerate(input_columns(system))}
+    x = SimpleNamespace(**{s.name: states[s.name] for s in system.states})
+    u = SimpleNamespace(**inputs)
+    p = SimpleNamespace(**{q.name: symbols[f"system.{q.name}"] for q in system.parameters})
+    placed = [_place(system, effect, x, p, states, symbols) for effect in effects]
+    seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
+    injected = _inject(system, placed, seen, x)
+    rates = _asked(system, "rate", system.rate, x, u, p, injected)
+    placed = [_with_rates(system, item, rates) for item in placed]
+    for item, view in zip(placed, seen, strict=True):
+        rates.update(_own_rates(item, view))
+    output = _readings(system, placed, seen, x)
+    acceleration, balance = _balance(system, x, u, p, injected)
+    return Traced(
+        states=names,
+        channels=system.observed,
+        inputs=tuple(inputs),
+        keys=tuple(symbols),
+        parameters=tuple(q for _, q in pairs),
+        x=tuple(states.values()),
+        u=tuple(inputs.values()),
+        p=tuple(symbols.values()),
+        rate=tuple(sp.sympify(rates[n]) for n in names),
+        output=tuple(output),
+        acceleration=acceleration,
+        balance=balance,
+        like=tuple((s.name, s.like) for s in system.states if s.like),
+    )
+
+
+def _asked(owner: Effect | System, what: str, function: Callable[..., Any], *given: Any) -> Any:
+    """What a plugin's equation gives for symbols; its own failure names it and the line."""
+    try:
+        return function(*given)
+    except SpiralError:
+        raise
+    except Exception as error:
+        place, frames = "", traceback.extract_tb(error.__traceback__)
+        own = inspect.getsourcefile(type(owner))
+        for frame in (f for f in frames if f.filename == own):
+            place = f" ({Path(frame.filename).name}, line {frame.lineno})"
+        name = owner.plugin_name()
+        raise PluginError(
+            f"{what}() of {owner.kind} {name!r}{place}: {type(error).__name__}: "
+            f"{(str(error).splitlines() or [''])[0]}",
+            "one expression for all states, numbers and symbols alike",
+            "spiral.math has where(condition, a, b) in place of if, and sin, cos, tanh, exp, sqrt, "
+            f"maximum; then spiral check {name}",
+        ) from error
+
+
+def own_states(system: System, effects: tuple[Effect, ...]) -> dict[str, str]:
+    """States that effects bring, ``label.state`` with ``_axis`` where per axis, and their units."""
+    return {
+        f"{effect.label}.{state.name}{suffix}": system.place(effect).unit(state.unit)
+        for effect in effects
+        for state in effect.states
+        for suffix in _suffixes(state.per_axis, system.place(effect))
+    }
+
+
+def input_columns(system: System) -> tuple[str, ...]:
+    """Columns of the input array: each input, ``NAME_rate`` where its rate is used, then time."""
+    names = [i.name for i in system.inputs]
+    return (*names, *(f"{i.name}_rate" for i in system.inputs if i.derivative), TIME)
+
+
+def _suffixes(per_axis: bool, port: Port) -> list[str]:
+    return [f"_{axis}" for axis in port.axes] if per_axis and len(port.axes) > 1 else [""]
+
+
+def _place(
+    system: System,
+    effect: Effect,
+    x: SimpleNamespace,
+    p: SimpleNamespace,
+    states: dict[str, sp.Symbol],
+    symbols: dict[str, sp.Symbol],
+) -> _Placed:
+    port = check_effect(system, effect)
+    jacobian = None
+    position: tuple[Any, ...] = ()
+    velocity: tuple[Any, ...] = ()
+    if isinstance(effect, SensorEffect):
+        position = tuple(getattr(x, name) for name in system.observed)
+    elif isinstance(system, MechanicalSystem):
+        q, v = system.split(x)
+        position = tuple(port.coordinates(q, p))
+        names = [c.name for c in system.coordinates]
+        jacobian = sp.Matrix(position).jacobian([getattr(q, n) for n in names])
+        velocity = tuple(jacobian * sp.Matrix([getattr(v, n) for n in names]))
+    else:
+        position = tuple(port.coordinates(x, p))
+    own = SimpleNamespace()
+    for state in effect.states:
+        found = [states[f"{effect.label}.{state.name}{s}"] for s in _suffixes(state.per_axis, port)]
+        setattr(own, state.name, tuple(found) if state.per_axis else found[0])
+    values = SimpleNamespace()
+    for parameter in effect.parameters:
+        found = [symbols[k] for k, _ in expand(effect.label, (parameter,), port.axes)]
+        setattr(values, parameter.name, tuple(found) if parameter.per_axis else found[0])
+    return _Placed(effect, port, At(position, velocity, own), values, jacobian)
+
+
+def _with_rates(system: System, item: _Placed, rates: dict[str, Any]) -> _Placed:
+    """A sensor sees the rates of its channels as velocities, in a system of any order."""
+    if not isinstance(item.effect, SensorEffect):
+        return item
+    velocity = tuple(sp.sympify(rates[name]) for name in system.observed)
+    return replace(item, at=replace(item.at, velocity=velocity))
+
+
+def _shifted(u: SimpleNamespace, shift: float) -> SimpleNamespace:
+    if not shift:
+        return u
+    return SimpleNamespace(**{**vars(u), "phase": u.phase + sp.nsimplify(shift / sp.pi) * sp.pi})
+
+
+def _inject(
+    system: System, placed: list[_Placed], seen: list[SimpleNamespace], x: SimpleNamespace
+) -> dict[str, Any]:
+    total: dict[str, Any] = {i.name: sp.Integer(0) for i in system.injections}
+    for item, u in zip(placed, seen, strict=True):
+        effect = item.effect
+        if isinstance(effect, ForceEffect):
+            force = _asked(effect, "force", effect.force, item.at, u, item.p)
+            _check_length(effect, "force", force, item.port)
+            assert item.jacobian is not None
+            generalised = item.jacobian.T * sp.Matrix(force)
+            for name, value in zip(total, generalised, strict=True):
+                total[name] += value
+        elif isinstance(effect, FlowEffect):
+            levels = _with_own(x, item.at)
+            for name, value in _asked(effect, "flow", effect.flow, levels, u, item.p).items():
+                if name not in total:
+                    raise PluginError(
+                        f"effect {effect.label!r} with a flow into {name!r}",
+                        f"one of the channels {', '.join(total)}",
+                        did_you_mean(name, total),
+                    )
+                total[name] += value
+    return total
+
+
+def _with_own(x: SimpleNamespace, at: At) -> SimpleNamespace:
+    """The system's states as a flow sees them: with the effect's own under ``own``."""
+    return SimpleNamespace(**vars(x), own=at.own)
+
+
+def _check_length(effect: Effect, what: str, values: list[Any], port: Port) -> None:
+    if len(values) != len(port.axes):
+        raise PluginError(
+            f"{what} of effect {effect.label!r} with {len(values)} values",
+            f"{len(port.axes)} values, one for each axis of port {port.name!r}",
+        )
+
+
+def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
+    effect = item.effect
+    if not effect.states:
+        return {}
+    given = _asked(effect, "rate", effect.rate, item.at, u, item.p)
+    rates: dict[str, Any] = {}
+    for state in effect.states:
+        if state.name not in given:
+            raise PluginError(
+                f"rate() of effect {effect.label!r} without {state.name!r}",
+                "a value for each state of its own",
+            )
+        value = given[state.name]
+        values = list(value) if state.per_axis else [value]
+        for suffix, one in zip(_suffixes(state.per_axis, item.port), values, strict=True):
+            rates[f"{effect.label}.{state.name}{suffix}"] = one
+    return rates
+
+
+def _readings(
+    system: System, placed: list[_Placed], seen: list[SimpleNamespace], x: SimpleNamespace
+) -> list[sp.Expr]:
+    """Sensor effects one after the other; variants of one, of which one acts, side by side.
+
+    Those with shapes come first: a case that depends on cases (a saturation of what is late by the
+    rates of a flow with a rim) is multiplied out by SymPy without end.
+    """
+    order = sorted(
+        zip(placed, seen, strict=True),
+        key=lambda pair: not any(p.role == "shape" for p in pair[0].effect.parameters),
+    )
+    y: list[Any] = [getattr(x, name) for name in system.observed]
+    before, last = y, ""
+    for item, u in order:
+        if isinstance(item.effect, SensorEffect):
+            effect = item.effect
+            kind = replace(effect, variant="").label if effect.variant else ""
+            before, last = (before if kind and kind == last else y), kind
+            told = list(_asked(effect, "reading", effect.reading, before, item.at, u, item.p))
+            if len(told) != len(system.observed):
+                raise PluginError(
+                    f"reading of effect {item.effect.label!r} with {len(told)} values",
+                    f"{len(system.observed)} values, one for each channel",
+                )
+            y = [sum_ + new - old for sum_, new, old in zip(y, told, before, strict=True)]
+    return [sp.sympify(value) for value in y]
+
+
+def _balance(
+    system: System,
+    x: SimpleNamespace,
+    u: SimpleNamespace,
+    p: SimpleNamespace,
+    injected: dict[str, Any],
+) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Expr, ...]]:
+    """M a - force - injected, the balance of forces: linear in masses and amplitudes."""
+    if not isinstance(system, MechanicalSystem):
+        return (), ()
+    q, v = system.split(x)
+    count = len(system.coordinates)
+    a = tuple(sp.Symbol(f"a{i}", real=True) for i in range(count))
+    inertia = sp.Matrix(system.mass(q, p)) * sp.Matrix(a)
+    own = system.force(q, v, u, p)
+    names = [c.name for c in system.coordinates]
+    balance = tuple(sp.expand(inertia[i] - own[i] - injected[names[i]]) for i in range(count))
+    return a, balance

@@ -1,1 +1,0 @@
-"""The shooting engine: windows, sensitivities, fit and score."""

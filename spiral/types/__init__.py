@@ -1,0 +1,1 @@
+"""The words of the project: records, systems, ports, effects, models, runs; no numerics."""

@@ -1,0 +1,102 @@
+"""Effects: one physical mechanism each."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+from spiral.types.parameter import Parameter, State
+from spiral.types.plugin import Plugin
+from spiral.types.port import At, Port
+
+
+class Effect(Plugin):
+    """One physical mechanism with a name, a one-line meaning and parameters.
+
+    Class attributes
+    ----------------
+    parameters : its numbers, with units relative to the port.
+    states : states of its own (a lag, a hidden mode); their rates come from ``rate``.
+    axes : how many axes its port must have; ``None`` takes any number.
+    inputs : inputs it reads from ``u`` (``speed``, ``phase``).
+    channels : states that the system must have, by name; none where any system will do.
+    bare : a monomial of a library without a physical name; no candidate unless it is asked for.
+
+    Fields
+    ------
+    port : where it acts; empty means the system's first port.
+    variant : tells copies of one effect apart inside a study (a grid of shapes); not for users.
+    """
+
+    kind: ClassVar[str] = "effect"
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    states: ClassVar[tuple[State, ...]] = ()
+    axes: ClassVar[int | None] = None
+    inputs: ClassVar[tuple[str, ...]] = ()
+    channels: ClassVar[tuple[str, ...]] = ()
+    bare: ClassVar[bool] = False
+
+    port: str = ""
+    variant: str = ""
+
+    @property
+    def label(self) -> str:
+        """Its name in a model: ``cubic_stiffness`` or ``cubic_stiffness@bearing_2``."""
+        place = f"@{self.port}" if self.port else ""
+        return self.plugin_name() + place + (f"#{self.variant}" if self.variant else "")
+
+    @classmethod
+    def amplitudes(cls) -> tuple[Parameter, ...]:
+        """Parameters that are zero when the effect is absent."""
+        return tuple(p for p in cls.parameters if p.role == "amplitude")
+
+    @classmethod
+    def undirected(cls) -> bool:
+        """Whether it turns with the phase but has no direction of its own (an unbalance)."""
+        return "phase" in cls.inputs and len(cls.amplitudes()) == 1
+
+    def rate(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> dict[str, Any]:
+        """Time derivatives of its own states: name -> value, or list of values per axis."""
+        return {}
+
+    def keys(self, port: Port) -> tuple[tuple[str, Parameter], ...]:
+        """(full parameter name, parameter) in order, per axis where the parameter is."""
+        return expand(self.label, self.parameters, port.axes)
+
+
+class ForceEffect(Effect):
+    """A force at a port, one component per axis, in the port's unit of force."""
+
+    @abstractmethod
+    def force(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> list[Any]:
+        """The force on the machine, one value per axis of the port."""
+
+
+class SensorEffect(Effect):
+    """A change of what a sensor reports; the motion stays as it is."""
+
+    @abstractmethod
+    def reading(self, y: list[Any], at: At, u: SimpleNamespace, p: SimpleNamespace) -> list[Any]:
+        """The readings of the port's axes, from the readings ``y`` without this effect."""
+
+
+class FlowEffect(Effect):
+    """A flow into named channels of a first-order system (a tank, a volume)."""
+
+    @abstractmethod
+    def flow(self, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace) -> dict[str, Any]:
+        """Channel name -> flow into it; states of the effect's own are ``x.own``."""
+
+
+def expand(
+    owner: str, parameters: tuple[Parameter, ...], axes: tuple[str, ...]
+) -> tuple[tuple[str, Parameter], ...]:
+    """Full names ``owner.parameter``, with ``_axis`` where a parameter is per axis of several."""
+    pairs = []
+    for parameter in parameters:
+        if parameter.per_axis and len(axes) > 1:
+            pairs += [(f"{owner}.{parameter.name}_{axis}", parameter) for axis in axes]
+        else:
+            pairs.append((f"{owner}.{parameter.name}", parameter))
+    return tuple(pairs)

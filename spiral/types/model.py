@@ -1,0 +1,170 @@
+"""Models: a system, its effects, and values with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from spiral.types.effect import Effect
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.parameter import Parameter
+from spiral.types.placement import check_effect, model_keys
+from spiral.types.system import System
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter's value with its standard error (``None`` where it was not fitted)."""
+
+    estimate: float
+    se: float | None
+    unit: str
+
+    @property
+    def t(self) -> float | None:
+        """Estimate over standard error."""
+        return self.estimate / self.se if self.se else None
+
+    def as_dict(self) -> dict[str, float | str | None]:
+        """As the JSON contract writes it."""
+        return {"estimate": self.estimate, "se": self.se, "t": self.t, "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class Model:
+    """A system with effects.
+
+    Parameters
+    ----------
+    system, effects : the physics; ``effects`` include the system's seed.
+    values : by full parameter name (``cubic_stiffness.stiffness``); a name left out takes its
+        parameter's start, or is found by the fit.
+    freed : shape parameters and known system parameters that a fit may move as well.
+    fixed : parameters that no fit moves.
+    errors : standard errors by full name, after a fit.
+    """
+
+    system: System
+    effects: tuple[Effect, ...]
+    values: Mapping[str, float] = field(default_factory=dict)
+    freed: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+    errors: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        labels = [e.label for e in self.effects]
+        for label in labels:
+            if labels.count(label) > 1:
+                raise ConfigError(
+                    f"effect {label!r} twice",
+                    "each effect once at a port",
+                    f"drop one, or place one at another port: {label.split('@')[0]}@PORT",
+                )
+        for effect in self.effects:
+            check_effect(self.system, effect)
+        known = [k for k, _ in self.pairs]
+        for key in (*self.values, *self.freed, *self.fixed):
+            if key not in known:
+                raise ConfigError(
+                    f"parameter {key!r}", "a parameter of the model", did_you_mean(key, known)
+                )
+
+    @property
+    def pairs(self) -> tuple[tuple[str, Parameter], ...]:
+        """(full name, parameter) in order."""
+        return model_keys(self.system, self.effects)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the effects."""
+        return tuple(e.label for e in self.effects)
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the parameters that a fit moves."""
+        return tuple(k for k, p in self.pairs if k not in self.fixed and self._moves(k, p))
+
+    def _moves(self, key: str, parameter: Parameter) -> bool:
+        if key in self.freed or parameter.scope == "record":
+            return True
+        if parameter.role == "shape":
+            return False
+        return not key.startswith("system.") or parameter.start is None
+
+    def add(self, effect: Effect, values: Mapping[str, float] | None = None) -> Model:
+        """The model with one more effect."""
+        return replace(
+            self,
+            effects=(*self.effects, effect),
+            values={**self.values, **(values or {})},
+            errors={},
+        )
+
+    def without(self, label: str) -> Model:
+        """The model with one effect less."""
+        if label not in self.labels:
+            raise ConfigError(
+                f"effect {label!r}", "an effect of the model", did_you_mean(label, self.labels)
+            )
+        keep = tuple(e for e in self.effects if e.label != label)
+        gone = {k for k, _ in self.pairs if k.rsplit(".", 1)[0] == label}
+        return replace(
+            self,
+            effects=keep,
+            values={k: v for k, v in self.values.items() if k not in gone},
+            freed=tuple(k for k in self.freed if k not in gone),
+            fixed=tuple(k for k in self.fixed if k not in gone),
+            errors={},
+        )
+
+    def row(self, whose: str, hint: str) -> np.ndarray:
+        """Values of all parameters in their order; ``hint`` says how to give one that is missing.
+
+        Raises
+        ------
+        ConfigError : a parameter without a value.
+        """
+        given = {**{k: p.start for k, p in self.pairs}, **self.values}
+        missing = [k for k, _ in self.pairs if given[k] is None]
+        if missing:
+            raise ConfigError(
+                f"no value for {', '.join(missing)}",
+                f"a value for every parameter of the {whose}",
+                hint.format(missing[0]),
+            )
+        return np.array([float(given[k]) for k, _ in self.pairs])  # type: ignore[arg-type]
+
+    def unit(self, key: str) -> str:
+        """The absolute unit of a parameter."""
+        owner = key.rsplit(".", 1)[0]
+        parameter = dict(self.pairs)[key]
+        if owner == "system":
+            return pretty_unit(parameter.unit)
+        effect = next(e for e in self.effects if e.label == owner)
+        return pretty_unit(self.system.place(effect).unit(parameter.unit))
+
+    def estimates(self) -> dict[str, dict[str, Estimate]]:
+        """owner -> parameter -> estimate, the system's own under ``system``."""
+        table: dict[str, dict[str, Estimate]] = {}
+        for key, parameter in self.pairs:
+            owner, name = key.rsplit(".", 1)
+            value = float(
+                self.values.get(key, np.nan if parameter.start is None else parameter.start)
+            )
+            found = Estimate(value, self.errors.get(key), self.unit(key))
+            table.setdefault(owner, {})[name] = found
+        return table
+
+
+def seed_model(system: System, effects: tuple[Effect, ...] = (), **options) -> Model:
+    """The system with its seed and further effects."""
+    return Model(system, (*system.seed, *effects), **options)
+
+
+def pretty_unit(unit: str) -> str:
+    """A unit in base form as people write it: ``(m/s^2)/(m)`` -> ``1/s^2``."""
+    from spiral.types.units import short_form
+
+    return short_form(unit)

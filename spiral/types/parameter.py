@@ -1,0 +1,111 @@
+"""Parameters, states and inputs: every quantity of a model that has a name and a unit."""
+
+from __future__ import annotations
+
+import keyword
+from dataclasses import dataclass
+from typing import Literal
+
+from spiral.types.errors import PluginError
+
+Role = Literal["amplitude", "shape"]
+Scope = Literal["machine", "record"]
+
+
+def _check_name(kind: str, name: str) -> None:
+    if not name.isidentifier() or keyword.iskeyword(name):
+        raise PluginError(
+            f"a {kind} named {name!r}",
+            "a Python identifier in snake_case, for instance 'stiffness'",
+            f"rename the {kind}",
+        )
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of a model, with its unit and bounds.
+
+    Parameters
+    ----------
+    name : identifier, unique inside its owner.
+    unit : relative to the port, e.g. ``force/position^3`` (words: force, position, velocity),
+        or absolute, e.g. ``kg*m^2``.
+    lower, upper : bounds; a zero lower bound makes its test one-sided.
+    start : first value; ``None`` lets the fit find one.
+    role : ``amplitude`` enters linearly and is zero when its effect is absent; ``shape`` (gap,
+        width, frequency) means nothing while the amplitude is zero and is fixed unless freed.
+    per_axis : one value for each axis of the port.
+    scope : ``machine`` is shared by all records, ``record`` is a nuisance of each record.
+    grid : of a shape, the values tried while its effect is absent, as shares of the largest
+        port position or velocity (by its unit) that the record shows; of another unit (a
+        frequency), the values themselves.
+    loose : one of many coefficients of a curve, of which a record may show some hardly at all: it
+        is held at zero with a standard deviation at which, where it is seen best, it would make
+        the whole response.
+    search : moves each value of such a grid, within this share of it, to the strongest line in
+        the records' channels.
+    spectrum : of a shape of an effect with states of its own, in Hz or s: its values are laid at
+        the peaks of the residual's spectrum (``spiral.inference.strategies.resolved``), in s as 1 /
+        (2 pi f).
+    """
+
+    name: str
+    unit: str = ""
+    lower: float | None = None
+    upper: float | None = None
+    start: float | None = None
+    role: Role = "amplitude"
+    per_axis: bool = False
+    scope: Scope = "machine"
+    grid: tuple[float, ...] = ()
+    search: float = 0.0
+    spectrum: bool = False
+    loose: bool = False
+
+    def __post_init__(self) -> None:
+        _check_name("parameter", self.name)
+        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
+            raise PluginError(
+                f"parameter {self.name!r} with bounds [{self.lower}, {self.upper}]",
+                "a lower bound below the upper bound",
+            )
+
+
+@dataclass(frozen=True)
+class State:
+    """A state of a system, or of an effect that brings its own (``per_axis`` then counts axes).
+
+    ``like`` names a measured state whose values are a first guess for this hidden one; without it
+    a fit begins at zero.
+    """
+
+    name: str
+    unit: str
+    per_axis: bool = False
+    like: str = ""
+
+    def __post_init__(self) -> None:
+        _check_name("state", self.name)
+
+
+Interpolation = Literal["smooth", "band_limited", "zero_order"]
+
+
+@dataclass(frozen=True)
+class Input:
+    """A known input, and how it runs between samples.
+
+    ``smooth`` is a cubic spline (speed, phase), ``band_limited`` a polyphase FIR interpolation
+    (a measured force), ``zero_order`` holds each value until the next sample. ``derived_from``
+    names another input that this one follows from where it is not measured (``phase`` from
+    ``speed``).
+    """
+
+    name: str
+    unit: str
+    interpolation: Interpolation = "smooth"
+    derived_from: str | None = None
+    derivative: bool = False
+
+    def __post_init__(self) -> None:
+        _check_name("input", self.name)

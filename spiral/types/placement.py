@@ -1,0 +1,76 @@
+"""Where an effect may act: its port in a system, the inputs and channels that it needs."""
+
+from __future__ import annotations
+
+from spiral.types.effect import Effect, ForceEffect, SensorEffect, expand
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.parameter import Parameter
+from spiral.types.port import Port
+from spiral.types.system import MechanicalSystem, System
+
+TIME = "time"
+"""The column of time among a model's inputs."""
+
+
+def model_keys(system: System, effects: tuple[Effect, ...]) -> tuple[tuple[str, Parameter], ...]:
+    """Full names and parameters of a model: the system's first, then each effect's."""
+    pairs = list(expand("system", system.parameters, ()))
+    for effect in effects:
+        pairs += effect.keys(system.place(effect))
+    return tuple(pairs)
+
+
+def check_effect(system: System, effect: Effect) -> Port:
+    """The effect's port, or an error saying what the system lacks."""
+    port = system.place(effect)
+    if isinstance(effect, SensorEffect):
+        _check_sensors(system, effect)
+    if effect.axes is not None and len(port.axes) != effect.axes:
+        raise ConfigError(
+            f"effect {effect.label!r} at port {port.name!r} with {len(port.axes)} axis",
+            f"a port with {effect.axes} axes",
+            "choose an effect for one axis, or a system with two",
+        )
+    if isinstance(effect, ForceEffect) and not isinstance(system, MechanicalSystem):
+        raise ConfigError(
+            f"effect {effect.label!r}, a force, with system {system.plugin_name()!r}",
+            "a mechanical system, or an effect that is a flow",
+            "spiral plugins effect lists them",
+        )
+    _check_channels(system, effect)
+    have = [*(i.name for i in system.inputs), TIME]
+    for name in effect.inputs:
+        if name not in have and name.removesuffix("_rate") not in have:
+            raise ConfigError(
+                f"effect {effect.label!r} with system {system.plugin_name()!r}",
+                f"a system with the input {name!r}; this one has: {', '.join(have)}",
+                did_you_mean(name, have),
+            )
+    return port
+
+
+def _check_sensors(system: System, effect: Effect) -> None:
+    """A change of readings has no port, and its parameters one unit for all channels."""
+    if effect.port:
+        raise ConfigError(
+            f"effect {effect.label!r}, which acts on what the sensors report",
+            "no port",
+            f"{effect.plugin_name()}",
+        )
+    units = {n: system.unit_of(n) for n in system.observed}
+    if len(set(units.values())) > 1:
+        raise ConfigError(
+            f"effect {effect.label!r} on channels in {', '.join(sorted(set(units.values())))}",
+            "channels of one unit",
+        )
+
+
+def _check_channels(system: System, effect: Effect) -> None:
+    have = [s.name for s in system.states]
+    for name in effect.channels:
+        if name not in have:
+            raise ConfigError(
+                f"effect {effect.label!r} with system {system.plugin_name()!r}",
+                f"a system with the state {name!r}; this one has: {', '.join(have)}",
+                did_you_mean(name, have),
+            )

@@ -1,0 +1,289 @@
+"""Records: measured or simulated series. The only place where input is checked and normalised."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spiral.types.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from spiral.types.system import System
+
+Array = np.ndarray
+
+MINIMUM_SAMPLES = 64
+JITTER = 0.02  # largest deviation of a time step from the mean one, as a share of it
+
+
+@dataclass(frozen=True)
+class Record:
+    """One measured or simulated series on a uniform time grid.
+
+    Parameters
+    ----------
+    name : where it came from, for messages and tables.
+    time : (samples,) in s, uniform and increasing.
+    channels : measured outputs, name -> (samples,), in the system's units.
+    inputs : known inputs, name -> (samples,), in the system's units (speed in rad/s).
+    noise : declared standard deviation per channel; a channel left out is estimated.
+    truth : states known from simulation, hidden ones included; never used by a fit.
+    measured : inputs that were measured rather than derived (``phase`` from ``speed``).
+    notes : what a reader should know (clipping, conversions), in words.
+    """
+
+    name: str
+    time: Array
+    channels: Mapping[str, Array]
+    inputs: Mapping[str, Array] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    truth: Mapping[str, Array] = field(default_factory=dict)
+    measured: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.time)
+
+    @property
+    def dt(self) -> float:
+        """Sample interval in s."""
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all numbers a fit can see."""
+        digest = hashlib.sha256()
+        for name, values in (("time", self.time), *self.channels.items(), *self.inputs.items()):
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(values, dtype=float).tobytes())
+        return digest.hexdigest()
+
+    def part(self, start: int, stop: int, name: str) -> Record:
+        """Samples [start, stop), as a record of its own."""
+        cut = slice(start, stop)
+        return replace(
+            self,
+            name=name,
+            time=self.time[cut],
+            channels={k: v[cut] for k, v in self.channels.items()},
+            inputs={k: v[cut] for k, v in self.inputs.items()},
+            truth={k: v[cut] for k, v in self.truth.items()},
+        )
+
+    def sigma(self) -> dict[str, float]:
+        """Noise of every channel: declared, or estimated without a model."""
+        return {
+            name: float(self.noise.get(name) or estimate_noise(values))
+            for name, values in self.channels.items()
+        }
+
+
+def make_record(
+    system: System,
+    name: str,
+    time: Array,
+    channels: Mapping[str, Array],
+    inputs: Mapping[str, Array],
+    noise: Mapping[str, float] | None = None,
+    truth: Mapping[str, Array] | None = None,
+    notes: tuple[str, ...] = (),
+) -> Record:
+    """Check a series against a system and complete its inputs.
+
+    Raises
+    ------
+    InputError : channels or inputs missing or unknown, lengths that differ, numbers missing, time
+        that does not increase or is not uniform, a constant channel, too few samples.
+    """
+    time = np.asarray(time, dtype=float)
+    given = {k: np.asarray(v, dtype=float) for k, v in channels.items()}
+    known = {k: np.asarray(v, dtype=float) for k, v in inputs.items()}
+    _check_names(system, given, known)
+    _check_time(name, time)
+    for kind, group in (("channel", given), ("input", known)):
+        for key, values in group.items():
+            check_values(name, kind, key, values, len(time))
+    extra = tuple(clipping(k, v) for k, v in given.items())
+    measured = tuple(known)
+    known = _derived(system, time, known)
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    return Record(
+        name=name,
+        time=time[0] + step * np.arange(len(time)),
+        channels={k: given[k] for k in system.observed},
+        inputs={i.name: known[i.name] for i in system.inputs},
+        noise=check_noise(dict(noise or {}), given),
+        truth=dict(truth or {}),
+        measured=measured,
+        notes=(*notes, *(note for note in extra if note)),
+    )
+
+
+def estimate_noise(values: Array) -> float:
+    """Noise from high-order differences: sigma^2 = mean (d^k y)^2 / C(2k, k), smallest over k.
+
+    A k-th difference removes a polynomial of degree k - 1 and leaves white noise with the variance
+    C(2k, k) sigma^2. Orders 2 to 12 are tried; a smooth signal only ever adds.
+    """
+    from scipy.special import comb
+
+    best = np.inf
+    difference = np.diff(np.asarray(values, dtype=float))
+    for order in range(2, 13):
+        difference = np.diff(difference)
+        best = min(best, float(np.mean(difference**2) / comb(2 * order, order)))
+    return float(np.sqrt(best))
+
+
+def split_off_test(record: Record, share: float) -> tuple[Record, Record]:
+    """The first part for fitting and the last ``share`` kept apart for the test."""
+    cut = round(record.samples * (1.0 - share))
+    return (
+        record.part(0, cut, record.name),
+        record.part(cut, record.samples, f"{record.name} (last {share:.0%}, kept apart)"),
+    )
+
+
+def _check_names(system: System, channels: dict[str, Array], inputs: dict[str, Array]) -> None:
+    name = system.plugin_name()
+    for key in channels:
+        if key not in system.observed:
+            raise InputError(
+                f"channel {key!r}",
+                f"a measured channel of system {name!r}: {', '.join(system.observed)}",
+                did_you_mean(key, system.observed),
+            )
+    for key in system.observed:
+        if key not in channels:
+            raise InputError(
+                f"channels {', '.join(channels) or 'none'}",
+                f"also {key!r}, which system {name!r} measures",
+                f"name its column: record.channels='{{{key}: COLUMN}}'",
+            )
+    known = [i.name for i in system.inputs]
+    for key in inputs:
+        if key not in known:
+            raise InputError(
+                f"input {key!r}",
+                f"an input of {name!r}: {', '.join(known)}",
+                did_you_mean(key, known),
+            )
+    for item in system.inputs:
+        if item.name not in inputs and item.derived_from is None:
+            raise InputError(
+                f"inputs {', '.join(inputs) or 'none'}",
+                f"also {item.name!r} in {item.unit}, which drives system {name!r}",
+                f"name its column: record.inputs='{{{item.name}: COLUMN}}'",
+            )
+
+
+def check_increasing(name: str, time: Array) -> None:
+    """Refuse too few samples, and time that is not a number or does not increase."""
+    if len(time) < MINIMUM_SAMPLES:
+        raise InputError(
+            f"{name}: {len(time)} samples", f"at least {MINIMUM_SAMPLES}", "use a longer record"
+        )
+    if not np.all(np.isfinite(time)):
+        row = int(np.flatnonzero(~np.isfinite(time))[0])
+        raise InputError(f"{name}: time at row {row} is not a number", "numbers in every row")
+    steps = np.diff(time)
+    if np.any(steps <= 0):
+        row = int(np.flatnonzero(steps <= 0)[0]) + 1
+        raise InputError(
+            f"{name}: time runs from {time[row - 1]:.9g} s to {time[row]:.9g} s at row {row}",
+            "time that increases in every row",
+            "sort the file, drop repeated rows, or give record.rate instead of a time column",
+        )
+
+
+def _check_time(name: str, time: Array) -> None:
+    check_increasing(name, time)
+    steps = np.diff(time)
+    mean = (time[-1] - time[0]) / (len(time) - 1)
+    worst = int(np.argmax(np.abs(steps - mean)))
+    if abs(steps[worst] - mean) > JITTER * mean:
+        raise InputError(
+            f"{name}: steps of time differ ({steps.min():.6g} to {steps.max():.6g} s, "
+            f"worst after row {worst})",
+            f"a uniform step (here {mean:.6g} s within {JITTER:.0%})",
+            _even_steps(steps, mean),
+        )
+
+
+def _even_steps(steps: Array, mean: float) -> str:
+    """What to try where steps of time differ: gaps are bridged, uneven steps resampled."""
+    longest = float(steps.max() / np.median(steps))
+    if longest > 1.5:
+        return (
+            f"record.fill_gaps={round(longest) - 1} bridges gaps of so many samples, record.rows "
+            "cuts the record there, record.resample makes uneven steps even"
+        )
+    return (
+        f"record.resample={1 / mean:.4g} makes the steps even, record.rate={1 / mean:.4g} says so"
+    )
+
+
+def check_values(name: str, kind: str, key: str, values: Array, samples: int) -> None:
+    """Refuse a series of another length, with missing values, or a channel that never moves."""
+    if len(values) != samples:
+        raise InputError(
+            f"{name}: {kind} {key!r} with {len(values)} values", f"{samples}, as many as times"
+        )
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise InputError(
+            f"{name}: {kind} {key!r} has {len(bad)} missing values, the first at row {bad[0]}",
+            "a number in every row",
+            "cut the gap out with record.rows, or give the parts as several records",
+        )
+    if kind == "channel" and np.ptp(values) == 0:
+        raise InputError(
+            f"{name}: channel {key!r} is constant ({values[0]:.6g})",
+            "a signal that moves",
+            "check the sensor and the column's name",
+        )
+
+
+def clipping(key: str, values: Array) -> str:
+    """A note where a channel rests at its extremes for many samples in a row."""
+    span = np.ptp(values)
+    share = 0.0
+    for extreme in (values.max(), values.min()):
+        at = np.abs(values - extreme) <= 1e-9 * span
+        runs = at[1:] & at[:-1]
+        share += float(np.mean(runs))
+    if share > 1e-3:
+        return f"channel {key!r} looks clipped: {share:.1%} of its samples rest at an extreme"
+    return ""
+
+
+def check_noise(noise: Mapping[str, float], channels: Mapping[str, Array]) -> dict[str, float]:
+    """Declared noise of known channels, positive."""
+    for key, value in noise.items():
+        if key not in channels:
+            raise InputError(
+                f"noise of {key!r}",
+                f"a channel: {', '.join(channels)}",
+                did_you_mean(key, channels),
+            )
+        if not (isinstance(value, int | float) and np.isfinite(value) and value > 0):
+            raise InputError(f"noise of {key!r}: {value!r}", "a positive standard deviation")
+    return {k: float(v) for k, v in noise.items()}
+
+
+def _derived(system: System, time: Array, inputs: dict[str, Array]) -> dict[str, Array]:
+    """Add inputs that follow from others: the integral, from zero at the first sample."""
+    from scipy.interpolate import CubicSpline
+
+    completed = dict(inputs)
+    for item in system.inputs:
+        if item.name not in completed and item.derived_from is not None:
+            source = CubicSpline(time, completed[item.derived_from])
+            completed[item.name] = source.antiderivative()(time)
+    return completed

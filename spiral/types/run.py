@@ -1,0 +1,279 @@
+"""Results of the steps: each carries its own outcome as a value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from spiral.types.model import Estimate, Model
+
+Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unknown_structure"]
+Stopped = Literal["whiteness", "no_candidate", "not_identifiable", "diverged", "max_rounds"]
+
+
+@dataclass(frozen=True)
+class ChannelError:
+    """Free-run error of one channel: rmse in its unit, and over its standard deviation."""
+
+    rmse: float
+    relative: float
+
+    def as_dict(self) -> dict[str, float]:
+        """As the JSON contract writes it."""
+        return {"rmse": self.rmse, "relative": self.relative}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A fitted model against measurements it was fitted on and against those it was not.
+
+    ``fit_error`` and ``test_error`` are relative free-run errors, mean over channels;
+    ``chi2_per_dof`` and ``whiteness_p`` are of the fitted records at window length ``horizon``;
+    ``noise_floor`` is the test error that a perfect model would have; ``noise_ratio`` the noise
+    that the fitted records show without a model (high-order differences) over what they declare,
+    rms over channels, and nothing where they declare none.
+    """
+
+    model: Model
+    fit_error: float
+    test_error: float
+    channels: Mapping[str, ChannelError]
+    noise_floor: float
+    chi2_per_dof: float
+    whiteness_p: float
+    whiteness_effect: float
+    horizon: int
+    converged: bool
+    notes: tuple[str, ...] = ()
+    noise_ratio: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        return {
+            "fit_error": self.fit_error,
+            "test_error": self.test_error,
+            "noise_floor": self.noise_floor,
+            "noise_ratio": self.noise_ratio,
+            "channels": {k: v.as_dict() for k, v in self.channels.items()},
+            "chi2_per_dof": self.chi2_per_dof,
+            "whiteness_p": self.whiteness_p,
+            "whiteness_effect": self.whiteness_effect,
+            "horizon": self.horizon,
+            "converged": self.converged,
+            "model": estimates_dict(self.model),
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """One candidate with its evidence."""
+
+    effect: str
+    meaning: str
+    aliases: tuple[str, ...]
+    p_value: float
+    statistic: float
+    wald_p_value: float
+    explains: float
+    hint: tuple[str, ...] = ()
+    test_error_before: float | None = None
+    test_error_after: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        return {
+            "effect": self.effect,
+            "aliases": list(self.aliases),
+            "p_value": self.p_value,
+            "statistic": self.statistic,
+            "wald_p_value": self.wald_p_value,
+            "explains": self.explains,
+            "test_error_before": self.test_error_before,
+            "test_error_after": self.test_error_after,
+            "meaning": self.meaning,
+        }
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where a model fails: ranges that hold most of the error, and one sentence.
+
+    The missing force follows ``state`` to the ``power`` (an angle: so many times per turn), which
+    explains the share ``follows`` of it; no state where none explains enough.
+    """
+
+    channel: str | None = None
+    sentence: str = ""
+    time_s: tuple[float, float] | None = None
+    frequency_hz: tuple[float, float] | None = None
+    speed_rad_s: tuple[float, float] | None = None
+    order: tuple[float, float] | None = None
+    amplitude: tuple[float, float] | None = None
+    state: str | None = None
+    power: int | None = None
+    follows: float | None = None
+    channels: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        ranges = ("time_s", "frequency_hz", "speed_rad_s", "order", "amplitude")
+        found = {r: list(v) if (v := getattr(self, r)) else None for r in ranges}
+        what = {"state": self.state, "power": self.power, "follows": self.follows}
+        said = {"channel": self.channel, "channels": list(self.channels)}
+        return {**found, **what, **said, "sentence": self.sentence}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing, where it shows, and what to do.
+
+    ``not_separable`` are candidates that effects of the model take over on this record, in part or
+    whole: had they been there, they could not have been found. ``unknown`` is the shape of what no
+    candidate explains (``spiral.inference.unknown.shape``). ``left_out`` are candidates that these
+    records cannot be asked about, and why. ``summary`` is the verdict with its figures.
+    """
+
+    verdict: Verdict
+    comparison: Comparison
+    suggestions: tuple[Suggestion, ...]
+    where: Where
+    advice: str
+    horizon: int
+    diverged: bool = False
+    not_separable: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    unknown: Mapping[str, Any] | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    summary: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        return {
+            "verdict": self.verdict,
+            "summary": self.summary,
+            "suggestions": [s.as_dict() for s in self.suggestions],
+            "where": self.where.as_dict(),
+            "advice": self.advice,
+            "horizon": self.horizon,
+            "comparison": self.comparison.as_dict(),
+            "not_separable": {k: list(v) for k, v in self.not_separable.items()},
+            "unknown": self.unknown,
+            "left_out": dict(self.left_out),
+        }
+
+
+@dataclass(frozen=True)
+class Round:
+    """One turn of the loop; round 0 is the seed. ``rejected``: what the gates refused, and why.
+
+    ``details`` log, as plain data, how the strategy came from this round's model to the next
+    proposal.
+    """
+
+    number: int
+    admitted: tuple[str, ...]
+    aliases: Mapping[str, tuple[str, ...]]
+    rejected: Mapping[str, str]
+    suggestions: tuple[Suggestion, ...]
+    comparison: Comparison
+    seconds: float
+    second_order: bool = False
+    meaning: str = ""
+    retired: tuple[str, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        c = self.comparison
+        return {
+            "round": self.number,
+            "admitted": list(self.admitted),
+            "aliases": {k: list(v) for k, v in self.aliases.items()},
+            "rejected": dict(self.rejected),
+            "retired": list(self.retired),
+            "fit_error": c.fit_error,
+            "test_error": c.test_error,
+            "chi2_per_dof": c.chi2_per_dof,
+            "horizon": c.horizon,
+            "whiteness_p": c.whiteness_p,
+            "whiteness_effect": c.whiteness_effect,
+            "seconds": self.seconds,
+            "second_order": self.second_order,
+            "meaning": self.meaning,
+            "model": estimates_dict(c.model),
+            "suggestions": [s.as_dict() for s in self.suggestions],
+            "details": dict(self.details),
+        }
+
+
+@dataclass(frozen=True)
+class Run:
+    """The frozen history of a study: tried, admitted, rejected, on which evidence.
+
+    ``missing`` are the effects that the verdict names, ``summary`` says it with its figures.
+    """
+
+    verdict: Verdict
+    stopped: Stopped
+    rounds: tuple[Round, ...]
+    model: Model
+    advice: str
+    alias_groups: tuple[tuple[str, ...], ...] = ()
+    run_id: str = ""
+    context: Mapping[str, Any] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+    summary: str = ""
+
+    @property
+    def final(self) -> Comparison:
+        """The comparison of the last round."""
+        return self.rounds[-1].comparison
+
+    @property
+    def unknown(self) -> Mapping[str, Any] | None:
+        """The shape of what no candidate explains (``inference.unknown``), where there is one."""
+        found = [r.details["unknown"] for r in self.rounds if "unknown" in r.details]
+        return found[-1] if found else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        return {
+            "verdict": self.verdict,
+            "summary": self.summary,
+            "missing": list(self.missing),
+            "stopped": self.stopped,
+            "rounds": [r.as_dict() for r in self.rounds],
+            "model": estimates_dict(self.model),
+            "test": {k: v.as_dict() for k, v in self.final.channels.items()} if self.rounds else {},
+            "noise_floor": self.final.noise_floor if self.rounds else None,
+            "advice": self.advice,
+            "alias_groups": [list(g) for g in self.alias_groups],
+            "run_id": self.run_id,
+            "context": dict(self.context),
+            "unknown": self.unknown,
+        }
+
+
+def estimate_rows(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Of a result: one row for each parameter of its final model, estimate, error, t, unit."""
+    model = result.get("model") or (result.get("comparison") or {}).get("model") or {}
+    owners = {**(model.get("effects") or {}), "system": model.get("system") or {}}
+    return [
+        {"effect": owner, "parameter": name, **values}
+        for owner, table in owners.items()
+        for name, values in table.items()
+    ]
+
+
+def estimates_dict(model: Model) -> dict[str, Any]:
+    """``{"effects": {effect: {parameter: estimate}}, "system": {parameter: estimate}}``."""
+
+    def rows(table: dict[str, Estimate]) -> dict[str, Any]:
+        return {name: estimate.as_dict() for name, estimate in table.items()}
+
+    table = model.estimates()
+    return {
+        "effects": {owner: rows(t) for owner, t in table.items() if owner != "system"},
+        "system": rows(table.get("system", {})),
+    }

@@ -1,0 +1,176 @@
+"""Systems: the known physics that a study starts from."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+from spiral.types.effect import Effect, SensorEffect
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.parameter import Input, Parameter, State
+from spiral.types.plugin import Plugin
+from spiral.types.port import Port
+
+
+class System(Plugin):
+    """Known physics in state space: x' = rate(x, u, p) plus what effects add.
+
+    A system names its states (those in ``observed`` are measured, the others hidden), inputs,
+    ports and parameters. ``seed`` are the effects that belong to it from the start.
+    """
+
+    kind: ClassVar[str] = "system"
+
+    @property
+    @abstractmethod
+    def states(self) -> tuple[State, ...]:
+        """States in order, with units."""
+
+    @property
+    @abstractmethod
+    def observed(self) -> tuple[str, ...]:
+        """Names of the states that sensors report, one channel each."""
+
+    @property
+    @abstractmethod
+    def inputs(self) -> tuple[Input, ...]:
+        """Known inputs."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of the system itself, with absolute units."""
+
+    @property
+    @abstractmethod
+    def ports(self) -> tuple[Port, ...]:
+        """Places where effects act; the first is the default."""
+
+    @property
+    @abstractmethod
+    def seed(self) -> tuple[Effect, ...]:
+        """Effects present from the start."""
+
+    @property
+    @abstractmethod
+    def injections(self) -> tuple[State, ...]:
+        """Where effects enter, by name and unit: generalised forces, or flows into channels."""
+
+    @abstractmethod
+    def rate(
+        self, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace, injected: dict[str, Any]
+    ) -> dict[str, Any]:
+        """Time derivative of every state, given the sums that effects inject."""
+
+    @property
+    def defaults(self) -> dict[str, float]:
+        """Nominal values by full parameter name (``cubic_stiffness@bearing_1.stiffness``)."""
+        return {}
+
+    def seen(self, u: SimpleNamespace, p: SimpleNamespace) -> SimpleNamespace:
+        """The inputs as effects see them; a rotor turns the phase by its record's origin."""
+        return u
+
+    def port(self, name: str = "") -> Port:
+        """A port by name; the first where no name is given."""
+        for port in self.ports:
+            if port.name == name or not name:
+                return port
+        names = [port.name for port in self.ports]
+        raise ConfigError(
+            f"port {name!r} of system {self.plugin_name()!r}",
+            f"one of {', '.join(names)}",
+            did_you_mean(name, names),
+        )
+
+    @property
+    def sensors(self) -> Port:
+        """The channels as a port of their own: what effects on readings see, one axis each."""
+        names = tuple(self.observed)
+        return Port(
+            "sensors",
+            names,
+            lambda x, p: [getattr(x, n) for n in names],
+            self.unit_of(names[0]),
+            self.ports[0].force_unit,
+        )
+
+    def place(self, effect: Effect) -> Port:
+        """Where an effect acts: at its port, or on the sensors."""
+        return self.sensors if isinstance(effect, SensorEffect) else self.port(effect.port)
+
+    def unit_of(self, channel: str) -> str:
+        """Unit of a state or input by name."""
+        for item in (*self.states, *self.inputs):
+            if item.name == channel:
+                return item.unit
+        names = [item.name for item in (*self.states, *self.inputs)]
+        raise ConfigError(
+            f"channel {channel!r}",
+            f"a state or input of {self.plugin_name()!r}: {', '.join(names)}",
+            did_you_mean(channel, names),
+        )
+
+
+class MechanicalSystem(System):
+    """M(q, p) q'' = force(q, q', u, p) + sum over ports of J^T F.
+
+    States are the coordinates and their rates, named ``NAME_rate``.
+    """
+
+    @property
+    @abstractmethod
+    def coordinates(self) -> tuple[State, ...]:
+        """Generalised coordinates q with units."""
+
+    @property
+    @abstractmethod
+    def injections(self) -> tuple[State, ...]:
+        """Generalised forces, one for each coordinate, named like it."""
+
+    @abstractmethod
+    def mass(self, q: SimpleNamespace, p: SimpleNamespace) -> list[list[Any]]:
+        """Mass matrix, nq x nq."""
+
+    @abstractmethod
+    def force(
+        self, q: SimpleNamespace, v: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace
+    ) -> list[Any]:
+        """Generalised forces of the system itself, nq values."""
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """Coordinates, then their rates."""
+        rates = tuple(State(f"{c.name}_rate", f"{c.unit}/s") for c in self.coordinates)
+        return (*self.coordinates, *rates)
+
+    def split(self, x: SimpleNamespace) -> tuple[SimpleNamespace, SimpleNamespace]:
+        """Coordinates q and rates v, both by the coordinates' names."""
+        names = [c.name for c in self.coordinates]
+        q = SimpleNamespace(**{n: getattr(x, n) for n in names})
+        v = SimpleNamespace(**{n: getattr(x, f"{n}_rate") for n in names})
+        return q, v
+
+    def rate(
+        self, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace, injected: dict[str, Any]
+    ) -> dict[str, Any]:
+        """q' = v, v' = M^-1 (force + injected)."""
+        q, v = self.split(x)
+        names = [c.name for c in self.coordinates]
+        total = [f + injected[n] for f, n in zip(self.force(q, v, u, p), names, strict=True)]
+        acceleration = _solve(self.mass(q, p), total)
+        rates = {n: getattr(v, n) for n in names}
+        rates.update({f"{n}_rate": a for n, a in zip(names, acceleration, strict=True)})
+        return rates
+
+
+def _solve(mass: list[list[Any]], total: list[Any]) -> list[Any]:
+    """M^-1 total: by division where M is diagonal (units kept), else symbolically."""
+    size = len(total)
+    off = [mass[i][j] for i in range(size) for j in range(size) if i != j]
+    if all(isinstance(value, int | float) and value == 0 for value in off):
+        return [t / mass[i][i] for i, t in enumerate(total)]
+    import sympy
+
+    return list(sympy.Matrix(mass).LUsolve(sympy.Matrix(total)))

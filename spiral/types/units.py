@@ -1,0 +1,216 @@
+"""Units by pint: one registry, conversions, and the unit check of physics.
+
+Speed is converted explicitly: pint would take 1 Hz as 1 rad/s.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
+
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
+from spiral.types.errors import InputError, PluginError
+from spiral.types.port import At, Port
+from spiral.types.system import MechanicalSystem, System
+
+_PER_TURN = {"rpm": 2 * math.pi / 60, "hz": 2 * math.pi, "rps": 2 * math.pi, "1/s": 2 * math.pi}
+
+
+@lru_cache(maxsize=1)
+def registry() -> Any:
+    """The unit registry, its parsed definitions cached on disk."""
+    import pint
+
+    try:
+        return pint.UnitRegistry(cache_folder=":auto:")
+    except OSError:
+        return pint.UnitRegistry()
+
+
+@lru_cache(maxsize=512)
+def short_form(unit: str) -> str:
+    """A compact way to write a unit: ``(m/s^2)/(m)`` -> ``1/s^2``; empty where dimensionless."""
+    if not unit:
+        return ""
+    found = _parse(unit)
+    if found.dimensionless:
+        return "rad" if unit.strip() == "rad" else ""
+    text = f"{found:~C}" if hasattr(found, "__format__") else str(found)
+    return text.replace("**", "^")
+
+
+def _parse(unit: str) -> Any:
+    import pint
+
+    try:
+        return registry().Unit(unit.replace("^", "**").replace("1*", "") or "")
+    except (pint.UndefinedUnitError, pint.errors.DefinitionSyntaxError, ValueError, TypeError):
+        return registry().parse_expression(unit.replace("^", "**")).units
+
+
+def factor(given: str, wanted: str, what: str) -> float:
+    """Multiply values in ``given`` by this to have them in ``wanted``.
+
+    Raises
+    ------
+    InputError : an unknown unit, or one of another dimension.
+    """
+    import pint
+
+    if wanted == "rad/s" and given.strip().lower() in _PER_TURN:
+        return _PER_TURN[given.strip().lower()]
+    try:
+        return float(registry().Quantity(1.0, given.replace("^", "**")).to(wanted).magnitude)
+    except pint.UndefinedUnitError as error:
+        raise InputError(
+            f"unit {given!r} of {what}",
+            f"a unit of {wanted!r}",
+            "write it as in 'um', 'mm/s', 'rpm', 'Hz', 'V'",
+        ) from error
+    except (pint.DimensionalityError, pint.OffsetUnitCalculusError) as error:
+        raise InputError(
+            f"unit {given!r} of {what}",
+            f"a unit that converts to {wanted!r}",
+            f"correct record.units, or give a column measured in {wanted!r}",
+        ) from error
+    except Exception as error:  # pint's parser raises what Python's tokenizer does
+        raise InputError(f"unit {given!r} of {what}", f"a unit such as {wanted!r}") from error
+
+
+def check_units(system: System, effect: Effect) -> None:
+    """Evaluate an effect's equation on quantities with units.
+
+    Raises
+    ------
+    PluginError : the units do not fit; the message names the effect and both units.
+    """
+    import pint
+
+    port = system.place(effect)
+    try:
+        for what, value, expected in _evaluated(system, effect, port):
+            _must_fit(f"{what} {effect.label!r}", value, expected)
+    except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
+        raise PluginError(
+            f"effect {effect.label!r} at port {port.name!r}: {error}",
+            "an equation whose units fit",
+            "check the units of its parameters",
+        ) from error
+
+
+def check_system_units(system: MechanicalSystem) -> None:
+    """Evaluate M q'' and a system's own force on quantities with units.
+
+    Raises
+    ------
+    PluginError : a unit differs from that of the injection of its coordinate.
+    """
+    import pint
+
+    coordinates, name = system.coordinates, system.plugin_name()
+    q = SimpleNamespace(**{c.name: _quantity(c.unit) for c in coordinates})
+    v = SimpleNamespace(**{c.name: _quantity(f"({c.unit})/s") for c in coordinates})
+    p = SimpleNamespace(**{k.name: _quantity(k.unit) for k in system.parameters})
+    u = _inputs(system)
+    try:
+        force, mass = system.force(q, v, u, p), system.mass(q, p)
+    except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
+        raise PluginError(f"system {name!r}: {error}", "an equation whose units fit") from error
+    for i, entry in enumerate(system.injections):
+        own = [("force", force[i])]
+        own += [
+            (f"mass row {i}", m * _quantity(f"({c.unit})/s^2"))
+            for m, c in zip(mass[i], coordinates, strict=True)
+            if not _is_zero(m)
+        ]
+        for what, value in own:
+            _must_fit(f"{what} of system {name!r}", value, entry.unit)
+
+
+def _is_zero(value: Any) -> bool:
+    return isinstance(value, int | float) and value == 0
+
+
+def _inputs(system: System) -> SimpleNamespace:
+    u = SimpleNamespace(time=_quantity("s"))
+    for item in system.inputs:
+        setattr(u, item.name, _quantity(item.unit))
+        setattr(u, f"{item.name}_rate", _quantity(f"({item.unit})/s"))
+    return u
+
+
+def units_fit(system: System, effect: Effect) -> bool:
+    """Whether an effect's units fit a system (sin of a length does not)."""
+    try:
+        check_units(system, effect)
+    except PluginError:
+        return False
+    except Exception:  # broken in itself, whatever the units: tracing it says so
+        return True
+    return True
+
+
+def _quantity(unit: str, size: float = 1.25) -> Any:
+    return registry().Quantity(size, _parse(unit) if unit else "")
+
+
+def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, Any, str]]:
+    """(what it is, its value with units, the unit it must have) of all that an effect gives."""
+    count = len(port.axes)
+    position = tuple(_quantity(port.position_unit, 1.0 + 0.25 * i) for i in range(count))
+    velocity = tuple(_quantity(f"({port.position_unit})/s", 0.5 + 0.25 * i) for i in range(count))
+    own = SimpleNamespace(
+        **{
+            s.name: tuple(_quantity(port.unit(s.unit)) for _ in range(count))
+            if s.per_axis
+            else _quantity(port.unit(s.unit))
+            for s in effect.states
+        }
+    )
+    u = _inputs(system)
+    p = SimpleNamespace(
+        **{
+            q.name: tuple(_quantity(port.unit(q.unit)) for _ in range(count))
+            if q.per_axis
+            else _quantity(port.unit(q.unit))
+            for q in effect.parameters
+        }
+    )
+    at = At(position, velocity, own)
+    found = [(f"rate {k} of effect", v, unit) for k, v, unit in _own_rates(effect, port, at, u, p)]
+    if isinstance(effect, ForceEffect):
+        found += [("effect", value, port.force_unit) for value in effect.force(at, u, p)]
+    elif isinstance(effect, SensorEffect):
+        readings = effect.reading(list(position), at, u, p)
+        found += [("effect", value, port.position_unit) for value in readings]
+    elif isinstance(effect, FlowEffect):
+        x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states}, own=own)
+        units = {i.name: i.unit for i in system.injections}
+        found += [("effect", value, units[name]) for name, value in effect.flow(x, u, p).items()]
+    return found
+
+
+def _own_rates(
+    effect: Effect, port: Port, at: At, u: SimpleNamespace, p: SimpleNamespace
+) -> list[tuple[str, Any, str]]:
+    rates = effect.rate(at, u, p) if effect.states else {}
+    return [
+        (state.name, value, f"({port.unit(state.unit)})/s")
+        for state in effect.states
+        if state.name in rates
+        for value in (rates[state.name] if state.per_axis else [rates[state.name]])
+    ]
+
+
+def _must_fit(what: str, value: Any, expected: str) -> None:
+    if _is_zero(value):
+        return
+    quantity = registry().Quantity(value) if not hasattr(value, "dimensionality") else value
+    if quantity.dimensionality != _parse(expected).dimensionality:
+        raise PluginError(
+            f"{what} gives {quantity.units:~C}",
+            f"{expected}",
+            "check the units of its parameters",
+        )

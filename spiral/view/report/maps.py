@@ -1,0 +1,396 @@
+"""Figures over speed, order, frequency and state: where it fails, and what the rotor does."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spiral.inference.where.orders import (
+    correlations,
+    first_order,
+    full_spectrum,
+    noise_power,
+    order_map,
+    time_map,
+)
+from spiral.io.curves import FINAL, SEED, Curves
+from spiral.view.report.motion import COLOURS, NAMES
+from spiral.view.report.style import (
+    CYCLE,
+    GREY,
+    MEASURED,
+    RPM,
+    blank,
+    decades,
+    decibels,
+    heat,
+    line,
+    scaled,
+    titled,
+)
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+Array = np.ndarray
+
+_BINS = 24
+_LAGS = 60
+_CASCADE = 45
+_LOUD = 20.0  # dB over the noise that a map reaches at least: noise alone stays dark
+_OVER = "dB above the noise"
+_SHOWN = 1e-5  # share of a spectrum's power above which frequencies are shown
+
+
+def first_model(curves: Curves) -> str:
+    """The model that a run began with."""
+    return SEED if SEED in curves.meta["models"] else FINAL
+
+
+def error(curves: Curves, record: int, model: str) -> Array | None:
+    """Measured minus free run (samples, channels); nothing where it is not finite."""
+    y, free = curves.get(record, "y"), curves.get(record, model, "free")
+    if y is None or free is None or not np.isfinite(free).all():
+        return None
+    return y - free
+
+
+def where_map(curves: Curves, record: int, model: str) -> go.Figure | None:
+    """Energy of the free-run error over time x frequency and speed x order, over the noise's."""
+    left = error(curves, record, model)
+    if left is None:
+        return None
+    about = curves.meta["records"][record]
+    phase, speed = curves.get(record, "phase"), curves.get(record, "speed")
+    left = left / np.array(list(about["sigma"].values()))
+    orders = None
+    if phase is not None and speed is not None:
+        orders = order_map(left, phase, speed, about["dt"])
+    figure = blank(1, 2 if orders else 1, 420, horizontal_spacing=0.12)
+    found = time_map(left, about["dt"])
+    top = _highest(found.axis, found.power.sum(axis=0))
+    shown = found.axis <= top
+    dt, channels = about["dt"], left.shape[1]
+    level = decibels(found.power[:, shown].T / noise_power(found, dt, channels))
+    turned = None
+    if orders is not None:
+        power = orders.power / noise_power(orders, dt, channels, turning=True)[:, None]
+        turned = _over_speed(np.abs(orders.at) * RPM, power)
+    top = max(_LOUD, level.max(), decibels(turned[1]).max() if turned else 0.0)
+    first = heat(found.at + about["start"], found.axis[shown], level, top, _OVER)
+    first.showscale = turned is None  # both maps have one scale
+    figure.add_trace(first, row=1, col=1)
+    figure.update_xaxes(title_text="time (s)", row=1, col=1)
+    figure.update_yaxes(title_text="frequency (Hz)", row=1, col=1)
+    if orders is not None and turned is not None:
+        second = heat(turned[0], orders.axis, decibels(turned[1].T), top, _OVER)
+        figure.add_trace(second, row=1, col=2)
+        figure.update_xaxes(title_text="speed (rpm)", row=1, col=2)
+        figure.update_yaxes(title_text="order", row=1, col=2, range=[0, 6], dtick=1)
+    return figure
+
+
+def _highest(axis: Array, power: Array) -> float:
+    """The frequency up to which all but a millionth of the power above the floor lies."""
+    above = np.maximum(power - np.median(power), 0.0)
+    held = np.cumsum(above) / max(above.sum(), 1e-300)
+    return float(1.6 * axis[int(np.searchsorted(held, 0.995))] + 5 * axis[1])
+
+
+def _over_speed(rpm: Array, power: Array) -> tuple[Array, Array]:
+    """Slices averaged into bins of speed, (bins, orders); empty bins take their neighbour's."""
+    edges = np.linspace(rpm.min(), rpm.max(), min(60, max(len(rpm) // 2, 8)) + 1)
+    at = np.clip(np.digitize(rpm, edges) - 1, 0, len(edges) - 2)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    rows = [power[at == k].mean(axis=0) if np.any(at == k) else None for k in range(len(middles))]
+    filled = [i for i, r in enumerate(rows) if r is not None]
+    near = [min(filled, key=lambda f: abs(f - i)) for i in range(len(rows))]
+    return middles, np.array([rows[i] for i in near])
+
+
+def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
+    """Rms error over the noise, against amplitude, against the rotor's angle, and per channel."""
+    from spiral.inference.where.regions import envelope
+
+    y, phase = curves.get(record, "y"), curves.get(record, "phase")
+    models = [m for m in curves.meta["models"] if error(curves, record, m) is not None]
+    if y is None or not models:
+        return None
+    channels = curves.meta["channels"]
+    sigma = np.array(list(curves.meta["records"][record]["sigma"].values()))
+    factor, unit = scaled(channels[0]["unit"], y)
+    columns = 3 if phase is not None else 2
+    figure = blank(1, columns, 360, horizontal_spacing=0.06, shared_yaxes=True)
+    for model in models:
+        left = error(curves, record, model)
+        assert left is not None
+        size = np.sqrt(np.mean((left / sigma) ** 2, axis=1))
+        _binned(figure, factor * envelope(y), size, model, 1)
+        if phase is not None:
+            _binned(figure, np.degrees(phase) % 360, size, model, 2)
+        _per_channel(figure, left / sigma, model, [c["name"] for c in channels], columns)
+    figure.update_xaxes(title_text=titled("amplitude", unit), row=1, col=1)
+    figure.update_yaxes(title_text="rms error / noise", row=1, col=1)
+    drawn = np.concatenate([np.asarray(t.y, dtype=float) for t in figure.data])
+    drawn = np.log10(drawn[drawn > 0])  # bars begin at the noise, or below the lowest curve
+    span = [min(0.0, drawn.min() - 0.1), drawn.max() + 0.15]
+    figure.update_yaxes(type="log", dtick=decades(*span), range=span,
+                        minor={"showgrid": True, "gridcolor": "#F3F3F3"})  # fmt: skip
+    if phase is not None:
+        angle = {"dtick": 90, "range": [0, 360]}
+        figure.update_xaxes(title_text="rotor angle (°)", **angle, row=1, col=2)
+    figure.update_xaxes(title_text="channel", row=1, col=columns)
+    return figure
+
+
+def _binned(figure: Any, x: Array, size: Array, model: str, column: int) -> None:
+    edges = np.linspace(x.min(), x.max(), _BINS + 1)
+    at = np.clip(np.digitize(x, edges) - 1, 0, _BINS - 1)
+    count = np.bincount(at, minlength=_BINS)
+    power = np.bincount(at, size**2, _BINS)
+    kept = count > 8
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    rms = np.sqrt(power[kept] / count[kept])
+    line(figure, middle[kept], rms, NAMES[model], COLOURS[model], 1, column, width=2)
+
+
+def _per_channel(figure: Any, noises: Array, model: str, names: list[str], column: int) -> None:
+    import plotly.graph_objects as go
+
+    rms = np.sqrt(np.mean(noises**2, axis=0))
+    figure.add_trace(
+        go.Bar(x=names, y=rms, name=NAMES[model], marker_color=COLOURS[model],
+               legendgroup=NAMES[model], showlegend=False),
+        row=1, col=column,
+    )  # fmt: skip
+
+
+def force_surface(curves: Curves, model: str) -> go.Figure | None:
+    """The missing force against displacement, velocity, the other axis and the rotor's angle.
+
+    Mean of the smoothed force in bins of each state, and the middle half of it as a band: a
+    restoring-force surface, state by state.
+    """
+    about = curves.meta["models"].get(model, {})
+    if "record" not in about:
+        return None
+    number, first = about["record"], about["first"]
+    force, states = curves.get(number, model, "force"), curves.get(number, model, "states")
+    assert force is not None
+    assert states is not None
+    names = [s["name"] for s in curves.meta["states"]]
+    units = {s["name"]: s["unit"] for s in curves.meta["states"]}
+    axes = [a for a in about["axes"] if a in names]
+    wanted = [*axes, *(f"{a}_rate" for a in axes if f"{a}_rate" in names)]
+    series = {n: states[:, names.index(n)] for n in wanted}
+    phase = curves.get(number, "phase")
+    if phase is not None:
+        series["angle"], units["angle"] = np.degrees(phase[first : first + len(force)]) % 360, "°"
+    factor, unit = scaled(about["force_unit"], force)
+    figure = blank(len(axes), len(series), 80 + 230 * len(axes), horizontal_spacing=0.04,
+                   vertical_spacing=0.09, shared_yaxes=True, shared_xaxes=True)  # fmt: skip
+    reach: list[list[float]] = [[] for _ in axes]
+    for column, (name, values) in enumerate(series.items(), 1):
+        size, said = (1.0, "°") if name == "angle" else scaled(units[name], values)
+        for row in range(1, len(axes) + 1):
+            at = about["axes"].index(axes[row - 1])
+            reach[row - 1] += _surface(figure, size * values, factor * force[:, at], row, column)
+        title = titled(name.replace("_rate", "'"), said)
+        figure.update_xaxes(title_text=title, row=len(axes), col=column)
+    figure.update_xaxes(tickangle=0, nticks=4 if len(series) > 3 else 5)
+    if phase is not None:
+        figure.update_xaxes(tickvals=[0, 180, 360], range=[0, 360], col=len(series))
+    for row, axis in enumerate(axes, 1):
+        figure.update_yaxes(title_text=titled(f"force on {axis}", unit), row=row, col=1)
+        low, high = min(reach[row - 1], default=-1.0), max(reach[row - 1], default=1.0)
+        edge = 0.06 * (high - low or 1.0)
+        figure.update_yaxes(range=[low - edge, high + edge], row=row)  # of all its panels
+    return figure
+
+
+def _surface(figure: Any, x: Array, force: Array, row: int, column: int) -> list[float]:
+    """Draw one panel; returns all heights drawn."""
+    import plotly.graph_objects as go
+
+    low, high = np.quantile(x, (0.002, 0.998))
+    edges = np.linspace(low, high, _BINS + 1)
+    at = np.digitize(x, edges) - 1
+    rows = [(0.5 * (edges[k] + edges[k + 1]), *np.quantile(force[at == k], (0.25, 0.75)),
+             force[at == k].mean()) for k in range(_BINS) if np.sum(at == k) > 8]  # fmt: skip
+    if not rows:
+        return []
+    middle, lower, upper, mean = np.array(rows).T
+    figure.add_trace(
+        go.Scatter(x=np.concatenate([middle, middle[::-1]]), mode="lines", line={"width": 0},
+                   y=np.concatenate([upper, lower[::-1]]), fill="toself", hoverinfo="skip",
+                   fillcolor="rgba(0,114,178,0.22)", name="middle half", legendgroup="half",
+                   showlegend=row == column == 1), row=row, col=column,
+    )  # fmt: skip
+    line(figure, middle, mean, "mean of the missing force", CYCLE[0], row, column, width=2.2)
+    return [*lower, *upper, *mean]
+
+
+def bode(curves: Curves, record: int) -> go.Figure | None:
+    """Amplitude and phase lag of the first order over speed, measured and modelled."""
+    y, phase, speed = (curves.get(record, k) for k in ("y", "phase", "speed"))
+    free = curves.get(record, FINAL, "free")
+    if y is None or phase is None or speed is None or np.ptp(speed) < 1e-3 * np.abs(speed).max():
+        return None
+    channels = curves.meta["channels"]
+    figure = blank(2, len(channels), 520, shared_xaxes=True, vertical_spacing=0.06,
+                   horizontal_spacing=0.12)  # fmt: skip
+    factor, unit = scaled(channels[0]["unit"], y)
+    given = [("measured", y, MEASURED, 3.2), (NAMES[FINAL], free, COLOURS[FINAL], 1.5)]
+    for name, values, colour, width in given:
+        if values is None or not np.isfinite(values).all():
+            continue
+        found = first_order(values, phase, speed, turns=4)
+        if found is None:
+            return None
+        rpm = np.abs(found.speed) * RPM
+        for j in range(len(channels)):
+            size, lag = factor * np.abs(found.amplitude[:, j]), found.lag[:, j]
+            lag = lag - 360 * np.floor(lag[int(np.argmax(rpm))] / 360)
+            line(figure, rpm, size, name, colour, 1, j + 1, width=width)
+            line(figure, rpm, lag, name, colour, 2, j + 1, width=width)
+            figure.update_xaxes(title_text="speed (rpm)", row=2, col=j + 1)
+    for j, channel in enumerate(channels, 1):
+        name = f"{channel['name']}, 1X peak"
+        figure.update_yaxes(title_text=titled(name, unit), row=1, col=j, rangemode="tozero")
+        figure.update_yaxes(title_text=f"phase lag of {channel['name']} (°)", row=2, col=j)
+    figure.update_yaxes(autorange="reversed", dtick=90, row=2)
+    return figure
+
+
+def waterfall(curves: Curves, record: int) -> go.Figure | None:
+    """Spectra of the first channel one behind the other, over speed (or time)."""
+    y, speed = curves.get(record, "y"), curves.get(record, "speed")
+    if y is None:
+        return None
+    about, channel = curves.meta["records"][record], curves.meta["channels"][0]
+    length = int(np.clip(len(y) // 10, 64, 4096))
+    moving = y[:, :1] - y[:, :1].mean()
+    found = time_map(moving, about["dt"], length, count=_CASCADE, finer=4)
+    size = np.sqrt(2 * found.power)
+    shown = found.axis <= _highest(found.axis, found.power.sum(axis=0))
+    over = found.at + about["start"]
+    if speed is not None:
+        over = RPM * np.abs(np.interp(found.at, about["dt"] * np.arange(len(speed)), speed))
+    order = np.argsort(over)
+    factor, unit = scaled(channel["unit"], size)
+    height = 9.0 * np.ptp(over) / len(order) / max(float((factor * size).max()), 1e-300)
+    figure = blank(height=560)
+    for k in order[::-1]:  # each hides what lies behind it
+        rise = over[k] + height * factor * size[k, shown]
+        line(figure, found.axis[shown], rise, f"{over[k]:.0f}", CYCLE[0], width=1.2,
+             showlegend=False, fill="tozeroy", fillcolor="white")  # fmt: skip
+    top = float(found.axis[shown][-1])
+    if speed is not None:
+        for number in (1, 2, 3):
+            rpm = np.array([over.min(), min(over.max(), 60 * top / number)])
+            line(figure, number * rpm / 60, rpm, f"{number}X", GREY, dash="dot", width=1.5,
+                 showlegend=False)  # fmt: skip
+            figure.add_annotation(x=number * rpm[1] / 60, y=rpm[1], text=f"<b>{number}X</b>",
+                                  showarrow=False, xanchor="right", yanchor="bottom")  # fmt: skip
+    figure.update_xaxes(title_text="frequency (Hz)", range=[0, top])
+    name = "speed (rpm)" if speed is not None else "time (s)"
+    peak = f"highest peak {float((factor * size).max()):.3g} {unit}"
+    figure.update_yaxes(title_text=f"{name}; amplitude of {channel['name']}, {peak}")
+    return figure
+
+
+def whirl(curves: Curves, record: int) -> go.Figure | None:
+    """Full spectrum: forward whirl to the right, backward to the left."""
+    y, speed = curves.get(record, "y"), curves.get(record, "speed")
+    channels = curves.meta["channels"]
+    if y is None or len(channels) != 2 or speed is None:
+        return None
+    backward, dt = bool(np.mean(speed) < 0), curves.meta["records"][record]["dt"]
+    factor, unit = scaled(channels[0]["unit"], y)
+    figure = blank(height=380)
+    frequency = np.zeros(1)
+    for name, values, colour in (
+        ("measured", y, MEASURED), (NAMES[FINAL], curves.get(record, FINAL, "free"), COLOURS[FINAL])
+    ):  # fmt: skip
+        if values is None or not np.isfinite(values).all():
+            continue
+        frequency, size = full_spectrum(values[:, 0], values[:, 1], dt, backward)
+        line(figure, frequency, np.maximum(factor * size, 1e-12), name, colour, width=1.1)
+    floor = factor * np.median(full_spectrum(y[:, 0], y[:, 1], dt)[1]) / 10
+    figure.update_yaxes(range=[np.log10(floor), np.log10(factor * np.ptp(y))])
+    top = min(float(frequency.max()), 6 * float(np.abs(speed).max()) / (2 * np.pi))
+    figure.update_xaxes(title_text="backward whirl  ←  frequency (Hz)  →  forward whirl",
+                        range=[-top, top])  # fmt: skip
+    figure.update_yaxes(title_text=titled("amplitude", unit), type="log", exponentformat="power")
+    return figure
+
+
+def correlation(curves: Curves, record: int) -> go.Figure | None:
+    """Autocorrelation of the residual and its cross-correlation with the input, 95 % bounds."""
+    left = curves.get(record, FINAL, "left")
+    if left is None or not np.isfinite(left).all():
+        return None
+    inputs = _drives(curves, record)
+    names = [c["name"] for c in curves.meta["channels"]]
+    figure = blank(1, 2 if inputs else 1, 360, horizontal_spacing=0.13)
+    counted = int(np.count_nonzero(left[:, 0]))
+    lags = min(_LAGS, len(left) // 4)
+    at = np.arange(-lags, lags + 1)
+    for j, name in enumerate(names):
+        own = correlations(left[:, j], left[:, j], lags)
+        line(figure, at[lags + 1 :], own[lags + 1 :], f"residual {name}", CYCLE[j], width=1.8)
+        for text, values in inputs.items():
+            cross = correlations(left[:, j], values, lags)
+            dash = None if len(inputs) == 1 else "dot"
+            line(figure, -at, cross, f"residual {name} with {text}", CYCLE[j + 2], 1, 2, dash=dash)
+    for column in range(1, 3 if inputs else 2):
+        for side in (-1.96, 1.96):
+            figure.add_hline(side / np.sqrt(max(counted, 1)), row=1, col=column,
+                             line={"color": "#555", "dash": "dot", "width": 1})  # fmt: skip
+        figure.update_xaxes(title_text="lag (samples)", row=1, col=column)
+    figure.update_yaxes(title_text="autocorrelation", row=1, col=1)
+    if inputs:
+        figure.update_yaxes(title_text="cross-correlation", row=1, col=2)
+    return figure
+
+
+def _drives(curves: Curves, record: int) -> dict[str, Array]:
+    """Inputs as signals that swing: a phase by its cosine; a slow speed is none."""
+    found: dict[str, Array] = {}
+    for item in curves.meta["inputs"]:
+        values: Any = curves.get(record, item["name"])
+        if values is None or item["name"] == "speed":
+            continue
+        found["cos θ" if item["name"] == "phase" else item["name"]] = (
+            np.cos(values) if item["name"] == "phase" else values
+        )
+    return found
+
+
+def campbell(curves: Curves) -> go.Figure | None:
+    """Natural frequencies and damping ratios of the accepted model over speed."""
+    speed, frequency = curves.get("modes.speed"), curves.get("modes.frequency")
+    damping = curves.get("modes.damping")
+    if speed is None or frequency is None or damping is None or not np.isfinite(frequency).any():
+        return None
+    if not curves.meta["models"].get("modes", {}).get("over_speed") or len(speed) < 2:
+        return None
+    rpm = speed * RPM
+    figure = blank(1, 2, 420, horizontal_spacing=0.12)
+    for k in range(frequency.shape[1]):
+        colour, name = CYCLE[k % len(CYCLE)], f"mode {k + 1}"
+        line(figure, rpm, frequency[:, k], name, colour, width=2.4)
+        line(figure, rpm, 100 * damping[:, k], name, colour, 1, 2, width=2.4)
+    top = 1.25 * float(np.nanmax(frequency))
+    for number in (1, 2):
+        line(figure, rpm, number * rpm / 60, f"{number}X", GREY, dash="dot", width=1.5,
+             showlegend=False)  # fmt: skip
+        end = min(60 * top / number, float(rpm[-1]))
+        figure.add_annotation(x=end, y=number * end / 60, text=f"<b>{number}X</b>", row=1, col=1,
+                              showarrow=False, xanchor="left", yanchor="top")  # fmt: skip
+    figure.update_yaxes(title_text="natural frequency (Hz)", range=[0, top], row=1, col=1)
+    figure.update_yaxes(title_text="damping ratio (%)", row=1, col=2, rangemode="tozero")
+    for column in (1, 2):
+        figure.update_xaxes(title_text="speed (rpm)", row=1, col=column)
+    return figure

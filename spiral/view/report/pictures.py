@@ -1,0 +1,48 @@
+"""A figure, or a whole report, as PNG: drawn by a browser without a window."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from spiral.types.errors import InputError
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
+VARIABLE = "SPIRAL_BROWSER"
+_PATIENCE = 90.0  # s
+
+
+def browser() -> str | None:
+    """A browser that can run without a window: ``SPIRAL_BROWSER``, or one on the path."""
+    return os.environ.get(VARIABLE) or next((b for b in map(shutil.which, BROWSERS) if b), None)
+
+
+def picture(html: str, target: Path, width: int = 1060, height: int = 600) -> Path:
+    """Write a PNG of a page with no network.
+
+    Raises
+    ------
+    InputError : no browser, or one that draws nothing.
+    """
+    program = browser()
+    if program is None:
+        raise InputError("no browser", f"one of {', '.join(BROWSERS)}", f"set {VARIABLE}")
+    with tempfile.TemporaryDirectory() as place:
+        page = Path(place) / "page.html"
+        page.write_text(html, encoding="utf-8")
+        command = [
+            program, "--headless=new", "--no-sandbox", "--hide-scrollbars", "--disable-gpu",
+            "--virtual-time-budget=10000", f"--user-data-dir={place}/profile",
+            f"--window-size={width},{height}", f"--screenshot={target.resolve()}", page.as_uri(),
+        ]  # fmt: skip
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=_PATIENCE, check=False
+        )
+    if not target.is_file():
+        raise InputError(
+            f"{program} drew nothing: {done.stderr[-300:]}", "a PNG", f"set {VARIABLE}"
+        )
+    return target

@@ -1,0 +1,306 @@
+"""The words and tables of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from spiral.io.curves import SEED, Curves
+from spiral.types.formatting import number, percent, plus_minus, probability
+from spiral.types.run import estimate_rows
+from spiral.view.report.evidence import rounds
+from spiral.view.report.style import pretty, scaled, words
+from spiral.view.terminal.shell import option_lines
+
+Saved = Mapping[str, Any]
+
+_SHORT = 5120  # samples under which a test has few blocks
+_NO_CURVES = (
+    "This run kept no curves (a sweep's job, or curves=false), so the figures of series are left "
+    "out; spiral compare run=ID makes a run that has them."
+)
+
+BEFORE = (
+    "Predicted freely from the first moments (grey, not scored); nothing is looked at afterwards. "
+    "Dotted: the noise, ±1.96 standard deviations."
+)
+WHERE = (
+    "Energy of the free-run error over that of the noise; a right model leaves it dark. Right: "
+    "sampled anew at equal angles, so that what turns with the rotor is a level line."
+)
+WHEN = "Energy of the free-run error over that of the noise; a right model leaves it dark."
+AMPLITUDE = "Root mean square of the error in units of the noise; a perfect model lies at 1."
+FORCE = (
+    "All that a model does not explain, as a force: a random walk estimated with the states by a "
+    "smoother, with its 95 % band. Diagnosis and remedy share one unit."
+)
+SURFACE = (
+    "Mean of the missing force in bins of each state, and the middle half of its values. A curve "
+    "with a shape names the state; a level one says that this state does not matter."
+)
+FALLING = "Free-run errors, round by round, on a logarithmic scale; the test record chose nothing."
+UNKNOWN = (
+    "A force that no effect with a name explains, against the state it follows: the line is what "
+    "is left of it beside the model's own effects, the band holds the whole curve with 95 %. Bars "
+    "show how often each value was visited."
+)
+EVIDENCE = (
+    "Bars in orange cannot be told from the effect admitted, on this record. p is the larger of "
+    "the classical value and the robust one."
+)
+COEFFICIENTS = "Standard errors are of samples that did not select the effects."
+FREE = BEFORE
+ORBIT = "The turns of largest motion; dots mark the passing of the once-per-turn mark."
+BODE = (
+    "Least squares over slices of four turns. The lag is that of the peak behind the rotor's mark, "
+    "growing downwards: a rotor passes 90° more of it at a critical speed. Run-out is subtracted "
+    "only where the record says so (record.slow_roll)."
+)
+WATERFALL = "Each line is the spectrum of one slice, raised to its speed; dotted: orders 1 to 3."
+WHIRL = "Spectrum of x + i y, forward in the sense of rotation to the right."
+CORRELATION = "Dotted: the 95 % bounds of a white residual."
+HIDDEN = "Smoothed with the final model and what it lacks, and their 95 % bands."
+CAMPBELL = "Eigenvalues of the final model at rest, phase zero; dotted: orders 1 and 2."
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], right: Sequence[str] = ()) -> str:
+    """An HTML table; columns named in ``right`` are numbers."""
+    kind = [' class="n"' if c in right else "" for c in columns]
+    head = "".join(f"<th{k}>{escape(c)}</th>" for c, k in zip(columns, kind, strict=True))
+    body = "".join(
+        "<tr>"
+        + "".join(f"<td{k}>{escape(str(v))}</td>" for v, k in zip(row, kind, strict=True))
+        + "</tr>"
+        for row in rows
+    )
+    return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
+
+
+def header(saved: Saved, curves: Curves | None) -> str:
+    """What was found, in a headline and a sentence."""
+    result, config = saved["result"], saved["config"]
+    what = config.get("experiment") or (config.get("system") or {}).get("name") or ""
+    return (
+        f'<p class="kind">spiral {escape(saved["verb"])} · {escape(str(what))} · '
+        f"{escape(saved['created'][:16].replace('T', ' '))} UTC</p>"
+        f"<h1>{escape(_headline(result))}</h1>"
+        f'<p class="lead">{escape(_outcome(result))}</p>'
+    )
+
+
+def _headline(result: Mapping[str, Any]) -> str:
+    admitted = [e for r in rounds(result) for e in r.get("admitted", ())]
+    found = result.get("missing", admitted)  # runs of older versions name what they admitted
+    if found:
+        return f"Missing: {', '.join(map(words, found))}"
+    verdicts = {
+        "effect_missing": "An effect is missing",
+        "nothing_missing": "Nothing is missing",
+        "not_identifiable": "This record cannot tell",
+        "unknown_structure": "Something is missing that no known effect explains",
+    }
+    return verdicts.get(str(result.get("verdict")), "The model against measurements")
+
+
+def _outcome(result: Mapping[str, Any]) -> str:
+    done = rounds(result)
+    if result.get("summary"):
+        return f"{result['summary']} {result.get('advice') or ''}".strip()
+    if not done:
+        return str(result.get("advice", ""))
+    first, last = done[0]["test_error"], done[-1]["test_error"]
+    words = f"Free-run error {percent(last)}"
+    if len(done) > 1:
+        words = f"The free-run error on the test record falls from {percent(first)} to "
+        words += percent(last)
+    floor = result.get("noise_floor") or (result.get("comparison") or {}).get("noise_floor")
+    if floor is not None:
+        words += f"; the noise alone makes {percent(floor)}"
+    return f"{words}. {result.get('advice') or ''}".strip()
+
+
+def data(saved: Saved) -> str:
+    """The records, and what was done to them."""
+    rows = [
+        (part, r["name"], r["samples"], f"{r['samples'] / r['rate']:.4g}", f"{r['rate']:.6g}")
+        for part, records in saved["data"].items()
+        for r in records
+    ]
+    columns = ("part", "record", "samples", "length (s)", "rate (Hz)")
+    rows = [("fitted" if p == "records" else p, *rest) for p, *rest in rows]
+    return "<h2>The data</h2>" + table(columns, rows, columns[2:])
+
+
+def sentences(curves: Curves | None) -> str:
+    """Where the model failed, and where the final one still does."""
+    if curves is None:
+        return f'<p class="note">{escape(_NO_CURVES)}</p>'
+    models = {m: a for m, a in curves.meta["models"].items() if "where" in a}
+    words = []
+    for name, about in models.items():
+        said = about["where"]["sentence"]
+        if len(models) > 1:
+            said = ("Before: " if name == SEED else "Now: ") + said
+        words.append(f'<p class="sentence">{escape(said)}</p>')
+    return "".join(words)
+
+
+def suggested(saved: Saved) -> str:
+    """Rounds and what they admitted, or the ranked suggestions of a diagnosis."""
+    result = saved["result"]
+    done = rounds(result)
+    if len(done) > 1:
+        columns = ("round", "added", "fit error", "test error", "chi2/dof", "whiteness p")
+        rows = [
+            (r["round"], ", ".join(r["admitted"]) or "the seed", percent(r["fit_error"]),
+             percent(r["test_error"]), number(r["chi2_per_dof"]), probability(r["whiteness_p"]))
+            for r in done
+        ]  # fmt: skip
+        return table(columns, rows, columns[2:])
+    if not result.get("suggestions"):
+        return ""
+    columns = ("effect", "meaning", "explains", "p", "test error with it")
+    rows = [
+        (s["effect"], s["meaning"], percent(s["explains"]), probability(s["p_value"]),
+         percent(s.get("test_error_after")))
+        for s in result["suggestions"]
+    ]  # fmt: skip
+    return table(columns, rows, columns[2:])
+
+
+def model(saved: Saved, curves: Curves | None) -> str:
+    """The equation and the table of its parameters."""
+    return coefficients_table(saved["result"], () if curves is None else curves.meta["mathml"])
+
+
+def coefficients_table(result: Mapping[str, Any], mathml: Sequence[Mapping[str, Any]] = ()) -> str:
+    """Every parameter with its standard error, under the equation where there is one."""
+    rows = [
+        (words(r["effect"]), words(r["parameter"]), plus_minus(r["estimate"], r.get("se")),
+         _ratio(r.get("t")), pretty(r["unit"] or "1") or "1")
+        for r in estimate_rows(result)
+    ]  # fmt: skip
+    columns = ("effect", "parameter", "estimate ± se", "t", "unit")
+    shown = _equation(mathml) if mathml else ""
+    return shown + (table(columns, rows, columns[2:4]) if rows else "")
+
+
+def _ratio(t: float | None) -> str:
+    """An estimate over its standard error: ``1220``, ``-3.41``."""
+    if t is None:
+        return "given"
+    return f"{t:.0f}" if 100 <= abs(t) < 1e6 else number(t, 3)
+
+
+def _equation(found: Sequence[Mapping[str, Any]]) -> str:
+    rows = []
+    for item in found:
+        for index, term in enumerate(item["terms"]):
+            left = f"<math><mrow>{item['left']}<mo>=</mo></mrow></math>" if index == 0 else ""
+            body = f'<math display="inline"><mrow>{term["math"]}</mrow></math>'
+            rows.append(
+                f"<tr><td>{left}</td><td>{body}</td>"
+                f'<td class="owner">{escape(words(term["owner"]))}</td></tr>'
+            )
+    return f'<div class="wide"><table class="equation">{"".join(rows)}</table></div>'
+
+
+def sized(value: float | None, unit: str) -> str:
+    """``20.04 µm`` for 2.004e-5 m."""
+    if value is None:
+        return "not finite"
+    factor, name = scaled(unit, np.array([value]))
+    return f"{number(factor * value)} {name}".strip()
+
+
+def errors(saved: Saved, curves: Curves | None) -> str:
+    """Errors of each channel on the test record, in its unit where the curves know it."""
+    result = saved["result"]
+    last = result.get("test") or result.get("channels")
+    last = last or (result.get("comparison") or result.get("after") or {}).get("channels") or {}
+    units = {} if curves is None else {c["name"]: c["unit"] for c in curves.meta["channels"]}
+    rows = [
+        (name, sized(v["rmse"], units.get(name, "")), percent(v["relative"]))
+        for name, v in last.items()
+    ]
+    columns = ("channel", "rms error", "of its deviation")
+    return table(columns, rows, columns[1:]) if rows else ""
+
+
+def caveats(saved: Saved, curves: Curves | None) -> str:
+    """All that a reader should hold against the result."""
+    result = saved["result"]
+    found = [words for r in rounds(result) for words in _of_a_round(r)]
+    found += [
+        f"{s['effect']} cannot be told from {', '.join(s['aliases'])}."
+        for s in result.get("suggestions", ())
+        if s.get("aliases")
+    ]
+    found += [f"Alike on this record: {', '.join(g)}." for g in result.get("alias_groups", ())]
+    if result.get("verdict") == "not_identifiable" or result.get("stopped") == "diverged":
+        found.append(f"Refused ({result.get('stopped') or result['verdict']}): {result['advice']}")
+    found += _of_the_data(saved)
+    if curves is None:
+        found.append(_NO_CURVES)
+    if not found:
+        found = ["None: no alias, no refusal, no short record, nothing changed in the data."]
+    return "".join(f'<p class="note">{escape(words)}</p>' for words in dict.fromkeys(found))
+
+
+def _of_a_round(r: Saved) -> list[str]:
+    found = [
+        f"{effect} cannot be told from {', '.join(others)} on this record."
+        for effect, others in (r.get("aliases") or {}).items()
+        if others
+    ]
+    found += [
+        f"Round {r['round']}: {effect} was refused: {reason}."
+        for effect, reason in (r.get("rejected") or {}).items()
+    ]
+    found += [
+        f"Round {r['round']}: {effect} was let go, superfluous beside the others."
+        for effect in r.get("retired", ())
+    ]
+    if r.get("second_order"):
+        found.append(
+            f"{', '.join(r['admitted'])} is of second order: it may stand for the remainder of an "
+            "effect transmitted by a hidden state."
+        )
+    return found
+
+
+def _of_the_data(saved: Saved) -> list[str]:
+    found = []
+    for records in saved["data"].values():
+        for r in records:
+            file = r["name"].split(" (last ")[0]  # the part kept apart was read as the rest was
+            found += [n if n.startswith(f"{file}:") else f"{file}: {n}" for n in r.get("notes", ())]
+            if r["samples"] < _SHORT:
+                found.append(f"{r['name']} is short ({r['samples']} samples): its tests rest on "
+                             f"few blocks.")  # fmt: skip
+    if not saved["data"].get("test"):
+        found.append("There is no test record: the errors are of the data that were fitted.")
+    return found
+
+
+def reproduce(saved: Saved) -> str:
+    """The command, the versions, the hashes of the data."""
+    given = option_lines(saved.get("overrides", ()))
+    # The effects of ``add`` come before its overrides.
+    names = [e for r in rounds(saved["result"]) for e in r.get("admitted", ())]
+    named = " " + " ".join(names) if saved["verb"] == "add" else ""
+    hashes = [
+        (part, r["name"], r["sha256"]) for part, group in saved["data"].items() for r in group
+    ]
+    used = {saved["model"]["system"]["name"], *(e["name"] for e in saved["model"]["effects"])}
+    plugins = [(k, v) for k, v in saved["plugins"].items() if k.split("/")[-1] in used]
+    return (
+        f"<pre>spiral {escape(saved['verb'])}{escape(named)}{escape(given)}</pre>"
+        + table(("part", "record", "SHA-256 of its numbers"), hashes)
+        + table(("plugin", "from"), plugins)
+        + f"<p>Run <code>{escape(saved['run_id'])}</code>; the composed configuration is in its "
+        "run.json.</p>"
+    )

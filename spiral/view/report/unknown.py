@@ -1,0 +1,47 @@
+"""The curve of a force that no effect with a name explains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spiral.view.report.style import BLUE, GREY, SKY, blank, scaled, titled
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+
+def curves(result: Mapping[str, Any]) -> go.Figure | None:
+    """Force against state with its simultaneous 95 % band, one panel for each axis."""
+    found = result.get("unknown")
+    if not found:
+        return None
+    panels = found["curves"]
+    what = "flow" if str(found.get("sentence")).startswith("A flow") else "force"
+    figure = blank(1, len(panels), 430, horizontal_spacing=0.12)
+    wide, state_unit = scaled(found["state_unit"], *(np.array(c["at"]) for c in panels))
+    high, force_unit = scaled(found["force_unit"], *(np.array(c["force"]) for c in panels))
+    for column, c in enumerate(panels, 1):
+        shown = column == 1
+        at, force, band = wide * np.array(c["at"]), high * np.array(c["force"]), np.array(c["band"])
+        top, low = force + high * band, force - high * band
+        size = 0.25 * (top.max() - low.min()) / max(c["visited"])
+        figure.add_bar(
+            x=at, y=[size * v for v in c["visited"]], base=low.min(), marker_color=GREY,
+            opacity=0.35, name="visited", showlegend=shown, hoverinfo="skip", row=1, col=column,
+        )  # fmt: skip
+        figure.add_scatter(
+            x=[*at, *at[::-1]], y=[*top, *low[::-1]], fill="toself", fillcolor=SKY,
+            opacity=0.35, line={"width": 0}, name="95 % band", showlegend=shown, hoverinfo="skip",
+            row=1, col=column,
+        )  # fmt: skip
+        figure.add_scatter(
+            x=at, y=force, name=what, line={"color": BLUE, "width": 3},
+            showlegend=shown, row=1, col=column,
+        )  # fmt: skip
+        name = c["state"].replace("_rate", "'")
+        figure.update_xaxes(title_text=titled(name, state_unit), row=1, col=column)
+    figure.update_yaxes(title_text=titled(what, force_unit), row=1, col=1)
+    return figure

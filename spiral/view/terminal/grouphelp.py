@@ -1,0 +1,118 @@
+"""Help that names the plugins: ``spiral VERB --help`` and ``spiral VERB --help GROUP|NAME``.
+
+Only this help loads the registry; a plugin that fails to import is a line of it.
+"""
+
+from __future__ import annotations
+
+import shutil
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from spiral.types.errors import ConfigError, SpiralError, did_you_mean
+
+if TYPE_CHECKING:
+    from spiral.io.registry import Entry, Registry
+
+GROUPS = {"system": "system", "record": "source", "test": "source", "effect": "effect"}
+"""Group as it is typed -> kind of plugin; other kinds are groups of their own name."""
+
+_SHIPPED = "spiral-po"
+
+
+def groups_help(plugins: str | None, words: Sequence[str] = ()) -> str:
+    """Every group with its options; for each of ``words`` the fields of a group or a plugin.
+
+    Raises
+    ------
+    ConfigError : a word is neither.
+    """
+    from spiral.io.config import experiments
+    from spiral.io.registry import load_registry
+
+    try:
+        registry = load_registry(plugins)
+    except SpiralError as error:
+        return f"options of each group: not known, {error.given} (expected: {error.expected})"
+    if words:
+        return "\n\n".join(_asked(word.partition("=")[2] or word, registry) for word in words)
+    lines = ["options of each group (-m sweeps over them: system=a,b):"]
+    for group, kind in _groups(registry).items():
+        lines += _wrapped(f"{group}=", registry.names(kind))
+    lines += _wrapped("experiment=", experiments())
+    lines += _failed(registry)
+    return "\n".join([*lines, "", "--help GROUP or --help NAME tells meanings and fields"])
+
+
+def _groups(registry: Registry) -> dict[str, str]:
+    own = {kind: kind for kind in registry.kinds if kind not in GROUPS.values()}
+    return {**{g: k for g, k in GROUPS.items() if k in registry.kinds}, **own}
+
+
+def _asked(word: str, registry: Registry) -> str:
+    groups = _groups(registry)
+    if word in groups:
+        entries = [e for e in registry.entries if e.kind == groups[word]]
+        width = max(len(e.name) for e in entries)
+        listed = [line for e in entries for line in _listed(e, width)]
+        return "\n".join([f"{word}=", *listed, *_failed(registry)])
+    found = [e for e in registry.entries if e.name == word]
+    if not found:
+        known = [*groups, *(e.name for e in registry.entries)]
+        expected = f"a group ({', '.join(groups)}) or a plugin's name"
+        raise ConfigError(f"--help {word}", expected, did_you_mean(word, known))
+    by_kind = {kind: group for group, kind in reversed(groups.items())}
+    return "\n".join(line for e in found for line in _described(e, by_kind[e.kind]))
+
+
+def _listed(entry: Entry, width: int) -> list[str]:
+    """A plugin in a group: its meaning, and the names of its fields."""
+    lines = _filled(_meaning(entry), f"  {entry.name:<{width}}  ")
+    fields = ", ".join(_fields(entry))
+    return lines + (_filled(f"fields: {fields}", " " * (width + 4)) if fields else [])
+
+
+def _described(entry: Entry, group: str) -> list[str]:
+    """A plugin by itself: its meaning, its fields with their usual values, its parameters."""
+    lines = [f"{group}={entry.name}", *_filled(_meaning(entry), "  ")]
+    key = f"effect.{entry.name}" if group == "effect" else group
+    for name, value in _fields(entry).items():
+        shown = "null" if value is None else repr(value)
+        lines += _filled(f"{key}.{name}={shown}", "    ")
+    parameters = getattr(entry.plugin, "parameters", ())
+    if parameters and isinstance(parameters, tuple):
+        named = ", ".join(f"{p.name} ({p.unit or '1'})" for p in parameters)
+        lines += _filled(f"parameters: {named}", "    ")
+    return lines
+
+
+def _meaning(entry: Entry) -> str:
+    own = "" if entry.origin == _SHIPPED else f" [{entry.origin} {entry.version}]"
+    return f"{entry.plugin.meaning()}{own}"
+
+
+def _fields(entry: Entry) -> dict[str, Any]:
+    from spiral.types.fields import defaults_of
+
+    return {k: v for k, v in defaults_of(entry.plugin).items() if k != "variant"}
+
+
+def _failed(registry: Registry) -> list[str]:
+    return [
+        line
+        for f in registry.failures
+        for line in _filled(f"not usable: {f.name} in {f.file}: {f.message}", "  ")
+    ]
+
+
+def _wrapped(key: str, names: Sequence[str]) -> list[str]:
+    return _filled(", ".join(names), f"  {key:<12}")
+
+
+def _filled(text: str, first: str) -> list[str]:
+    width = max(40, min(shutil.get_terminal_size().columns, 110) - 2)
+    return textwrap.wrap(
+        text, width, initial_indent=first, subsequent_indent=" " * len(first),
+        break_long_words=False, break_on_hyphens=False,
+    ) or [first]  # fmt: skip

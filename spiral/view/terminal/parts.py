@@ -1,0 +1,126 @@
+"""Parts of what a person sees: progress, numbers with their errors, headings, tables, commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from spiral.types.formatting import number, percent, plus_minus
+from spiral.view.terminal.shell import spoken
+
+if TYPE_CHECKING:
+    from spiral.io.request import Outcome, Request
+    from spiral.types.run import Round
+
+Tell = Callable[[str], None]
+
+_PREVIEWED = 4  # records whose numbers are shown
+
+
+@contextmanager
+def progress() -> Iterator[Tell]:
+    """A line on standard error that says what is being done; lines of a log off a terminal."""
+    console = Console(stderr=True, highlight=False)
+    if not console.is_terminal:
+        yield lambda message: console.print(message, style="dim", soft_wrap=True, markup=False)
+        return
+    with console.status("starting") as status:
+
+        def tell(message: str) -> None:
+            if message.startswith("round "):
+                console.print(message, markup=False)
+            else:
+                status.update(escape(message))
+
+        yield tell
+
+
+def round_line(found: Round, tell: Tell) -> None:
+    """One line about a round that has just ended."""
+    c = found.comparison
+    what = "+ " + ", ".join(found.admitted) if found.admitted else "the seed"
+    errors = f"test error {percent(c.test_error)}, chi2/dof {number(c.chi2_per_dof)}"
+    tell(f"round {found.number}: {what}: {errors}, {found.seconds:.1f} s")
+
+
+def heading(console: Console, text: str) -> None:
+    """An empty line, then a heading."""
+    console.print()
+    console.print(Text(text, style="bold"))
+
+
+def ruled(*columns: str, right: Sequence[str] = ()) -> Table:
+    """A table without a frame; numbers, in columns named ``right``, are never wrapped."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    for name in columns:
+        justify = "right" if name in right else "left"
+        table.add_column(name, justify=justify, no_wrap=name in right, overflow="fold")
+    return table
+
+
+def about(console: Console, outcome: Outcome, numbers: bool = False) -> None:
+    """The records and what was done to them, each note once; with numbers, their series too."""
+    from spiral.view.terminal.preview import described
+
+    told: set[str] = set()
+    for shown, record in enumerate(described(outcome.parts["problem"])):
+        length = record["samples"] / record["rate"]
+        words = f"{record['samples']} samples, {length:.4g} s, {record['rate']:.6g} Hz"
+        console.print(Text(f"{record['part']:<5}{record['name']}: {words}", "dim"))
+        for note in (n for n in record["notes"] if n not in told):
+            console.print(Text(f"     note: {note}", style="yellow"))
+        told.update(record["notes"])
+        if numbers and shown < _PREVIEWED:
+            console.print(_series(record["series"]))
+
+
+def _series(rows: list[dict[str, Any]]) -> Table:
+    columns = ["", "lowest", "highest", "deviation", "noise"]
+    table = ruled(*columns, "unit", right=columns[1:])
+    for row in rows:
+        name = row["name"] + (" (derived)" if row["kind"] == "derived" else "")
+        noise = number(row.get("noise"), 3) + (" declared" if row.get("noise_declared") else "")
+        extent = (number(row[c]) for c in columns[1:4])
+        table.add_row(name, *extent, noise, row["unit"] or "1")
+    return table
+
+
+def next_steps(console: Console, *commands: tuple[str, str]) -> None:
+    """Commands that a person may type next, and what each is for."""
+    heading(console, "Next")
+    for command, meaning in commands:
+        console.print(Text(f"  {command}", style="cyan"), soft_wrap=True)
+        console.print(Text(f"      {meaning}", style="dim"))
+
+
+def command(verb: str, request: Request, names: Sequence[str] = ()) -> str:
+    """A command line with the overrides of a request, quoted for a shell."""
+    plugins = ["--plugins", request.plugins] if request.plugins else []
+    return spoken("spiral", verb, *names, *request.overrides, *plugins)
+
+
+def warn_unconverged(console: Console, outcome: Outcome) -> None:
+    """What went wrong, where an outcome says so."""
+    error = outcome.result.get("error")
+    if error:
+        console.print()
+        for word in ("given", "expected", "try"):
+            console.print(Text(f"{word + ':':<10}{error[word]}", style="yellow"))
+
+
+def parameter_table(model: Any) -> Table:
+    """Every parameter of a model: estimate with standard error, t, unit."""
+    table = ruled("effect", "parameter", "estimate ± se", "t", "unit", right=["estimate ± se", "t"])
+    for owner, parameters in model.estimates().items():
+        for index, (name, found) in enumerate(parameters.items()):
+            value = plus_minus(found.estimate, found.se)
+            t = number(found.t, 3) if found.t is not None else "given"
+            table.add_row(owner if index == 0 else "", name, value, t, found.unit or "1")
+    return table
