@@ -1,3 +1,101 @@
-"""spiral: find the physics that a model is missing."""
+"""spiral: find the physics that a model is missing.
+
+    import spiral
+
+    record = spiral.read("bench.csv", "oscillator", time="t", units={"x": "mm"})
+    run = spiral.discover(record, "oscillator")
+    run.verdict, run.advice, run.estimates()
+    spiral.plot.error_falling(run)
+
+Everything heavy is imported where it is used first: ``import spiral`` takes a few milliseconds.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from spiral.former_names import accept
+
+if TYPE_CHECKING:
+    from spiral.api import (
+        add,
+        compare,
+        diagnose,
+        discover,
+        estimate,
+        export,
+        identify,
+        load,
+        plan,
+        read,
+        report,
+        simulate,
+    )
+    from spiral.io.registry import Registry
+    from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
+    from spiral.types.model import Model
+    from spiral.types.parameter import Input, Parameter, State
+    from spiral.types.port import Port
+    from spiral.types.record import Record
+    from spiral.types.run import Run
+    from spiral.types.system import MechanicalSystem, System
+    from spiral.view import plot
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Effect",
+    "FlowEffect",
+    "ForceEffect",
+    "Input",
+    "MechanicalSystem",
+    "Model",
+    "Parameter",
+    "Port",
+    "Record",
+    "Registry",
+    "Run",
+    "SensorEffect",
+    "State",
+    "System",
+    "add",
+    "compare",
+    "diagnose",
+    "discover",
+    "estimate",
+    "export",
+    "identify",
+    "load",
+    "plan",
+    "plot",
+    "read",
+    "report",
+    "simulate",
+]
+
+_HOMES = {
+    **dict.fromkeys(("Effect", "FlowEffect", "ForceEffect", "SensorEffect"), "types.effect"),
+    **dict.fromkeys(("Input", "Parameter", "State"), "types.parameter"),
+    **dict.fromkeys(("MechanicalSystem", "System"), "types.system"),
+    "Model": "types.model",
+    "Port": "types.port",
+    "Record": "types.record",
+    "Registry": "io.registry",
+    "Run": "types.run",
+}
+"""Where the types are defined; the functions are in ``spiral.api``."""
+
+accept()
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'spiral' has no attribute {name!r}")
+    if name == "plot":
+        return import_module("spiral.view.plot")
+    return getattr(import_module(f"spiral.{_HOMES.get(name, 'api')}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,4 +1,4 @@
-"""The verbs that fit (discover, compare, diagnose, add) and simulate: a study in, an outcome out."""
+"""The verbs that fit (discover, compare, diagnose, add) and simulate: a study in, an answer out."""
 
 from __future__ import annotations
 

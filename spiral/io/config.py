@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from spiral.inference.plan_options import Wishes
 from spiral.inference.problem import Problem, Sampling, Settings
-from spiral.io import custom
+from spiral.io import custom, question
 from spiral.io.overrides import Assignment, parse, set_value
-from spiral.io.paper_options import gate_chain, gate_fields, with_published, with_strategy
+from spiral.io.paper_options import gate_fields, with_strategy
 from spiral.io.registry import Registry
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.fields import by_name, construct, defaults_of, field_names, is_open, plain
@@ -33,13 +33,7 @@ GROUPS = {
     "library": "library",
 }
 # Of groups that runs saved before them lack.
-USUAL = {
-    "derivative": "total_variation",
-    "observer": "ekf",
-    "learner": "tanh_network",
-    "library": "paper",
-}
-STRATEGIES = ("shooting", "paper", "innovation")
+USUAL = {**question.USUAL, "observer": "ekf"}
 PACKAGE = "spiral_conf"
 _TEST_SEED_FIELDS = ("name", "settle")
 
@@ -115,12 +109,7 @@ def options(config: Config) -> Options:
     """The top-level values, checked."""
     given = {k: config[k] for k in field_names(Options) if k in config}
     found = construct(Options, given, "")
-    if found.strategy not in STRATEGIES:
-        raise ConfigError(
-            f"strategy={found.strategy}",
-            f"one of {', '.join(STRATEGIES)}",
-            did_you_mean(found.strategy, STRATEGIES),
-        )
+    question.check_strategy(found.strategy)
     if not 0.02 <= found.holdout <= 0.9:
         raise ConfigError(f"holdout={found.holdout:g}", "a share between 0.02 and 0.9")
     return found
@@ -212,46 +201,22 @@ def build_model(config: Config, registry: Registry) -> Any:
     return with_defaults(Model(system, effects, values=values, freed=free, fixed=fixed))
 
 
-def build_candidates(config: Config, registry: Registry, model: Any) -> tuple[Any, ...]:
-    """Effects that may be missing: those named, or all that fit, less those of the model."""
-    from spiral.types.placement import check_effect
-
-    registry, named = custom.bound(config, registry), options(config).candidates
-    if named is None:
-        found = registry.candidates(model.system)
-    else:
-        found = tuple(registry.effect_from_label(label) for label in dict.fromkeys(named))
-        for effect in found:
-            check_effect(model.system, effect)
-    return tuple(e for e in found if e.label not in model.labels)
-
-
 def build_problem(config: Config, registry: Registry) -> Problem:
     """The question of a study: its model, with the records loaded and the test kept apart."""
-    from spiral.types.record import split_off_test
-
-    levels = settings(config)
-    settle = config["test"].get("settle")
-    if settle is not None and not (isinstance(settle, int | float) and settle >= 0):
-        raise ConfigError(f"test.settle={settle!r}", "seconds, zero or above")
+    chosen, levels = options(config), settings(config)
     model = build_model(config, registry)
-    strategy = options(config).strategy
-    candidates = build_candidates(config, registry, model) if strategy != "paper" else ()
     record, test_source = build_sources(config, registry)
     records = record.load(model.system)
-    if test_source is not None:
-        test = test_source.load(model.system)
-    else:
-        pairs = [split_off_test(r, options(config).holdout) for r in records]
-        records, test = tuple(f for f, _ in pairs), tuple(t for _, t in pairs)
-    problem = Problem(model, records, test, settle, candidates, levels)
-    if strategy == "innovation":
-        return replace(problem, innovation=gate_chain(config["gate"], registry))
-    if strategy == "shooting":
-        return replace(problem, dictionary=registry.dictionary(model.system))
-    parts = {g: _plugin(g, config, registry) for g in ("derivative", "learner", "library")}
-    named = options(config).candidates
-    return with_published(problem, parts, config["gate"], config["paper"], named, registry)
+    test = None if test_source is None else test_source.load(model.system)
+    parts = {}
+    if chosen.strategy == "paper":
+        parts = {g: _plugin(g, config, registry) for g in ("derivative", "learner", "library")}
+    return question.put(
+        custom.bound(config, registry), model, records, test,
+        holdout=chosen.holdout, settle=config["test"].get("settle"), candidates=chosen.candidates,
+        settings=levels, strategy=chosen.strategy, parts=parts, gates=config["gate"],
+        paper=config["paper"],
+    )  # fmt: skip
 
 
 def _preset(items: Iterable[Assignment]) -> str | None:

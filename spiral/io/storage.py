@@ -126,8 +126,29 @@ def save_result(
     ------
     InputError : the folder cannot be written.
     """
+    content = content_of(verb, result, model, config, records, registry, overrides)
+    run_id = content["run_id"]
+    target = Path(folder).expanduser() / run_id / FILE
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(target, to_json(content))
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    return run_id
+
+
+def content_of(
+    verb: str,
+    result: Mapping[str, Any],
+    model: Model,
+    config: Mapping[str, Any],
+    records: Mapping[str, Sequence[Record]],
+    registry: Registry,
+    overrides: Sequence[str] = (),
+) -> dict[str, Any]:
+    """All that is saved of a run, as plain data."""
     run_id = str(result.get("run_id") or new_run_id())
-    content = {
+    return {
         "format": FORMAT,
         "run_id": run_id,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -140,13 +161,6 @@ def save_result(
         "model": model_data(model),
         "result": {**result, "run_id": run_id},
     }
-    target = Path(folder).expanduser() / run_id / FILE
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(target, to_json(content))
-    except OSError as error:
-        raise unwritable(folder, error) from error
-    return run_id
 
 
 def unwritable(folder: str | os.PathLike[str], error: OSError) -> InputError:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from spiral.types.formatting import number, percent
 from spiral.types.model import Estimate, Model
 
 Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unknown_structure"]
@@ -207,11 +208,12 @@ class Round:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """The frozen history of a study: tried, admitted, rejected, on which evidence.
 
     ``missing`` are the effects that the verdict names, ``summary`` says it with its figures.
+    ``question`` is the ``Problem`` that it answers, where it was put in this process.
     """
 
     verdict: Verdict
@@ -224,6 +226,41 @@ class Run:
     context: Mapping[str, Any] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
     summary: str = ""
+    question: Any = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        rows = [
+            f"  {n}  {added}: fit {fit}, test {test}, chi2/dof {chi2}"
+            for n, added, fit, test, chi2 in self._rows()
+        ]
+        name = f"Run {self.run_id}".strip()
+        return "\n".join(
+            [f"{name}: {self.verdict}", *rows, f"{self.summary} {self.advice}".strip()]
+        )
+
+    def _repr_markdown_(self) -> str:
+        """What a notebook shows: the verdict, and the errors round by round."""
+        head = "| round | added | fit error | test error | chi2/dof |"
+        lines = [f"| {' | '.join(map(str, row))} |" for row in self._rows()]
+        said = f"**{self.verdict}**. {self.summary} {self.advice}".strip()
+        return "\n".join([said, "", head, "|--:|:--|--:|--:|--:|", *lines])
+
+    def _rows(self) -> list[tuple[int, str, str, str, str]]:
+        """Of each round: number, what was added, fit and test error, chi2 per dof."""
+        rows = []
+        for r in self.rounds:
+            c = r.comparison
+            added = ", ".join(r.admitted) or ("the seed" if r.number == 0 else "nothing")
+            errors = percent(c.fit_error), percent(c.test_error), number(c.chi2_per_dof)
+            rows.append((r.number, added, *errors))
+        return rows
+
+    def estimates(self) -> Any:
+        """The final model's parameters as a pandas table: estimate, se, t, unit."""
+        import pandas as pd
+
+        table = pd.DataFrame(estimate_rows(self.as_dict()))
+        return table.set_index(["effect", "parameter"]) if len(table) else table
 
     @property
     def final(self) -> Comparison:

@@ -5,9 +5,10 @@ import json
 import pytest
 
 from spiral.cli import main
-from spiral.io.config import build_candidates, build_model, build_problem, compose
+from spiral.io.config import build_model, build_problem, compose, options
 from spiral.io.custom import bound
 from spiral.io.overrides import expand, parse
+from spiral.io.question import candidates_for
 from spiral.io.registry import load_registry
 from spiral.io.storage import load_run, model_data, model_from
 from spiral.types.errors import ConfigError
@@ -28,7 +29,9 @@ def composed(*more):
 
 def candidates(config):
     model = build_model(config, REGISTRY)
-    return [e.label for e in build_candidates(config, REGISTRY, model)]
+    return [
+        e.label for e in candidates_for(bound(config, REGISTRY), model, options(config).candidates)
+    ]
 
 
 def test_it_is_a_candidate_and_joins_the_model_where_it_is_named():

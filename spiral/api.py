@@ -1,0 +1,399 @@
+"""The main jobs as functions, for notebooks and programs: records and models in, results out.
+
+A plugin is meant by its name (``"oscillator"``), by its name with fields (``{"name": "oscillator",
+"position_unit": "V"}``), or as an object. Where a system stands, a fitted ``Model`` or a ``Run``
+may stand as well: its effects and values are where the next step begins.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from spiral.inference.problem import Problem, Progress, Settings, silent
+from spiral.io import question
+from spiral.io.registry import Registry, load_registry
+from spiral.types.effect import Effect
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.fields import construct
+from spiral.types.model import Model
+from spiral.types.record import Array, Record
+from spiral.types.run import Comparison, Diagnosis, Run
+from spiral.types.system import System
+
+if TYPE_CHECKING:
+    from spiral.inference.identifiability.identify import Identification
+    from spiral.inference.plan import Plan
+    from spiral.inference.reconstruction.estimate import Estimation
+
+Named = str | Mapping[str, Any]
+Physics = Named | System | Model | Run
+Records = Record | Sequence[Record]
+Plugins = str | Path | Registry | None
+
+
+# --- records -------------------------------------------------------------------------------------
+
+
+def read(
+    path: str | Path | Sequence[str], system: Physics, *, plugins: Plugins = None, **fields: Any
+) -> Any:
+    """A record from a file, or a tuple of records from several files of one machine.
+
+    Parameters
+    ----------
+    system : whose channels and inputs the columns are.
+    fields : as ``record.NAME`` on the command line: ``time`` or ``rate``, ``channels``, ``inputs``,
+        ``units``, ``rows``, ``noise``, ``offset``, ``resample``, ...
+
+    Raises
+    ------
+    SpiralError : a file or a column that cannot be used; it says what was given, what was expected,
+        and what to try.
+    """
+    registry = _registry(plugins)
+    several = not isinstance(path, str | Path)
+    given = {"path": [str(p) for p in path] if several else str(path), **fields}
+    records = registry.make("source", "file", given, "record").load(_system(system, registry))
+    return records if several or len(records) > 1 else records[0]
+
+
+def simulate(
+    system: Physics,
+    duration: float,
+    rate: float,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    values: Mapping[str, float] | None = None,
+    effects: Sequence[str | Effect] = (),
+    noise_level: float = 0.0,
+    seed: int = 0,
+    start: Mapping[str, float] | None = None,
+    plugins: Plugins = None,
+) -> Record:
+    """A record of a model: its motion under inputs, with white noise of known size.
+
+    Parameters
+    ----------
+    duration, rate : s, and samples per s.
+    inputs : input -> its samples in the system's unit, or a description such as
+        ``{"noise": 1.0, "band": [5, 60]}`` or ``{"sweep": [40, 0], "unit": "Hz"}``.
+    noise_level : share of each channel's standard deviation; ``seed`` draws it.
+
+    Raises
+    ------
+    ConfigError : a parameter without a value, an unknown input or state, a motion that runs away.
+    """
+    import numpy as np
+
+    from spiral.inference.excitation import excite
+    from spiral.inference.simulate import simulate as integrated
+
+    registry = _registry(plugins)
+    truth = _model(system, registry, effects, values)
+    time = np.arange(round(duration * rate)) / rate
+    drawn, noise = np.random.default_rng(seed).spawn(2)
+    known = {i.name: i for i in truth.system.inputs}
+    series: dict[str, Array] = {}
+    for name, wanted in (inputs or {}).items():
+        if name not in known:
+            raise ConfigError(
+                f"input {name!r}", f"one of {', '.join(known) or 'none'}", did_you_mean(name, known)
+            )
+        described = isinstance(wanted, Mapping)
+        series[name] = (
+            excite(name, wanted, time, known[name].unit, drawn)
+            if described
+            else np.broadcast_to(np.asarray(wanted, float), time.shape).copy()
+        )
+    return integrated(truth, time, series, noise_level, noise, start)
+
+
+# --- the main job --------------------------------------------------------------------------------
+
+
+def compare(record: Records, system: Physics, **choices: Any) -> Comparison:
+    """Fit a model as it is, and compare it with data that the fit never saw.
+
+    ``choices`` : as in ``discover``, candidates and strategy apart.
+    """
+    from spiral.inference.compare import compare as step
+
+    with _told(choices) as progress:
+        return step(_problem(record, system, choices), progress)
+
+
+def diagnose(record: Records, system: Physics, **choices: Any) -> Diagnosis:
+    """Say where a model fails, and rank what may be missing; ``choices`` as in ``discover``."""
+    from spiral.inference.diagnose import diagnose as step
+
+    with _told(choices) as progress:
+        return step(_problem(record, system, choices), progress)
+
+
+def discover(record: Records, system: Physics, **choices: Any) -> Run:
+    """Find what a model is missing, add it, and repeat until nothing passes the gates.
+
+    Parameters
+    ----------
+    record : one record, or several of one machine.
+    system : name, object, or a model or run to go on from.
+    choices :
+        ``effects`` beside the seed's, ``without`` effects of the seed, ``values`` by full name,
+        ``free`` and ``fixed`` parameters; ``test`` records, or the share ``holdout`` (0.2) that is
+        kept apart; ``settle`` seconds of the test that fix its nuisances; ``candidates`` (labels
+        or effects; left out, all that fit); ``strategy``; ``settings`` (fields of ``Settings``);
+        ``plugins`` (a folder, or a registry); ``progress`` (a function that is told in words).
+
+    Raises
+    ------
+    SpiralError : a choice that is unknown or cannot be.
+    """
+    from spiral.inference.discover import discover as loop
+
+    with _told(choices) as progress:
+        problem = _problem(record, system, choices)
+        return replace(loop(problem, progress), question=problem)
+
+
+def add(run: Run, *effects: str | Effect, **choices: Any) -> tuple[Comparison, Comparison, Run]:
+    """A run's model before and after effects of your choice, fitted to all samples.
+
+    ``choices`` : as in ``discover``; the records are the run's own.
+
+    Raises
+    ------
+    ConfigError : no effect, one that the model has, or a run whose records are not at hand.
+    """
+    from spiral.inference.discover import add as step
+
+    if not effects:
+        raise ConfigError("add without an effect", "spiral.add(run, EFFECT, ...)")
+    registry = _registry(choices.pop("plugins", None))
+    with _told(choices) as progress:
+        asked = _of(run)
+        problem = replace(asked, model=run.model)
+        wanted = tuple(registry.effect_from_label(e) if isinstance(e, str) else e for e in effects)
+        for effect in wanted:
+            if effect.label in problem.model.labels:
+                raise ConfigError(
+                    f"add {effect.label}, which the model has",
+                    f"an effect it has not; it has {', '.join(problem.model.labels)}",
+                )
+        before, after, made = step(problem, wanted, progress)
+        return before, after, replace(made, question=problem)
+
+
+# --- what else a record and a model tell ----------------------------------------------------------
+
+
+def estimate(
+    model: Physics, record: Records, observer: Named | Any = "ekf", **choices: Any
+) -> Estimation:
+    """Reconstruct all states, hidden ones too, with their uncertainty.
+
+    Parameters
+    ----------
+    observer : ``ekf``, ``ukf``, ... by name, with fields, or as an object.
+    """
+    from spiral.inference.reconstruction.estimate import estimate as step
+
+    registry = _registry(choices.pop("plugins", None))
+    with _told(choices) as progress:
+        _no_more(choices, "estimate")
+        known, records = _model(model, registry), _records(record)
+        chosen = _plugin("observer", observer, registry)
+        return step((known,) * len(records), records, chosen, progress)
+
+
+def identify(
+    record: Records, system: Physics, derivative: Named | Any = "total_variation", **choices: Any
+) -> Identification:
+    """Judge before any fit whether a record can tell the model's terms and candidates apart."""
+    from spiral.inference.identifiability.identify import identify as step
+
+    registry = _registry(choices.get("plugins"))
+    with _told(choices) as progress:
+        problem = _problem(record, system, choices)
+        return step(problem, _plugin("derivative", derivative, registry), progress)
+
+
+def plan(run: Run, *effects: str | Effect, plugins: Plugins = None, **wishes: Any) -> Plan:
+    """Find the test that tells effects apart, or reaches a wanted standard error.
+
+    Parameters
+    ----------
+    effects : two or more to tell apart; none where ``parameter`` is asked about.
+    wishes : what a test may vary (``durations``, ``rates``, ``speeds``, ``amplitudes``, ``bands``);
+        ``parameter`` and ``standard_error``; ``progress``.
+    """
+    from spiral.inference.plan import Wanted
+    from spiral.inference.plan import plan as step
+    from spiral.inference.plan_options import wishes_of
+    from spiral.inference.planned_tests import planned_tests, simulator
+
+    registry = _registry(plugins)
+    with _told(wishes) as progress:
+        chosen, problem = wishes_of(wishes), replace(_of(run), model=run.model)
+        wanted = tuple(registry.effect_from_label(e) if isinstance(e, str) else e for e in effects)
+        asked = Wanted(wanted, chosen.parameter or "", chosen.standard_error)
+        tests = planned_tests(problem, chosen)
+        return step(problem, asked, tests, simulator(problem, registry.simulation), progress)
+
+
+# --- results out ---------------------------------------------------------------------------------
+
+
+def report(run: Run, path: str | Path = "report.html") -> Path:
+    """Write the report of a run as one HTML file: figures, tables, caveats; returns its path."""
+    from spiral.io.storage import write_whole
+    from spiral.view.plot import curves_of, saved_form
+    from spiral.view.report.page import page
+
+    target = Path(path).expanduser()
+    html, _ = page(saved_form(run), curves_of(run))
+    write_whole(target, html)
+    return target
+
+
+def export(model: Model | Run, to: str = "text") -> str:
+    """A model as an equation: ``text`` in plain Unicode, or ``latex``."""
+    from spiral.io.export import equation, latex
+
+    kinds: dict[str, Callable[[Model], str]] = {"text": equation, "latex": latex}
+    if to not in kinds:
+        raise ConfigError(
+            f"export to {to!r}", f"one of {', '.join(kinds)}", did_you_mean(to, kinds)
+        )
+    return kinds[to](model.model if isinstance(model, Run) else model)
+
+
+def load(run: str = "latest", folder: str | Path = "runs", *, plugins: Plugins = None) -> Model:
+    """The final model of a run that the command line or the page has saved.
+
+    Parameters
+    ----------
+    run : ``latest``, its id, or the start of its id. folder : of saved runs.
+    """
+    from spiral.io.storage import load_run
+
+    return load_run(run, str(folder)).model(_registry(plugins))
+
+
+# --- arguments -----------------------------------------------------------------------------------
+
+
+_MODEL = ("effects", "values", "without", "free", "fixed")
+_ASKED = ("test", "holdout", "settle", "candidates", "strategy")
+
+
+def _problem(record: Records, physics: Physics, choices: dict[str, Any]) -> Problem:
+    """The question that a function's arguments amount to."""
+    registry = _registry(choices.pop("plugins", None))
+    own = {k: choices.pop(k) for k in _MODEL if k in choices}
+    asked = {k: choices.pop(k) for k in _ASKED if k in choices}
+    levels = choices.pop("settings", {})
+    _no_more(choices, "a study", (*_MODEL, *_ASKED, "settings", "plugins", "progress"))
+    settings = levels if isinstance(levels, Settings) else construct(Settings, levels, "settings")
+    test = asked.pop("test", None)
+    return question.put(
+        registry, _model(physics, registry, **own), _records(record),
+        None if test is None else _records(test), settings=settings, **asked,
+    )  # fmt: skip
+
+
+def _no_more(choices: Mapping[str, Any], what: str, known: Sequence[str] = ("plugins", "progress")
+             ) -> None:  # fmt: skip
+    for name in choices:
+        raise ConfigError(
+            f"{name}= of {what}", f"one of {', '.join(known)}", did_you_mean(name, known)
+        )
+
+
+def _registry(given: Plugins) -> Registry:
+    return given if isinstance(given, Registry) else load_registry(given)
+
+
+def _records(given: Records) -> tuple[Record, ...]:
+    return (given,) if isinstance(given, Record) else tuple(given)
+
+
+def _plugin(kind: str, given: Any, registry: Registry) -> Any:
+    """A plugin by name, by name with fields, or as the object that it is."""
+    if isinstance(given, str):
+        return registry.make(kind, given)
+    if isinstance(given, Mapping):
+        fields = {k: v for k, v in given.items() if k != "name"}
+        return registry.make(kind, str(given.get("name")), fields)
+    return given
+
+
+def _system(given: Physics, registry: Registry) -> System:
+    if isinstance(given, Run):
+        return given.model.system
+    return given.system if isinstance(given, Model) else _plugin("system", given, registry)
+
+
+def _model(
+    given: Physics,
+    registry: Registry,
+    effects: Sequence[str | Effect] = (),
+    values: Mapping[str, float] | None = None,
+    without: Sequence[str] = (),
+    free: Sequence[str] = (),
+    fixed: Sequence[str] = (),
+) -> Model:
+    """A model: a system's seed, or one that there is, with effects and values of the caller's."""
+    from spiral.inference.simulate import with_defaults
+    from spiral.types.model import seed_model
+
+    if isinstance(given, Run):
+        model = given.model
+    elif isinstance(given, Model):
+        model = given
+    else:
+        model = seed_model(_system(given, registry))
+    for label in without:
+        model = model.without(label)
+    for effect in effects:
+        model = model.add(registry.effect_from_label(effect) if isinstance(effect, str) else effect)
+    model = replace(
+        model,
+        values={**model.values, **(values or {})},
+        freed=(*model.freed, *free),
+        fixed=(*model.fixed, *fixed),
+    )
+    return with_defaults(model)
+
+
+def _of(run: Run) -> Problem:
+    """The question that a run answers.
+
+    Raises
+    ------
+    ConfigError : a run that was not made in this process.
+    """
+    if run.question is None:
+        raise ConfigError(
+            "a run without its records", "one that spiral.discover made here", "discover again"
+        )
+    return run.question
+
+
+@contextmanager
+def _told(choices: dict[str, Any]) -> Iterator[Progress]:
+    """Progress as the caller wants it: told to a function, drawn for a person, or silent."""
+    given = choices.pop("progress", None)
+    if given is not None:
+        yield given
+    elif sys.stderr.isatty() or "ipykernel" in sys.modules:
+        from spiral.view.terminal.parts import progress
+
+        with progress() as tell:
+            yield tell
+    else:
+        yield silent

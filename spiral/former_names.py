@@ -1,0 +1,82 @@
+"""Module names that plugin files written for version 0.1 import, and where they are now.
+
+Files of users keep working: ``from spiral.effect import ForceEffect`` gives the module
+``spiral.types.effect``. New files import from ``spiral`` itself.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+FORMER = {
+    **{
+        name: f"types.{name}"
+        for name in (
+            "derivative", "effect", "errors", "fields", "learner", "library", "model", "parameter",
+            "plugin", "port", "record", "source", "system", "units",
+        )
+    },
+    "trace": "physics.trace",
+    "projection": "physics.projection",
+    "learned": "physics.learned",
+    "leastsquares": "engine.leastsquares",
+    "gate": "engine.gate",
+    "observer": "engine.filter.observer",
+    "filtering": "engine.filter",
+    "excitation": "inference.excitation",
+    "reading": "io.readers",
+    "registry": "io.registry",
+    "testing": "io.testing",
+}  # fmt: skip
+"""Former name -> present one, both below ``spiral``; the modules of a package with it."""
+
+
+def present(name: str) -> str | None:
+    """The present full name of a module by its former one; nothing where it never moved."""
+    package, _, below = name.partition(".")
+    parts = below.split(".")
+    if package != "spiral" or parts[0] not in FORMER:
+        return None
+    return ".".join(("spiral", FORMER[parts[0]], *parts[1:]))
+
+
+class _Loader(Loader):
+    """Gives the module of one present name under a former one too; it runs only once."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.spec: ModuleSpec | None = None
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        module = importlib.import_module(self.name)
+        self.spec = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """It has run already; the import system has put the former name on it."""
+        module.__spec__ = self.spec
+
+
+class FormerNames(MetaPathFinder):
+    """Finds modules by their former names, before others look in the folder of a former package."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """A spec where the name is a former one."""
+        found = present(fullname)
+        if found is None or importlib.util.find_spec(found) is None:
+            return None
+        return ModuleSpec(fullname, _Loader(found))
+
+
+def accept() -> None:
+    """Accept former names in this process."""
+    if not any(isinstance(f, FormerNames) for f in sys.meta_path):
+        sys.meta_path.insert(0, FormerNames())

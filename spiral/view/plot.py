@@ -1,0 +1,106 @@
+"""Figures of a run, each a Plotly figure: ``spiral.plot.error_falling(run)``.
+
+They are the figures of the report and the page, drawn from the same numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from spiral.types.run import Run, estimate_rows
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+    from spiral.io.curves import Curves
+
+
+def error_falling(run: Run) -> go.Figure | None:
+    """Fit and test error over the rounds, with the noise floor; nothing where nothing was added."""
+    from spiral.view.report import evidence
+
+    return evidence.error_falling(_result(run))
+
+
+def candidates(run: Run) -> go.Figure | None:
+    """What each candidate would explain, round by round."""
+    from spiral.view.report import evidence
+
+    return evidence.candidates(_result(run))
+
+
+def coefficients(run: Run) -> go.Figure | None:
+    """Every coefficient of the final model with its interval."""
+    from spiral.view.report import evidence
+
+    return evidence.coefficients(estimate_rows(_result(run)))
+
+
+def unknown(run: Run) -> go.Figure | None:
+    """The curve of what no candidate explains, where there is one."""
+    from spiral.view.report import unknown as shape
+
+    return shape.curves(_result(run))
+
+
+def measured(run: Run) -> go.Figure | None:
+    """The final model's free run beside the test record."""
+    return figures(run).get("free_run") or figures(run).get("before")
+
+
+def figures(run: Run) -> dict[str, go.Figure]:
+    """Every figure that the run has what it takes for, by name, in the order of the report.
+
+    Those of series need the records: a run made by ``spiral.discover`` or ``spiral.add``. They are
+    computed once for a run.
+    """
+    from spiral.view.report.page import figures as drawn
+
+    return {shown.name: shown.figure for shown in drawn(saved_form(run), curves_of(run))}
+
+
+@lru_cache(maxsize=8)
+def _gathered(key: _Key) -> Curves:
+    from spiral.io.curves import FINAL, SEED, gather
+
+    run = key.run
+    done = [r.comparison for r in run.rounds]
+    compared = {SEED: done[0], FINAL: done[-1]} if len(done) > 1 else {FINAL: done[-1]}
+    return gather(run.question, compared)
+
+
+class _Key:
+    """A run as a key of its curves: the object, whatever it holds."""
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+
+    def __hash__(self) -> int:
+        return id(self.run)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and other.run is self.run
+
+
+def curves_of(run: Run) -> Curves | None:
+    """The series that figures need; nothing where the run's records are not at hand."""
+    return None if run.question is None else _gathered(_Key(run))
+
+
+def saved_form(run: Run) -> dict[str, Any]:
+    """A run as it would be saved, as plain data: what the report is drawn from."""
+    from spiral.io.registry import load_registry
+    from spiral.io.storage import content_of, finite
+
+    asked = run.question
+    data = {} if asked is None else {"records": asked.records, "test": asked.test}
+    saved = content_of("discover", run.as_dict(), run.model, {}, data, load_registry(None))
+    return finite(saved)
+
+
+def _result(run: Run) -> Mapping[str, Any]:
+    from spiral.io.storage import finite
+
+    return finite(run.as_dict())
