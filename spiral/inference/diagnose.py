@@ -14,9 +14,10 @@ from spiral.inference.evidence.judge import whole
 from spiral.inference.evidence.standing import Standing, all_samples, half_masks
 from spiral.inference.identifiability.parameters import entangled
 from spiral.inference.problem import Problem, Progress, silent
-from spiral.inference.strategies.innovation import INNOVATION
+from spiral.inference.rounds import strategy_for
+from spiral.inference.strategies.base import Strategy
 from spiral.inference.strategies.resolved import remembered
-from spiral.inference.strategies.shooting import curve_of
+from spiral.inference.strategies.shooting import SHOOTING, curve_of
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried
 from spiral.inference.verdict import advice_for, seed_verdict, verdict_sentence
@@ -33,8 +34,9 @@ def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
     The candidates are scored on one half of the blocks and judged on the other, as in a round of
     ``discover``; the comparison is of the model fitted to all samples.
     """
-    if problem.innovation is not None:
-        return _by_innovations(problem, progress)
+    strategy = strategy_for(problem)
+    if strategy is not SHOOTING:
+        return _by_a_round(strategy, problem, progress)
     progress("compiling the model and all candidates")
     assembly, standing = prepared(problem)
     tangle = entangled(assembly, standing)
@@ -67,17 +69,17 @@ def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
     return _diagnosis(assembly, standing, comparison, proposal, first, progress)
 
 
-def _by_innovations(problem: Problem, progress: Progress) -> Diagnosis:
-    """The verdict by the likelihood of a filter's innovations; one suggestion is tried out."""
-    begun = INNOVATION.begin(problem, progress)
+def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Diagnosis:
+    """The verdict of a first round of a strategy; what it would admit is tried out."""
+    begun = strategy.begin(problem, progress)
     comparison, standing = begun.comparison, begun.standing
-    step = INNOVATION.propose(begun.assembly, standing, comparison, 1, progress)
+    step = strategy.propose(begun.assembly, standing, comparison, 1, progress)
     first = Round(0, (), {}, {}, (), comparison, 0.0)
     settings = problem.settings
     verdict = seed_verdict(first, step.stopped, settings, bool(step.admitted))
     suggestions = () if verdict == "nothing_missing" else step.suggestions
     if step.admitted:
-        after = INNOVATION.settle(begun.assembly, step, progress).comparison.test_error
+        after = strategy.settle(begun.assembly, step, progress).comparison.test_error
         best, *others = step.suggestions
         best = replace(best, test_error_before=comparison.test_error, test_error_after=after)
         suggestions = (best, *others)

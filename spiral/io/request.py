@@ -47,13 +47,31 @@ def configured(request: Request, registry: Registry) -> Config:
     if not given.get("run"):
         config = compose(request.overrides, registry)
         tracking_of(config)  # refused before anything is computed
+        _refuse_unused(request, config)
         return config
     saved = load_run(str(given["run"]), str(given.get("out") or "runs"))
     base = saved.as_config()
     if request.verb == "simulate":
         base = _as_truth(base, registry)
     kept = tuple(o for o in request.overrides if not o.startswith("run="))
-    return {**compose(kept, registry, base), "run": saved.run_id}
+    config = {**compose(kept, registry, base), "run": saved.run_id}
+    _refuse_unused(request, config)
+    return config
+
+
+def _refuse_unused(request: Request, config: Config) -> None:
+    """Refuse options of another strategy than the one that is asked.
+
+    Raises
+    ------
+    ConfigError : an option that nobody would look at.
+    """
+    from spiral.io.overrides import parse
+    from spiral.io.question import check_used
+
+    for item in parse(request.overrides):
+        if item.path[0] != "derivative" or request.verb != "identify":
+            check_used(item.path[0], config["strategy"], item.text)
 
 
 def _as_truth(base: Config, registry: Registry) -> Config:

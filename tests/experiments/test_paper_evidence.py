@@ -9,8 +9,9 @@ from experiments.side_by_side import lines
 from spiral.commands.perform import perform
 from spiral.io.request import Request
 
-SHORT = ("record.duration=3", "record.start_hz=25", "record.stop_hz=10", "library=core",
-         "paper.points=20000", "learner.epochs=20")  # fmt: skip
+SHORT = ("experiment=rotor_coastdown", "record.duration=3", "record.start_hz=25",
+         "record.stop_hz=10")  # fmt: skip
+PAPER = ("strategy=paper", *SHORT, "library=core", "paper.points=20000", "learner.epochs=20")
 
 
 def ran(folder, *overrides):
@@ -20,10 +21,7 @@ def ran(folder, *overrides):
 
 def test_a_table_is_made_of_saved_runs(tmp_path):
     """One run with each strategy, grouped; the figures are those of the runs' own results."""
-    results = {
-        s: ran(tmp_path, "experiment=rotor_coastdown", f"strategy={s}", *SHORT)
-        for s in ("paper", "shooting")
-    }
+    results = {"paper": ran(tmp_path, *PAPER), "shooting": ran(tmp_path, *SHORT)}
     rows = {r["strategy"]: r for r in load(tmp_path)}
     assert set(rows) == {"paper", "shooting"}
     for name, found in rows.items():
@@ -39,6 +37,17 @@ def test_a_table_is_made_of_saved_runs(tmp_path):
     text = table(list(rows.values()), ["strategy"])
     assert [line.split("|")[1].strip() for line in text[2:]] == ["paper", "shooting"]
     assert summary([rows["paper"], rows["paper"]])["runs"] == 2
+
+
+def test_diagnose_asks_the_strategy_that_was_chosen(tmp_path):
+    """Its suggestions are those of the loop's first round by the same evidence."""
+    request = Request("diagnose", (), (*PAPER, f"out={tmp_path}", "curves=false"))
+    diagnosis = perform(request, lambda message: None).result
+    first = ran(tmp_path, *PAPER, "settings.max_rounds=1", "curves=false")["rounds"][0]
+    assert first["suggestions"]
+    same = ("effect", "p_value", "statistic", "explains")
+    told = [{k: s[k] for k in same} for s in diagnosis["suggestions"]]
+    assert told == [{k: s[k] for k in same} for s in first["suggestions"]]
 
 
 def test_gates_are_told_by_what_they_lack():
