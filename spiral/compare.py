@@ -16,6 +16,7 @@ from spiral.evidence.assembly import (
     with_records,
     with_steps,
 )
+from spiral.evidence.horizons import unseen
 from spiral.evidence.judge import FreeRun, free_run, run_free, whole
 from spiral.evidence.standing import Masks, Standing, all_samples, begin, grown
 from spiral.model import Model
@@ -133,7 +134,8 @@ def compared(
     names = problem.model.system.observed
     records = tuple(0 for _ in problem.records)
     own = run_free(assembly, full, records).errors(names)
-    run = test_run(assembly, labels, values)
+    other = _with_test(assembly, values)
+    run = None if other is None else _free(other, labels, values)
     channels = run.errors(names) if run is not None else own
     dof = full.fitted.samples - full.fitted.nuisances - len(standing.keys(assembly))
     white = whiteness(left, problem.settings.lags)
@@ -149,7 +151,9 @@ def compared(
         horizon=int(full.length),
         converged=converged,
         notes=tuple(n for r in problem.records for n in r.notes),
-    )
+        unseen=() if other is None or run is None
+        else unseen(assembly, other, model, labels, values, run),
+    )  # fmt: skip
 
 
 @one_blas_thread
@@ -167,16 +171,25 @@ def predict(model: Model, records: tuple[Record, ...], settle: float | None = No
 
 def test_run(assembly: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun | None:
     """Free run on the test records, or nothing where there are none."""
+    other = _with_test(assembly, values)
+    return None if other is None else _free(other, labels, values)
+
+
+def _with_test(assembly: Assembly, values: np.ndarray) -> Assembly | None:
+    """The study with the test records in place of the fitted ones, steps fine enough for them."""
     problem = assembly.problem
     if not problem.test:
         return None
     other = with_records(assembly, problem.test, 1)
     substeps = max(substeps_for(other, values[0]), assembly.study.series[0].substeps)
-    if substeps > 1:
-        other = with_records(assembly, problem.test, substeps)
-    settle = problem.settle
+    return other if substeps <= 1 else with_records(assembly, problem.test, substeps)
+
+
+def _free(other: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun:
+    """Free run on the records of a study that is at the test records."""
+    settle = other.problem.settle
     if settle is None:
-        settle = _SETTLE * min(r.samples * r.dt for r in problem.test)
+        settle = _SETTLE * min(r.samples * r.dt for r in other.problem.test)
     return free_run(other, labels, values, settle)
 
 

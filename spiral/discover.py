@@ -11,6 +11,7 @@ from spiral.effect import Effect
 from spiral.evidence.admission import with_effects
 from spiral.evidence.assembly import Assembly
 from spiral.evidence.standing import Standing, all_samples
+from spiral.horizon import changes
 from spiral.problem import Problem, Progress, silent
 from spiral.run import Comparison, Round, Run, Stopped
 from spiral.shooting.growth import Stage
@@ -107,7 +108,8 @@ def add(
     after = judged(assembly, standing, stage, progress)
     labels = tuple(e.label for e in effects)
     meaning = "; ".join(e.meaning() for e in effects)
-    rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock, meaning=meaning))
+    rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock, meaning=meaning,
+                        changes=changes(before.unseen, after.unseen)))  # fmt: skip
     run = Run(
         "effect_missing",
         "max_rounds",

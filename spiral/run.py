@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from spiral.horizon import Change, Horizon
 from spiral.model import Estimate, Model
 
 Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unknown_structure"]
@@ -30,7 +31,8 @@ class Comparison:
 
     ``fit_error`` and ``test_error`` are relative free-run errors, mean over channels;
     ``chi2_per_dof`` and ``whiteness_p`` are of the fitted records at window length ``horizon``;
-    ``noise_floor`` is the test error that a perfect model would have.
+    ``noise_floor`` is the test error that a perfect model would have; ``unseen`` are errors on the
+    test records at several horizons (``spiral.evidence.horizons``), none where there is no test.
     """
 
     model: Model
@@ -44,6 +46,7 @@ class Comparison:
     horizon: int
     converged: bool
     notes: tuple[str, ...] = ()
+    unseen: tuple[Horizon, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -59,6 +62,7 @@ class Comparison:
             "converged": self.converged,
             "model": estimates_dict(self.model),
             "notes": list(self.notes),
+            "unseen": [h.as_dict() for h in self.unseen],
         }
 
 
@@ -159,7 +163,8 @@ class Round:
     """One turn of the loop; round 0 is the seed. ``rejected``: what the gates refused, and why.
 
     ``details`` log, as plain data, how the strategy came from this round's model to the next
-    proposal.
+    proposal; ``changes`` say at each horizon whether the step to this round predicts unseen data
+    better than the round before.
     """
 
     number: int
@@ -173,6 +178,7 @@ class Round:
     meaning: str = ""
     retired: tuple[str, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
+    changes: tuple[Change, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -192,6 +198,8 @@ class Round:
             "seconds": self.seconds,
             "second_order": self.second_order,
             "meaning": self.meaning,
+            "unseen": [h.as_dict() for h in c.unseen],
+            "changes": [h.as_dict() for h in self.changes],
             "model": estimates_dict(c.model),
             "suggestions": [s.as_dict() for s in self.suggestions],
             "details": dict(self.details),

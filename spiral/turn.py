@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from spiral.errors import ConfigError, did_you_mean
 from spiral.evidence.assembly import Assembly, to_model
 from spiral.evidence.standing import Standing
+from spiral.horizon import changes
 from spiral.model import Model
 from spiral.problem import Problem, Progress
 from spiral.run import Round, Run, Stopped, Suggestion, Verdict
@@ -95,13 +96,13 @@ def turned(
     clock = time.perf_counter()
     settled = strategy.settle(assembly, step, progress)
     seconds = spent + time.perf_counter() - clock
-    return Checkpoint((*at.rounds, _round(len(at.rounds), step, settled, seconds)),
+    return Checkpoint((*at.rounds, _round(at.rounds[-1], step, settled, seconds)),
                       settled.standing)  # fmt: skip
 
 
-def _round(number: int, step: Step, settled: Settled, seconds: float) -> Round:
+def _round(before: Round, step: Step, settled: Settled, seconds: float) -> Round:
     return Round(
-        number=number,
+        number=before.number + 1,
         admitted=step.admitted,
         aliases=dict(step.aliases),
         rejected={},
@@ -112,6 +113,7 @@ def _round(number: int, step: Step, settled: Settled, seconds: float) -> Round:
         meaning=step.meaning,
         retired=settled.retired,
         details=settled.details,
+        changes=changes(before.comparison.unseen, settled.comparison.unseen),
     )
 
 
