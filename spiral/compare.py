@@ -126,18 +126,17 @@ def compared(
 
     ``longest`` limits the windows on which chi2 and whiteness are taken.
     """
-    problem, study = assembly.problem, assembly.study
+    problem = assembly.problem
     labels, values = standing.labels, standing.values
     progress("free run on the test record")
     full = whole(assembly, labels, values, longest)
-    left = residuals(study, full.layouts, full.fitted.point)
+    left = residuals(assembly.study, full.layouts, full.fitted.point)
     names = problem.model.system.observed
     records = tuple(0 for _ in problem.records)
     own = run_free(assembly, full, records).errors(names)
     other = _with_test(assembly, values)
     run = None if other is None else _free(other, labels, values)
     channels = run.errors(names) if run is not None else own
-    dof = full.fitted.samples - full.fitted.nuisances - len(standing.keys(assembly))
     white = whiteness(left, problem.settings.lags)
     return Comparison(
         model=model,
@@ -145,7 +144,7 @@ def compared(
         test_error=float(np.mean([e.relative for e in channels.values()])),
         channels=channels,
         noise_floor=_noise_floor(problem.test or problem.records, model, run),
-        chi2_per_dof=full.fitted.cost / max(dof, 1),
+        chi2_per_dof=_per_dof(assembly, standing, full),
         whiteness_p=white.p,
         whiteness_effect=white.effect,
         horizon=int(full.length),
@@ -154,6 +153,17 @@ def compared(
         unseen=() if other is None or run is None
         else unseen(assembly, other, model, labels, values, run),
     )  # fmt: skip
+
+
+def chi2_on(assembly: Assembly, standing: Standing, length: int) -> float:
+    """Chi2 per degree of freedom on windows of a length; infinite where they run away."""
+    full = whole(assembly, standing.labels, standing.values, length)
+    return _per_dof(assembly, standing, full) if full.length == length else float("inf")
+
+
+def _per_dof(assembly: Assembly, standing: Standing, full: Stage) -> float:
+    dof = full.fitted.samples - full.fitted.nuisances - len(standing.keys(assembly))
+    return full.fitted.cost / max(dof, 1)
 
 
 @one_blas_thread

@@ -68,7 +68,13 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """One candidate with its evidence."""
+    """One candidate with its evidence.
+
+    ``explains`` is the share of the residual that it explains; ``net`` the same less what as many
+    free parameters explain of noise, 1 - (1 - explains) N^(q/N) for q parameters and N samples
+    (Schwarz's criterion as a share), which orders candidates; none where evidence is of another
+    kind.
+    """
 
     effect: str
     meaning: str
@@ -80,6 +86,7 @@ class Suggestion:
     hint: tuple[str, ...] = ()
     test_error_before: float | None = None
     test_error_after: float | None = None
+    net: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -90,6 +97,7 @@ class Suggestion:
             "statistic": self.statistic,
             "wald_p_value": self.wald_p_value,
             "explains": self.explains,
+            "net": self.net,
             "test_error_before": self.test_error_before,
             "test_error_after": self.test_error_after,
             "meaning": self.meaning,

@@ -60,7 +60,7 @@ def looked(
 
 
 def candidates(strategy: Strategy, step: Step) -> tuple[Suggestion, ...]:
-    """Every candidate that a step ranked, best first; a strategy may keep only its best."""
+    """Every candidate that a step ranked, by its evidence; a strategy may keep only its best."""
     return step.suggestions if strategy.ranked is None else strategy.ranked(step)
 
 

@@ -22,7 +22,7 @@ from spiral.run import Comparison, Stopped, Suggestion
 from spiral.strategies.base import Begun, Settled, Step, Strategy
 from spiral.strategies.resolved import remembered
 from spiral.strategies.retire import let_go, simplest, superfluous
-from spiral.suggest import Proposal, listed, propose
+from spiral.suggest import Proposal, by_evidence, propose
 from spiral.unknown.holding import carried, having, holding, moved
 from spiral.unknown.shape import Found, applies, unknown_shape
 
@@ -133,7 +133,7 @@ def _ranked(step: Step) -> tuple[Suggestion, ...]:
     proposal: Proposal = step.found
     if proposal.evidence is None:
         return proposal.suggestions
-    return listed(proposal.evidence, proposal.admitted, proposal.aliases, None)
+    return by_evidence(proposal.evidence, proposal.admitted, proposal.aliases)
 
 
 def _choose(assembly: Assembly, standing: Standing, step: Step, label: str) -> Step:
