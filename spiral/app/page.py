@@ -128,7 +128,6 @@ class View:
         ui.html(panels.headline(study), sanitize=False)
         ui.html(panels.chips(study), sanitize=False)
         if study.turn is not None:
-            ui.html(panels.astray(study.turn), sanitize=False)
             self._step(scene, study.turn)
             units = panels.units(study.records)
             ui.html(panels.channels(study.turn, units), sanitize=False).style("margin-top:10px")
@@ -143,12 +142,15 @@ class View:
 
     def _step(self, scene: Scene, turn: Turn) -> None:
         """What the last step did to predictions of unseen data; undone with one click."""
-        said = unseen.step(turn)
-        if said:
+        astray, worse = panels.astray(turn), unseen.step(turn)
+        if astray or worse:
             with ui.element("div").classes("note worse").props('role="status" id="worse"'):
-                ui.html(said, sanitize=False)
-                undo = ui.button("Undo this step", icon="undo", on_click=lambda: self._move(-1))
-                undo.props("unelevated dense color=primary").set_enabled(scene.busy is None)
+                for said in filter(None, (astray, worse)):
+                    ui.html(said, sanitize=False)
+                if turn.added:
+                    undo = ui.button("Undo this step", icon="undo")
+                    undo.on_click(lambda: self._move(-1)).set_enabled(scene.busy is None)
+                    undo.props("unelevated color=primary padding='4px 12px'")
         ui.html(unseen.errors(turn), sanitize=False)
 
     def _falling(self, scene: Scene) -> None:

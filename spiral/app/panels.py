@@ -112,8 +112,8 @@ def astray(turn: Turn) -> str:
     model = f"With {words(turn.added)} the model" if turn.added else "The model"
     said = "Undo, or add another effect" if turn.added else "Check units and signs of the channels"
     return (
-        f"<div class='note' id='astray' style='margin-top:12px'><b>{escape(model)} runs away from "
-        f"the record</b> when it runs freely: its error is not finite. {said}; nothing is lost."
+        f"<div id='astray'><b>{escape(model)} runs away from the record</b> when it runs freely: "
+        f"its error is not finite. {said}; nothing is lost."
         "</div>"
     )
 

@@ -25,10 +25,10 @@ _HINT = (
 
 
 def horizon(row: Mapping[str, Any]) -> str:
-    """How far ahead, in words: ``one sample ahead``, ``0.1 s ahead``, ``free run``."""
+    """How far ahead, in words: ``next sample``, ``0.1 s ahead``, ``free run``."""
     if row["horizon"] == "ahead":
         return f"{row['seconds']:.3g} s ahead"
-    return words(row["horizon"]) + (" ahead" if row["horizon"] == "one_sample" else "")
+    return {"one_sample": "next sample", "free_run": "free run"}[row["horizon"]]
 
 
 def worse(changes: Rows) -> list[str]:
@@ -71,7 +71,7 @@ def step(turn: Turn) -> str:
         return ""
     return (
         f"<b>Worse on data it did not see:</b> with {escape(words(turn.added))} the model predicts "
-        f"worse {escape(listed(where))}."
+        f"worse: {escape(listed(where))}."
     )
 
 

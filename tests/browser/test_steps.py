@@ -72,7 +72,7 @@ def test_an_effect_that_predicts_worse_is_not_the_filled_button(tab, study, pict
     said = tab.inner_text("#proposal")
     assert "cubic stiffness passes all gates" in said
     assert "predicts the test record worse: " in said
-    assert "free run" in said
+    assert "next sample, 0.1 s ahead and free run" in said
     assert filled(tab) == []
     assert "worse" in judged(tab, ".effect.first .tried")
     picture(tab, "step-worse-proposed")
