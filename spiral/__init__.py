@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from spiral.former_names import accept
+from spiral.version import __version__
 
 if TYPE_CHECKING:
     from spiral.api import (
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from spiral.types.system import MechanicalSystem, System
     from spiral.view import plot
 
-__version__ = "0.1.0"
 
 __all__ = [
     "Effect",

@@ -12,10 +12,10 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from spiral import __version__
 from spiral.commands.perform import in_worker, perform
 from spiral.io.request import BAD_INPUT, Outcome, Request
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
+from spiral.version import __version__
 
 if TYPE_CHECKING:
     from spiral.io.tracking.track import Tracked

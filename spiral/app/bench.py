@@ -16,6 +16,7 @@ from typing import Any
 
 from spiral.app.study import turn_place
 from spiral.engine.threads import one_blas_thread
+from spiral.inference.compare import chi2_on
 from spiral.inference.discover import Checkpoint
 from spiral.inference.evidence.assembly import Assembly, first_row
 from spiral.inference.problem import Problem, Settings
@@ -38,7 +39,8 @@ from spiral.io.storage import finite, to_json, write_whole
 from spiral.types.run import Round, Run
 
 Tell = Callable[[str, Mapping[str, Any]], None]
-"""Told what happened: a kind (``progress``, ``turn``, ``ranked``, ``figures``) and plain data."""
+"""Told what happened: a kind (``progress``, ``turn``, ``ranked``, ``preview``, ``contrast``,
+``figures``) and plain data."""
 
 Order = Mapping[str, Any]
 """What to do, in plain data: study, overrides, plugins, serial, and what the step needs."""
@@ -59,6 +61,7 @@ class Bench:
     begun: Begun | None = None
     overrides: tuple[str, ...] = ()
     standing: dict[int, tuple[Checkpoint, Step]] = field(default_factory=dict)
+    tried: dict[tuple[int, str], Checkpoint] = field(default_factory=dict)
 
     def peek(self, order: Order) -> None:
         """What is in a file: its columns, their first numbers, and a picture of them."""
@@ -89,13 +92,7 @@ class Bench:
     def add(self, order: Order) -> None:
         """Admit an effect to a turn, refit, and rank what is missing then."""
         self._open(order)
-        base = order["base"]
-        at, step = self._ready(base)
-        began = time.perf_counter()
-        self._progress(f"refitting with {order['effect']}")
-        step = chosen(self._strategy(), self._assembly(), at, step, order["effect"])
-        at = turned(self._strategy(), self._assembly(), at, step, self._progress,
-                    time.perf_counter() - began)  # fmt: skip
+        at = self._with(order["base"], order["effect"])
         self._arrived(order, at, order["effect"])
         self._look(order["serial"], at)
 
@@ -117,17 +114,45 @@ class Bench:
         self._told(at, step)
 
     @one_blas_thread
-    def contrast(self, order: Order) -> None:
-        """Refit with each of several candidates, and tell their errors side by side."""
+    def preview(self, order: Order) -> None:
+        """What adding an effect would come to on the test record; the study stays as it is."""
         self._open(order)
-        at, step = self._ready(order["base"])
+        last = self._with(order["base"], order["effect"]).rounds[-1]
+        said = {"effect": order["effect"], "test_error": last.comparison.test_error,
+                "changes": [c.as_dict() for c in last.changes]}  # fmt: skip
+        self.tell("preview", {"preview": finite(said)})
+
+    @one_blas_thread
+    def contrast(self, order: Order) -> None:
+        """Refit with each of several candidates, and tell their errors side by side.
+
+        Errors are at the same horizons of the same test record, chi2 on windows of one length: the
+        longest on which all of them were fitted.
+        """
+        self._open(order)
+        after = {e: self._with(order["base"], e) for e in order["effects"]}
+        common = min(at.rounds[-1].comparison.horizon for at in after.values())
         rows = []
-        for effect in order["effects"]:
+        for effect, at in after.items():
+            found = at.rounds[-1]
+            chi2 = found.comparison.chi2_per_dof
+            if found.comparison.horizon != common:
+                chi2 = chi2_on(holding(self._assembly(), at.standing), at.standing, common)
+            rows.append({**_figures_of(found), "effect": effect, "chi2_per_dof": finite(chi2)})
+        self.tell("contrast", {"rows": rows, "horizon": common})
+
+    def _with(self, base: int, effect: str) -> Checkpoint:
+        """A turn with an effect more: refitted, or as it was when it was tried before."""
+        if (base, effect) not in self.tried:
+            at, step = self._ready(base)
+            began = time.perf_counter()
             self._progress(f"refitting with {effect}")
-            one = chosen(self._strategy(), self._assembly(), at, step, effect)
-            after = turned(self._strategy(), self._assembly(), at, one, self._progress)
-            rows.append({"effect": effect, **_figures_of(after.rounds[-1])})
-        self.tell("contrast", {"rows": rows})
+            step = chosen(self._strategy(), self._assembly(), at, step, effect)
+            self.tried[base, effect] = turned(
+                self._strategy(), self._assembly(), at, step, self._progress,
+                time.perf_counter() - began,
+            )  # fmt: skip
+        return self.tried[base, effect]
 
     def _open(self, order: Order) -> None:
         """Read the records and compile, unless this study is at hand."""
@@ -144,7 +169,7 @@ class Bench:
             self.ident = order["study"]  # a file that was looked at becomes a study
             self.tell("records", {"records": finite(described(self.problem))})
             return
-        self.ident, self.overrides, self.begun, self.standing = "", (), None, {}
+        self.ident, self.overrides, self.begun, self.standing, self.tried = "", (), None, {}, {}
         self._progress("reading the record")
         self.registry = load_registry(order.get("plugins"))
         config = compose(overrides, self.registry)
@@ -304,7 +329,7 @@ def _result(found: Round) -> dict[str, Any]:
 
 
 def _figures_of(found: Round) -> dict[str, Any]:
-    kept = ("fit_error", "test_error", "chi2_per_dof", "whiteness_p", "meaning")
+    kept = ("fit_error", "test_error", "chi2_per_dof", "unseen")
     return finite({k: v for k, v in found.as_dict().items() if k in kept})
 
 

@@ -150,6 +150,7 @@ def _worker(kind: str, out: Path, tell: Any) -> Any:
         from spiral.app.scribe import Scribe
 
         return Scribe(out, tell)
+    import spiral.engine.filter.kernel
     import spiral.engine.kernel  # noqa: F401  (compiled, or read from the cache, before a click)
     from spiral.app.bench import Bench
 

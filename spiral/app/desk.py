@@ -24,6 +24,7 @@ from spiral.app.study import LEARNED, Study, Turn
 from spiral.types.errors import ConfigError
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
+_RANKS = ("start", "add", "rank", "invent")  # orders that end with a ranking
 _FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send
 
 
@@ -47,13 +48,17 @@ class Busy:
 
 @dataclass(frozen=True)
 class Scene:
-    """A study with what is under way; ``version`` grows with every change."""
+    """A study with what is under way; ``version`` grows with every change.
+
+    ``contrast`` are candidates side by side, their chi2 on windows of ``windows`` samples.
+    """
 
     study: Study
     version: int = 0
     busy: Busy | None = None
     writing: tuple[int, ...] = ()
     contrast: tuple[Mapping[str, Any], ...] = ()
+    windows: int = 0
 
 
 class Desk:
@@ -69,6 +74,7 @@ class Desk:
             "contrast": _AGAIN,
             "invent": _FIRST,
             "rank": _FIRST,
+            "preview": _AGAIN,
         }
         self._bench = Process("bench", out, self._on_bench)
         self.intake = Intake(out, lambda order: self._bench.give(order), plugins, self._lock)
@@ -174,6 +180,11 @@ class Desk:
             self._ask(scene, "invent", "Learning its curve", base=serial,
                       overrides=[*wanted, f"{LEARNED}=true"], name="")  # fmt: skip
 
+    def preview(self, ident: str, effect: str, serial: int) -> None:
+        """Try an effect on the test record; adding it afterwards refits nothing."""
+        with self._lock:
+            self._try(self._free(ident, serial), effect, serial)
+
     def contrast(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
         """Refit with each of these, to see the difference; the study stays as it is."""
         with self._lock:
@@ -209,6 +220,10 @@ class Desk:
         self._put(replace(scene, study=study, contrast=(),
                           busy=Busy(what, serial, expected=self._expected[do])))  # fmt: skip
         self._bench.give({**self._order(study, do, serial), **more})
+
+    def _try(self, scene: Scene, effect: str, serial: int) -> None:
+        self._ask(scene, "preview", f"Trying {words(effect)} on the test record",
+                  effect=effect, base=serial)  # fmt: skip
 
     def _order(self, study: Study, do: str, serial: int) -> dict[str, Any]:
         return {"do": do, "study": study.ident, "serial": serial, "plugins": study.plugins,
@@ -257,8 +272,10 @@ class Desk:
             busy = replace(scene.busy, landed=True) if scene.busy else None
             return replace(scene, study=study, busy=busy)
         if kind == "contrast":
-            return replace(scene, contrast=tuple(data["rows"]))
+            return replace(scene, contrast=tuple(data["rows"]), windows=data["horizon"])
         values = {k: v for k, v in data.items() if k in Turn.__dataclass_fields__}
+        if kind == "ranked":
+            values["preview"] = {}  # another ranking proposes anew
         for name in ("candidates", "proposed", "equation"):
             if name in values:
                 values[name] = tuple(values[name])
@@ -276,7 +293,10 @@ class Desk:
             study = kept.without(study, order["serial"])  # it may have landed, not yet ranked
             said = f"Cancelled: {busy.what.lower()}" if busy else "Cancelled"
             study = replace(study, trouble={"given": said, "expected": "", "try": ""})
-        self._put(replace(scene, study=study, busy=None))
+        scene = self._put(replace(scene, study=study, busy=None))
+        turn = study.turn
+        if kind == "done" and turn and turn.proposed and not turn.preview and order["do"] in _RANKS:
+            self._try(scene, turn.proposed[0], turn.serial)
 
     def _write(self, ident: str, serial: int) -> None:
         scene = self.scene(ident)
@@ -328,4 +348,4 @@ def _numbers(text: str) -> dict[str, float]:
 
 def _about(order: Mapping[str, Any]) -> int:
     """The turn that an order's ranking belongs to: a new one, or one that is there."""
-    return order["base"] if order["do"] in ("invent", "rank") else order["serial"]
+    return order["base"] if order["do"] in ("invent", "rank", "preview") else order["serial"]

@@ -100,10 +100,9 @@ def nothing_here(error: SpiralError) -> None:
 def command(study: Study) -> str:
     """What does the same from a terminal."""
     given = option_lines(study.overrides)
-    added = [t.added for t in study.line if t.added]
-    if not added:
+    if not study.added:
         return f"spiral diagnose{given}"
-    return f"spiral add {' '.join(added)}{given}"
+    return f"spiral add {' '.join(study.added)}{given}"
 
 
 def links(desk: Desk, scene: Scene) -> None:

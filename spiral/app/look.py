@@ -29,7 +29,7 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .soft {{ color:var(--soft); font-size:14.5px; line-height:1.5; margin:0; }}
 .number {{ font-size:46px; line-height:1.05; font-weight:700; color:var(--blue);
   font-variant-numeric:tabular-nums; }}
-.number small {{ font-size:20px; color:var(--soft); font-weight:500; }}
+.number small {{ font-size:20px; white-space:nowrap; color:var(--soft); font-weight:500; }}
 .label {{ font-size:13.5px; color:var(--soft); margin:0 0 2px; }}
 .chips {{ display:flex; flex-wrap:wrap; gap:6px; margin-top:12px; }}
 .chip {{ border-radius:999px; border:1px solid var(--line); padding:2px 11px; font-size:13.5px;
@@ -58,6 +58,20 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .alias .meter i {{ background:var(--orange); }}
 .alike {{ grid-column:1 / -1; margin-top:8px; font-size:14px; line-height:1.45; background:#fdf8ec;
   border-left:4px solid var(--orange); padding:6px 10px; border-radius:0 6px 6px 0; }}
+.worse {{ border-left-color:var(--vermilion); background:#fdf1ea; }}
+#worse {{ margin-top:12px; display:grid; gap:8px; justify-items:start; }}
+#proposal {{ margin-bottom:10px; }} #proposal.soft {{ padding:0; }}
+.order {{ margin:0 0 8px; }} .gone {{ margin-top:6px; font-size:13.5px; }}
+#horizons {{ margin-top:12px; }} #horizons td, #horizons th {{ padding-right:8px; }}
+#horizons td:last-child, #horizons th:last-child {{ padding-right:0; }}
+.judged {{ display:inline-block; border-radius:999px; padding:0 8px; font-size:13px;
+  font-weight:600; white-space:nowrap; align-self:start; background:#eef0f3; color:#454c55; }}
+.judged.better {{ background:#e0f3ea; color:#00593f; }}
+.judged.worse {{ background:#fbe3d6; color:#8a2f00; border-left:0; }}
+.tried {{ display:grid; grid-template-columns:minmax(0,1fr) auto auto; gap:3px 10px;
+  font-size:13.5px; color:var(--soft); margin-top:7px; font-variant-numeric:tabular-nums; }}
+.effect > .wide {{ grid-column:1 / -1; }}
+.effect .share {{ color:var(--ink); font-weight:600; }}
 .working {{ display:flex; align-items:center; gap:14px; padding:8px 0 10px; width:100%; }}
 .working .words {{ font-size:14.5px; flex:1 1 auto; min-width:0; }}
 .choices {{ display:grid; grid-template-columns:repeat(auto-fill,minmax(250px,1fr)); gap:12px; }}

@@ -9,13 +9,13 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import frame, panels
+from spiral.app import frame, panels, unseen
 from spiral.app.desk import Desk, Scene, own_name
 from spiral.app.study import Turn, turn_place
 from spiral.types.errors import SpiralError
 from spiral.view.report.evidence import error_falling
 
-FALL_HEIGHT = 372
+FALL_HEIGHT = 500
 _TICK = 0.15  # s between looks at the desk
 _SHOWN = 5  # candidates before "show all"
 TABS = (
@@ -90,7 +90,8 @@ class View:
             ("trouble", self._trouble, study.trouble),
             ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor)),
             (FALLING, self._falling, (tuple(t.serial for t in study.line), study.noise_floor)),
-            ("missing", self._missing, (key, ranked, bool(busy), scene.contrast)),
+            ("missing", self._missing,
+             (key, ranked, bool(busy), scene.contrast, turn.preview if turn else None)),
             ("figures", self._figures,
              None if turn is None else
              (key, turn.figures, turn.sentence, len(turn.equation), bool(turn.figures or busy))),
@@ -127,7 +128,7 @@ class View:
         ui.html(panels.headline(study), sanitize=False)
         ui.html(panels.chips(study), sanitize=False)
         if study.turn is not None:
-            ui.html(panels.astray(study.turn), sanitize=False)
+            self._step(scene, study.turn)
             units = panels.units(study.records)
             ui.html(panels.channels(study.turn, units), sanitize=False).style("margin-top:10px")
         with ui.row().classes("gap-2").style("margin-top:14px"):
@@ -138,6 +139,19 @@ class View:
                 later = panels.words(study.turns[study.at + 1].added)
                 again = ui.button(f"Redo {later}", icon="redo", on_click=lambda: self._move(1))
                 again.props("flat").set_enabled(idle)
+
+    def _step(self, scene: Scene, turn: Turn) -> None:
+        """What the last step did to predictions of unseen data; undone with one click."""
+        astray, worse = panels.astray(turn), unseen.step(turn)
+        if astray or worse:
+            with ui.element("div").classes("note worse").props('role="status" id="worse"'):
+                for said in filter(None, (astray, worse)):
+                    ui.html(said, sanitize=False)
+                if turn.added:
+                    undo = ui.button("Undo this step", icon="undo")
+                    undo.on_click(lambda: self._move(-1)).set_enabled(scene.busy is None)
+                    undo.props("unelevated color=primary padding='4px 12px'")
+        ui.html(unseen.errors(turn), sanitize=False)
 
     def _falling(self, scene: Scene) -> None:
         study = scene.study
@@ -174,20 +188,32 @@ class View:
                     lambda: self.desk.learn(self.ident, turn.serial)))  # fmt: skip
                 learn.props("outline").style("margin:10px 0").set_enabled(scene.busy is None)
         else:
-            said = "Ranked by evidence; the first passes all gates on data that did not rank it."
-            ui.html(f"<p class='soft' style='margin-bottom:10px'>{said}</p>", sanitize=False)
+            self._proposal(scene, turn)
+        if turn.candidates:
+            ui.html(f"<p class='soft order'>{panels.order(turn)}</p>", sanitize=False)
         few = 0 if turn.verdict == "whiteness" else _SHOWN
         count = len(turn.candidates) if self.every else few
         for found in turn.candidates[:count]:
             self._candidate(scene, turn, found)
+        always = {*scene.study.own, *turn.proposed}
         for found in turn.candidates[count:]:
-            if found["effect"].partition("@")[0] in scene.study.own:
+            if {found["effect"], found["effect"].partition("@")[0]} & always:
                 self._candidate(scene, turn, found)
         left = len(turn.candidates) - few
         if left > 0:
             said = "Show fewer" if self.every else f"Show {left} {'more' if few else 'candidates'}"
             ui.button(said, on_click=self._toggle).props("flat dense")
         self._own(scene, turn)
+
+    def _proposal(self, scene: Scene, turn: Turn) -> None:
+        """What the trial of the proposed effect says; where there was none, a button for it."""
+        said, kind = panels.proposal(turn)
+        name = {"worse": "note worse", "fine": "good", "trying": "soft"}[kind]
+        ui.html(f"<div class='{name}' id='proposal'>{said}</div>", sanitize=False)
+        if kind == "trying" and scene.busy is None:
+            attempt = functools.partial(self.desk.preview, self.ident, turn.proposed[0])
+            button = ui.button("Try it on the test record")
+            button.on_click(lambda: self._ask(lambda: attempt(turn.serial))).props("outline")
 
     def _own(self, scene: Scene, turn: Turn) -> None:
         """An effect written as a formula, tested at once; what was typed stays when it is drawn."""
@@ -215,10 +241,13 @@ class View:
         with ui.element("div").classes("effect first" if first else "effect"):
             ui.html(panels.candidate(found), sanitize=False)
             add = ui.button("Add", on_click=lambda: self._add(effect, turn.serial))
-            add.props("unelevated color=primary" if first else "outline color=primary")
+            filled = first and panels.proposal(turn)[1] == "fine"
+            add.props("unelevated color=primary" if filled else "outline color=primary")
             add.props(f'aria-label="Add {panels.words(effect)}"')
             add.set_enabled(scene.busy is None)
             ui.html(panels.evidence(found), sanitize=False).classes("evidence")
+            if effect == turn.preview.get("effect"):
+                ui.html(unseen.tried(turn.preview["changes"]), sanitize=False).classes("wide")
             if effect in turn.rejected:
                 ui.html(f"Refused: {turn.rejected[effect]}", sanitize=True).classes("alike")
             if aliases:
@@ -228,7 +257,7 @@ class View:
 
     def _compare_aliases(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
         if scene.contrast:
-            ui.html(panels.contrast(scene.contrast), sanitize=False)
+            ui.html(panels.contrast(scene.contrast, scene.windows), sanitize=False)
             with ui.row().classes("gap-2").style("margin:8px 0 4px"):
                 for effect in effects:
                     add = ui.button(f"Add {panels.words(effect)}")

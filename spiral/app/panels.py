@@ -6,12 +6,17 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+from spiral.app import unseen
 from spiral.app.study import LEARNED, Study, Turn
 from spiral.types.formatting import number, percent, probability
 from spiral.view.report import text
 from spiral.view.report.style import symbols, words
 
 _BOTH = "the larger of the classical p-value and the robust one"
+_NET = (
+    "Share of the residual on the windows that ranked all candidates, less what as many free "
+    "parameters explain of noise; the list is in its order"
+)
 _FAR = 3.0  # times the noise, above which a free run misses more than noise
 ENDINGS = {
     "whiteness": "Nothing more is missing: what is left is white noise.",
@@ -70,15 +75,17 @@ def _shown(error: float | None) -> str:
 
 
 def chips(study: Study) -> str:
-    """The effects of the model: the seed's, and those added in their order."""
+    """The effects that the model has: the seed's, and those added; below, those let go again."""
     if not study.line:
         return ""
     model = study.line[-1].result.get("model") or {}
-    added = [t.added for t in study.line if t.added]
-    seed = [e for e in model.get("effects", {}) if e not in added]
+    seed = [e for e in model.get("effects", {}) if e not in study.added]
     found = [f'<span class="chip">{escape(words(e))}</span>' for e in seed]
-    found += [f'<span class="chip added">+ {escape(words(e))}</span>' for e in added]
-    return f'<div class="chips">{"".join(found)}</div>'
+    found += [f'<span class="chip added">+ {escape(words(e))}</span>' for e in study.added]
+    gone = ", ".join(words(e) for e in study.gone)
+    said = f"Let go: {gone}, superfluous beside what was added later."
+    left = f'<p class="soft gone">{escape(said)}</p>' if gone else ""
+    return f'<div class="chips">{"".join(found)}</div>{left}'
 
 
 def channels(turn: Turn, units: Mapping[str, str]) -> str:
@@ -105,8 +112,8 @@ def astray(turn: Turn) -> str:
     model = f"With {words(turn.added)} the model" if turn.added else "The model"
     said = "Undo, or add another effect" if turn.added else "Check units and signs of the channels"
     return (
-        f"<div class='note' id='astray' style='margin-top:12px'><b>{escape(model)} runs away from "
-        f"the record</b> when it runs freely: its error is not finite. {said}; nothing is lost."
+        f"<div id='astray'><b>{escape(model)} runs away from the record</b> when it runs freely: "
+        f"its error is not finite. {said}; nothing is lost."
         "</div>"
     )
 
@@ -139,13 +146,49 @@ def meaning(said: str) -> str:
 
 
 def evidence(found: Mapping[str, Any]) -> str:
-    """How much of the residual it explains, and how sure that is."""
-    share = max(0.0, min(1.0, found["explains"] or 0.0))
+    """What orders the candidates, the share of the residual explained, and how sure that is."""
+    net = found.get("net")
+    share = max(0.0, min(1.0, (found["explains"] if net is None else net) or 0.0))
     worst = max(found["p_value"] or 0.0, found["wald_p_value"] or 0.0)
     return (
+        f'<span class="share" title="{_NET}">explains {percent(share)}</span>'
         f'<div class="meter"><i style="width:{100 * share:.1f}%"></i></div>'
-        f'<span>explains {percent(share)}</span><span title="{_BOTH}">p {probability(worst)}</span>'
+        f'<span title="{_BOTH}">p {probability(worst)}</span>'
     )
+
+
+def order(turn: Turn) -> str:
+    """What orders the candidates, and why the proposed one stands where it does."""
+    said = "Ordered by the share of what the model misses that each explains, all on the same data."
+    effects = [found["effect"] for found in turn.candidates or ()]
+    first = next((e for e in effects if e in turn.proposed), None)
+    above = effects[: effects.index(first)] if first else []
+    if above:
+        names = unseen.listed([words(e) for e in above])
+        said += (
+            f" {words(first or '').capitalize()} is proposed although {names} "
+            f"{'explains' if len(above) == 1 else 'explain'} more there: the gates decide, on data "
+            "that ordered nothing."
+        )
+    return escape(said)
+
+
+def proposal(turn: Turn) -> tuple[str, str]:
+    """What the trial on the test record says of the proposed effect: a sentence and its kind.
+
+    The kind is ``worse``, ``fine``, ``trying`` (not known yet) or nothing where none is proposed.
+    """
+    if not turn.proposed:
+        return "", ""
+    name = words(turn.proposed[0])
+    passes = f"<b>{escape(name)}</b> passes all gates on data that did not order the list"
+    if turn.preview.get("effect") not in turn.proposed:
+        return f"{passes}; what it does on the test record is not known yet.", "trying"
+    where = unseen.worse(turn.preview["changes"])
+    if where:
+        said = f"{passes}, but predicts the test record <b>worse</b>: {unseen.listed(where)}."
+        return f"{said} Something else may be missing, or the test record differs.", "worse"
+    return f"{passes}, and predicts the test record no worse at any horizon.", "fine"
 
 
 def alike(others: Sequence[str]) -> str:
@@ -164,15 +207,18 @@ def trouble(error: Mapping[str, str]) -> str:
     return "<br>".join(lines)
 
 
-def contrast(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Effects side by side, each refitted alone."""
-    columns = ("effect", "test error", "fit error", "χ²/dof")
-    cells = [
-        (words(r["effect"]), _shown(r["test_error"]), _shown(r["fit_error"]),
-         number(r["chi2_per_dof"], 3))
-        for r in rows
-    ]  # fmt: skip
-    return plain(text.table(columns, cells, columns[1:]))
+def contrast(rows: Sequence[Mapping[str, Any]], windows: int) -> str:
+    """Effects side by side, each refitted alone: one row for each figure, all on the same data."""
+    figures = [
+        (unseen.horizon(h), [_shown(r["unseen"][i]["error"]) for r in rows])
+        for i, h in enumerate(rows[0]["unseen"])
+    ]
+    figures += [
+        ("fitted record, free run", [_shown(r["fit_error"]) for r in rows]),
+        (f"χ²/dof, windows of {windows}", [number(r["chi2_per_dof"], 3) for r in rows]),
+    ]
+    columns = ("error on", *(words(r["effect"]) for r in rows))
+    return plain(text.table(columns, [(name, *cells) for name, cells in figures], columns[1:]))
 
 
 def model(turn: Turn) -> str:

@@ -100,7 +100,7 @@ def _choice(desk: Desk, name: str, said: str) -> None:
 def _studies(found: list[Study]) -> None:
     rows = []
     for study in found:
-        added = ", ".join(panels.words(t.added) for t in study.line if t.added) or "none yet"
+        added = ", ".join(map(panels.words, study.added)) or "none yet"
         error = percent(study.line[-1].result.get("test_error")) if study.line else "-"
         when = study.created[:16].replace("T", " ")
         title = f"<a class='quiet' href='/study/{study.ident}'>{escape(study.title)}</a>"

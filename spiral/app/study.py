@@ -29,6 +29,8 @@ class Turn:
     ``added`` is the effect that made it; ``result`` its figures as a round of the JSON contract;
     ``candidates`` what may be missing next, best first; ``proposed`` what the gates would admit;
     ``shape`` what the force is like that none of them explains, in words;
+    ``preview`` is what adding the proposed effect would come to, tried on the test record (effect,
+    changes at each horizon, test error); empty until it was tried;
     ``figures`` what is drawn (name, heading, caption), one JSON file each; ``tracked`` its place in
     MLflow's page on ``store``, or ``untracked`` why it has none.
     """
@@ -42,6 +44,7 @@ class Turn:
     verdict: str = ""
     advice: str = ""
     shape: str = ""
+    preview: Mapping[str, Any] = field(default_factory=dict)
     sentence: str = ""
     equation: tuple[Mapping[str, Any], ...] = ()
     figures: tuple[tuple[str, str, str], ...] = ()
@@ -81,6 +84,28 @@ class Study:
     def line(self) -> tuple[Turn, ...]:
         """The turns up to the one that is looked at."""
         return self.turns[: self.at + 1]
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """The effects that were added and are still in the model, in their order."""
+        return self._added_and_gone[0]
+
+    @property
+    def gone(self) -> tuple[str, ...]:
+        """The effects that were added and let go again, superfluous beside a later one."""
+        return self._added_and_gone[1]
+
+    @property
+    def _added_and_gone(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        present: list[str] = []
+        gone: list[str] = []
+        for turn in self.line:
+            if turn.added:
+                present = [*(e for e in present if e != turn.added), turn.added]
+            left = [e for e in turn.result.get("retired") or () if e in present]
+            present = [e for e in present if e not in left]
+            gone = [*(e for e in gone if e not in present), *left]
+        return tuple(present), tuple(gone)
 
     def turn_of(self, serial: int) -> Turn | None:
         """A turn by its number, which no other ever gets."""

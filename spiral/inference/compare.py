@@ -20,6 +20,7 @@ from spiral.inference.evidence.assembly import (
     with_records,
     with_steps,
 )
+from spiral.inference.evidence.horizons import unseen
 from spiral.inference.evidence.judge import FreeRun, free_run, run_free, whole
 from spiral.inference.evidence.standing import Masks, Standing, all_samples, begin, grown
 from spiral.inference.problem import Problem, Progress, silent
@@ -125,17 +126,17 @@ def compared(
 
     ``longest`` limits the windows on which chi2 and whiteness are taken.
     """
-    problem, study = assembly.problem, assembly.study
+    problem = assembly.problem
     labels, values = standing.labels, standing.values
     progress("free run on the test record")
     full = whole(assembly, labels, values, longest)
-    left = residuals(study, full.layouts, full.fitted.point)
+    left = residuals(assembly.study, full.layouts, full.fitted.point)
     names = problem.model.system.observed
     records = tuple(0 for _ in problem.records)
     own = run_free(assembly, full, records).errors(names)
-    run = test_run(assembly, labels, values)
+    other = _with_test(assembly, values)
+    run = None if other is None else _free(other, labels, values)
     channels = run.errors(names) if run is not None else own
-    dof = full.fitted.samples - full.fitted.nuisances - len(standing.keys(assembly))
     white = whiteness(left, problem.settings.lags)
     return Comparison(
         model=model,
@@ -143,14 +144,27 @@ def compared(
         test_error=float(np.mean([e.relative for e in channels.values()])),
         channels=channels,
         noise_floor=_noise_floor(problem.test or problem.records, model, run),
-        chi2_per_dof=full.fitted.cost / max(dof, 1),
+        chi2_per_dof=_per_dof(assembly, standing, full),
         whiteness_p=white.p,
         whiteness_effect=white.effect,
         horizon=int(full.length),
         converged=converged,
         notes=tuple(n for r in problem.records for n in r.notes),
         noise_ratio=_noise_ratio(problem.records),
-    )
+        unseen=() if other is None or run is None
+        else unseen(assembly, other, model, labels, values, run),
+    )  # fmt: skip
+
+
+def chi2_on(assembly: Assembly, standing: Standing, length: int) -> float:
+    """Chi2 per degree of freedom on windows of a length; infinite where they run away."""
+    full = whole(assembly, standing.labels, standing.values, length)
+    return _per_dof(assembly, standing, full) if full.length == length else float("inf")
+
+
+def _per_dof(assembly: Assembly, standing: Standing, full: Stage) -> float:
+    dof = full.fitted.samples - full.fitted.nuisances - len(standing.keys(assembly))
+    return full.fitted.cost / max(dof, 1)
 
 
 @one_blas_thread
@@ -168,16 +182,25 @@ def predict(model: Model, records: tuple[Record, ...], settle: float | None = No
 
 def test_run(assembly: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun | None:
     """Free run on the test records, or nothing where there are none."""
+    other = _with_test(assembly, values)
+    return None if other is None else _free(other, labels, values)
+
+
+def _with_test(assembly: Assembly, values: np.ndarray) -> Assembly | None:
+    """The study with the test records in place of the fitted ones, steps fine enough for them."""
     problem = assembly.problem
     if not problem.test:
         return None
     other = with_records(assembly, problem.test, 1)
     substeps = max(substeps_for(other, values[0]), assembly.study.series[0].substeps)
-    if substeps > 1:
-        other = with_records(assembly, problem.test, substeps)
-    settle = problem.settle
+    return other if substeps <= 1 else with_records(assembly, problem.test, substeps)
+
+
+def _free(other: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun:
+    """Free run on the records of a study that is at the test records."""
+    settle = other.problem.settle
     if settle is None:
-        settle = _SETTLE * min(r.samples * r.dt for r in problem.test)
+        settle = _SETTLE * min(r.samples * r.dt for r in other.problem.test)
     return free_run(other, labels, values, settle)
 
 

@@ -26,6 +26,7 @@ from spiral.inference.strategies.base import Strategy
 from spiral.inference.strategies.resolved import widened
 from spiral.inference.unknown.holding import carried, having, holding
 from spiral.types.effect import Effect
+from spiral.types.horizon import changes
 from spiral.types.run import Comparison, Round, Run, Stopped
 
 OnRound = Callable[[Round], None]
@@ -115,7 +116,8 @@ def add(
     after = judged(assembly, standing, stage, progress)
     labels = tuple(e.label for e in effects)
     meaning = "; ".join(e.meaning() for e in effects)
-    rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock, meaning=meaning))
+    rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock, meaning=meaning,
+                        changes=changes(before.unseen, after.unseen)))  # fmt: skip
     run = Run(
         "effect_missing",
         "max_rounds",

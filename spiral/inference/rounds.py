@@ -18,6 +18,7 @@ from spiral.inference.strategies.paper import PAPER
 from spiral.inference.strategies.shooting import SHOOTING
 from spiral.inference.verdict import advice_for, missing, study_verdict, summary
 from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.horizon import changes
 from spiral.types.model import Model
 from spiral.types.run import Round, Run, Stopped, Suggestion, Verdict
 
@@ -59,7 +60,7 @@ def looked(
 
 
 def candidates(strategy: Strategy, step: Step) -> tuple[Suggestion, ...]:
-    """Every candidate that a step ranked, best first; a strategy may keep only its best."""
+    """Every candidate that a step ranked, by its evidence; a strategy may keep only its best."""
     return step.suggestions if strategy.ranked is None else strategy.ranked(step)
 
 
@@ -95,13 +96,13 @@ def turned(
     clock = time.perf_counter()
     settled = strategy.settle(assembly, step, progress)
     seconds = spent + time.perf_counter() - clock
-    return Checkpoint((*at.rounds, _round(len(at.rounds), step, settled, seconds)),
+    return Checkpoint((*at.rounds, _round(at.rounds[-1], step, settled, seconds)),
                       settled.standing)  # fmt: skip
 
 
-def _round(number: int, step: Step, settled: Settled, seconds: float) -> Round:
+def _round(before: Round, step: Step, settled: Settled, seconds: float) -> Round:
     return Round(
-        number=number,
+        number=before.number + 1,
         admitted=step.admitted,
         aliases=dict(step.aliases),
         rejected={},
@@ -112,6 +113,7 @@ def _round(number: int, step: Step, settled: Settled, seconds: float) -> Round:
         meaning=step.meaning,
         retired=settled.retired,
         details=settled.details,
+        changes=changes(before.comparison.unseen, settled.comparison.unseen),
     )
 
 

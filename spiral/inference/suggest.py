@@ -251,30 +251,40 @@ def _refused(
 
 
 def listed(
-    evidence: Evidence,
-    chosen: Admitted | None,
-    aliases: tuple[str, ...],
-    count: int | None = _LISTED,
+    evidence: Evidence, chosen: Admitted | None, aliases: tuple[str, ...]
 ) -> tuple[Suggestion, ...]:
-    """The best candidates (all, where no count is given) as suggestions; the admitted one first."""
-    order = list(evidence.ranked)
-    if chosen is not None:
-        label = chosen.variant.original.label
-        order.sort(key=lambda r: (r.variant.original.label != label, r.rank))
-    lead = order[0] if order else None
+    """The best candidates as suggestions: the admitted one, then the others by ``by_evidence``."""
+    found = by_evidence(evidence, chosen, aliases)
+    label = None if chosen is None else chosen.variant.original.label
+    return tuple(sorted(found, key=lambda s: s.effect != label)[:_LISTED])
+
+
+def by_evidence(
+    evidence: Evidence, chosen: Admitted | None, aliases: tuple[str, ...]
+) -> tuple[Suggestion, ...]:
+    """All candidates as suggestions in one order: by ``net``, on the same windows for all.
+
+    Whether one of them was admitted does not move it: that is judged on other samples.
+    """
+    order = sorted(evidence.ranked, key=lambda r: r.rank)
+    label = None if chosen is None else chosen.variant.original.label
+    near = [r for i, r in enumerate(order) if i < _LISTED or r.variant.original.label == label]
     found = []
-    for ranked in order[:count]:
+    for ranked in order:
         hint = tuple(
             r.variant.original.label
-            for r in order[:_LISTED]
+            for r in near
             if r is not ranked and cosine(evidence.table, ranked.columns, r.columns) > _HINT
         )
-        is_first = chosen is not None and ranked is lead
-        found.append(_suggestion(ranked, aliases if is_first else (), hint))
+        is_first = ranked.variant.original.label == label
+        net = 1.0 - float(np.exp(ranked.rank / evidence.table.samples))
+        found.append(_suggestion(ranked, aliases if is_first else (), hint, net))
     return tuple(found)
 
 
-def _suggestion(ranked: Ranked, aliases: tuple[str, ...], hint: tuple[str, ...]) -> Suggestion:
+def _suggestion(
+    ranked: Ranked, aliases: tuple[str, ...], hint: tuple[str, ...], net: float
+) -> Suggestion:
     scored = ranked.score
     return Suggestion(
         effect=ranked.variant.original.label,
@@ -284,5 +294,6 @@ def _suggestion(ranked: Ranked, aliases: tuple[str, ...], hint: tuple[str, ...])
         statistic=scored.statistic,
         wald_p_value=float(np.exp(ranked.log_p[1])),
         explains=scored.explains,
+        net=net,
         hint=hint,
     )

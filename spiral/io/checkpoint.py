@@ -108,7 +108,7 @@ def keeper(
 
 def fingerprint(config: Mapping[str, Any], problem: Problem, registry: Registry) -> str:
     """Of everything that the result of a study depends on."""
-    from spiral import __version__
+    from spiral.version import __version__
 
     content = {
         "config": {k: v for k, v in config.items() if k not in _NO_INFLUENCE},

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from spiral.types.formatting import number, percent
+from spiral.types.horizon import Change, Horizon
 from spiral.types.model import Estimate, Model
 
 Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unknown_structure"]
@@ -33,7 +34,8 @@ class Comparison:
     ``chi2_per_dof`` and ``whiteness_p`` are of the fitted records at window length ``horizon``;
     ``noise_floor`` is the test error that a perfect model would have; ``noise_ratio`` the noise
     that the fitted records show without a model (high-order differences) over what they declare,
-    rms over channels, and nothing where they declare none.
+    rms over channels, and nothing where they declare none; ``unseen`` are errors on the
+    test records at several horizons (``inference.evidence.horizons``), none without a test.
     """
 
     model: Model
@@ -48,6 +50,7 @@ class Comparison:
     converged: bool
     notes: tuple[str, ...] = ()
     noise_ratio: float | None = None
+    unseen: tuple[Horizon, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -64,12 +67,19 @@ class Comparison:
             "converged": self.converged,
             "model": estimates_dict(self.model),
             "notes": list(self.notes),
+            "unseen": [h.as_dict() for h in self.unseen],
         }
 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """One candidate with its evidence."""
+    """One candidate with its evidence.
+
+    ``explains`` is the share of the residual that it explains; ``net`` the same less what as many
+    free parameters explain of noise, 1 - (1 - explains) N^(q/N) for q parameters and N samples
+    (Schwarz's criterion as a share), which orders candidates; none where evidence is of another
+    kind.
+    """
 
     effect: str
     meaning: str
@@ -81,6 +91,7 @@ class Suggestion:
     hint: tuple[str, ...] = ()
     test_error_before: float | None = None
     test_error_after: float | None = None
+    net: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -91,6 +102,7 @@ class Suggestion:
             "statistic": self.statistic,
             "wald_p_value": self.wald_p_value,
             "explains": self.explains,
+            "net": self.net,
             "test_error_before": self.test_error_before,
             "test_error_after": self.test_error_after,
             "meaning": self.meaning,
@@ -169,7 +181,8 @@ class Round:
     """One turn of the loop; round 0 is the seed. ``rejected``: what the gates refused, and why.
 
     ``details`` log, as plain data, how the strategy came from this round's model to the next
-    proposal.
+    proposal; ``changes`` say at each horizon whether the step to this round predicts unseen data
+    better than the round before.
     """
 
     number: int
@@ -183,6 +196,7 @@ class Round:
     meaning: str = ""
     retired: tuple[str, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
+    changes: tuple[Change, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -202,6 +216,8 @@ class Round:
             "seconds": self.seconds,
             "second_order": self.second_order,
             "meaning": self.meaning,
+            "unseen": [h.as_dict() for h in c.unseen],
+            "changes": [h.as_dict() for h in self.changes],
             "model": estimates_dict(c.model),
             "suggestions": [s.as_dict() for s in self.suggestions],
             "details": dict(self.details),

@@ -1,11 +1,18 @@
 """Turning by hand: any candidate may be admitted, by the loop's own steps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from spiral.app.bench import Bench
+from spiral.inference.compare import chi2_on, compared
 from spiral.inference.discover import discover
 from spiral.inference.problem import silent
 from spiral.inference.rounds import candidates, chosen, looked, started, strategy_for, turned
+from spiral.inference.strategies.base import Begun
+from spiral.inference.suggest import by_evidence, listed
+from spiral.inference.unknown.holding import holding
 from spiral.io.config import build_problem, compose
 from spiral.io.curves import FINAL, free_curves
 from spiral.io.registry import load_registry
@@ -66,3 +73,56 @@ def test_what_is_drawn_at_once_has_the_error_that_is_told(study, turns):
     left = (y - curves.get(record, FINAL, "free"))[first:]
     relative = np.sqrt(np.mean(left**2, axis=0)) / y[first:].std(axis=0)
     assert np.mean(relative) == pytest.approx(told.test_error, rel=1e-3)
+
+
+def test_candidates_side_by_side_are_judged_on_windows_of_one_length(study, tmp_path):
+    """One was fitted on the whole record, the other got no further than 512 samples."""
+    _, strategy, assembly, at, step = study
+    bench = Bench(tmp_path, lambda kind, data: told.append((kind, data)), "a", strategy=strategy)
+    bench.begun = Begun(assembly, at.standing, at.rounds[0].comparison)
+    bench.standing[0] = (at, step)
+    other = turned(strategy, assembly, at, chosen(strategy, assembly, at, step, "gyroscopic"),
+                   silent)  # fmt: skip
+    place, last = holding(assembly, other.standing), other.rounds[-1]
+    short = compared(place, other.standing, last.comparison.model, 512, True)
+    rounds = (*other.rounds[:-1], replace(last, comparison=short))
+    bench.tried[0, "gyroscopic"] = replace(other, rounds=rounds)
+    told = []
+    names = ["cross_stiffness", "gyroscopic"]
+    bench.contrast({"study": "a", "overrides": [], "base": 0, "effects": names})
+    kind, said = told[-1]
+    assert (kind, said["horizon"]) == ("contrast", short.horizon)
+    first = bench.tried[0, "cross_stiffness"]
+    own = first.rounds[-1].comparison
+    assert own.horizon > short.horizon
+    same = chi2_on(holding(assembly, first.standing), first.standing, short.horizon)
+    assert [r["chi2_per_dof"] for r in said["rows"]] == pytest.approx([same, short.chi2_per_dof])
+    assert same < 0.9 * own.chi2_per_dof  # short windows hide what is missing
+    assert [r["unseen"][-1]["error"] for r in said["rows"]] == pytest.approx(
+        [own.test_error, short.test_error]
+    )
+
+
+def test_the_order_is_that_of_its_first_figure_whatever_is_proposed(study):
+    _, strategy, _, _, step = study
+    found = candidates(strategy, step)
+    assert [s.net for s in found] == sorted((s.net for s in found), reverse=True)
+    assert all(s.net < s.explains for s in found)  # every parameter has its price
+    proposal = step.found
+    last = next(r for r in proposal.evidence.ranked if r.variant.original.label == found[-1].effect)
+    other = replace(proposal.admitted, variant=last.variant)
+    again = by_evidence(proposal.evidence, other, ("gyroscopic",))
+    assert [s.effect for s in again] == [s.effect for s in found]
+    assert again[-1].aliases == ("gyroscopic",)
+    assert listed(proposal.evidence, other, ())[0].effect == found[-1].effect
+
+
+def test_a_step_says_at_each_horizon_what_it_does_to_unseen_data(study):
+    _, strategy, assembly, at, step = study
+    last = turned(strategy, assembly, at, step, silent).rounds[-1]
+    assert [c.horizon for c in last.changes] == ["one_sample", "ahead", "free_run"]
+    assert [c.judged for c in last.changes] == ["better"] * 3
+    before = at.rounds[-1].comparison.test_error
+    assert last.changes[-1].before == pytest.approx(before, rel=1e-12)
+    assert last.changes[-1].after == pytest.approx(last.comparison.test_error, rel=1e-12)
+    assert last.as_dict()["changes"][0] == last.changes[0].as_dict()

@@ -8,7 +8,8 @@ from spiral.app import desk as desks
 from spiral.app import study as kept
 from spiral.app.desk import Desk
 from spiral.app.draft import guessed
-from spiral.app.panels import ending, learnable
+from spiral.app.frame import command
+from spiral.app.panels import chips, ending, learnable, proposal
 from spiral.types.errors import ConfigError, InputError
 
 RANKED = {"candidates": [{"effect": "b"}], "proposed": ["b"], "verdict": "effect_missing"}
@@ -36,13 +37,25 @@ def desk(tmp_path, monkeypatch):
     return Desk(tmp_path)
 
 
-def turned(desk, added, error):
+def turned(desk, added, error, retired=()):
     """The process answers the last order with a turn and its ranking."""
     bench = desk._bench
     order = bench.orders[-1]
-    figures = {"test_error": error, "fit_error": error, "admitted": [added] if added else []}
+    figures = {"test_error": error, "fit_error": error, "admitted": [added] if added else [],
+               "retired": list(retired)}  # fmt: skip
     bench.on_event(order, "turn", {"added": added, "result": figures, "noise_floor": 0.01})
     bench.on_event(order, "ranked", RANKED)
+    bench.on_event(order, "done", {})
+    tried(desk)
+
+
+def tried(desk, **preview):
+    """The process answers the trial of what was proposed."""
+    bench = desk._bench
+    order = bench.orders[-1]
+    assert order["do"] == "preview"
+    said = {"effect": order["effect"], "test_error": 0.1, "changes": [], **preview}
+    bench.on_event(order, "preview", {"preview": said})
     bench.on_event(order, "done", {})
 
 
@@ -73,6 +86,42 @@ def test_add_undo_redo_and_another_branch(desk, ident):
     study = desk.scene(ident).study
     assert [t.added for t in study.turns] == ["", "c"]
     assert len({t.serial for t in study.turns}) == 2
+
+
+def test_what_is_proposed_is_tried_before_it_is_recommended(desk, ident):
+    """Nothing is known yet, then not worse, then worse at one horizon; another ranking forgets."""
+    desk.preview(ident, "b", desk.scene(ident).study.turn.serial)
+    worse = {"horizon": "ahead", "seconds": 0.1, "judged": "worse", "before": 0.1, "after": 0.2}
+    tried(desk, changes=[{**worse, "judged": "same"}])
+    assert proposal(desk.scene(ident).study.turn)[1] == "fine"
+    desk.preview(ident, "b", desk.scene(ident).study.turn.serial)
+    tried(desk, changes=[worse])
+    said, kind = proposal(desk.scene(ident).study.turn)
+    assert kind == "worse"
+    assert "0.1 s ahead" in said
+    desk.rank(ident, desk.scene(ident).study.turn.serial)
+    desk._bench.on_event(desk._bench.orders[-1], "ranked", RANKED)
+    assert proposal(desk.scene(ident).study.turn)[1] == "trying"
+    desk._bench.on_event(desk._bench.orders[-1], "done", {})
+    assert desk._bench.orders[-1]["do"] == "preview"
+    desk.cancel(ident)
+    scene = desk.scene(ident)
+    assert (proposal(scene.study.turn)[1], scene.busy) == ("trying", None)
+    assert errors(scene.study) == [0.6]  # the turn itself stays
+
+
+def test_an_effect_that_was_let_go_is_no_part_of_the_model(desk, ident, tmp_path):
+    for effect, retired in (("b", []), ("c", ["b"]), ("b", [])):
+        desk.add(ident, effect, desk.scene(ident).study.turn.serial)
+        turned(desk, effect, 0.3, retired)
+        study = desk.scene(ident).study
+        model = {"b": ["b"], "c": ["c"]}[effect] if not retired else ["c"]
+        model = ["c", "b"] if len(study.turns) == 4 else model
+        assert list(study.added) == model
+        assert list(study.gone) == (["b"] if retired else [])
+        assert command(study).startswith(f"spiral add {' '.join(model)} ")
+        assert ("Let go: b" in chips(study)) is bool(retired)
+        assert chips(study).count('"chip added"') == len(model)
 
 
 def test_a_tab_that_is_behind_changes_nothing(desk, ident):
@@ -140,7 +189,8 @@ def test_every_turn_is_written_down_once(desk, ident):
     desk.add(ident, "b", desk.scene(ident).study.turn.serial)
     turned(desk, "b", 0.3)
     orders = desk._scribe.orders
-    assert [(o["do"], o["serial"]) for o in orders] == [("write", 0), ("write", 1)]
+    assert [o["do"] for o in orders] == ["write", "write"]
+    assert [o["serial"] for o in orders] == [t.serial for t in desk.scene(ident).study.turns]
     desk._scribe.on_event(orders[0], "saved", {"run_id": "20260101-000000-abc"})
     assert desk.scene(ident).study.turns[0].run_id == "20260101-000000-abc"
     assert desk.scene(ident).study.turns[1].run_id == ""
@@ -153,8 +203,9 @@ def test_a_turn_that_was_not_written_down_is_caught_up_with(desk, ident, tmp_pat
     first = desk._scribe.orders[0]
     desk._scribe.on_event(first, "saved", {"run_id": "20260101-000000-abc"})
     again = Desk(tmp_path)
-    assert again.scene(ident).writing == (1,)
-    assert [(o["do"], o["serial"]) for o in again._scribe.orders] == [("write", 1)]
+    last = desk.scene(ident).study.turn.serial
+    assert again.scene(ident).writing == (last,)
+    assert [(o["do"], o["serial"]) for o in again._scribe.orders] == [("write", last)]
 
 
 def test_a_formula_becomes_an_override_with_the_values_of_its_widths(desk, ident):
@@ -166,6 +217,7 @@ def test_a_formula_becomes_an_override_with_the_values_of_its_widths(desk, ident
     ]  # fmt: skip
     desk._bench.on_event(order, "ranked", RANKED)
     desk._bench.on_event(order, "done", {})
+    tried(desk)
     desk.invent(ident, "rubbing", "-F*v", serial)
     assert desk._bench.orders[-1]["overrides"][1:] == ["effect.rubbing.expression='-F*v'"]
 

@@ -46,20 +46,19 @@ class FreeRun:
     def errors(self, names: tuple[str, ...]) -> dict[str, ChannelError]:
         """Error of each channel over all records, relative to its standard deviation."""
         found = {}
-        for j, name in enumerate(names):
+        for j, (name, spread) in enumerate(zip(names, self.deviations(), strict=True)):
             miss = np.concatenate([(p - m)[s:, j] for p, m, s in zip(*self._parts(), strict=True)])
-            seen = np.concatenate(
-                [
-                    m[s:, j] - m[s:, j].mean()
-                    for m, s in zip(self.measured, self.settled, strict=True)
-                ]
-            )
             with np.errstate(over="ignore", invalid="ignore"):
                 rmse = float(np.sqrt(np.mean(miss**2)))
             rmse = rmse if np.isfinite(rmse) else np.inf
-            spread = float(np.sqrt(np.mean(seen**2)))
-            found[name] = ChannelError(rmse, rmse / spread if spread > 0 else np.inf)
+            found[name] = ChannelError(rmse, rmse / float(spread) if spread > 0 else np.inf)
         return found
+
+    def deviations(self) -> Array:
+        """(channels,) standard deviation of what is scored, each record about its own mean."""
+        parts = [m[s:] for m, s in zip(self.measured, self.settled, strict=True)]
+        about = np.concatenate([part - part.mean(axis=0) for part in parts])
+        return np.sqrt(np.mean(about**2, axis=0))
 
     def _parts(self) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[int, ...]]:
         return self.predicted, self.measured, self.settled

@@ -21,7 +21,7 @@ from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
 from spiral.inference.strategies.resolved import remembered
 from spiral.inference.strategies.retire import let_go, simplest, superfluous
-from spiral.inference.suggest import Proposal, listed, propose
+from spiral.inference.suggest import Proposal, by_evidence, propose
 from spiral.inference.unknown.holding import carried, having, holding, moved
 from spiral.inference.unknown.shape import Found, applies, unknown_shape
 from spiral.types.run import Comparison, Stopped, Suggestion
@@ -133,7 +133,7 @@ def _ranked(step: Step) -> tuple[Suggestion, ...]:
     proposal: Proposal = step.found
     if proposal.evidence is None:
         return proposal.suggestions
-    return listed(proposal.evidence, proposal.admitted, proposal.aliases, None)
+    return by_evidence(proposal.evidence, proposal.admitted, proposal.aliases)
 
 
 def _choose(assembly: Assembly, standing: Standing, step: Step, label: str) -> Step:

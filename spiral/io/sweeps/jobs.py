@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from spiral import __version__
 from spiral.io.sweeps.pool import Backend, Job
 from spiral.types.errors import ConfigError, SpiralError
+from spiral.version import __version__
 
 if TYPE_CHECKING:
     from spiral.io.config import Config

@@ -231,8 +231,8 @@ def _log_model(store: Store, number: str, saved: SavedRun) -> None:
     """The final model, with the run it is built from and the local plugins it needs."""
     import mlflow
 
-    from spiral import __version__
     from spiral.io.registry import load_registry
+    from spiral.version import __version__
 
     if saved.verb in BEFORE_ANY_FIT or not saved.data["model"]["values"]:
         return

@@ -101,7 +101,9 @@ def _known(found: Sequence[Mapping[str, Any]]) -> list[float]:
 
 def _admitted(found: Mapping[str, Any]) -> str:
     names = [words(name) for name in found.get("admitted") or ()]
-    return "+ " + ",<br>".join(map(_wrapped, names)) if names else "the seed"
+    gone = [words(name) for name in found.get("retired") or ()]
+    let_go = "".join(f"<br>\N{MINUS SIGN} {_wrapped(name)}" for name in gone)
+    return "+ " + ",<br>".join(map(_wrapped, names)) + let_go if names else "the seed"
 
 
 def _wrapped(name: str) -> str:
@@ -156,13 +158,14 @@ def _bars(
         ("cannot be told from it", ORANGE, lambda name: name in aliases),
         ("other candidates", GREY, lambda name: name not in admitted | aliases),
     )
+    suggestions = sorted(suggestions, key=_share, reverse=True)
     names = [words(s["effect"]) for s in suggestions][::-1]
     for name, colour, belongs in kinds:
         chosen = [s for s in suggestions if belongs(s["effect"])]
         if not chosen:
             continue
         figure.add_bar(
-            y=[words(s["effect"]) for s in chosen], x=[100 * s["explains"] for s in chosen],
+            y=[words(s["effect"]) for s in chosen], x=[100 * _share(s) for s in chosen],
             orientation="h", marker_color=colour, name=name, legendgroup=name,
             showlegend=name not in {t.name for t in figure.data},
             text=[f"p {_p(_worst(s))}" for s in chosen], textposition="outside",
@@ -170,6 +173,12 @@ def _bars(
         )  # fmt: skip
     figure.update_yaxes(categoryorder="array", categoryarray=names, showgrid=False, row=row,
                         col=column)  # fmt: skip
+
+
+def _share(found: Mapping[str, Any]) -> float:
+    """What orders candidates: the share explained, net of its parameters where that is known."""
+    net = found.get("net")
+    return max(found["explains"] if net is None else net, 0.0)
 
 
 def _worst(found: Mapping[str, Any]) -> float:

@@ -1,0 +1,95 @@
+"""What a step does to predictions of data that it did not see, as HTML text.
+
+Each horizon has a word (better, same, worse), an arrow and a colour, so that none is needed to
+understand the others. All that is put in is escaped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+from spiral.app.study import Turn
+from spiral.view.report.style import words
+from spiral.view.terminal.parts import percent
+
+Rows = Sequence[Mapping[str, Any]]
+"""Changes at each horizon, or errors alone, as a round of the JSON contract has them."""
+
+_ARROWS = {"better": "↓", "same": "≈", "worse": "↑"}
+_HINT = (
+    "Share of each channel's deviation, on the test record. Predictions start from a filter that "
+    "has seen only what was measured before; ± is the paired standard error of the change."
+)
+
+
+def horizon(row: Mapping[str, Any]) -> str:
+    """How far ahead, in words: ``next sample``, ``0.1 s ahead``, ``free run``."""
+    if row["horizon"] == "ahead":
+        return f"{row['seconds']:.3g} s ahead"
+    return {"one_sample": "next sample", "free_run": "free run"}[row["horizon"]]
+
+
+def worse(changes: Rows) -> list[str]:
+    """The horizons at which a step predicts worse, in words."""
+    return [horizon(row) for row in changes if row["judged"] == "worse"]
+
+
+def listed(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+
+
+def errors(turn: Turn) -> str:
+    """The turn's errors at every horizon; where it is a step, what they were and what that says."""
+    changes = turn.result.get("changes") or ()
+    if changes:
+        head = ("on unseen data", "before", "now", "")
+        rows = [
+            (horizon(c), _error(c["before"]), _error(c["after"]), _judged(c)) for c in changes
+        ]  # fmt: skip
+    else:
+        head = ("on unseen data", "error")
+        rows = [(horizon(h), _error(h["error"])) for h in turn.result.get("unseen") or ()]
+    if not rows:
+        return ""
+    cells = "".join(
+        f"<tr><td>{escape(first)}</td>"
+        + "".join(f'<td class="n">{cell}</td>' for cell in rest)
+        + "</tr>"
+        for first, *rest in rows
+    )
+    names = f"<th>{head[0]}</th>" + "".join(f'<th class="n">{name}</th>' for name in head[1:])
+    return f'<table class="plain" id="horizons" title="{_HINT}"><tr>{names}</tr>{cells}</table>'
+
+
+def step(turn: Turn) -> str:
+    """One sentence where a step made predictions worse; nothing where it did not."""
+    where = worse(turn.result.get("changes") or ())
+    if not where:
+        return ""
+    return (
+        f"<b>Worse on data it did not see:</b> with {escape(words(turn.added))} the model predicts "
+        f"worse: {escape(listed(where))}."
+    )
+
+
+def tried(changes: Rows) -> str:
+    """What a candidate would do, tried on the test record, on one line for each horizon."""
+    lines = [
+        f"<span>{escape(horizon(c))}</span>"
+        f"<span>{_error(c['before'])} → {_error(c['after'])}</span>{_judged(c)}"
+        for c in changes
+    ]
+    return f'<div class="tried" title="{_HINT}">{"".join(lines)}</div>' if lines else ""
+
+
+def _judged(row: Mapping[str, Any]) -> str:
+    said, spread = row["judged"], row["standard_error"]
+    about = "" if spread is None else f' title="± {percent(spread)}"'
+    return f'<span class="judged {said}"{about}>{_ARROWS[said]} {said}</span>'
+
+
+def _error(value: float | None) -> str:
+    return "not finite" if value is None else percent(value)

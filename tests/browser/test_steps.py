@@ -1,0 +1,157 @@
+"""What a step does to data that it did not see: said, not proposed where it is worse, undone."""
+
+import os
+import re
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spiral.app.study import Turn, new_study, save
+from tests.browser.steps import FIRST, SECOND, add, error, ready, shows
+
+RATE, SAMPLES = 500.0, 3000
+
+
+def softening(time):
+    """A spring that gives way, driven twice as hard in the part that becomes the test record.
+
+    A cubic spring fitted to the first part passes every gate there, and pushes outwards beyond it.
+    """
+    from scipy.integrate import solve_ivp
+
+    rng = np.random.default_rng(2)
+    tones = [(f, rng.uniform(0, 6.3)) for f in np.arange(1.0, 12.0, 0.6)]
+
+    def force(t):
+        return 6 * (1 + (np.asarray(t) > 4.7)) * sum(np.sin(6.283 * f * t + p) for f, p in tones)
+
+    def rate(t, s):
+        return [s[1], force(t) - 6 * s[1] - 1000 * s[0] - 60 * np.tanh(s[0] / 0.02)]
+
+    x = solve_ivp(rate, (0, time[-1]), [0, 0], t_eval=time, rtol=1e-8, atol=1e-10, max_step=0.01)
+    noisy = x.y[0] + rng.normal(size=len(time)) * 0.01 * x.y[0].std()
+    return np.column_stack([time, noisy, force(time)])
+
+
+@pytest.fixture(scope="module")
+def study(served, chromium, tmp_path_factory):
+    """The address of a study whose first proposal makes predictions worse."""
+    file = tmp_path_factory.mktemp("steps") / "softening.csv"
+    rows = softening(np.arange(SAMPLES) / RATE)
+    np.savetxt(file, rows, "%.9g", delimiter=",", header="t,x,force", comments="")
+    page = chromium.new_page()
+    page.set_default_timeout(120_000)
+    page.goto(served.address)
+    page.set_input_files("#drop-file", file)
+    page.click(".q-select >> nth=0")
+    page.click(".q-menu .q-item:has-text('oscillator')")
+    page.click("button:has-text('Compare with the model'):enabled")
+    ready(page, SECOND)
+    address = page.url
+    page.close()
+    return address
+
+
+def filled(page):
+    """Names of all Add buttons that are the primary one."""
+    wanted = "button[aria-label^='Add ']:not(.q-btn--outline)"
+    return page.eval_on_selector_all(wanted, "all => all.map(b => b.getAttribute('aria-label'))")
+
+
+def judged(page, where):
+    """Horizon -> word, of a table or a list of trials."""
+    text = page.inner_text(where)
+    return re.findall(r"(better|same|worse)", text)
+
+
+def test_an_effect_that_predicts_worse_is_not_the_filled_button(tab, study, picture):
+    tab.goto(study)
+    tab.wait_for_selector("#proposal.worse")
+    said = tab.inner_text("#proposal")
+    assert "cubic stiffness passes all gates" in said
+    assert "predicts the test record worse: " in said
+    assert "next sample, 0.1 s ahead and free run" in said
+    assert filled(tab) == []
+    assert "worse" in judged(tab, ".effect.first .tried")
+    picture(tab, "step-worse-proposed")
+
+
+def test_a_step_that_turned_out_worse_says_so_and_is_undone_with_one_click(tab, study, picture):
+    tab.goto(study)
+    ready(tab, SECOND)
+    before = error(tab)
+    fitted = tab.inner_text("#horizons")
+    add(tab, SECOND)
+    tab.wait_for_selector("#worse:has-text('Worse on data it did not see')")
+    assert "cubic stiffness" in tab.inner_text("#worse")
+    words = judged(tab, "#horizons")
+    assert len(words) == 3
+    assert "worse" in words
+    arrows = tab.eval_on_selector_all("#horizons .judged", "all => all.map(e => e.innerText[0])")
+    assert dict(zip(words, arrows, strict=True))["worse"] == "↑"  # not by colour alone
+    tab.wait_for_selector("#worse button:has-text('Undo this step'):enabled")
+    picture(tab, "step-worse-added")
+    tab.click("#worse button:has-text('Undo this step')")
+    tab.wait_for_selector("#worse", state="detached")
+    shows(tab, before)
+    assert tab.inner_text("#horizons") == fitted
+
+
+def test_a_step_that_helps_is_the_filled_button_and_costs_no_second_fit(tab, served, picture):
+    """The rotor: what was tried for the button is there at once when it is clicked."""
+    tab.goto(served.address)
+    tab.click(".choice:has-text('Rotor coastdown')")
+    tab.wait_for_selector("#proposal.good")
+    ready(tab, FIRST)
+    assert filled(tab) == [f"Add {FIRST}"]
+    assert judged(tab, ".effect.first .tried") == ["better"] * 3
+    shares = [float(x) for x in re.findall(r"explains ([\d.]+) %", tab.inner_text("main"))]
+    assert len(shares) == 5
+    assert shares == sorted(shares, reverse=True)
+    assert "Ordered by the share" in tab.inner_text(".order")
+    foretold = tab.inner_text(".effect.first .tried")
+    began = time.monotonic()
+    add(tab, FIRST)
+    tab.wait_for_selector("#error-now small")
+    assert time.monotonic() - began < 5 or os.getloadavg()[0] > 2 * os.cpu_count()
+    assert judged(tab, "#horizons") == ["better"] * 3
+    for figure in re.findall(r"→ ([\d.]+ %)", foretold):
+        assert figure in tab.inner_text("#horizons")
+    picture(tab, "step-better")
+
+
+def test_an_effect_that_was_let_go_is_no_part_of_the_model(tab, served, picture):
+    """A study on disk whose second step made the first superfluous: chips, curve, command."""
+
+    def turn(serial, added, error, retired=()):
+        names = [added] if added else []
+        model = {"effects": {name: {} for name in ("linear_stiffness", *names)}, "system": {}}
+        errors = {"test_error": error, "fit_error": error}
+        more = {"admitted": names, "retired": list(retired), "model": model}
+        return Turn(serial, added, {**errors, **more})
+
+    made = new_study(served.out, "let go", ("experiment=rotor_coastdown",), None)
+    turns = (turn(0, "", 0.5), turn(1, "cross_damping", 0.2),
+             turn(2, "probe_turn", 0.1, ["cross_damping"]))  # fmt: skip
+    save(served.out, replace(made, turns=turns, at=2, serials=3))
+    tab.goto(f"{served.address}/study/{made.ident}")
+    tab.wait_for_selector(".chip")
+    chips = tab.eval_on_selector_all(".chip", "all => all.map(c => c.innerText)")
+    assert chips == ["linear stiffness", "+ probe turn"]
+    assert "Let go: cross damping" in tab.inner_text(".gone")
+    tab.wait_for_selector("#plot-error-falling .main-svg")
+    curve = tab.text_content("#plot-error-falling")
+    assert "+ probe turn" in curve
+    assert "\N{MINUS SIGN} cross damping" in curve
+    tab.click("text=how to do this on the command line")
+    assert "spiral add probe_turn " in tab.inner_text("main")
+    picture(tab, "step-let-go")
+    tab.goto(served.address)
+    row = tab.inner_text("tr:has-text('let go')")
+    assert "probe turn" in row
+    assert "cross damping" not in row
+    tab.goto(f"{served.address}/study/{made.ident}")
+    tab.click("button:has-text('Undo'):enabled")
+    tab.wait_for_selector(".chip.added:has-text('cross damping')")

@@ -1,0 +1,163 @@
+"""Errors on unseen records by horizon: against Kalman's predictions, and in the limits known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from spiral_plugins.systems.oscillator import Oscillator
+
+from spiral.engine.filter.noise import sampled
+from spiral.engine.filter.task import linearised, prepare_task
+from spiral.inference.compare import compare
+from spiral.inference.evidence.horizons import Disturbed, forecast
+from spiral.inference.problem import Problem
+from spiral.inference.simulate import simulate
+from spiral.types.horizon import Horizon, changes
+from spiral.types.model import seed_model
+
+TRUTH = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 0.8}
+RATE, NOISE = 200.0, 0.05
+
+
+def driven(seed, samples=2000, rate=RATE):
+    """A linear oscillator of 3.2 Hz under a force that changes at every 5 ms."""
+    model = seed_model(Oscillator(), values=TRUTH)
+    fine = np.arange(round(samples * RATE / rate)) / RATE
+    force = 30 * np.sin(2 * np.pi * (1 + 0.4 * fine) * fine)
+    record = simulate(model, fine, {"force": force}, NOISE, np.random.default_rng(seed))
+    step = round(RATE / rate)
+    return replace(
+        record,
+        time=record.time[::step],
+        channels={k: v[::step] for k, v in record.channels.items()},
+        inputs={k: v[::step] for k, v in record.inputs.items()},
+        noise=record.sigma(),
+    )
+
+
+@pytest.fixture(scope="module")
+def free():
+    """A task without a force, so that the flow is a matrix power, and the filter's settings."""
+    model = seed_model(Oscillator(), values=TRUTH)
+    time = 0.005 * np.arange(600)
+    quiet = {"force": np.zeros(600)}
+    record = simulate(model, time, quiet, 0.05, np.random.default_rng(0), {"x": 1.0})
+    task = prepare_task(model, replace(record, noise=record.sigma()), substeps=24)
+    return task, Disturbed(np.array([0.0, 4.0]), np.diag(task.spread**2), ())
+
+
+def test_on_a_linear_model_they_are_kalmans_predictions(free):
+    task, disturbed = free
+    first, steps = 40, 20
+    one, ahead = forecast(task, disturbed, first, steps)
+    f = expm(linearised(task.compiled, task.values, np.zeros(1)) * task.series.dt)
+    h, r = np.array([[1.0, 0.0]]), np.diag(task.series.sigma**2)
+    q = sampled(task, disturbed.intensity)
+    x, p, expected_one, states = task.start, disturbed.covariance, [], []
+    for y in task.series.y:
+        expected_one.append(y - h @ x)
+        gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
+        x, p = x + gain @ (y - h @ x), (np.eye(2) - gain @ h) @ p
+        states.append(x)
+        x, p = f @ x, f @ p @ f.T + q
+    assert one == pytest.approx(np.array(expected_one)[first:], abs=1e-8)
+    starts = np.unique(np.linspace(first, len(states) - 1 - steps, len(ahead)).astype(int))
+    far = np.linalg.matrix_power(f, steps)
+    expected = [task.series.y[s + steps] - h @ far @ states[s] for s in starts]
+    assert ahead == pytest.approx(np.array(expected), abs=1e-8)
+
+
+def test_nothing_that_is_predicted_is_seen(free):
+    """Other measurements from a sample on change no prediction that was made before it."""
+    task, disturbed = free
+    at, first, steps = 400, 40, 20
+    y = task.series.y.copy()
+    y[at:] += np.random.default_rng(1).normal(size=y[at:].shape)
+    other = replace(task, series=replace(task.series, y=y))
+    given, changed = (forecast(t, disturbed, first, steps) for t in (task, other))
+    starts = np.linspace(first, 600 - 1 - steps, len(given[1])).astype(int)
+    for which, ends, made in ((0, np.arange(first, 600), np.arange(first, 600) - 1),
+                              (1, starts + steps, starts)):  # fmt: skip
+        predicted = task.series.y[ends] - given[which], y[ends] - changed[which]
+        before = made < at
+        assert predicted[0][before] == pytest.approx(predicted[1][before], abs=1e-12)
+        assert not np.allclose(predicted[0][~before], predicted[1][~before], atol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def true_model():
+    return compare(Problem(seed_model(Oscillator()), (driven(1),), (driven(2),)))
+
+
+def test_the_true_model_misses_by_noise_at_every_horizon(true_model):
+    one, ahead, free_run = true_model.unseen
+    floor = true_model.noise_floor
+    assert [one.samples, ahead.samples, free_run.samples] == [1, 20, None]
+    assert ahead.seconds == pytest.approx(0.1)
+    for horizon in true_model.unseen:
+        assert horizon.error == pytest.approx(floor, rel=0.1)
+    assert free_run.error == pytest.approx(true_model.test_error, rel=1e-12)
+    assert len(one.squares["x"]) == 20
+
+
+def test_a_wrong_model_misses_more_the_further_it_predicts():
+    """A spring of a fifth more, held: one sample ahead hides it, the free run does not."""
+    wrong = seed_model(Oscillator(), values={**TRUTH, "linear_stiffness.stiffness": 480.0})
+    wrong = replace(wrong, fixed=tuple(TRUTH))
+    found = compare(Problem(wrong, (driven(1),), (driven(2),)))
+    one, ahead, free_run = found.unseen
+    assert found.noise_floor < one.error < ahead.error < free_run.error
+    assert one.error < 2 * found.noise_floor
+    assert free_run.error > 5 * found.noise_floor
+
+
+def test_a_slow_record_is_predicted_ten_samples_ahead():
+    slow = [driven(seed, 500, 10.0) for seed in (1, 2)]
+    model = replace(seed_model(Oscillator(), values=TRUTH), fixed=tuple(TRUTH))
+    ahead = compare(Problem(model, (slow[0],), (slow[1],))).unseen[1]
+    assert (ahead.samples, ahead.seconds) == (10, pytest.approx(1.0))
+
+
+def horizon(squares, name="ahead"):
+    return Horizon(name, 10, 0.1, {f"x{j}": tuple(row) for j, row in enumerate(squares)})
+
+
+def test_the_standard_error_is_that_of_paired_blocks():
+    """Of two equal models the difference lies within one standard error two times in three."""
+    rng = np.random.default_rng(3)
+    common = rng.gamma(1.0, size=(2000, 2, 20))  # what both miss alike
+    pairs = [
+        changes((horizon(c + a),), (horizon(c + b),))[0]
+        for c, a, b in zip(common, *rng.gamma(4.0, size=(2, 2000, 2, 20)), strict=True)
+    ]
+    z = np.array([(p.after - p.before) / p.standard_error for p in pairs])
+    assert z.std() == pytest.approx(1.0, abs=0.08)
+    same = np.mean([p.judged == "same" for p in pairs])
+    assert same == pytest.approx(0.67, abs=0.04)
+
+
+def test_what_is_common_to_both_hides_no_difference():
+    rng = np.random.default_rng(4)
+    common = 100 * rng.gamma(0.3, size=(1, 20))
+    (found,) = changes((horizon(common),), (horizon(1.05 * common),))
+    assert found.judged == "worse"
+    assert found.after / found.before == pytest.approx(np.sqrt(1.05))
+    (found,) = changes((horizon(common),), (horizon(common / 1.05),))
+    assert found.judged == "better"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "judged"),
+    [(1.0, np.inf, "worse"), (np.inf, 1.0, "better"), (np.inf, np.inf, "same"),
+     (1.0, 1.000_001, "same"), (0.0, 0.0, "same")],
+)  # fmt: skip
+def test_a_model_that_runs_away_and_one_that_hardly_changes(before, after, judged):
+    (found,) = changes((horizon([[before] * 20]),), (horizon([[after] * 20]),))
+    assert found.judged == judged
+
+
+def test_horizons_are_matched_by_name():
+    one, two = horizon([[1.0] * 20], "one_sample"), horizon([[1.0] * 20], "free_run")
+    assert [c.horizon for c in changes((one, two), (two,))] == ["free_run"]
+    assert changes((), (one, two)) == ()
