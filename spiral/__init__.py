@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from spiral.former_names import accept
-from spiral.version import __version__
+from spiral.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from spiral.api import (
