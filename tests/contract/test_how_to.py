@@ -51,3 +51,14 @@ def test_fields_of_a_record_that_pages_name_are_there():
         assert named <= known, f"{page.name}: {named - known}"
     told = set(re.findall(r"\brecord\.(\w+)", (PAGES / "own-data.md").read_text("utf-8")))
     assert set(field_names(registry.entry("source", "csv").plugin)) <= told | {"time", "path"}
+
+
+def test_the_page_about_python_runs():
+    """Its blocks, in order, in one process; the effect that it hides is found."""
+    text = (PAGES / "python.md").read_text(encoding="utf-8")
+    blocks = [code for language, code in BLOCK.findall(text) if language == "python"]
+    names: dict = {}
+    for code in blocks:
+        exec(code, names)
+    assert names["run"].missing == ("cubic_stiffness",)
+    assert names["states"]["x_rate"].relative < 0.05
