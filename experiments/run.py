@@ -36,8 +36,8 @@ def main(_: DictConfig) -> float:
     given = tuple(HydraConfig.get().overrides.task)
     outcome = perform(Request("discover", overrides=given), print)
     config, result = outcome.parts["config"], outcome.result
-    wanted = (result["run_id"],)
-    tracked = track(tracking_of(config), config["out"], wanted, catch_up=False, draw=report_of)
+    how, wanted, known = tracking_of(config), (result["run_id"],), outcome.parts["registry"]
+    tracked = track(how, config["out"], wanted, catch_up=False, draw=report_of, registry=known)
     if tracked.failure is not None:
         print(f"saved, but not told to MLflow: {tracked.failure}")
     error = result["rounds"][-1]["test_error"]

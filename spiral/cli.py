@@ -7,12 +7,16 @@ told in one message; 3 an honest refusal. Heavy imports happen where a verb need
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
+import io
+import os
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from spiral.commands.perform import in_worker, perform
+from spiral.io.registry import NO_FOLDER
 from spiral.io.request import BAD_INPUT, Outcome, Request
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
 from spiral.version import __version__
@@ -76,11 +80,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.verb is None:
             parser().print_help()
             return 0
+        _name_local_files(options)
         if getattr(options, "help", False):
             return _verb_help(options)
         request = _request(options)
         if options.verb == "app":
-            return _app(request, options.port, not options.no_browser)
+            return _app(request, options.port, not options.no_browser, options.token)
         if options.multirun:
             return _multirun(request, options.json)
         return _single(request, options.json)
@@ -89,16 +94,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        sys.stderr.close()
+    except BrokenPipeError:  # as in: spiral plugins | head -1
+        _nobody_reads()
         return 0
 
 
 def entry() -> NoReturn:
     """Run the program and end the process, without a last look for rubbish (1 to 2 s of it)."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal may know fewer letters than we write
     code = main()
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _nobody_reads()
     gc.freeze()
     sys.exit(code)
+
+
+def _nobody_reads() -> None:
+    """Whoever read standard output has gone: what is left of it goes nowhere, in silence."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def parser() -> argparse.ArgumentParser:
@@ -126,10 +143,19 @@ def parser() -> argparse.ArgumentParser:
             verb.add_argument("-h", "--help", action="store_true", help=words)
         verb.add_argument("words", nargs="*", metavar="NAME|KEY=VALUE", help="names and overrides")
         verb.add_argument("--json", metavar="FILE", help="write the result as JSON; - is stdout")
-        verb.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
+        own = verb.add_mutually_exclusive_group()
+        own.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
+        own.add_argument(
+            "--no-plugins", dest="plugins", action="store_const", const=NO_FOLDER,
+            help="run no file of ./plugins or SPIRAL_PLUGINS",
+        )  # fmt: skip
         if name == "app":
             verb.add_argument("--port", metavar="N", help="port to listen on; usually 8765")
             verb.add_argument("--no-browser", action="store_true", help="open no browser")
+            words = (
+                "the page's token, for scripts; better in SPIRAL_TOKEN, which no other user sees"
+            )
+            verb.add_argument("--token", metavar="TOKEN", help=words)
         if name == "report":
             verb.add_argument("--out", metavar="FILE", help="the page to write: .html")
         if name in ("simulate", "estimate"):
@@ -173,6 +199,21 @@ def _verb_help(options: argparse.Namespace) -> int:
     return 0
 
 
+def _name_local_files(options: argparse.Namespace) -> None:
+    """Say on standard error which local files this command runs as plugins, before it does.
+
+    Where the folder is not there, the verb says so itself: ``new`` makes it.
+    """
+    from spiral.io.registry import local_sources
+
+    if options.verb == "report":  # loads no plugins
+        return
+    with contextlib.suppress(ConfigError):
+        files = ", ".join(map(str, local_sources(options.plugins)))
+        if files:
+            print(f"spiral: runs local plugins: {files} (--no-plugins: without)", file=sys.stderr)
+
+
 def _json_target(given: list[str]) -> str | None:
     """Where JSON goes, known before anything can fail."""
     for index, word in enumerate(given):
@@ -196,10 +237,10 @@ def _request(options: argparse.Namespace) -> Request:
     )
 
 
-def _app(request: Request, port: str | None, browser: bool) -> int:
+def _app(request: Request, port: str | None, browser: bool, token: str | None) -> int:
     from spiral.app.serve import begin
 
-    return begin(request.names, request.overrides, port, browser, request.plugins)
+    return begin(request.names, request.overrides, port, browser, request.plugins, token)
 
 
 def _single(request: Request, target: str | None) -> int:
@@ -236,7 +277,8 @@ def _tracked(outcome: Outcome) -> Tracked | None:
         return None
     with progress() as tell:
         tell("telling MLflow")
-        return track(tracking, config["out"], (outcome.result["run_id"],), draw=report_of)
+        known, wanted = outcome.parts["registry"], (outcome.result["run_id"],)
+        return track(tracking, config["out"], wanted, draw=report_of, registry=known)
 
 
 def _say_tracked(tracked: Tracked | None, target: str | None) -> None:
@@ -265,7 +307,7 @@ def _multirun(request: Request, target: str | None) -> int:
     registry = load_registry(request.plugins)
     plan = planned(request.verb, request.names, request.overrides, request.plugins, registry)
     with screen.progress() as (tell, watch):
-        tracker = SweepTracker(tracking_of(plan.config), plan.out, tell, report_of)
+        tracker = SweepTracker(tracking_of(plan.config), plan.out, tell, report_of, registry)
         sweep = run_sweep(in_worker, plan, tell, watch, tracker.on_row)
         tracked = tracker.finish()
     _write_json(sweep.as_dict(), target)
@@ -286,7 +328,7 @@ def _write_json(result: dict[str, Any], target: str | None) -> None:
 
     text = to_json(result) + "\n"
     if target == "-":
-        sys.stdout.write(text)
+        sys.stdout.write(_for(sys.stdout.encoding, text))
         sys.stdout.flush()
         return
     try:
@@ -295,6 +337,17 @@ def _write_json(result: dict[str, Any], target: str | None) -> None:
         raise ConfigError(
             f"--json {target}: {error.strerror or error}", "a file that can be written"
         ) from error
+
+
+def _for(encoding: str | None, text: str) -> str:
+    """JSON in letters that an encoding has."""
+    import json
+
+    try:
+        text.encode(encoding or "utf-8")
+    except UnicodeEncodeError:
+        return json.dumps(json.loads(text), indent=1) + "\n"
+    return text
 
 
 def _told(error: SpiralError, target: str | None) -> int:

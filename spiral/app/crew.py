@@ -144,7 +144,7 @@ def _worker(kind: str, out: Path, tell: Any) -> Any:
     """The one who does the work, with all that it needs imported."""
     from spiral.io.registry import load_registry
 
-    load_registry(None)
+    load_registry(local=False)  # local plugins are run when an order asks for them
     if kind == "scribe":
         os.nice(10)  # the page waits for the other one
         from spiral.app.scribe import Scribe

@@ -21,6 +21,8 @@ from spiral.app.draft import quoted
 from spiral.app.intake import DOES, Intake
 from spiral.app.panels import words
 from spiral.app.study import LEARNED, Study, Turn
+from spiral.io.registry import local_sources
+from spiral.io.tracking.store import URI_VARIABLE
 from spiral.types.errors import ConfigError
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -87,6 +89,10 @@ class Desk:
 
     # --- what is there ---------------------------------------------------------------------------
 
+    def local_plugins(self) -> tuple[str, ...]:
+        """Files that are run as local plugins."""
+        return tuple(map(str, local_sources(self.plugins)))
+
     def studies(self) -> list[Study]:
         """All studies on disk, the latest first."""
         return kept.studies(self.out)
@@ -107,8 +113,19 @@ class Desk:
     # --- what may be asked -----------------------------------------------------------------------
 
     def create(self, title: str, overrides: tuple[str, ...]) -> str:
-        """A new study, its first fit under way; returns its name."""
-        study = kept.new_study(self.out, title, overrides, self.plugins)
+        """A new study, its first fit under way; returns its name.
+
+        Raises
+        ------
+        ConfigError : an address of MLflow, which is the page's own affair.
+        """
+        for given in overrides:
+            if given.partition("=")[0].lstrip("+") == "tracking.uri":
+                raise ConfigError(
+                    "tracking.uri on the page", "the address that the page was started with",
+                    f"{URI_VARIABLE}=ADDRESS spiral app",
+                )  # fmt: skip
+        study = kept.new_study(self.out, title, overrides)
         with self._lock:
             self._scenes[study.ident] = Scene(study)
         self.start(study.ident)
@@ -226,7 +243,7 @@ class Desk:
                   effect=effect, base=serial)  # fmt: skip
 
     def _order(self, study: Study, do: str, serial: int) -> dict[str, Any]:
-        return {"do": do, "study": study.ident, "serial": serial, "plugins": study.plugins,
+        return {"do": do, "study": study.ident, "serial": serial, "plugins": self.plugins,
                 "overrides": list(study.overrides)}  # fmt: skip
 
     def _put(self, scene: Scene, save: bool = True) -> Scene:

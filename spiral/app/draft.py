@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from spiral.app.study import FOLDER, UPLOADS
-from spiral.io.storage import new_run_id, to_json, write_whole
+from spiral.app.study import FOLDER, UPLOADS, typed
+from spiral.io.storage import new_run_id, own_file, to_json, write_whole
 from spiral.types.errors import ConfigError
 
 FILE = "draft.json"
@@ -99,10 +99,9 @@ def load(out: Path, ident: str) -> Draft:
     ConfigError : no such draft.
     """
     try:
-        data = json.loads((place(out, ident) / FILE).read_text(encoding="utf-8"))
-        lists = {k: tuple(data[k]) for k in ("columns", "systems", "seen")}
-        return Draft(**{**data, **lists, "choice": Choice(**data["choice"])})
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        data = json.loads(own_file(place(out, ident), FILE).read_text(encoding="utf-8"))
+        return typed().structure({**data, "ident": ident}, Draft)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ConfigError(f"file {ident}", "one that was dropped here", "drop it again") from error
 
 

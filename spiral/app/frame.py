@@ -19,6 +19,8 @@ from spiral.types.errors import SpiralError
 from spiral.view.report.style import BLUE
 from spiral.view.terminal.shell import option_lines
 
+_COPY = """(event) => navigator.clipboard.writeText(
+  event.target.closest(".command").querySelector("code").textContent)"""
 _CONFIG = {
     "displaylogo": False, "responsive": True, "displayModeBar": False,
     "modeBarButtonsToRemove": ["lasso2d", "select2d"],
@@ -54,28 +56,35 @@ def drawn(data: Mapping[str, Any]) -> dict[str, Any]:
 def plot(data: Mapping[str, Any], name: str) -> ui.plotly:
     """A figure as wide as its place."""
     found = ui.plotly(drawn(data))
-    found.style(f"width:100%;height:{data['layout']['height']}px").props(f'id="plot-{name}"')
+    found.style(f"width:100%;height:{float(data['layout']['height'])}px")
+    found.props["id"] = f"plot-{name}"
     return found
 
 
 def figure(file: Path, name: str, heading: str, caption: str) -> None:
     """A figure from its file, with what it says."""
     ui.html(f"<div class='figure-head'>{escape(heading)}</div>", sanitize=False)
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    if not bare(file, name):
         ui.html("<p class='soft'>This figure is not there any more.</p>", sanitize=False)
         return
-    plot(data, name)
     ui.html(f"<p class='caption'>{escape(caption)}</p>", sanitize=False)
 
 
-def bare(file: Path, name: str) -> None:
-    """A figure from its file, without words."""
+def bare(file: Path, name: str) -> bool:
+    """A figure from its file, without words; whether there is one."""
     try:
         plot(json.loads(file.read_text(encoding="utf-8")), name)
-    except (OSError, ValueError):
-        return
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+    return True
+
+
+def code(text: str) -> None:
+    """Text as it is, with a button that copies it. No Markdown: a backtick in it means nothing."""
+    with ui.element("div").classes("command"):
+        ui.html(f"<pre><code>{escape(text)}</code></pre>", sanitize=False)
+        copy = ui.button("Copy").props("flat dense")
+        copy.on("click", js_handler=_COPY)
 
 
 def refused(error: SpiralError) -> None:
@@ -95,6 +104,14 @@ def nothing_here(error: SpiralError) -> None:
         with ui.element("div").classes("trouble"):
             ui.html(panels.trouble(error.as_dict()), sanitize=False)
         ui.link("All studies", "/").classes("quiet")
+
+
+def local_plugins(desk: Desk) -> None:
+    """The files that are run as local plugins, by name; nothing where there are none."""
+    files = desk.local_plugins()
+    if files:
+        said = f"Runs local plugins: {', '.join(files)}. Started with --no-plugins it does without."
+        ui.label(said).classes("soft local-plugins")
 
 
 def command(study: Study) -> str:

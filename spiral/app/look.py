@@ -104,7 +104,9 @@ table.plain th, table.plain td {{ padding:5px 14px 5px 0; text-align:left; verti
 table.plain td.n, table.plain th.n {{ text-align:right; font-variant-numeric:tabular-nums;
   white-space:nowrap; }}
 .wide {{ overflow-x:auto; }}
-.nicegui-code {{ min-width:0; overflow-x:auto; }} .nicegui-code pre {{ white-space:pre-wrap; }}
+.command {{ display:flex; align-items:start; gap:8px; background:var(--ground); padding:8px 12px; }}
+.command > :first-child {{ flex:1 1 auto; min-width:0; }}
+.command pre {{ white-space:pre-wrap; overflow-wrap:anywhere; margin:0; font-size:13.5px; }}
 math {{ font-size:17px; }}
 .equation td {{ border:0; padding:3px 10px 3px 0; vertical-align:middle; }}
 .equation td.owner {{ color:var(--soft); font-size:14px; }}

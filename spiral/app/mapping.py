@@ -147,9 +147,10 @@ class Form:
             self._change(columns={**now.columns, name: event.value},
                          units={**now.units, name: said})  # fmt: skip
             unit.set_value(said)
-            unit.props(f'placeholder="{self._named(event.value, series["unit"])}"')
+            unit.props["placeholder"] = self._named(event.value, series["unit"])
 
-        with ui.element("div").props(f'data-for="{name}"'):
+        with ui.element("div") as place:
+            place.props["data-for"] = name
             box = ui.select(names, value=value if value in names else "", on_change=choose)
             box.props("outlined dense")
         unit = self._unit(draft, name, series["unit"])
@@ -163,7 +164,8 @@ class Form:
 
         box = ui.input(value=draft.choice.units.get(name, ""), on_change=choose,
                        placeholder=self._named(column, usual))  # fmt: skip
-        return box.props(f'outlined dense debounce=500 aria-label="unit of {name}"')
+        box.props["aria-label"] = f"unit of {name}"
+        return box.props("outlined dense debounce=500")
 
     def _named(self, column: str, usual: str) -> str:
         """The unit that a file names for a column, else the system's own."""

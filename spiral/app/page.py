@@ -243,13 +243,13 @@ class View:
             add = ui.button("Add", on_click=lambda: self._add(effect, turn.serial))
             filled = first and panels.proposal(turn)[1] == "fine"
             add.props("unelevated color=primary" if filled else "outline color=primary")
-            add.props(f'aria-label="Add {panels.words(effect)}"')
+            add.props["aria-label"] = f"Add {panels.words(effect)}"
             add.set_enabled(scene.busy is None)
             ui.html(panels.evidence(found), sanitize=False).classes("evidence")
             if effect == turn.preview.get("effect"):
                 ui.html(unseen.tried(turn.preview["changes"]), sanitize=False).classes("wide")
             if effect in turn.rejected:
-                ui.html(f"Refused: {turn.rejected[effect]}", sanitize=True).classes("alike")
+                ui.label(f"Refused: {turn.rejected[effect]}").classes("alike")
             if aliases:
                 with ui.element("div").classes("alike"):
                     ui.html(panels.alike(aliases), sanitize=False)
@@ -278,8 +278,9 @@ class View:
         have = {name for name, _, _ in turn.figures}
         known = [t for t, names in TABS if have & set(names) or t == MODEL]
         shown = self.tab if self.tab in known else known[0]
-        look = "align=left no-caps outside-arrows mobile-arrows inline-label"
-        with ui.tabs().props(look) as tabs:
+        with ui.tabs().props(
+            "align=left no-caps outside-arrows mobile-arrows inline-label"
+        ) as tabs:
             for title in known:
                 ui.tab(title)
         tabs.set_value(shown)
@@ -301,7 +302,7 @@ class View:
             return
         with region:
             if title == WHERE and turn.sentence:
-                ui.html(f"<div class='sentence'>{turn.sentence}</div>", sanitize=True)
+                ui.label(turn.sentence).classes("sentence")
             if title == MODEL:
                 ui.html(panels.model(turn), sanitize=False).style("width:100%")
             wanted = dict(TABS)[title]
@@ -315,9 +316,10 @@ class View:
         with ui.expansion("The data, and how to do this on the command line").classes("w-full"):
             if study.records:
                 ui.html(panels.records(study.records), sanitize=False)
+            frame.local_plugins(self.desk)
             ui.html("<p class='soft' style='margin:12px 0 4px'>The same from a terminal:</p>",
                     sanitize=False)  # fmt: skip
-            ui.code(frame.command(study), language="bash").classes("w-full")
+            frame.code(frame.command(study))
 
     def _links(self, scene: Scene) -> None:
         frame.links(self.desk, scene)

@@ -38,7 +38,7 @@ FORMULA = (
 
 def ending(study: Study, turn: Turn) -> str:
     """What it means that nothing passes the gates."""
-    said = ENDINGS.get(turn.verdict, turn.advice)
+    said = ENDINGS.get(turn.verdict) or escape(turn.advice)
     error, floor = turn.result.get("test_error"), study.noise_floor
     if turn.verdict == "whiteness" and error and floor and error > _FAR * floor:
         said += f" The free run on the test record still misses by {percent(error)}, though: such a"
@@ -100,7 +100,7 @@ def channels(turn: Turn, units: Mapping[str, str]) -> str:
     fit = "" if chi2 is None else f"χ² per degree of freedom {number(chi2, 3)}; "
     fit += (
         f"whiteness p {probability(turn.result.get('whiteness_p'))}; windows of "
-        f"{turn.result.get('horizon')} samples"
+        f"{number(turn.result.get('horizon'))} samples"
     )
     return plain(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'
 

@@ -93,16 +93,20 @@ class Scribe:
         return run_id
 
     def _track(self, run_id: str) -> dict[str, Any]:
-        """MLflow's id of the run, or why it does not know of it."""
+        """MLflow's id of the run, or why it does not know of it.
+
+        Where runs are told to is what the page was started with, whatever the study's file says.
+        """
         from spiral.io.tracking.store import tracking_of
         from spiral.io.tracking.track import track
         from spiral.view.report.page import report_of
 
         assert self.config is not None
-        found = track(tracking_of(self.config), self.out, (run_id,), catch_up=False, draw=report_of)
+        found = track(replace(tracking_of(self.config), uri=None), self.out, (run_id,),
+                      catch_up=False, draw=report_of, registry=self.registry)  # fmt: skip
         number = found.runs.get(run_id)
         place = f"experiments/{found.experiment}/runs/{number}" if number else ""
-        return {"tracked": place, "store": found.uri, "untracked": found.failure or ""}
+        return {"tracked": place, "untracked": found.failure or ""}
 
 
 def _run(at: Checkpoint, problem: Problem) -> Run:

@@ -1,17 +1,25 @@
-"""The server of the page, on 127.0.0.1 alone."""
+"""The server of the page, on 127.0.0.1 alone, for those who know its token."""
 
 from __future__ import annotations
 
+import os
+import re
+import secrets
 import socket
 import sys
+import tempfile
 import threading
 import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from spiral.types.errors import ConfigError
 
 HOST, PORT = "127.0.0.1", 8765
+TOKEN_VARIABLE = "SPIRAL_TOKEN"
+_TOKEN = re.compile(r"[A-Za-z0-9_.~-]{16,200}")
 
 
 def begin(
@@ -20,12 +28,13 @@ def begin(
     port: str | None,
     browser: bool,
     plugins: str | None,
+    token: str | None = None,
 ) -> int:
     """``spiral app [out=FOLDER]``: serve the page; the exit code when it ends.
 
     Raises
     ------
-    ConfigError : another key than ``out``, or a port that is none or taken.
+    ConfigError : another key than ``out``, a port that is none or taken, or a weak token.
     """
     from spiral.io.overrides import parse
 
@@ -33,17 +42,34 @@ def begin(
     for key in (*names, *given):
         if key != "out":
             raise ConfigError(
-                f"app {key}", "spiral app [out=FOLDER] [--port N] [--no-browser]",
+                f"app {key}", "spiral app [out=FOLDER] [--port N] [--token TOKEN] [--no-browser]",
                 "choose record and system on the page",
             )  # fmt: skip
     if port is not None and not (port.isdigit() and int(port) < 65536):
         raise ConfigError(f"--port {port}", "a number from 0 to 65535", "leave it out")
     out = Path(str(given.get("out") or "runs")).expanduser()
-    run(out, None if port is None else int(port), browser, plugins)
+    run(out, None if port is None else int(port), browser, plugins, token_for(token))
     return 0
 
 
-def run(out: Path, port: int | None, browser: bool, plugins: str | None) -> None:
+def token_for(given: str | None) -> str:
+    """The page's token: the one given, ``SPIRAL_TOKEN``, else a random one.
+
+    Raises
+    ------
+    ConfigError : one that could be guessed, or that an address cannot hold.
+    """
+    token = given or os.environ.get(TOKEN_VARIABLE) or secrets.token_urlsafe(32)
+    if not _TOKEN.fullmatch(token):
+        raise ConfigError(
+            "a token of " + (f"{len(token)} characters" if len(token) < 16 else "other characters"),
+            "16 to 200 letters, digits, '-', '_', '.' or '~'",
+            'export SPIRAL_TOKEN="$(openssl rand -hex 24)"',
+        )
+    return token
+
+
+def run(out: Path, port: int | None, browser: bool, plugins: str | None, token: str) -> None:
     """Serve the page until Ctrl-C.
 
     Raises
@@ -55,31 +81,44 @@ def run(out: Path, port: int | None, browser: bool, plugins: str | None) -> None
     import uvicorn
 
     from spiral.app.desk import Desk
-    from spiral.app.guard import Guard
+    from spiral.app.guard import TOKEN, Guard
     from spiral.app.viewer import Viewer
 
     out.mkdir(parents=True, exist_ok=True)
     viewer = Viewer()
     desk = Desk(out.resolve(), plugins)
-    address = f"http://{HOST}:{number}"
+    address = f"http://{HOST}:{number}/?{TOKEN}={token}"
     server = uvicorn.Server(
         uvicorn.Config(
-            Guard(application(desk, viewer), number),
+            Guard(application(desk, viewer), number, token),
             log_level="warning",
             ws="websockets-sansio",
             timeout_graceful_shutdown=1,
         )
     )
     print(f"spiral app: {address}   (Ctrl-C ends it; studies are kept in {out})", flush=True)
-    if browser:
-        threading.Timer(0.8, webbrowser.open, (address,)).start()
     try:
-        server.run(sockets=[listening])
+        with door(address) as file:
+            if browser:
+                threading.Timer(0.8, webbrowser.open, (file.as_uri(),)).start()
+            server.run(sockets=[listening])
     except KeyboardInterrupt:
         print("ended", file=sys.stderr)
     finally:
         desk.close()
         viewer.close()
+
+
+@contextmanager
+def door(address: str) -> Iterator[Path]:
+    """A file of this user alone that leads a browser to the address with its token.
+
+    What a browser is told to open shows in the list of processes, which all users of a machine see.
+    """
+    with tempfile.TemporaryDirectory(prefix="spiral-") as folder:  # readable by its owner alone
+        file = Path(folder) / "open.html"
+        file.write_text(f'<meta http-equiv="refresh" content="0;url={address}">', encoding="utf-8")
+        yield file
 
 
 def application(desk: Any, viewer: Any) -> Any:

@@ -37,6 +37,7 @@ def start_page(desk: Desk) -> None:
             ui.html("<h2 class='head'>Or bring your own measurements</h2>", sanitize=False)
             drop_zone()
             _path(desk)
+        frame.local_plugins(desk)
         known = desk.studies()
         if known:
             with ui.element("section").classes("card"):

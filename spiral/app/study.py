@@ -2,6 +2,9 @@
 
 Its turns form a line: the model as it was, then one more effect at each turn. ``at`` is the turn
 that is looked at; undoing moves it back and forgets nothing until another effect is added there.
+
+A folder of studies may come from anywhere. A study is called by its folder; what its file holds is
+checked by type, and names nothing that is run.
 """
 
 from __future__ import annotations
@@ -11,11 +14,15 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from spiral.io.storage import new_run_id, to_json, unwritable, write_whole
+from spiral.io.storage import new_run_id, own_file, to_json, unwritable, write_whole
 from spiral.types.errors import ConfigError, InputError
+
+if TYPE_CHECKING:
+    from cattrs import Converter
 
 FOLDER, FILE, UPLOADS = "studies", "study.json", "uploads"
 LEARNED = "settings.learned"
@@ -32,7 +39,7 @@ class Turn:
     ``preview`` is what adding the proposed effect would come to, tried on the test record (effect,
     changes at each horizon, test error); empty until it was tried;
     ``figures`` what is drawn (name, heading, caption), one JSON file each; ``tracked`` its place in
-    MLflow's page on ``store``, or ``untracked`` why it has none.
+    MLflow's page, or ``untracked`` why it has none.
     """
 
     serial: int
@@ -51,7 +58,6 @@ class Turn:
     complete: bool = False
     run_id: str = ""
     tracked: str = ""
-    store: str = ""
     untracked: str = ""
 
 
@@ -66,7 +72,6 @@ class Study:
     title: str
     overrides: tuple[str, ...]
     created: str
-    plugins: str | None = None
     turns: tuple[Turn, ...] = ()
     at: int = 0
     serials: int = 0
@@ -136,7 +141,7 @@ def moved(study: Study, by: int) -> Study:
     return replace(study, at=min(max(study.at + by, 0), max(len(study.turns) - 1, 0)), trouble=None)
 
 
-def new_study(out: Path, title: str, overrides: tuple[str, ...], plugins: str | None) -> Study:
+def new_study(out: Path, title: str, overrides: tuple[str, ...]) -> Study:
     """A study on disk that has done nothing yet.
 
     Raises
@@ -144,7 +149,7 @@ def new_study(out: Path, title: str, overrides: tuple[str, ...], plugins: str | 
     InputError : the folder of runs cannot be written.
     """
     now = datetime.now(UTC)
-    study = Study(new_run_id(now), title, overrides, now.isoformat(timespec="seconds"), plugins)
+    study = Study(new_run_id(now), title, overrides, now.isoformat(timespec="seconds"))
     try:
         place(out, study.ident).mkdir(parents=True)
         save(out, study)
@@ -184,21 +189,18 @@ def load(out: Path, ident: str) -> Study:
     ------
     ConfigError : no such study. InputError : a file that is none.
     """
-    file = place(out, ident) / FILE
+    file = own_file(place(out, ident), FILE)
     if not file.is_file():
         raise ConfigError(
             f"study {ident}", f"a study in {out / FOLDER}", "choose one from the list"
         )
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
-        turns = tuple(Turn(**{**t, **_tuples(t)}) for t in data["turns"])
-        plain = {
-            "overrides": tuple(data["overrides"]),
-            "records": tuple(data["records"]),
-            "own": tuple(data["own"]),
-        }
-        return Study(**{**data, **plain, "turns": turns})
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        study = typed().structure({**data, "ident": ident}, Study)
+        for turn in study.turns:
+            float(turn.result.get("test_error") or 0.0)  # which the list of all studies shows
+        return replace(study, at=min(max(study.at, 0), max(len(study.turns) - 1, 0)))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{file}: {error}", "a study saved by this program") from error
 
 
@@ -213,11 +215,9 @@ def studies(out: Path) -> list[Study]:
     return found
 
 
-def _tuples(turn: Mapping[str, Any]) -> dict[str, Any]:
-    candidates = turn["candidates"]
-    return {
-        "candidates": None if candidates is None else tuple(candidates),
-        "proposed": tuple(turn["proposed"]),
-        "equation": tuple(turn["equation"]),
-        "figures": tuple((n, h, c) for n, h, c in turn["figures"]),
-    }
+@lru_cache(maxsize=1)
+def typed() -> Converter:
+    """Plain data to the types of a study; text where text belongs, numbers where numbers do."""
+    from cattrs import Converter
+
+    return Converter(detailed_validation=False)

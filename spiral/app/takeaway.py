@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spiral.app.desk import Desk
 from spiral.app.study import Turn
 from spiral.app.viewer import Viewer
+from spiral.io.storage import own_file, run_folder
+from spiral.io.tracking.store import Tracking
 from spiral.types.errors import ConfigError, SpiralError
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
 REPORT = "report.html"
+_TRACKED = re.compile(r"experiments/\w+/runs/\w+", re.ASCII)
 
 
 def routes(web: FastAPI, desk: Desk, viewer: Viewer) -> None:
@@ -33,7 +37,10 @@ def routes(web: FastAPI, desk: Desk, viewer: Viewer) -> None:
     async def _mlflow(ident: str, serial: int) -> Any:
         try:
             turn = _saved(desk, ident, serial)
-            address = await asyncio.to_thread(viewer.address, turn.store, turn.tracked)
+            if not _TRACKED.fullmatch(turn.tracked):
+                raise ConfigError(f"turn {serial}", "a turn that MLflow knows of", "wait a moment")
+            store = Tracking().where(desk.out)  # never one that a file of the study names
+            address = await asyncio.to_thread(viewer.address, store, turn.tracked)
         except SpiralError as error:
             return PlainTextResponse(str(error), status_code=404)
         return RedirectResponse(address)
@@ -50,7 +57,7 @@ def written(desk: Desk, ident: str, serial: int, name: str) -> Path:
     makers = {REPORT: _report, "model.tex": _latex, "model.txt": _equation, "run.json": None}
     if name not in makers:
         raise ConfigError(f"file {name}", f"one of {', '.join(makers)}")
-    file = desk.out / turn.run_id / name
+    file = own_file(run_folder(desk.out, turn.run_id), name)
     make = makers[name]
     if make is not None and not file.is_file():
         from spiral.io.storage import write_whole

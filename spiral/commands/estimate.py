@@ -36,7 +36,7 @@ def reconstruct(study: Study) -> Outcome:
     if found.diverged:
         result["error"] = _refusal(found)
     parts = {"estimation": found, "calibration": fitted, "written": written, "records": records,
-             "request": study.request, "config": config}  # fmt: skip
+             "request": study.request, "config": config, "registry": registry}  # fmt: skip
     return Outcome(REFUSED if found.diverged else OK, result, parts)
 
 

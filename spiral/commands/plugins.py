@@ -79,7 +79,7 @@ def new(request: Request) -> Outcome:
     import os
     from pathlib import Path
 
-    from spiral.io.registry import DEFAULT_FOLDER, FOLDER_VARIABLE, load_registry
+    from spiral.io.registry import DEFAULT_FOLDER, FOLDER_VARIABLE, NO_FOLDER, load_registry
     from spiral.io.scaffold import KINDS, new_plugin, similar
 
     _only_names(request, "spiral new KIND NAME", f"KIND is one of {', '.join(KINDS)}")
@@ -90,7 +90,7 @@ def new(request: Request) -> Outcome:
     kind, name = request.names
     given = request.plugins or os.environ.get(FOLDER_VARIABLE) or DEFAULT_FOLDER
     folder = Path(given).expanduser()
-    registry = load_registry(folder, local=folder.is_dir())
+    registry = load_registry(folder, local=folder.is_dir() and request.plugins != NO_FOLDER)
     files = new_plugin(kind, name, folder, registry)
     near = similar(name, registry)
     result = {"kind": kind, "name": name, "files": [str(f) for f in files], "similar": near}

@@ -59,8 +59,9 @@ class Study:
         return save_result(verb, result, model, self.config, data, self.registry, out, given)
 
     def parts(self, problem: Problem, **more: Any) -> dict[str, Any]:
-        """What the terminal needs besides the result."""
-        return {"problem": problem, "request": self.request, "config": self.config, **more}
+        """What the terminal and MLflow need besides the result."""
+        return {"problem": problem, "request": self.request, "config": self.config,
+                "registry": self.registry, **more}  # fmt: skip
 
 
 def discover(study: Study) -> Outcome:

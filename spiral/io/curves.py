@@ -35,6 +35,7 @@ from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.where.latent import LatentForce, smoothed_states, with_latent
 from spiral.inference.where.regions import Seen, seen, where
 from spiral.inference.where.surface import shapes
+from spiral.io.storage import own_file
 from spiral.types.errors import InputError
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
@@ -73,8 +74,12 @@ def write_curves(curves: Curves, folder: Path) -> Path:
 
     target, trial = folder / FILE, folder / f".{FILE}.tmp.npz"
     text = np.frombuffer(json.dumps(curves.meta).encode(), dtype=np.uint8)
-    np.savez_compressed(trial, meta=text, **curves.arrays)  # type: ignore[arg-type]
-    os.replace(trial, target)
+    try:
+        np.savez_compressed(trial, meta=text, **curves.arrays)  # type: ignore[arg-type]
+        os.replace(trial, target)
+    except BaseException:  # a full disk, a signal
+        trial.unlink(missing_ok=True)
+        raise
     return target
 
 
@@ -83,9 +88,9 @@ def read_curves(folder: Path) -> Curves | None:
 
     Raises
     ------
-    InputError : a file that is none of this program's.
+    InputError : a file that is none of this program's, or a link out of the folder.
     """
-    file = folder / FILE
+    file = own_file(folder, FILE)
     if not file.is_file():
         return None
     try:

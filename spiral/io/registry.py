@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
+import importlib.machinery
 import importlib.util
 import inspect
 import os
@@ -32,6 +33,7 @@ GROUP = "spiral.plugins"
 FOLDER_VARIABLE = "SPIRAL_PLUGINS"
 DEFAULT_FOLDER = "plugins"
 LOCAL = "local"  # the origin of a plugin that comes from a folder
+NO_FOLDER = ""  # in place of a folder: no local plugins, whatever the variable and ./plugins hold
 
 
 @dataclass(frozen=True)
@@ -56,11 +58,23 @@ class Failure:
 
 
 @dataclass(frozen=True)
+class LocalFile:
+    """A file of a local folder that was run, with the SHA-256 of the text that was run."""
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True)
 class Registry:
-    """Every known plugin; the allowlist of what a configuration may name."""
+    """Every known plugin; the allowlist of what a configuration may name.
+
+    ``local`` are the files of the local folder that were run, those that failed too.
+    """
 
     entries: tuple[Entry, ...]
     failures: tuple[Failure, ...] = field(default=())
+    local: tuple[LocalFile, ...] = field(default=())
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -168,6 +182,11 @@ class Registry:
                     found.append(plugin())
         return tuple(found)
 
+    def local_plugins(self) -> dict[str, LocalFile]:
+        """``kind/name`` -> the file that was run for it, of every plugin of the local folder."""
+        files = {f.file: f for f in self.local}
+        return {f"{e.kind}/{e.name}": files[e.file] for e in self.entries if e.origin == LOCAL}
+
     def versions(self) -> dict[str, str]:
         """``kind/name`` -> version, for the history of a run."""
         return {f"{e.kind}/{e.name}": f"{e.origin} {e.version}".strip() for e in self.entries}
@@ -178,7 +197,8 @@ def load_registry(folder: str | os.PathLike[str] | None = None, local: bool = Tr
 
     Parameters
     ----------
-    folder : left out, ``SPIRAL_PLUGINS``, else ``./plugins`` where there is one.
+    folder : left out, ``SPIRAL_PLUGINS``, else ``./plugins`` where there is one; none where
+        ``NO_FOLDER``.
     local : whether to read a local folder at all.
 
     Raises
@@ -188,13 +208,48 @@ def load_registry(folder: str | os.PathLike[str] | None = None, local: bool = Tr
     """
     modules: list[tuple[ModuleType, str, str]] = []
     failures: list[Failure] = []
-    seen: set[Path] = set()
     for package, origin, version in _installed(failures):
-        modules += [(m, origin, version) for m in _walk(package, failures, seen)]
-    place = _local_folder(folder) if local else None
-    if place is not None:
-        modules += [(m, LOCAL, _digest(m)) for m in _load_folder(place, failures, seen)]
-    return Registry(_entries(modules, failures), tuple(failures))
+        modules += [(m, origin, version) for m in _walk(package, failures)]
+    files: list[LocalFile] = []
+    for path in local_sources(folder) if local else ():
+        module = _run_local(path, files, failures)
+        if module is not None:
+            modules.append((module, LOCAL, files[-1].sha256[:12]))
+    return Registry(_entries(modules, failures), tuple(failures), tuple(files))
+
+
+def local_sources(folder: str | os.PathLike[str] | None = None) -> tuple[Path, ...]:
+    """The files of the local folder that ``load_registry`` runs, in order; none is run here.
+
+    Files of an installed package of plugins are left out: they are loaded as such.
+
+    Raises
+    ------
+    ConfigError : a folder was named and is not there.
+    """
+    place = _local_folder(folder)
+    if place is None:
+        return ()
+    installed = _installed_folders()
+
+    def wanted(path: Path) -> bool:
+        inside = path.relative_to(place).parts
+        hidden = any(part.startswith(("_", ".", "test_")) for part in inside)
+        return not hidden and installed.isdisjoint(path.resolve().parents)
+
+    return tuple(path for path in sorted(place.rglob("*.py")) if wanted(path))
+
+
+def _installed_folders() -> set[Path]:
+    """Folders of the installed packages of plugins; nothing is imported."""
+    from importlib.metadata import entry_points
+
+    found: set[Path] = set()
+    for point in entry_points(group=GROUP):
+        with contextlib.suppress(ImportError, ValueError):
+            spec = importlib.util.find_spec(point.module)
+            found |= {Path(p).resolve() for p in (spec and spec.submodule_search_locations) or ()}
+    return found
 
 
 def _installed(failures: list[Failure]) -> Iterator[tuple[ModuleType, str, str]]:
@@ -209,29 +264,24 @@ def _installed(failures: list[Failure]) -> Iterator[tuple[ModuleType, str, str]]
             failures.append(Failure(point.name, point.value, told(error)))
 
 
-def _walk(package: ModuleType, failures: list[Failure], seen: set[Path]) -> Iterator[ModuleType]:
+def _walk(package: ModuleType, failures: list[Failure]) -> Iterator[ModuleType]:
     """The package and all modules under it; those that fail are reported by name and file."""
     yield package
-    _see(package.__file__, seen)
     if not hasattr(package, "__path__"):
         return
     prefix = f"{package.__name__}."
     for info in pkgutil.walk_packages(package.__path__, prefix, onerror=lambda name: None):
         spec = importlib.util.find_spec(info.name)
         file = spec.origin if spec and spec.origin else info.name
-        _see(file, seen)
         try:
             yield importlib.import_module(info.name)
         except (Exception, SystemExit) as error:
             failures.append(Failure(info.name.rsplit(".", 1)[-1], file, told(error)))
 
 
-def _see(file: str | None, seen: set[Path]) -> None:
-    if file:
-        seen.add(Path(file).resolve())
-
-
 def _local_folder(folder: str | os.PathLike[str] | None) -> Path | None:
+    if folder == NO_FOLDER:
+        return None
     given = folder or os.environ.get(FOLDER_VARIABLE)
     if not given:
         default = Path(DEFAULT_FOLDER)
@@ -246,26 +296,34 @@ def _local_folder(folder: str | os.PathLike[str] | None) -> Path | None:
     return path
 
 
-def _load_folder(folder: Path, failures: list[Failure], seen: set[Path]) -> Iterator[ModuleType]:
-    for path in sorted(folder.rglob("*.py")):
-        inside = path.relative_to(folder).parts
-        if path.resolve() in seen or any(part.startswith(("_", ".", "test_")) for part in inside):
-            continue
-        _see(str(path), seen)
-        name = f"spiral_local_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:10]}"
-        name = f"{name}_{path.stem}"
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module  # dataclasses look their module up by name
-        try:
-            spec.loader.exec_module(module)
-        except (Exception, SystemExit) as error:
-            del sys.modules[name]
-            failures.append(Failure(path.stem, str(path), told(error)))
-            continue
-        yield module
+class _HashedSource(importlib.machinery.SourceFileLoader):
+    """Runs the very text that was hashed: no ``__pycache__`` of a folder can take its place."""
+
+    text = b""
+
+    def get_code(self, fullname: str) -> Any:
+        """The code of the text."""
+        return self.source_to_code(self.text, self.path)
+
+
+def _run_local(path: Path, files: list[LocalFile], failures: list[Failure]) -> ModuleType | None:
+    """Run one local file and note its hash; one that fails is reported by name and file."""
+    name = f"spiral_local_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:10]}"
+    name = f"{name}_{path.stem}"
+    loader = _HashedSource(name, str(path))
+    spec = importlib.util.spec_from_file_location(name, path, loader=loader)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up by name
+    try:
+        loader.text = path.read_bytes()
+        files.append(LocalFile(str(path), hashlib.sha256(loader.text).hexdigest()))
+        loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[name]
+        failures.append(Failure(path.stem, str(path), told(error)))
+        return None
+    return module
 
 
 def told(error: BaseException) -> str:
@@ -284,10 +342,6 @@ def _line(error: BaseException) -> str:
             last = f" ({Path(frame.tb_frame.f_code.co_filename).name}, line {frame.tb_lineno})"
         frame = frame.tb_next
     return last
-
-
-def _digest(module: ModuleType) -> str:
-    return hashlib.sha256(Path(str(module.__file__)).read_bytes()).hexdigest()[:12]
 
 
 def _entries(

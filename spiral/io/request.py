@@ -37,11 +37,16 @@ class Outcome:
 
 
 def configured(request: Request, registry: Registry) -> Config:
-    """The composed configuration, on top of a saved run where ``run=`` names one."""
-    from spiral.io.config import compose
+    """The composed configuration, on top of a saved run where ``run=`` names one.
+
+    Where runs are kept and told to is this command's affair: a saved run, which may come from
+    anywhere, has no say in it.
+    """
+    from spiral.io.config import Options, compose
     from spiral.io.overrides import parse
     from spiral.io.storage import load_run
-    from spiral.io.tracking.store import tracking_of
+    from spiral.io.tracking.store import Tracking, tracking_of
+    from spiral.types.fields import defaults_of
 
     given = {".".join(i.path): i.value for i in parse(request.overrides)}
     if not given.get("run"):
@@ -53,6 +58,8 @@ def configured(request: Request, registry: Registry) -> Config:
     base = saved.as_config()
     if request.verb == "simulate":
         base = _as_truth(base, registry)
+    base |= {"out": Options.out, "tracking": defaults_of(Tracking)}
+    base["sweep"] = {**(base.get("sweep") or {}), "id": None, "address": None}
     kept = tuple(o for o in request.overrides if not o.startswith("run="))
     config = {**compose(kept, registry, base), "run": saved.run_id}
     _refuse_unused(request, config)

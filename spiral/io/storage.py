@@ -1,7 +1,9 @@
 """Saved runs: ``OUT/ID/run.json``, written whole or not at all, and taken up again.
 
 A saved run holds the composed configuration, the model (plugin names, fields, values, errors), the
-hashes of its data, the plugins' versions, and the result as the JSON contract writes it.
+hashes of its data, the plugins' versions, and the result as the JSON contract writes it. It may
+come from anywhere: its id is its folder's name, a link that leads out of its folder is not
+followed, and no path that it names is ever run.
 """
 
 from __future__ import annotations
@@ -9,20 +11,20 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import secrets
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spiral.io.registry import LOCAL
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 from spiral.types.fields import plain
+from spiral.types.masking import without_passwords
 
 if TYPE_CHECKING:
-    from spiral.io.registry import Registry
+    from spiral.io.registry import LocalFile, Registry
     from spiral.types.model import Model
     from spiral.types.record import Record
     from spiral.types.run import Run
@@ -31,6 +33,7 @@ FORMAT = 1
 FILE = "run.json"
 LATEST = "latest"
 MAKE_A_MODEL = ("discover", "add")  # verbs whose runs are meant by ``latest``
+_ID = re.compile(r"\w[\w.-]{0,79}", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,32 @@ class SavedRun:
         ConfigError : a plugin it used is not known here.
         """
         return model_from(self.data["model"], registry)
+
+    def local_files(self, registry: Registry) -> tuple[LocalFile, ...]:
+        """Files of local plugins that its model is made of, as this command has run them.
+
+        Raises
+        ------
+        ConfigError : a local plugin that is not loaded here, or whose file is not the one recorded.
+        """
+        model = self.data["model"]
+        used = {
+            f"system/{model['system']['name']}",
+            *(f"effect/{e['name']}" for e in model["effects"]),
+        }
+        here, recorded = registry.local_plugins(), _hashes(self.data.get("local_plugins"))
+        found = {}
+        for key in sorted(used & {*here, *recorded}):
+            file = here.get(key)
+            if file is None or file.sha256 != recorded.get(key):
+                raise ConfigError(
+                    f"{key} of run {self.run_id}, " + ("not loaded here" if file is None else
+                    f"which is not what {file.file} holds now"),
+                    "the plugin file that the run recorded, by its SHA-256",
+                    "--plugins DIR with that file",
+                )  # fmt: skip
+            found[file.file] = file
+        return tuple(found.values())
 
     def as_config(self) -> dict[str, Any]:
         """A configuration whose model is this run's final one.
@@ -153,14 +182,22 @@ def content_of(
         "run_id": run_id,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "verb": verb,
-        "overrides": list(overrides),
-        "config": dict(config),
+        "overrides": [without_passwords(o) for o in overrides],
+        "config": _without_secrets(config),
         "plugins": registry.versions(),
-        "local_plugins": _local_files(model, registry),
+        "local_plugins": _local_hashes(model, registry),
         "data": {k: [_data(r) for r in group] for k, group in records.items()},
         "model": model_data(model),
         "result": {**result, "run_id": run_id},
     }
+
+
+def _without_secrets(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration whose address of MLflow holds no password."""
+    tracking = config.get("tracking") or {}
+    uri = tracking.get("uri")
+    masked = {**tracking, "uri": without_passwords(uri)} if isinstance(uri, str) else tracking
+    return {**config, "tracking": masked} if "tracking" in config else dict(config)
 
 
 def unwritable(folder: str | os.PathLike[str], error: OSError) -> InputError:
@@ -251,16 +288,53 @@ def _latest(known: Sequence[str], folder: str | os.PathLike[str]) -> str:
 
 
 def read_run(file: Path) -> SavedRun:
-    """A saved run from its file."""
+    """A saved run from its file; the name of its folder is its id.
+
+    Raises
+    ------
+    InputError : a file that is not a saved run, or lies elsewhere.
+    """
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(own_file(file.parent, file.name).read_text(encoding="utf-8"))
         if data["format"] > FORMAT:
             raise InputError(
                 f"{file}: format {data['format']}", f"at most {FORMAT}", "update this program"
             )
-        return SavedRun(data["run_id"], file, data)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        run_id = file.absolute().parent.name
+        return SavedRun(run_id, file, {**data, "run_id": run_id})
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{file}: {error}", "a run saved by this program") from error
+
+
+def own_file(folder: Path, name: str) -> Path:
+    """A file of a folder, links resolved.
+
+    Raises
+    ------
+    InputError : a link leads out of the folder.
+    """
+    place, found = folder.resolve(), (folder / name).resolve()
+    if not found.is_relative_to(place):
+        raise InputError(
+            f"{folder / name}, a link out of its folder",
+            f"a file in {folder}",
+            "copy the file there",
+        )
+    return found
+
+
+def run_folder(folder: str | os.PathLike[str], run_id: str) -> Path:
+    """The folder of a run.
+
+    Raises
+    ------
+    ConfigError : no name that a run may have.
+    """
+    if not _ID.fullmatch(run_id):
+        raise ConfigError(
+            f"run {run_id[:60]!r}", "the id of a saved run", "choose one from the list"
+        )
+    return Path(folder).expanduser() / run_id
 
 
 def run_ids(folder: str | os.PathLike[str]) -> list[str]:
@@ -268,7 +342,7 @@ def run_ids(folder: str | os.PathLike[str]) -> list[str]:
     place = Path(folder).expanduser()
     if not place.is_dir():
         return []
-    return sorted(p.name for p in place.iterdir() if (p / FILE).is_file())
+    return sorted(p.name for p in place.iterdir() if _ID.fullmatch(p.name) and (p / FILE).is_file())
 
 
 def to_json(value: Any) -> str:
@@ -293,16 +367,16 @@ def finite(value: Any) -> Any:
 
 def write_whole(file: Path, text: str) -> None:
     """Write to a temporary name beside the file, then move into place."""
-    handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.", suffix=".tmp")
+    temporary = file.parent / f".{file.name}.{secrets.token_hex(6)}.tmp"
+    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as out:
             out.write(text)
             out.flush()
             os.fsync(out.fileno())
-        os.chmod(temporary, 0o644)
         os.replace(temporary, file)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise
 
 
@@ -316,11 +390,15 @@ def _data(record: Record) -> dict[str, Any]:
     }
 
 
-def _local_files(model: Model, registry: Registry) -> list[str]:
-    """Files of local plugins that a model is made of."""
-    used = {(p.kind, p.plugin_name()) for p in (model.system, *model.effects)}
-    local = [e for e in registry.entries if e.origin == LOCAL]
-    return sorted({str(Path(e.file).resolve()) for e in local if (e.kind, e.name) in used})
+def _local_hashes(model: Model, registry: Registry) -> dict[str, str]:
+    """``kind/name`` -> SHA-256 of the file, of the local plugins that a model is made of."""
+    used = {f"{p.kind}/{p.plugin_name()}" for p in (model.system, *model.effects)}
+    return {k: f.sha256 for k, f in registry.local_plugins().items() if k in used}
+
+
+def _hashes(recorded: Any) -> dict[str, str]:
+    """Hashes as a run recorded them; runs of earlier versions recorded paths, which say nothing."""
+    return dict(recorded) if isinstance(recorded, Mapping) else {}
 
 
 def _label(effect: Mapping[str, Any]) -> str:

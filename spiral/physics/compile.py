@@ -13,12 +13,16 @@ the rest, so that a damaged file is written anew.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import importlib.util
 import os
+import shutil
+import stat
 import sys
 import tempfile
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -164,8 +168,31 @@ def _digest(traced: Traced, by: tuple[str, ...] | None) -> str:
     return hashlib.sha256("\n".join(words).encode()).hexdigest()[:24]
 
 
-def _folders() -> tuple[Path, ...]:
-    return cache_folder(), Path(tempfile.gettempdir()) / f"spiral-{os.getuid()}"
+def _folders() -> tuple[tuple[Path, int], ...]:
+    """Where compiled models may be kept, with the rights that others must not have there.
+
+    What lies there is run. The temporary folder is everybody's: another user may have made ours.
+    """
+    shared = Path(tempfile.gettempdir()) / f"spiral-{os.getuid()}"
+    return (cache_folder(), stat.S_IWOTH), (shared, stat.S_IRWXG | stat.S_IRWXO)
+
+
+def _of_this_user(folder: Path, forbidden: int) -> bool:
+    """Whether a folder is there and no link, this user's, and gives others no such right."""
+    try:
+        found = os.lstat(folder)
+    except OSError:
+        return False
+    mine = found.st_uid == os.getuid()
+    return stat.S_ISDIR(found.st_mode) and mine and not found.st_mode & forbidden
+
+
+@lru_cache(maxsize=1)
+def _own_folder() -> Path:
+    """A new folder that only this user can enter, removed when the process ends."""
+    folder = Path(tempfile.mkdtemp(prefix="spiral-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 def _seal(source: str) -> str:
@@ -173,8 +200,10 @@ def _seal(source: str) -> str:
 
 
 def _kept(name: str) -> Path | None:
-    """The module's file where an earlier study wrote it, whole."""
-    for folder in _folders():
+    """The module's file where an earlier study of this user wrote it, whole."""
+    for folder, forbidden in _folders():
+        if not _of_this_user(folder, forbidden):
+            continue
         try:
             first, rest = (folder / f"{name}.py").read_text().split("\n", 1)
         except (OSError, ValueError):
@@ -185,16 +214,30 @@ def _kept(name: str) -> Path | None:
 
 
 def _written(name: str, source: str) -> Path:
-    """The module's file, written to a temporary name first and moved into place."""
-    for folder in _folders():
-        path = folder / f"{name}.py"
+    """The module's file, written to a temporary name first and moved into place.
+
+    Where no folder serves, one of this process alone does.
+    """
+    for folder, forbidden in _folders():
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(dir=folder, suffix=".tmp")
-            with os.fdopen(handle, "w") as file:
-                file.write(_seal(source) + source)
-            os.replace(temporary, path)
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if _of_this_user(folder, forbidden):
+                return _written_into(folder, name, source)
         except OSError:
             continue
-        return path
-    raise OSError("no folder for compiled models could be written; set SPIRAL_CACHE")
+    try:
+        return _written_into(_own_folder(), name, source)
+    except OSError as error:
+        raise OSError("no folder for compiled models could be written; set SPIRAL_CACHE") from error
+
+
+def _written_into(folder: Path, name: str, source: str) -> Path:
+    handle, temporary = tempfile.mkstemp(dir=folder, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "w") as file:
+            file.write(_seal(source) + source)
+        os.replace(temporary, folder / f"{name}.py")
+    except OSError:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    return folder / f"{name}.py"

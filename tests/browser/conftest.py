@@ -33,7 +33,17 @@ class Served:
         )
         line = self.process.stdout.readline()
         assert "http://127.0.0.1:" in line, line
-        self.address = line.split()[2]
+        self.entry = line.split()[2]
+        self.address, _, self.token = self.entry.partition("/?token=")
+        self.port = int(self.address.rsplit(":", 1)[1])
+
+    def enter(self, page):
+        """Give a page the cookie that opening the printed address would."""
+        page.context.add_cookies([
+            {"name": f"spiral-{self.port}", "value": self.token, "url": self.address,
+             "httpOnly": True, "sameSite": "Strict"}
+        ])  # fmt: skip
+        return page
 
     def stop(self):
         self.process.send_signal(signal.SIGINT)
@@ -66,9 +76,9 @@ def served(chromium, tmp_path_factory):
 
 
 @pytest.fixture
-def tab(chromium):
+def tab(chromium, served):
     """A new page whose console has no error in it at the end."""
-    page = chromium.new_page(viewport={"width": 1366, "height": 900})
+    page = served.enter(chromium.new_page(viewport={"width": 1366, "height": 900}))
     page.set_default_timeout(PATIENCE)
     wrong = []
     page.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)

@@ -14,7 +14,7 @@ DRAWN = """[...document.querySelectorAll('.js-plotly-plot')].every(
 @pytest.fixture(scope="module")
 def study(served, chromium):
     """The address of a study with one effect added, and how long its steps took."""
-    page = chromium.new_page()
+    page = served.enter(chromium.new_page())
     page.set_default_timeout(120_000)
     began = time.monotonic()
     page.goto(served.address)
@@ -84,9 +84,9 @@ def test_a_process_that_dies_costs_one_step(tab, study, served):
     ready(tab, SECOND)
 
 
-def test_two_tabs_on_one_study_show_the_same(tab, chromium, study):
+def test_two_tabs_on_one_study_show_the_same(tab, chromium, served, study):
     """Undo in one tab moves the other, without a reload."""
-    other = chromium.new_page()
+    other = served.enter(chromium.new_page())
     for page in (tab, other):
         page.goto(study["address"])
         ready(page, SECOND)
@@ -145,7 +145,7 @@ def test_a_restart_finds_the_study_where_it_was(tab, study, served, adding):
     """The last of its module: the program ends and starts again, with another port."""
     served.stop()
     served.start()
-    tab.goto(served.address)
+    tab.goto(served.entry)  # as a person opens what was printed
     tab.wait_for_selector("td:has-text('cross stiffness')")
     tab.click("td a:has-text('Rotor coastdown')")
     ready(tab, SECOND)

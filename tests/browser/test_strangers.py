@@ -46,7 +46,7 @@ def uploads(served):
 
 def test_a_page_of_another_origin_reads_nothing_and_opens_no_socket(chromium, served, stranger):
     before = uploads(served)
-    page = chromium.new_page()
+    page = served.enter(chromium.new_page())  # by its owner's browser, with the cookie in its jar
     page.goto(stranger)
     page.wait_for_function("document.title.includes('socket')")
     assert page.evaluate("JSON.parse(document.title)") == {"read": "no", "socket": "refused"}
@@ -55,8 +55,7 @@ def test_a_page_of_another_origin_reads_nothing_and_opens_no_socket(chromium, se
 
 
 def ask(served, method, path, body=b"", **headers):
-    port = int(served.address.rsplit(":", 1)[1])
-    link = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    link = http.client.HTTPConnection("127.0.0.1", served.port, timeout=20)
     link.request(method, path, body, {k.replace("_", "-"): v for k, v in headers.items()})
     answer = link.getresponse()
     return answer.status, answer.read().decode()
@@ -72,9 +71,9 @@ def test_a_name_that_was_given_our_address_is_refused(served):
 def test_a_large_upload_is_refused_before_it_is_sent(served):
     """Two gigabytes announced: the answer comes before the first byte, and nothing is kept."""
     before = uploads(served)
-    port = int(served.address.rsplit(":", 1)[1])
-    link = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    link = http.client.HTTPConnection("127.0.0.1", served.port, timeout=20)
     link.putrequest("POST", "/upload")
+    link.putheader("Authorization", f"Bearer {served.token}")
     link.putheader("Content-Length", str(2 * 10**9))
     link.putheader("Origin", served.address)
     link.endheaders()

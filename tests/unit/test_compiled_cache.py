@@ -5,7 +5,7 @@ import pytest
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral import compile as compiler
+from spiral.physics import compile as compiler
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
 from tests.scenes import effect

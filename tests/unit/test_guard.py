@@ -10,7 +10,11 @@ HOSTS = frozenset({"127.0.0.1:8765", "localhost:8765"})
 
 
 def scope(kind="http", method="GET", **headers):
-    named = {"host": "127.0.0.1:8765", **{k.replace("_", "-"): v for k, v in headers.items()}}
+    named = {
+        "host": "127.0.0.1:8765",
+        "cookie": "spiral-8765=known-to-its-owner",
+        **{k.replace("_", "-"): v for k, v in headers.items()},
+    }
     raw = [(k.encode(), v.encode()) for k, v in named.items() if v is not None]
     return {"type": kind, "method": method, "headers": raw, "path": "/"}
 
@@ -57,7 +61,7 @@ def asked(given):
     async def send(message):
         sent.append(message)
 
-    asyncio.run(Guard(behind, 8765)(given, receive, send))
+    asyncio.run(Guard(behind, 8765, "known-to-its-owner")(given, receive, send))
     return seen, sent
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from spiral.io.readers.containers import Allowance, Hdf5, npz_series, series_of
 from spiral.io.readers.dialect import find_dialect, units_in
 from spiral.io.readers.files import Table, find_file, first_line_of
 from spiral.types.errors import ConfigError, InputError
@@ -166,23 +167,6 @@ def _table(given: str, kind: str, series: Iterator[tuple[str, Any]], **more: Any
     return Table(given, values, notes=(f"{Path(given).name}: {_WORDS[kind]}",), **more)
 
 
-def series_of(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """The one-dimensional series of an array: itself, the lines of a matrix, a record's fields."""
-    array = np.asarray(value)
-    if array.dtype.names and array.ndim == 1:
-        for part in array.dtype.names:
-            yield from series_of(f"{name}.{part}", array[part])
-        return
-    if array.dtype.kind not in "biuf" or array.size < 2:
-        return
-    lines = np.squeeze(array)
-    if lines.ndim == 1:
-        yield name, lines
-    elif lines.ndim == 2:
-        lines = lines if lines.shape[0] < lines.shape[1] else lines.T
-        yield from ((f"{name}[{i}]", line) for i, line in enumerate(lines))
-
-
 def _read_parquet(given: str, path: Path) -> Table:
     import pandas as pd
 
@@ -191,11 +175,7 @@ def _read_parquet(given: str, path: Path) -> Table:
 
 
 def _read_npz(given: str, path: Path) -> Table:
-    with np.load(path, allow_pickle=False) as arrays:
-        if not isinstance(arrays, np.lib.npyio.NpzFile):
-            raise InputError(f"{given}: one array without a name", "an NPZ file", "numpy.savez")
-        found = [pair for name in arrays.files for pair in series_of(name, arrays[name])]
-    return _table(given, "npz", iter(found))
+    return _table(given, "npz", iter(npz_series(given, path)))
 
 
 def _read_mat(given: str, path: Path) -> Table:
@@ -227,45 +207,11 @@ def _of_matlab(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.
 
 def _read_hdf5(given: str, path: Path) -> Table:
     h5py = _library("h5py", given)
-    units: dict[str, str] = {}
+    walk = Hdf5(h5py, Allowance(given, path.stat().st_size))
     with h5py.File(path, "r") as file:
-        found = list(_of_group(file, "", h5py, units))
-    return _table(given, "hdf5", iter(found), units=units)
-
-
-def _of_group(
-    group: Any, prefix: str, h5py: Any, units: dict[str, str], depth: int = 0
-) -> Iterator[tuple[str, np.ndarray]]:
-    for key, item in group.items():
-        if not key.startswith("#"):
-            yield from _of_hdf5(prefix + key, item, h5py, units, depth)
-
-
-def _of_hdf5(
-    name: str, item: Any, h5py: Any, units: dict[str, str], depth: int
-) -> Iterator[tuple[str, np.ndarray]]:
-    """Series of a group, a dataset, or the cells and structs of MATLAB 7.3."""
-    if depth > _DEPTH:
-        return
-    matlab = "MATLAB_class" in item.attrs
-    if isinstance(item, h5py.Group):
-        separator = "." if matlab else "/"
-        yield from _of_group(item, name + separator, h5py, units, depth + 1)
-        return
-    if h5py.check_ref_dtype(item.dtype) is not None:
-        # MATLAB counts the cells along columns; HDF5 holds the transposed array.
-        for position, reference in enumerate(np.asarray(item[()]).ravel()):
-            if reference:
-                inside = item.file[reference]
-                yield from _of_hdf5(f"{name}[{position}]", inside, h5py, units, depth + 1)
-        return
-    if matlab and "MATLAB_empty" in item.attrs:
-        return
-    unit = item.attrs.get("units", item.attrs.get("unit", ""))
-    for label, values in series_of(name, item[()]):
-        if isinstance(unit, str | bytes) and unit:
-            units[label] = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
-        yield label, values
+        found = list(walk.series(file))
+    table = _table(given, "hdf5", iter(found), units=walk.units)
+    return replace(table, notes=(*table.notes, *walk.allowance.notes()))
 
 
 def _read_uff(given: str, path: Path) -> Table:

@@ -12,6 +12,7 @@ from spiral.io.tracking.store import Draw, Tracking
 from spiral.io.tracking.track import Failed, Tracked
 
 if TYPE_CHECKING:
+    from spiral.io.registry import Registry
     from spiral.io.sweeps.sweep import Row
 
 _WAITS = 3  # rows that may fail before the rest is left to the end
@@ -25,6 +26,7 @@ class SweepTracker:
     out: str | os.PathLike[str]
     tell: Callable[[str], None]
     draw: Draw | None = None
+    registry: Registry | None = None
     left: list[Failed] = field(default_factory=list)
     failures: int = 0
 
@@ -35,7 +37,13 @@ class SweepTracker:
         jobs = (failed,) if row.exit and not wanted else ()
         if self.failures < _WAITS:
             found = studies.track(
-                self.tracking, self.out, wanted, jobs, catch_up=False, draw=self.draw
+                self.tracking,
+                self.out,
+                wanted,
+                jobs,
+                catch_up=False,
+                draw=self.draw,
+                registry=self.registry,
             )
             if found.failure is None:
                 return
@@ -45,4 +53,7 @@ class SweepTracker:
 
     def finish(self) -> Tracked:
         """Log what is left: once more, at the end."""
-        return studies.track(self.tracking, self.out, (), tuple(self.left), draw=self.draw)
+        left = tuple(self.left)
+        return studies.track(
+            self.tracking, self.out, (), left, draw=self.draw, registry=self.registry
+        )

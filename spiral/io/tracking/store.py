@@ -5,15 +5,18 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import socket
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit, urlunsplit
+from urllib.parse import urlsplit
 
 from spiral.io.storage import SavedRun
+from spiral.types.errors import InputError
 from spiral.types.fields import construct
+from spiral.types.masking import without_passwords
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -21,6 +24,8 @@ if TYPE_CHECKING:
 URI_VARIABLE = "MLFLOW_TRACKING_URI"
 DATABASE, ARTIFACTS, LOCK = "mlflow.db", "artifacts", ".tracking.lock"
 _PATIENCE = 120.0  # s to wait for another process that writes to the same store
+_REACH = 3.0  # s to wait for a server's first answer
+_TRIES = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2", "MLFLOW_HTTP_REQUEST_TIMEOUT": "20"}
 
 
 @dataclass(frozen=True)
@@ -49,20 +54,12 @@ class Tracking:
         """What opens MLflow's page on this store: a command, or the server's own address."""
         uri = self.where(out)
         if not uri.startswith("sqlite:"):
-            shown = without_password(uri)
+            shown = without_passwords(uri)
             return shown if uri.startswith("http") else f"mlflow ui --backend-store-uri {shown}"
         file = Path(uri.removeprefix("sqlite:///"))
         with contextlib.suppress(ValueError):
             file = file.relative_to(Path.cwd())
         return f"mlflow ui --backend-store-uri sqlite:///{file}"
-
-
-def without_password(uri: str) -> str:
-    """A URI as it may be shown: ``postgresql://me:***@host/db``."""
-    parts = urlsplit(uri)
-    if not parts.password:
-        return uri
-    return urlunsplit(parts._replace(netloc=parts.netloc.replace(f":{parts.password}@", ":***@")))
 
 
 def tracking_of(config: Mapping[str, Any]) -> Tracking:
@@ -104,8 +101,10 @@ def opened(
     import_mlflow()
     from mlflow import MlflowClient
 
+    uri = tracking.where(out)
+    if uri.startswith("http"):
+        _reach(uri)
     with FileLock(folder / LOCK, timeout=_PATIENCE), _quiet():
-        uri = tracking.where(out)
         client = MlflowClient(tracking_uri=uri)
         known = client.get_experiment_by_name(tracking.experiment)
         if known is not None:
@@ -117,8 +116,28 @@ def opened(
         yield Store(client, number, uri, draw)
 
 
+def _reach(uri: str) -> None:
+    """One short try to reach a server, where MLflow's own client would try for minutes.
+
+    Raises
+    ------
+    InputError : nobody answers.
+    """
+    parts = urlsplit(uri)
+    port = parts.port or (443 if parts.scheme == "https" else 80)
+    try:
+        socket.create_connection((parts.hostname or "", port), timeout=_REACH).close()
+    except OSError as error:
+        raise InputError(
+            f"no answer from {without_passwords(uri)} ({error.strerror or error})",
+            "a tracking server that runs",
+        ) from error
+
+
 def import_mlflow() -> None:
     """Import MLflow, which takes a second or two, without its reports to its makers."""
+    for name, value in _TRIES.items():  # a server that dies in the middle is left within a minute
+        os.environ.setdefault(name, value)
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     os.environ.setdefault("MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT", "true")  # where JSON may go
     os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")

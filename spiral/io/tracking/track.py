@@ -6,19 +6,21 @@ not logged (a locked database, a full disk, a process that was killed) is caught
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
-import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spiral.io.registry import told
+from spiral.io.registry import LocalFile, Registry, load_registry, told
 from spiral.io.storage import FILE, SavedRun, read_run, run_ids, to_json, write_whole
 from spiral.io.tracking import content
-from spiral.io.tracking.store import Draw, Store, Tracking, in_force, opened, without_password
+from spiral.io.tracking.store import Draw, Store, Tracking, in_force, opened
+from spiral.types.errors import ConfigError, InputError
+from spiral.types.masking import without_passwords
 from spiral.types.run import estimate_rows
 
 MARK = "tracked.json"
@@ -56,6 +58,7 @@ def track(
     failed: Sequence[Failed] = (),
     catch_up: bool = True,
     draw: Draw | None = None,
+    registry: Registry | None = None,
 ) -> Tracked:
     """Log saved runs, and those that an earlier start could not log.
 
@@ -66,46 +69,51 @@ def track(
     failed : jobs of a sweep that left no saved run.
     catch_up : whether to log saved runs that an earlier start could not log.
     draw : makes the report that is logged with a run; left out, none is.
+    registry : the plugins of this command, of which models are built; left out, the installed ones.
 
     A failure of the store never raises: the saved runs stay, and the next start catches up.
     """
     if not tracking.enabled:
         return Tracked({})
-    uri, page = without_password(tracking.where(out)), tracking.page(out)
+    uri, page = without_passwords(tracking.where(out)), tracking.page(out)
+    folder, registry = Path(out).expanduser(), registry or load_registry(local=False)
     runs: dict[str, str] = {}
     experiment = ""
     try:
         with opened(tracking, out, draw) as store:
             experiment = str(store.experiment)
             for run_id in wanted:
-                runs[run_id] = _once(store, tracking, Path(out).expanduser() / run_id)
+                runs[run_id] = _once(store, tracking, folder / run_id, registry)
             for job in failed:
                 _log_failure(store, job)
             if catch_up:
-                _catch_up(store, tracking, out)
+                _catch_up(store, tracking, folder, registry)
     except Exception as error:  # of whatever store: the result is saved and must not be lost
-        return Tracked(runs, uri, page, told(error))
+        return Tracked(runs, uri, page, without_passwords(told(error)))
     return Tracked(runs, uri, page, experiment=experiment)
 
 
-def _catch_up(store: Store, tracking: Tracking, out: str | os.PathLike[str]) -> None:
-    folder = Path(out).expanduser()
+def _catch_up(store: Store, tracking: Tracking, folder: Path, registry: Registry) -> None:
+    """Log what an earlier start could not; a folder that holds no readable run is passed over."""
     left = [i for i in run_ids(folder) if not (folder / i / MARK).is_file()]
     for run_id in left[-_CAUGHT_UP:]:
-        saved = read_run(folder / run_id / FILE)
+        try:
+            saved = read_run(folder / run_id / FILE)
+        except InputError:
+            continue
         if (saved.config.get("tracking") or {}).get("enabled"):
-            _once(store, tracking, folder / run_id)
+            _once(store, tracking, folder / run_id, registry)
 
 
-def _once(store: Store, tracking: Tracking, folder: Path) -> str:
+def _once(store: Store, tracking: Tracking, folder: Path, registry: Registry) -> str:
     """Log a saved run unless that is done; half of one, left by a killed process, goes first."""
     mark = folder / MARK
     if mark.is_file():
         return str(json.loads(mark.read_text(encoding="utf-8"))["mlflow_run_id"])
     _remove_halves(store, folder.name)
     saved = read_run(folder / FILE)
-    number = _log_study(store, saved, tracking.model)
-    write_whole(mark, to_json({"mlflow_run_id": number, "uri": without_password(store.uri)}))
+    number = _log_study(store, saved, registry if tracking.model else None)
+    write_whole(mark, to_json({"mlflow_run_id": number, "uri": without_passwords(store.uri)}))
     return number
 
 
@@ -119,8 +127,8 @@ def _remove_halves(store: Store, run_id: str) -> None:
         store.client.delete_run(number)
 
 
-def _log_study(store: Store, saved: SavedRun, model: bool) -> str:
-    """One saved run as a parent with its rounds; returns MLflow's id."""
+def _log_study(store: Store, saved: SavedRun, registry: Registry | None) -> str:
+    """One saved run as a parent with its rounds, its model by a registry; returns MLflow's id."""
     data = saved.data
     started, ended = _times(data)
     run = store.client.create_run(
@@ -135,8 +143,8 @@ def _log_study(store: Store, saved: SavedRun, model: bool) -> str:
     done = content.rounds(data)
     for found in done:
         clock = _log_round(store, number, found, clock, len(done))
-    if model:
-        _log_model(store, number, saved)
+    if registry is not None:
+        _log_model(store, number, saved, registry)
     store.client.set_terminated(number, "FINISHED", ended)
     return number
 
@@ -220,37 +228,61 @@ def _artifacts(store: Store, number: str, saved: SavedRun) -> None:
         (folder / "plugins.json").write_text(to_json(saved.data["plugins"]), encoding="utf-8")
         text = yaml.safe_dump(json.loads(to_json(saved.config)), sort_keys=False)
         (folder / "config.yaml").write_text(text, encoding="utf-8")
-        (folder / FILE).write_bytes(saved.file.read_bytes())
+        (folder / FILE).write_text(to_json(saved.data), encoding="utf-8")
         html = store.draw(saved) if store.draw is not None else None
         if html is not None:
             (folder / "report.html").write_text(html, encoding="utf-8")
         store.client.log_artifacts(number, str(folder))
 
 
-def _log_model(store: Store, number: str, saved: SavedRun) -> None:
-    """The final model, with the run it is built from and the local plugins it needs."""
+def _log_model(store: Store, number: str, saved: SavedRun, registry: Registry) -> None:
+    """The final model, with the run it is built from and the local plugins it needs.
+
+    A run may come from anywhere: its model is built of this command's plugins alone, and only where
+    they are those that it recorded. Where they are not, the tag ``spiral.model`` says so.
+    """
     import mlflow
 
-    from spiral.io.registry import load_registry
     from spiral.version import __version__
 
     if saved.verb in BEFORE_ANY_FIT or not saved.data["model"]["values"]:
         return
-    with tempfile.TemporaryDirectory() as place:
-        artifacts = {content.RUN: str(saved.file)}
-        for file in saved.data["local_plugins"]:
-            shutil.copy(file, place)
-            artifacts[content.PLUGINS] = place
-        local = content.PLUGINS in artifacts
-        registry = load_registry(place if local else None, local=local)
-        with in_force(store), mlflow.start_run(run_id=number):
-            mlflow.pyfunc.log_model(
-                name="model",
-                python_model=str(Path(__file__).with_name("served.py")),
-                artifacts=artifacts,
-                signature=_signature(saved.model(registry).system),
-                pip_requirements=[f"spiral-po=={__version__}"],
+    try:
+        files = saved.local_files(registry)
+        signature = _signature(saved.model(registry).system)
+    except ConfigError as error:
+        store.client.set_tag(number, "spiral.model", f"not logged: {error.given}")
+        return
+    with (
+        tempfile.TemporaryDirectory() as place,
+        in_force(store),
+        mlflow.start_run(run_id=number),
+    ):
+        mlflow.pyfunc.log_model(
+            name="model",
+            python_model=str(Path(__file__).with_name("served.py")),
+            artifacts=_model_artifacts(Path(place), saved, files),
+            signature=signature,
+            pip_requirements=[f"spiral-po=={__version__}"],
+        )
+
+
+def _model_artifacts(place: Path, saved: SavedRun, files: Sequence[LocalFile]) -> dict[str, str]:
+    """Copies of the saved run and of the plugins' files: the very text that was hashed."""
+    run = place / FILE
+    run.write_text(to_json(saved.data), encoding="utf-8")
+    found = {content.RUN: str(run)}
+    for index, file in enumerate(files):
+        text = Path(file.file).read_bytes()
+        if hashlib.sha256(text).hexdigest() != file.sha256:
+            raise InputError(
+                f"{file.file}, changed since it was loaded", "the file that was loaded"
             )
+        target = place / content.PLUGINS / str(index) / Path(file.file).name
+        target.parent.mkdir(parents=True)
+        target.write_bytes(text)
+        found[content.PLUGINS] = str(place / content.PLUGINS)
+    return found
 
 
 def _times(data: Mapping[str, Any]) -> tuple[int, int]:

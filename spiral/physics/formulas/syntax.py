@@ -20,6 +20,7 @@ from spiral.types.errors import ConfigError, did_you_mean
 LONGEST = 1000  # characters of a formula
 DEEPEST = 40  # levels of nested terms
 LARGEST_EXPONENT = 12
+MOST_TERMS = 500  # of a formula multiplied out: its derivatives are then found within seconds
 
 OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
@@ -71,6 +72,12 @@ def read(text: str) -> ast.expr:
         found = error.msg if isinstance(error, SyntaxError) else type(error).__name__
         raise ConfigError(f"expression {text!r}: {found}", "a formula", "-k3*x**3") from error
     _check(tree, text, DEEPEST)
+    if terms(tree) > MOST_TERMS:
+        raise ConfigError(
+            f"expression {text!r}: {terms(tree)} terms when multiplied out",
+            f"at most {MOST_TERMS}",
+            "a lower power, or fewer terms inside it; an effect in a file for others",
+        )
     return tree
 
 
@@ -103,6 +110,28 @@ def exponent(node: ast.expr) -> float:
     inner = node.operand if isinstance(node, ast.UnaryOp) else node
     assert isinstance(inner, ast.Constant)
     return sign * inner.value  # type: ignore[operator]
+
+
+def terms(node: ast.expr) -> int:
+    """How many terms a formula has when it is multiplied out, at most.
+
+    A sum of t terms to the power n has (n + t - 1)! / (n! (t - 1)!) of them; what stands inside a
+    function is multiplied out for itself.
+    """
+    if isinstance(node, ast.UnaryOp):
+        return terms(node.operand)
+    if isinstance(node, ast.Call):
+        return max(map(terms, node.args))
+    if isinstance(node, ast.Compare):
+        return max(map(terms, (node.left, *node.comparators)))
+    if not isinstance(node, ast.BinOp):
+        return 1
+    left = terms(node.left)
+    if _is_power(node):
+        power = math.ceil(abs(exponent(node.right)))
+        return math.comb(power + left - 1, left - 1)
+    right = terms(node.right)
+    return left + right if isinstance(node.op, ast.Add | ast.Sub) else left * right
 
 
 def is_zero(node: ast.expr) -> bool:

@@ -12,6 +12,7 @@ from spiral.io.curves import SEED, Curves
 from spiral.types.formatting import number, percent, plus_minus, probability
 from spiral.types.run import estimate_rows
 from spiral.view.report.evidence import rounds
+from spiral.view.report.markup import safe_mathml
 from spiral.view.report.style import pretty, scaled, words
 from spiral.view.terminal.shell import option_lines
 
@@ -199,8 +200,9 @@ def _equation(found: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for item in found:
         for index, term in enumerate(item["terms"]):
-            left = f"<math><mrow>{item['left']}<mo>=</mo></mrow></math>" if index == 0 else ""
-            body = f'<math display="inline"><mrow>{term["math"]}</mrow></math>'
+            name = safe_mathml(item["left"])
+            left = f"<math><mrow>{name}<mo>=</mo></mrow></math>" if index == 0 else ""
+            body = f'<math display="inline"><mrow>{safe_mathml(term["math"])}</mrow></math>'
             rows.append(
                 f"<tr><td>{left}</td><td>{body}</td>"
                 f'<td class="owner">{escape(words(term["owner"]))}</td></tr>'

@@ -9,6 +9,7 @@ from rich.text import Text
 
 from spiral.types.formatting import number, percent, plus_minus, probability
 from spiral.view.terminal.parts import (
+    Screen,
     command,
     heading,
     next_steps,
@@ -26,7 +27,7 @@ VERBS = ("estimate",)
 
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     found: Estimation = outcome.parts["estimation"]
     for part in found.parts:
         record = part.record

@@ -12,7 +12,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from spiral.io.registry import NO_FOLDER
 from spiral.types.formatting import number, percent, plus_minus
+from spiral.types.masking import without_passwords
 from spiral.view.terminal.shell import spoken
 
 if TYPE_CHECKING:
@@ -24,10 +26,19 @@ Tell = Callable[[str], None]
 _PREVIEWED = 4  # records whose numbers are shown
 
 
+class Screen(Console):
+    """A console; whoever reads its output may stop when they have seen enough."""
+
+    def on_broken_pipe(self) -> None:
+        """Let the program end as it does elsewhere."""
+        self.quiet = True
+        raise BrokenPipeError
+
+
 @contextmanager
 def progress() -> Iterator[Tell]:
     """A line on standard error that says what is being done; lines of a log off a terminal."""
-    console = Console(stderr=True, highlight=False)
+    console = Screen(stderr=True, highlight=False)
     if not console.is_terminal:
         yield lambda message: console.print(message, style="dim", soft_wrap=True, markup=False)
         return
@@ -102,8 +113,16 @@ def next_steps(console: Console, *commands: tuple[str, str]) -> None:
 
 def command(verb: str, request: Request, names: Sequence[str] = ()) -> str:
     """A command line with the overrides of a request, quoted for a shell."""
-    plugins = ["--plugins", request.plugins] if request.plugins else []
-    return spoken("spiral", verb, *names, *request.overrides, *plugins)
+    plugins = plugin_options(request.plugins)
+    given = map(without_passwords, request.overrides)
+    return spoken("spiral", verb, *names, *given, *plugins)
+
+
+def plugin_options(folder: str | None) -> list[str]:
+    """The options by which a command line names its folder of local plugins, or none."""
+    if folder == NO_FOLDER:
+        return ["--no-plugins"]
+    return [] if folder is None else ["--plugins", folder]
 
 
 def warn_unconverged(console: Console, outcome: Outcome) -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from spiral.types.formatting import number, percent
-from spiral.view.terminal.parts import heading, next_steps, ruled
+from spiral.view.terminal.parts import Screen, heading, next_steps, ruled
 from spiral.view.terminal.shell import spoken
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ VERBS = ("plan",)
 
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     found: Plan = outcome.parts["plan"]
     names = " and ".join(e.label for e in found.wanted.effects)
     unit = f" in {found.unit}" if found.unit else ""

@@ -9,7 +9,15 @@ from rich.table import Table
 from rich.text import Text
 
 from spiral.types.formatting import number, percent
-from spiral.view.terminal.parts import about, command, heading, next_steps, ruled, warn_unconverged
+from spiral.view.terminal.parts import (
+    Screen,
+    about,
+    command,
+    heading,
+    next_steps,
+    ruled,
+    warn_unconverged,
+)
 from spiral.view.terminal.shell import spoken
 
 if TYPE_CHECKING:
@@ -22,7 +30,7 @@ VERBS = ("plugins", "check", "new", "identify", "report")
 
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     drawn = {"plugins": _plugins, "check": _check, "new": _new, "identify": _identify,
              "report": _report}  # fmt: skip
     drawn[verb](console, outcome)

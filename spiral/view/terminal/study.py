@@ -12,6 +12,7 @@ from rich.text import Text
 from spiral.types.formatting import number, percent, probability
 from spiral.view.terminal.findings import not_separable, unknown
 from spiral.view.terminal.parts import (
+    Screen,
     about,
     command,
     heading,
@@ -31,7 +32,7 @@ _WIDE, _MEDIUM = 110, 88
 
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     drawn = (_discover, _compare, _diagnose, _add, _simulate)
     {f.__name__.removeprefix("_"): f for f in drawn}[verb](console, outcome)
 

@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
 from spiral.types.formatting import number, percent
-from spiral.view.terminal.parts import Tell, heading, ruled
+from spiral.view.terminal.parts import Screen, Tell, heading, ruled
 
 if TYPE_CHECKING:
     from spiral.io.sweeps.sweep import Row, Status, Sweep
@@ -25,7 +24,7 @@ Watch = Callable[["Status"], None]
 @contextmanager
 def progress() -> Iterator[tuple[Tell, Watch]]:
     """A bar on standard error; lines of a log off a terminal."""
-    console = Console(stderr=True, highlight=False)
+    console = Screen(stderr=True, highlight=False)
 
     def tell(message: str) -> None:
         console.print(message, style="dim", soft_wrap=True, markup=False)
@@ -66,7 +65,7 @@ def _sentence(status: Status) -> str:
 
 def show(sweep: Sweep) -> None:
     """The table of a sweep on standard output."""
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     if sweep.rows:
         swept, common = columns_of([row.overrides for row in sweep.rows])
         heading(console, "Runs")

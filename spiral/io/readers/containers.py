@@ -1,0 +1,163 @@
+"""Arrays inside HDF5 and NPZ files from anywhere: no cycle, no other file, no flood.
+
+What a file declares is counted before it is unpacked. Links that lead nowhere, in a circle or into
+another file are left out and named.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spiral.types.errors import InputError
+
+UNPACKED = 2 * 10**9  # bytes that any file may unpack to, however small it is
+_RATIO = 4  # of unpacked to packed bytes, which measured numbers hardly exceed
+_ITEMS = 20_000  # groups, datasets and cells that are looked at
+_DEPTH = 12
+_NAMED = 5  # items left out that are named
+
+
+@dataclass
+class Allowance:
+    """How much of a file may still be looked at and unpacked, and what was left out of it."""
+
+    given: str
+    size: int
+    bytes: int = 0
+    items: int = 0
+    left_out: list[str] = field(default_factory=list)
+
+    def take(self, count: int) -> None:
+        """Count one item that unpacks to so many bytes.
+
+        Raises
+        ------
+        InputError : too many of either.
+        """
+        self.items, self.bytes = self.items + 1, self.bytes + count
+        most = max(UNPACKED, _RATIO * self.size)
+        if self.bytes > most:
+            raise InputError(
+                f"{self.given}: {self.size / 1e6:.3g} MB that unpack to {self.bytes / 1e9:.3g} GB "
+                "or more", f"at most {most / 1e9:.3g} GB of numbers", "keep the columns you need",
+            )  # fmt: skip
+        if self.items > _ITEMS:
+            raise InputError(f"{self.given}: more than {_ITEMS} arrays and groups",
+                             "a file of measurements", "keep the groups you need")  # fmt: skip
+
+    def notes(self) -> tuple[str, ...]:
+        """What was left out, in words."""
+        if not self.left_out:
+            return ()
+        more = ", ..." if len(self.left_out) > _NAMED else ""
+        return (f"{Path(self.given).name}: left out {', '.join(self.left_out[:_NAMED])}{more}",)
+
+
+def series_of(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
+    """The one-dimensional series of an array: itself, the lines of a matrix, a record's fields."""
+    array = np.asarray(value)
+    if array.dtype.names and array.ndim == 1:
+        for part in array.dtype.names:
+            yield from series_of(f"{name}.{part}", array[part])
+        return
+    if array.dtype.kind not in "biuf" or array.size < 2:
+        return
+    lines = np.squeeze(array)
+    if lines.ndim == 1:
+        yield name, lines
+    elif lines.ndim == 2:
+        lines = lines if lines.shape[0] < lines.shape[1] else lines.T
+        yield from ((f"{name}[{i}]", line) for i, line in enumerate(lines))
+
+
+def npz_series(given: str, path: Path) -> list[tuple[str, np.ndarray]]:
+    """Series of an NPZ file, whose table of contents says how large each array is.
+
+    Raises
+    ------
+    InputError : an array without a name, or more than may be unpacked.
+    """
+    allowance = Allowance(given, path.stat().st_size)
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as packed:
+            for member in packed.infolist():
+                allowance.take(member.file_size)
+    with np.load(path, allow_pickle=False) as arrays:
+        if not isinstance(arrays, np.lib.npyio.NpzFile):
+            raise InputError(f"{given}: one array without a name", "an NPZ file", "numpy.savez")
+        return [pair for name in arrays.files for pair in series_of(name, arrays[name])]
+
+
+def _followed(group: Any, key: str) -> Any:
+    """What a name of a group leads to, or nothing."""
+    try:
+        return group.get(key)
+    except (KeyError, OSError, RuntimeError):  # links that lead to one another
+        return None
+
+
+@dataclass
+class Hdf5:
+    """A walk through an HDF5 file: ``units`` of its series as their attributes say."""
+
+    h5py: Any
+    allowance: Allowance
+    units: dict[str, str] = field(default_factory=dict)
+
+    def series(self, group: Any, prefix: str = "", inside: tuple[Any, ...] = ()) -> Iterator[Any]:
+        """Series of a group; ``inside`` are the groups that it lies in."""
+        for key in group:
+            if key.startswith("#"):
+                continue
+            name = prefix + key
+            if isinstance(group.get(key, getlink=True), self.h5py.ExternalLink):
+                self.allowance.left_out.append(f"{name} (a link into another file)")
+                continue
+            item = _followed(group, key)
+            if item is None:
+                self.allowance.left_out.append(f"{name} (a link to nothing)")
+                continue
+            yield from self._of(name, item, (*inside, group))
+
+    def _of(self, name: str, item: Any, inside: tuple[Any, ...]) -> Iterator[Any]:
+        """Series of a group, a dataset, or the cells and structs of MATLAB 7.3."""
+        if len(inside) > _DEPTH:
+            return
+        if isinstance(item, self.h5py.Group):
+            self.allowance.take(0)
+            if any(item == outer for outer in inside):
+                self.allowance.left_out.append(f"{name} (a link to a group that it lies in)")
+                return
+            separator = "." if "MATLAB_class" in item.attrs else "/"
+            yield from self.series(item, name + separator, inside)
+        elif isinstance(item, self.h5py.Dataset):
+            yield from self._of_dataset(name, item, inside)
+
+    def _of_dataset(self, name: str, item: Any, inside: tuple[Any, ...]) -> Iterator[Any]:
+        if item.external or item.is_virtual:
+            self.allowance.left_out.append(f"{name} (kept in another file)")
+            return
+        reference = self.h5py.check_ref_dtype(item.dtype) is not None
+        if not reference and item.dtype.kind not in "biufV":  # text and the like
+            return
+        if "MATLAB_class" in item.attrs and "MATLAB_empty" in item.attrs:
+            return
+        self.allowance.take(item.nbytes)
+        if reference:
+            # MATLAB counts the cells along columns; HDF5 holds the transposed array.
+            for position, cell in enumerate(np.asarray(item[()]).ravel()):
+                if cell:
+                    yield from self._of(f"{name}[{position}]", item.file[cell], (*inside, item))
+            return
+        unit = item.attrs.get("units", item.attrs.get("unit", ""))
+        for label, values in series_of(name, item[()]):
+            if isinstance(unit, str | bytes) and unit:
+                said = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+                self.units[label] = said
+            yield label, values

@@ -1,0 +1,48 @@
+"""Formulas that would take the machine for themselves are refused in words, at once."""
+
+import time
+from math import comb
+
+import pytest
+import sympy as sp
+
+from spiral.physics.formulas.syntax import MOST_TERMS, compute, names, read, terms
+from spiral.types.errors import ConfigError
+
+LONG = "(a+b+c+d+e+f+g)"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"-{LONG}**12*(h+i+j+k+l+m+n)**12*q",  # took over a minute
+        f"{LONG}**12",
+        f"(({LONG}**6)**6)**6",
+        f"tanh({LONG}**12)",
+        f"where(x > {LONG}**12, x, 0)",
+        f"1/{LONG}**12",
+        f"x*{LONG}**-12",
+        "*".join(["(a+b)"] * 12),
+    ],
+)
+def test_what_grows_without_end_is_refused_at_once(text):
+    began = time.monotonic()
+    with pytest.raises(ConfigError, match="terms when multiplied out"):
+        read(text)
+    assert time.monotonic() - began < 1
+
+
+@pytest.mark.parametrize(
+    "text", ["-k3*x**3", "-F*tanh(v/w)", "x*(a+b*x+c*x**2)**3", "(a+b+c)**12*x", "x/(1+x**2)**2"]
+)
+def test_what_a_machine_needs_is_read(text):
+    assert terms(read(text)) <= MOST_TERMS
+
+
+@pytest.mark.parametrize("text", ["(a+b+c)**4", "(a+b)**3*(c+d+e)**2", "(a-b)*(c+d)+e*(f+g)**3"])
+def test_the_bound_is_the_number_of_terms(text):
+    """Of sums of names that differ: no term meets another."""
+    symbols = {name: sp.Symbol(name) for name in names(text)}
+    expanded = sp.expand(compute(text, symbols))
+    assert terms(read(text)) == len(sp.Add.make_args(expanded))
+    assert terms(read("(a+b+c)**4")) == comb(6, 2)

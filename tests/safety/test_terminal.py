@@ -1,0 +1,88 @@
+"""What is printed and saved: no password in it, no traceback from it, nobody else's to read."""
+
+import json
+import os
+import stat
+import subprocess
+import sys
+
+import pytest
+
+from spiral.io.registry import load_registry
+from spiral.io.request import Request
+from spiral.io.storage import save_result, write_whole
+from spiral.io.tracking.store import Tracking
+from spiral.types.masking import without_passwords
+from spiral.view.terminal.parts import command
+
+SPIRAL = [sys.executable, "-m", "spiral"]
+
+
+@pytest.mark.parametrize(
+    ("given", "shown"),
+    [
+        ("postgresql+psycopg://me:pw@db:5432/mlflow", "postgresql+psycopg://me:***@db:5432/mlflow"),
+        ("postgresql://db/mlflow?user=me&password=pw", "postgresql://db/mlflow?user=me&password=***"),
+        ("http://me:p@w@host:5000/", "http://me:***@host:5000/"),
+        ("tracking.uri='mysql://me:pw@h/d?ssl=1&passwd=x'",
+         "tracking.uri='mysql://me:***@h/d?ssl=1&passwd=***'"),
+        ("https://host/?token=abc#top", "https://host/?token=***#top"),
+        ("sqlite:///runs/mlflow.db", "sqlite:///runs/mlflow.db"),
+        ("http://127.0.0.1:5000", "http://127.0.0.1:5000"),
+        ("record.units='{x: m/s}'", "record.units='{x: m/s}'"),
+    ],
+)  # fmt: skip
+def test_passwords_of_addresses_are_masked(given, shown):
+    assert without_passwords(given) == shown
+
+
+URI = "postgresql://me:hush@db/mlflow?password=hush"
+
+
+def test_no_password_is_printed_or_saved(question, tmp_path):
+    """``tracking.uri=...`` stood under "Next" and in run.json."""
+    config, problem = question
+    given = (f"tracking.uri={URI}", "holdout=0.3")
+    told = {**config, "tracking": {**config["tracking"], "uri": URI}}
+    registry = load_registry(local=False)
+    run = save_result("compare", {}, problem.model, told, {}, registry, tmp_path, given)
+    text = (tmp_path / run / "run.json").read_text()
+    assert "hush" not in text
+    assert json.loads(text)["overrides"][1] == "holdout=0.3"
+    assert "hush" not in command("compare", Request("compare", overrides=given))
+    assert "hush" not in Tracking(uri=URI).page("runs")
+    assert Tracking(uri=URI).where("runs") == URI  # what is used is whole
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o077, 0o600), (0o022, 0o644), (0o027, 0o640)])
+def test_files_are_as_open_as_the_umask_says(tmp_path, mask, mode):
+    before = os.umask(mask)
+    try:
+        write_whole(tmp_path / "a.json", "{}")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a.json").stat().st_mode) == mode
+
+
+@pytest.mark.parametrize("words", [["plugins"], ["plugins", "--json", "-"], ["--help"]])
+def test_a_reader_that_has_seen_enough_is_no_failure(tmp_path, words):
+    """``spiral plugins | head -1`` ended with exit 1."""
+    program = subprocess.Popen(
+        [*SPIRAL, *words], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    program.stdout.close()  # before the first line
+    assert program.stderr.read() == ""
+    assert program.wait(60) == 0
+
+
+def test_a_terminal_that_knows_few_letters_gets_a_table_and_whole_json(tmp_path):
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
+    shown = {"cwd": tmp_path, "env": environment, "capture_output": True, "check": False}
+    words = ["compare", "experiment=rotor_coastdown", "record.duration=2", "curves=false"]
+    done = subprocess.run([*SPIRAL, *words, "tracking.enabled=false"], **shown)
+    assert b"Traceback" not in done.stderr
+    assert done.returncode == 0
+    assert b"?" in done.stdout  # in place of what it cannot show
+    done = subprocess.run([*SPIRAL, "compare", "experiment=größe", "--json", "-"], **shown)
+    assert done.returncode == 2
+    assert "größe" in json.loads(done.stdout)["error"]["given"]
