@@ -185,7 +185,8 @@ class Registry:
     def local_plugins(self) -> dict[str, LocalFile]:
         """``kind/name`` -> the file that was run for it, of every plugin of the local folder."""
         files = {f.file: f for f in self.local}
-        return {f"{e.kind}/{e.name}": files[e.file] for e in self.entries if e.origin == LOCAL}
+        own = (e for e in self.entries if e.file in files)
+        return {f"{e.kind}/{e.name}": files[e.file] for e in own}
 
     def versions(self) -> dict[str, str]:
         """``kind/name`` -> version, for the history of a run."""
@@ -310,14 +311,15 @@ def _run_local(path: Path, files: list[LocalFile], failures: list[Failure]) -> M
     """Run one local file and note its hash; one that fails is reported by name and file."""
     name = f"spiral_local_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:10]}"
     name = f"{name}_{path.stem}"
-    loader = _HashedSource(name, str(path))
-    spec = importlib.util.spec_from_file_location(name, path, loader=loader)
+    file = str(path.absolute())
+    loader = _HashedSource(name, file)
+    spec = importlib.util.spec_from_file_location(name, file, loader=loader)
     assert spec is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up by name
     try:
         loader.text = path.read_bytes()
-        files.append(LocalFile(str(path), hashlib.sha256(loader.text).hexdigest()))
+        files.append(LocalFile(file, hashlib.sha256(loader.text).hexdigest()))
         loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]

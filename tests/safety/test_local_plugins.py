@@ -75,8 +75,9 @@ def test_what_is_named_is_what_is_run(folder):
     (folder / "_helper.py").write_text("raise SystemExit")
     (folder / "inner").mkdir()
     (folder / "inner" / "more.py").write_text("# nothing")
-    named = [str(path) for path in local_sources()]
-    assert named == [file.file for file in load_registry().local]
+    named, registry = [str(path) for path in local_sources()], load_registry()
+    assert [str(folder.parent / name) for name in named] == [file.file for file in registry.local]
+    assert list(registry.local_plugins()) == ["effect/own_spring"]
     assert named == ["plugins/broken.py", "plugins/inner/more.py", "plugins/own.py"]
     assert local_sources(NO_FOLDER) == ()
 
