@@ -9,7 +9,7 @@ import pytest
 
 from spiral.app import desk as desks
 from spiral.app import draft as drafts
-from spiral.app import panels
+from spiral.app import panels, unseen
 from spiral.app import study as kept
 from spiral.app.desk import Desk
 from spiral.app.scribe import Scribe
@@ -226,11 +226,15 @@ class Told:
     }
 
 
+CHANGES = [{"horizon": "free_run", "before": 0.1, "after": 0.2, "judged": "worse",
+            "standard_error": 0.01}]  # fmt: skip
+
+
 def shown():
     """Every piece of page and report that is made of texts, by what it is."""
     turn = Turn(
         0, EVIL, RESULT, tuple(RESULT["suggestions"]), (EVIL,), {EVIL: EVIL}, EVIL, EVIL, EVIL,
-        EVIL, tuple(EQUATION), ((EVIL, EVIL, EVIL),), True, EVIL, EVIL, EVIL,
+        {}, EVIL, tuple(EQUATION), ((EVIL, EVIL, EVIL),), True, EVIL, EVIL, EVIL,
     )  # fmt: skip
     said = {"given": EVIL, "expected": EVIL, "try": EVIL}
     turns = (turn, replace(turn, serial=1))
@@ -244,7 +248,11 @@ def shown():
         "channels": panels.channels(turn, {EVIL: EVIL}), "model": panels.model(turn),
         "candidate": panels.candidate(candidate), "evidence": panels.evidence(candidate),
         "alike": panels.alike([EVIL]), "trouble": panels.trouble(study.trouble),
-        "contrast": panels.contrast([{**RESULT["rounds"][0], "effect": EVIL}]),
+        "contrast": panels.contrast([{**RESULT["rounds"][0], "effect": EVIL, "unseen": []}], 64),
+        "order": panels.order(replace(turn, proposed=("b",), candidates=(
+            candidate, {**candidate, "effect": "b"}))),
+        "proposal": panels.proposal(turn)[0],
+        "step": unseen.step(replace(turn, result={"changes": CHANGES})),
         "records": panels.records(records), "meaning": panels.meaning(f"{EVIL}: a = {EVIL}"),
         "header": text.header(SAVED, Told), "data": text.data(SAVED),
         "sentences": text.sentences(Told), "suggested": text.suggested(SAVED),
