@@ -6,8 +6,10 @@ A model is *near its noise* where all of these hold:
     p >= level or Q / N <= s^2        what is left is white, or its colour harmless,
     (test error)^2 <= L (floor)^2     on samples that no fit has seen,
 
-L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box. Q/N is about the share of what is
-left that its own past predicts: below s^2 it is smaller than the smallest effect that counts.
+with L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box. Q/N is about the share of what
+is left that its own past predicts: below s^2 it is smaller than the smallest effect that counts.
+Where a filter's likelihood is the evidence chi2 is that of the innovations, and the test error is
+not asked: process noise moves what runs freely.
 
 An admitted effect is *determined* where one of its amplitudes has |t| >= ``least_t`` and does not
 lie at a bound. Only such an effect is named as what was missing.
@@ -41,13 +43,19 @@ def white(found: Comparison, settings: Settings) -> bool:
     return found.whiteness_p >= settings.whiteness_level or harmless
 
 
+def chi2_of(found: Comparison) -> float:
+    """Chi2 per degree of freedom in the currency of the evidence: innovations, or windows."""
+    chi2 = found.innovation_chi2
+    return found.chi2_per_dof if chi2 is None else chi2
+
+
 def noise_factor(found: Comparison, settings: Settings) -> float:
     """The noise over what the record says of it; 1 where the two do not contradict one another.
 
     What is left is white, and as large as the model-free estimate of the noise (or smaller than
     the noise is said to be): then it is the noise, and the statement is off.
     """
-    chi2, limit = found.chi2_per_dof, settings.chi2_limit
+    chi2, limit = chi2_of(found), settings.chi2_limit
     if not white(found, settings) or not np.isfinite(chi2) or 1 / limit <= chi2 <= limit:
         return 1.0
     seen = found.noise_ratio
@@ -61,12 +69,13 @@ def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
     reasons = []
     if not found.converged:
         reasons.append(f"the fit did not converge on windows of {found.horizon} samples")
-    if not found.chi2_per_dof <= limit * factor**2:
-        reasons.append(f"chi2 per degree of freedom is {number(found.chi2_per_dof)}, noise is 1")
+    if not chi2_of(found) <= limit * factor**2:
+        reasons.append(f"chi2 per degree of freedom is {number(chi2_of(found))}, noise is 1")
     if not white(found, settings):
         share = percent(min(found.whiteness_effect, 1.0))
         reasons.append(f"what is left is not white (its past predicts about {share} of it)")
-    if not found.test_error**2 <= limit * (factor * found.noise_floor) ** 2:
+    free = found.innovation_chi2 is None  # else process noise moves what runs freely
+    if free and not found.test_error**2 <= limit * (factor * found.noise_floor) ** 2:
         floor = percent(factor * found.noise_floor)
         reasons.append(f"the test error is {percent(found.test_error)} where noise makes {floor}")
     return tuple(reasons)
@@ -172,12 +181,12 @@ def verdict_sentence(verdict: Verdict, found: Comparison, settings: Settings) ->
 
 def _fits(found: Comparison, settings: Settings) -> bool:
     """Whether what was fitted is explained, whatever the test record says."""
-    return found.chi2_per_dof <= settings.chi2_limit and white(found, settings)
+    return chi2_of(found) <= settings.chi2_limit and white(found, settings)
 
 
 def _figures(found: Comparison) -> str:
     return (
-        f"chi2 per degree of freedom is {number(found.chi2_per_dof, 3)}, what is left is white, "
+        f"chi2 per degree of freedom is {number(chi2_of(found), 3)}, what is left is white, "
         f"and the test error is {percent(found.test_error)} (noise floor "
         f"{percent(found.noise_floor)})"
     )

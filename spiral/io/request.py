@@ -9,6 +9,8 @@ if TYPE_CHECKING:
     from spiral.io.config import Config
     from spiral.io.registry import Registry
 
+ASK_A_STRATEGY = ("discover", "diagnose", "compare", "add")
+
 OK, BAD_INPUT, REFUSED = 0, 2, 3
 """Exit codes: an answer, a question that cannot be asked, an honest refusal."""
 
@@ -76,9 +78,10 @@ def _refuse_unused(request: Request, config: Config) -> None:
     from spiral.io.overrides import parse
     from spiral.io.question import check_used
 
+    if request.verb not in ASK_A_STRATEGY:
+        return
     for item in parse(request.overrides):
-        if item.path[0] != "derivative" or request.verb != "identify":
-            check_used(item.path[0], config["strategy"], item.text)
+        check_used(item.path[0], config["strategy"], item.text)
 
 
 def _as_truth(base: Config, registry: Registry) -> Config:

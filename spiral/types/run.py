@@ -36,6 +36,8 @@ class Comparison:
     that the fitted records show without a model (high-order differences) over what they declare,
     rms over channels, and nothing where they declare none; ``unseen`` are errors on the
     test records at several horizons (``inference.evidence.horizons``), none without a test.
+    ``innovation_chi2`` is the mean squared whitened innovation, where a filter's likelihood is the
+    evidence: process noise then explains what a free run misses.
     """
 
     model: Model
@@ -50,6 +52,7 @@ class Comparison:
     converged: bool
     notes: tuple[str, ...] = ()
     noise_ratio: float | None = None
+    innovation_chi2: float | None = None
     unseen: tuple[Horizon, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -59,6 +62,7 @@ class Comparison:
             "test_error": self.test_error,
             "noise_floor": self.noise_floor,
             "noise_ratio": self.noise_ratio,
+            "innovation_chi2": self.innovation_chi2,
             "channels": {k: v.as_dict() for k, v in self.channels.items()},
             "chi2_per_dof": self.chi2_per_dof,
             "whiteness_p": self.whiteness_p,

@@ -128,6 +128,13 @@ def test_nothing_is_missing_only_near_the_noise():
         assert seed_verdict(seed, "no_candidate", SETTINGS) == "unknown_structure"
 
 
+def test_a_filter_s_evidence_is_judged_by_its_innovations():
+    """Process noise moves the machine: no free run follows, and the model is right all the same."""
+    driven = replace(GOOD, chi2_per_dof=40.0, test_error=0.6, innovation_chi2=1.02)
+    assert near_noise(driven, SETTINGS)
+    assert not near_noise(replace(driven, innovation_chi2=3.0), SETTINGS)
+
+
 def test_colour_smaller_than_the_smallest_effect_is_harmless():
     """N = 65000: Ljung-Box is certain of a colour that predicts half a percent of the rest."""
     faint = replace(GOOD, whiteness_p=1e-12, whiteness_effect=0.005)

@@ -176,6 +176,7 @@ def _refitted(
     white = whiteness(left, assembly.problem.settings.lags)
     comparison = replace(comparison, whiteness_p=white.p, whiteness_effect=white.effect)
     nis = float(np.mean([np.mean(np.sum(e**2, axis=1)) for e in left]))
+    comparison = replace(comparison, innovation_chi2=nis / left[0].shape[1])
     details = {"log_likelihood": found.log_likelihood, "nis_mean": nis}
     return Settled(wider, comparison, details={**details, "process_noise": dict(found.levels)})
 
