@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.engine.filter.extended import Settings
+from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.task import Task
 
 
@@ -66,7 +66,10 @@ def numpy_functions(task: Task) -> tuple[Function, Function]:
 
 
 def filterpy_run(
-    task: Task, settings: Settings, samples: int, functions: tuple[Function, Function] | None = None
+    task: Task,
+    settings: FilterSettings,
+    samples: int,
+    functions: tuple[Function, Function] | None = None,
 ) -> Peer:
     """Filter the first samples of a task (no tracked parameter) with filterpy."""
     from filterpy.kalman import ExtendedKalmanFilter

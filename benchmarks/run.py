@@ -65,16 +65,16 @@ def passes() -> list[tuple[str, float, str]]:
 
     from spiral.engine.growth import first_starts, layouts_for
     from spiral.engine.sensitivities import reduce, residuals
-    from spiral.engine.study import Columns, Point
+    from spiral.engine.study import ParameterColumns, Point
     from spiral.inference.compare import prepared
+    from spiral.inference.evidence.fit_state import grown, half_masks
     from spiral.inference.evidence.scoring import score_stage
-    from spiral.inference.evidence.standing import grown, half_masks
 
     problem = _problem()
     assembly, standing = prepared(problem)
     study = assembly.study
     count = min(48, len(study.keys))
-    columns = Columns(np.arange(count), np.full(count, -1))
+    columns = ParameterColumns(np.arange(count), np.full(count, -1))
     layouts = layouts_for(study, 64, (None,))
     point = Point(standing.values, first_starts(study, layouts, standing.values))
     kernel = _kernel_only(study, layouts, point, columns)

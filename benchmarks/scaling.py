@@ -32,8 +32,8 @@ def measured(samples: int) -> dict[str, float]:
 
     from spiral.engine.threads import one_blas_thread
     from spiral.inference.compare import judged, prepared
+    from spiral.inference.evidence.fit_state import grown, half_masks
     from spiral.inference.evidence.scoring import score_stage
-    from spiral.inference.evidence.standing import grown, half_masks
     from spiral.inference.problem import Problem
     from spiral.io.registry import load_registry
     from spiral.types.model import seed_model

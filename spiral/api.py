@@ -233,12 +233,12 @@ def plan(run: Run, *effects: str | Effect, plugins: Plugins = None, **wishes: An
     """
     from spiral.inference.plan import Wanted
     from spiral.inference.plan import plan as step
-    from spiral.inference.plan_options import wishes_of
+    from spiral.inference.plan_options import plan_options
     from spiral.inference.planned_tests import planned_tests, simulator
 
     registry = _registry(plugins)
     with _told(wishes) as progress:
-        chosen, problem = wishes_of(wishes), replace(_of(run), model=run.model)
+        chosen, problem = plan_options(wishes), replace(_of(run), model=run.model)
         wanted = tuple(registry.effect_from_label(e) if isinstance(e, str) else e for e in effects)
         asked = Wanted(wanted, chosen.parameter or "", chosen.standard_error)
         tests = planned_tests(problem, chosen)
@@ -250,7 +250,7 @@ def plan(run: Run, *effects: str | Effect, plugins: Plugins = None, **wishes: An
 
 def report(run: Run, path: str | Path = "report.html") -> Path:
     """Write the report of a run as one HTML file: figures, tables, caveats; returns its path."""
-    from spiral.io.storage import write_whole
+    from spiral.io.writing import write_whole
     from spiral.view.plot import curves_of, saved_form
     from spiral.view.report.page import page
 

@@ -137,34 +137,37 @@ def parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
             add_help=name in _PLAIN,
         )
-        if name not in _PLAIN:
-            verb.set_defaults(parser=verb)
-            words = "this help with the options of each group; with GROUP or NAME, its fields"
-            verb.add_argument("-h", "--help", action="store_true", help=words)
-        verb.add_argument("words", nargs="*", metavar="NAME|KEY=VALUE", help="names and overrides")
-        verb.add_argument("--json", metavar="FILE", help="write the result as JSON; - is stdout")
-        own = verb.add_mutually_exclusive_group()
-        own.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
-        own.add_argument(
-            "--no-plugins", dest="plugins", action="store_const", const=NO_FOLDER,
-            help="run no file of ./plugins or SPIRAL_PLUGINS",
-        )  # fmt: skip
-        if name == "app":
-            verb.add_argument("--port", metavar="N", help="port to listen on; usually 8765")
-            verb.add_argument("--no-browser", action="store_true", help="open no browser")
-            words = (
-                "the page's token, for scripts; better in SPIRAL_TOKEN, which no other user sees"
-            )
-            verb.add_argument("--token", metavar="TOKEN", help=words)
-        if name == "report":
-            verb.add_argument("--out", metavar="FILE", help="the page to write: .html")
-        if name in ("simulate", "estimate"):
-            verb.add_argument("--out", metavar="FILE", help="the table to write: .csv or .parquet")
-        if name not in (*_PLAIN, "simulate"):
-            verb.add_argument(
-                "-m", "--multirun", action="store_true", help="run once for each swept value"
-            )
+        _options(verb, name)
     return top
+
+
+def _options(verb: argparse.ArgumentParser, name: str) -> None:
+    """The options of one verb."""
+    if name not in _PLAIN:
+        verb.set_defaults(parser=verb)
+        words = "this help with the options of each group; with GROUP or NAME, its fields"
+        verb.add_argument("-h", "--help", action="store_true", help=words)
+    verb.add_argument("words", nargs="*", metavar="NAME|KEY=VALUE", help="names and overrides")
+    verb.add_argument("--json", metavar="FILE", help="write the result as JSON; - is stdout")
+    own = verb.add_mutually_exclusive_group()
+    own.add_argument("--plugins", metavar="DIR", help="folder with plugins of your own")
+    own.add_argument(
+        "--no-plugins", dest="plugins", action="store_const", const=NO_FOLDER,
+        help="run no file of ./plugins or SPIRAL_PLUGINS",
+    )  # fmt: skip
+    if name == "app":
+        verb.add_argument("--port", metavar="N", help="port to listen on; usually 8765")
+        verb.add_argument("--no-browser", action="store_true", help="open no browser")
+        words = "the page's token, for scripts; better in SPIRAL_TOKEN, which no other user sees"
+        verb.add_argument("--token", metavar="TOKEN", help=words)
+    if name == "report":
+        verb.add_argument("--out", metavar="FILE", help="the page to write: .html")
+    if name in ("simulate", "estimate"):
+        verb.add_argument("--out", metavar="FILE", help="the table to write: .csv or .parquet")
+    if name not in (*_PLAIN, "simulate"):
+        verb.add_argument(
+            "-m", "--multirun", action="store_true", help="run once for each swept value"
+        )
 
 
 def _parsed(given: list[str]) -> argparse.Namespace:
@@ -324,7 +327,7 @@ def _write_json(result: dict[str, Any], target: str | None) -> None:
         return
     from pathlib import Path
 
-    from spiral.io.storage import to_json, write_whole
+    from spiral.io.writing import to_json, write_whole
 
     text = to_json(result) + "\n"
     if target == "-":

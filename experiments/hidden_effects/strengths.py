@@ -16,7 +16,7 @@ from spiral.engine.growth import layouts_for
 from spiral.engine.study import Point
 from spiral.inference.compare import refined
 from spiral.inference.evidence.assembly import assemble, first_row
-from spiral.inference.evidence.standing import Standing
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.identifiability.information import View
 from spiral.inference.problem import Problem
 from spiral.io.registry import Registry
@@ -200,7 +200,7 @@ def _change(case: Case, system: System, registry: Registry) -> float:
     effect = registry.effect_from_label(case.effect)
     model = replace(truth, values={**truth.values, **_origin(truth)})
     assembly = assemble(Problem(model, (record,), ()))
-    assembly = refined(assembly, Standing(model.labels, first_row(assembly)))
+    assembly = refined(assembly, FitState(model.labels, first_row(assembly)))
     starts = np.array([[record.truth[s][0] if s in record.truth else 0.0
                         for s in assembly.study.compiled.traced.states]])  # fmt: skip
     layouts = layouts_for(assembly.study, record.samples, (None,))

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from experiments.peers.cases import HIDDEN
-from spiral.io.storage import to_json, write_whole
 from spiral.io.tracking.store import Store, Tracking, opened
+from spiral.io.writing import to_json, write_whole
 
 Row = dict[str, Any]
 FILE = "rows.json"

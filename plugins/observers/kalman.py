@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from spiral.engine.filter.observer import Observer, Reconstruction
 
 if TYPE_CHECKING:
-    from spiral.engine.filter.extended import Pass, Settings
+    from spiral.engine.filter.extended import FilterSettings, Pass
     from spiral.engine.filter.task import Task
 
 
@@ -49,7 +49,7 @@ class Tuned(Observer):
         return as_reconstruction(task, settings, found, levels, seconds, tuned - clock)
 
     @abstractmethod
-    def run(self, task: Task, settings: Settings) -> Pass:
+    def run(self, task: Task, settings: FilterSettings) -> Pass:
         """One run over the record with these numbers."""
 
 
@@ -66,7 +66,7 @@ class Ekf(Tuned):
 
     transition: Literal["exact", "second_order"] = "exact"
 
-    def run(self, task: Task, settings: Settings) -> Pass:
+    def run(self, task: Task, settings: FilterSettings) -> Pass:
         """Filter the record."""
         from spiral.engine.filter.extended import filtered
 
@@ -80,7 +80,7 @@ class Rts(Tuned):
     x_s = x - P l, P_s = P - P L P, in the Bryson-Frazier form (``spiral.engine.filter.smoother``).
     """
 
-    def run(self, task: Task, settings: Settings) -> Pass:
+    def run(self, task: Task, settings: FilterSettings) -> Pass:
         """Filter, then go back from the record's end; innovations stay those of the filter."""
         from spiral.engine.filter.extended import filtered, smoothed
 
@@ -103,7 +103,7 @@ class Ukf(Tuned):
     beta: float = 0.0
     kappa: float = 0.0
 
-    def run(self, task: Task, settings: Settings) -> Pass:
+    def run(self, task: Task, settings: FilterSettings) -> Pass:
         """Filter the record."""
         from spiral.engine.filter.sigma_points import sigma_filtered
 

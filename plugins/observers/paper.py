@@ -31,7 +31,7 @@ class EkfPaper(Observer):
 
     def reconstruct(self, task: Task) -> Reconstruction:
         """Filter the record with the paper's numbers."""
-        from spiral.engine.filter.extended import Settings, as_reconstruction, filtered
+        from spiral.engine.filter.extended import FilterSettings, as_reconstruction, filtered
 
         names, channels = task.states, task.compiled.traced.channels
         rate = np.array([f"{n}_rate" not in names for n in names])
@@ -39,7 +39,7 @@ class EkfPaper(Observer):
         first = np.where(rate, np.where(seen, 1e-4, 1e-3), np.where(seen, 1e-6, 1e-4))
         start = np.zeros(len(names))
         start[[names.index(c) for c in channels]] = task.series.y[0]
-        settings = Settings(
+        settings = FilterSettings(
             process=np.diag(self.q0 * np.where(rate, 1.0, 1e-2)),
             noise=np.var(np.diff(task.series.y, n=2, axis=0), axis=0) / 6,
             start=start,

@@ -12,9 +12,9 @@ from typing import Any
 from nicegui import ui
 
 from spiral.app import panels
-from spiral.app.desk import Desk, Scene
-from spiral.app.look import STYLE
+from spiral.app.session import Scene, Session
 from spiral.app.study import Study
+from spiral.app.stylesheet import STYLE
 from spiral.types.errors import SpiralError
 from spiral.view.report.style import BLUE
 from spiral.view.terminal.shell import option_lines
@@ -106,9 +106,9 @@ def nothing_here(error: SpiralError) -> None:
         ui.link("All studies", "/").classes("quiet")
 
 
-def local_plugins(desk: Desk) -> None:
+def local_plugins(session: Session) -> None:
     """The files that are run as local plugins, by name; nothing where there are none."""
-    files = desk.local_plugins()
+    files = session.local_plugins()
     if files:
         said = f"Runs local plugins: {', '.join(files)}. Started with --no-plugins it does without."
         ui.label(said).classes("soft local-plugins")
@@ -122,7 +122,7 @@ def command(study: Study) -> str:
     return f"spiral add {' '.join(study.added)}{given}"
 
 
-def links(desk: Desk, scene: Scene) -> None:
+def links(session: Session, scene: Scene) -> None:
     """The saved run, MLflow's page of it, and the report to take away."""
     turn = scene.study.turn
     if turn is None or not turn.run_id:

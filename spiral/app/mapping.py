@@ -9,12 +9,12 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import draft as kept
 from spiral.app import frame, panels
-from spiral.app.desk import Desk
-from spiral.app.draft import Choice, Draft
-from spiral.app.intake import Desktop
-from spiral.app.peek import PICTURE
+from spiral.app import record_setup as kept
+from spiral.app.file_preview import PICTURE
+from spiral.app.file_setup import OpenFile
+from spiral.app.record_setup import Choice, RecordSetup
+from spiral.app.session import Session
 from spiral.types.errors import SpiralError
 from spiral.types.formatting import number
 from spiral.view.report import text
@@ -26,9 +26,9 @@ _CLOCK = "sample rate"
 
 @dataclass
 class Form:
-    """One tab on one draft."""
+    """One tab on one setup."""
 
-    desk: Desk
+    session: Session
     ident: str
     version: int = -1
     drawn: dict[str, Any] = field(default_factory=dict)
@@ -36,113 +36,113 @@ class Form:
 
     def look(self) -> None:
         """Draw what has changed."""
-        desktop = self.desk.intake.look(self.ident)
-        if desktop.version == self.version:
+        opened = self.session.file_setup.look(self.ident)
+        if opened.version == self.version:
             return
-        self.version = desktop.version
-        draft = desktop.draft
+        self.version = opened.version
+        setup = opened.setup
         for name, build, depends in (
-            ("state", self._state, (desktop.busy, draft.trouble)),
-            ("columns", self._columns, len(draft.columns)),
+            ("state", self._state, (opened.busy, setup.trouble)),
+            ("columns", self._columns, len(setup.columns)),
             (
                 "form",
                 self._form,
-                (len(draft.columns), draft.choice.system, draft.choice.time),
+                (len(setup.columns), setup.choice.system, setup.choice.time),
             ),
-            ("seen", self._seen, (draft.seen, draft.choice, desktop.busy, draft.trouble)),
+            ("seen", self._seen, (setup.seen, setup.choice, opened.busy, setup.trouble)),
         ):
             if name in self.drawn and self.drawn[name] == depends:
                 continue
             self.drawn[name] = depends
             self.regions[name].clear()
             with self.regions[name]:
-                build(desktop)
+                build(opened)
 
-    def _state(self, desktop: Desktop) -> None:
-        if desktop.busy:
+    def _state(self, opened: OpenFile) -> None:
+        if opened.busy:
             with ui.element("div").classes("working"):
                 ui.spinner(size="20px")
-                ui.label(desktop.busy + " …").classes("words")
-        if desktop.draft.trouble:
+                ui.label(opened.busy + " …").classes("words")
+        if opened.setup.trouble:
             with ui.element("div").classes("trouble").props('role="alert"'):
-                ui.html(panels.trouble(desktop.draft.trouble), sanitize=False)
-                if not desktop.draft.columns:
+                ui.html(panels.trouble(opened.setup.trouble), sanitize=False)
+                if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
 
-    def _columns(self, desktop: Desktop) -> None:
-        draft = desktop.draft
-        if not draft.columns:
+    def _columns(self, opened: OpenFile) -> None:
+        setup = opened.setup
+        if not setup.columns:
             return
         rows = [
             (c["name"], c["unit"], ", ".join(number(v) for v in c["first"]),
              f"{number(c['lowest'])} … {number(c['highest'])}")
-            for c in draft.columns
+            for c in setup.columns
         ]  # fmt: skip
-        ui.html(f"<h2 class='head'>{escape(draft.name)}: {draft.rows} rows</h2>", sanitize=False)
+        ui.html(f"<h2 class='head'>{escape(setup.name)}: {setup.rows} rows</h2>", sanitize=False)
         table = text.table(("column", "unit", "first rows", "range"), rows)
         ui.html(panels.plain(table), sanitize=False)
-        if draft.drawn:
-            frame.bare(kept.place(self.desk.out, self.ident) / PICTURE, "columns")
+        if setup.drawn:
+            frame.bare(kept.place(self.session.out, self.ident) / PICTURE, "columns")
 
-    def _form(self, desktop: Desktop) -> None:
-        draft = desktop.draft
-        if not draft.systems:
+    def _form(self, opened: OpenFile) -> None:
+        setup = opened.setup
+        if not setup.systems:
             return
         ui.html("<h2 class='head'>What is what</h2>", sanitize=False)
-        known = {s["name"]: panels.words(s["name"]) for s in draft.systems}
-        chosen = draft.choice.system or None
+        known = {s["name"]: panels.words(s["name"]) for s in setup.systems}
+        chosen = setup.choice.system or None
         ui.select(known, value=chosen, label="System: the physics that is known",
                   on_change=lambda e: self._change(system=e.value)).props(
             "outlined dense").classes("w-full")  # fmt: skip
-        system = draft.system()
+        system = setup.system()
         if system is None:
             ui.html("<p class='soft' style='margin-top:8px'>" + "<br>".join(
                 f"<b>{escape(panels.words(s['name']))}</b>: {panels.meaning(s['meaning'])}"
-                for s in draft.systems) + "</p>", sanitize=False)  # fmt: skip
+                for s in setup.systems) + "</p>", sanitize=False)  # fmt: skip
             return
         said = f"<p class='soft' style='margin-top:6px'>{panels.meaning(system['meaning'])}</p>"
         ui.html(said, sanitize=False)
         with ui.element("div").classes("mapping"):
-            self._clock(draft)
+            self._clock(setup)
             for series in system["channels"]:
-                self._series(draft, series, "measured")
+                self._series(setup, series, "measured")
             for series in system["inputs"]:
-                self._series(draft, series, "input" if series["required"] else "input, if measured")
+                self._series(setup, series, "input" if series["required"] else "input, if measured")
         with ui.expansion("More: rows, offsets, candidates, the system's fields").classes("w-full"):
             ui.textarea(
-                "One KEY=VALUE on each line, as on the command line", value=draft.choice.more,
+                "One KEY=VALUE on each line, as on the command line", value=setup.choice.more,
                 placeholder="record.rows=[0,5000]\nholdout=0.3",
                 on_change=lambda e: self._change(more=e.value or ""),
             ).props("outlined dense debounce=900").classes("w-full")  # fmt: skip
 
-    def _clock(self, draft: Draft) -> None:
+    def _clock(self, setup: RecordSetup) -> None:
         ui.html("<b>time</b>", sanitize=False)
-        names = {"": _CLOCK, **{c["name"]: c["name"] for c in draft.columns}}
+        names = {"": _CLOCK, **{c["name"]: c["name"] for c in setup.columns}}
         with ui.element("div").props('data-for="time"'):
             ui.select(
                 names,
-                value=draft.choice.time if draft.choice.time in names else "",
+                value=setup.choice.time if setup.choice.time in names else "",
                 on_change=lambda e: self._timed(e.value),
             ).props("outlined dense")
-        if draft.choice.time:
-            self._unit(draft, "time", "s")
+        if setup.choice.time:
+            self._unit(setup, "time", "s")
         else:
-            ui.input(value=draft.choice.rate, placeholder="in Hz",
+            ui.input(value=setup.choice.rate, placeholder="in Hz",
                      on_change=lambda e: self._change(rate=e.value or "")).props(
                 'outlined dense debounce=500 aria-label="sample rate"')  # fmt: skip
 
     def _timed(self, column: str) -> None:
-        units = self.desk.intake.look(self.ident).draft.choice.units
+        units = self.session.file_setup.look(self.ident).setup.choice.units
         self._change(time=column, units={**units, "time": self._said(column)})
 
-    def _series(self, draft: Draft, series: Mapping[str, Any], kind: str) -> None:
+    def _series(self, setup: RecordSetup, series: Mapping[str, Any], kind: str) -> None:
         name = series["name"]
         ui.html(f"<b>{escape(name)}</b> <span class='soft'>{kind}</span>", sanitize=False)
-        names = {"": _NONE, **{c["name"]: c["name"] for c in draft.columns}}
-        value = draft.choice.columns.get(name, "")
+        names = {"": _NONE, **{c["name"]: c["name"] for c in setup.columns}}
+        value = setup.choice.columns.get(name, "")
 
         def choose(event: Any) -> None:
-            now = self.desk.intake.look(self.ident).draft.choice
+            now = self.session.file_setup.look(self.ident).setup.choice
             said = self._said(event.value)
             self._change(columns={**now.columns, name: event.value},
                          units={**now.units, name: said})  # fmt: skip
@@ -153,76 +153,76 @@ class Form:
             place.props["data-for"] = name
             box = ui.select(names, value=value if value in names else "", on_change=choose)
             box.props("outlined dense")
-        unit = self._unit(draft, name, series["unit"])
+        unit = self._unit(setup, name, series["unit"])
 
-    def _unit(self, draft: Draft, name: str, usual: str) -> ui.input:
-        column = draft.choice.time if name == "time" else draft.choice.columns.get(name, "")
+    def _unit(self, setup: RecordSetup, name: str, usual: str) -> ui.input:
+        column = setup.choice.time if name == "time" else setup.choice.columns.get(name, "")
 
         def choose(event: Any) -> None:
-            now = self.desk.intake.look(self.ident).draft.choice
+            now = self.session.file_setup.look(self.ident).setup.choice
             self._change(units={**now.units, name: event.value or ""})
 
-        box = ui.input(value=draft.choice.units.get(name, ""), on_change=choose,
+        box = ui.input(value=setup.choice.units.get(name, ""), on_change=choose,
                        placeholder=self._named(column, usual))  # fmt: skip
         box.props["aria-label"] = f"unit of {name}"
         return box.props("outlined dense debounce=500")
 
     def _named(self, column: str, usual: str) -> str:
         """The unit that a file names for a column, else the system's own."""
-        draft = self.desk.intake.look(self.ident).draft
-        named = {c["name"]: c["unit"] for c in draft.columns}
+        setup = self.session.file_setup.look(self.ident).setup
+        named = {c["name"]: c["unit"] for c in setup.columns}
         return named.get(column) or usual or "no unit"
 
     def _said(self, column: str) -> str:
         """The unit in a column's name where the file names none, as in ``disp_um``."""
-        draft = self.desk.intake.look(self.ident).draft
-        named = any(c["name"] == column and c["unit"] for c in draft.columns)
+        setup = self.session.file_setup.look(self.ident).setup
+        named = any(c["name"] == column and c["unit"] for c in setup.columns)
         return "" if named else kept.unit_in(column)
 
-    def _seen(self, desktop: Desktop) -> None:
-        draft = desktop.draft
-        if not draft.systems:
+    def _seen(self, opened: OpenFile) -> None:
+        setup = opened.setup
+        if not setup.systems:
             return
         ui.html("<h2 class='head'>What was understood</h2>", sanitize=False)
-        lacking = kept.lacking(draft)
+        lacking = kept.lacking(setup)
         if lacking:
             ui.html(f"<p class='soft'>Still to choose: {escape(', '.join(lacking))}.</p>",
                     sanitize=False)  # fmt: skip
-        elif draft.seen:
-            ui.html(panels.records(draft.seen), sanitize=False)
+        elif setup.seen:
+            ui.html(panels.records(setup.seen), sanitize=False)
             ui.html("<p class='soft' style='margin-top:8px'>The last part is kept apart as the "
                     "test record: no fit sees it. Are the ranges those of your machine?</p>",
                     sanitize=False)  # fmt: skip
         begin = ui.button("Compare with the model", icon="play_arrow", on_click=self._begin)
         begin.props("unelevated color=primary").style("margin-top:12px")
-        begin.set_enabled(bool(draft.seen) and not draft.trouble)
+        begin.set_enabled(bool(setup.seen) and not setup.trouble)
 
     def _change(self, **values: Any) -> None:
-        now: Choice = self.desk.intake.look(self.ident).draft.choice
+        now: Choice = self.session.file_setup.look(self.ident).setup.choice
         changed = replace(now, **values)
         if changed != now:
-            self.desk.intake.choose(self.ident, changed)
+            self.session.file_setup.choose(self.ident, changed)
             self.look()
 
     def _begin(self) -> None:
         try:
-            title, overrides = self.desk.intake.question(self.ident)
-            ident = self.desk.create(title, overrides)
+            title, overrides = self.session.file_setup.question(self.ident)
+            ident = self.session.create(title, overrides)
         except SpiralError as error:
             frame.refused(error)
             return
         ui.navigate.to(f"/study/{ident}")
 
 
-def file_page(desk: Desk, ident: str) -> None:
+def file_page(session: Session, ident: str) -> None:
     """Build the page of one file."""
     try:
-        desktop = desk.intake.look(ident)
+        opened = session.file_setup.look(ident)
     except SpiralError as error:
         frame.nothing_here(error)
         return
-    form = Form(desk, ident)
-    with frame.bar(desktop.draft.name):
+    form = Form(session, ident)
+    with frame.bar(opened.setup.name):
         pass
     with ui.element("main").classes("wrap"):
         form.regions["state"] = ui.element("div")

@@ -10,13 +10,13 @@ from typing import Any
 from nicegui import ui
 
 from spiral.app import frame, panels, unseen
-from spiral.app.desk import Desk, Scene, own_name
+from spiral.app.session import Scene, Session, own_name
 from spiral.app.study import Turn, turn_place
 from spiral.types.errors import SpiralError
 from spiral.view.report.evidence import error_falling
 
 FALL_HEIGHT = 500
-_TICK = 0.15  # s between looks at the desk
+_TICK = 0.15  # s between looks at the session
 _SHOWN = 5  # candidates before "show all"
 TABS = (
     ("Measured and model", ("free_run",)),
@@ -38,13 +38,13 @@ FALLING = "falling"
 
 
 @dataclass
-class View:
+class StudyView:
     """One tab of the browser on one study: what it has drawn, so that only what changed is drawn.
 
     ``parts`` are functions that build a region, with what the region depends on.
     """
 
-    desk: Desk
+    session: Session
     ident: str
     version: int = -1
     drawn: dict[str, Any] = field(default_factory=dict)
@@ -56,7 +56,7 @@ class View:
 
     def scene(self) -> Scene:
         """The study as it is now."""
-        return self.desk.scene(self.ident)
+        return self.session.scene(self.ident)
 
     def look(self) -> None:
         """Draw what has changed since the last look."""
@@ -121,7 +121,9 @@ class View:
         with ui.element("div").classes("trouble").props('role="alert"'):
             ui.html(panels.trouble(error), sanitize=False)
             if not scene.study.turns:
-                ui.button("Try again", on_click=lambda: self.desk.start(self.ident)).props("flat")
+                ui.button("Try again", on_click=lambda: self.session.start(self.ident)).props(
+                    "flat"
+                )
 
     def _hero(self, scene: Scene) -> None:
         study = scene.study
@@ -175,8 +177,9 @@ class View:
             said = "Ranking the effects that may be missing …" if waiting else "Not ranked yet."
             ui.html(f"<p class='soft'>{said}</p>", sanitize=False)
             if turn is not None and not waiting:
-                ui.button("Rank what may be missing", on_click=lambda: self._ask(
-                    lambda: self.desk.rank(self.ident, turn.serial))).props("outline")  # fmt: skip
+                ranked = functools.partial(self.session.rank, self.ident, turn.serial)
+                asked = functools.partial(self._ask, ranked)
+                ui.button("Rank what may be missing", on_click=asked).props("outline")
             return
         proposes = bool(turn.proposed)
         if not proposes:
@@ -185,7 +188,7 @@ class View:
             ui.html(f"<div class='{kind}' id='ending'>{said}</div>", sanitize=False)
             if panels.learnable(scene.study, turn):
                 learn = ui.button("Offer its curve as an effect", on_click=lambda: self._ask(
-                    lambda: self.desk.learn(self.ident, turn.serial)))  # fmt: skip
+                    lambda: self.session.learn(self.ident, turn.serial)))  # fmt: skip
                 learn.props("outline").style("margin:10px 0").set_enabled(scene.busy is None)
         else:
             self._proposal(scene, turn)
@@ -211,7 +214,7 @@ class View:
         name = {"worse": "note worse", "fine": "good", "trying": "soft"}[kind]
         ui.html(f"<div class='{name}' id='proposal'>{said}</div>", sanitize=False)
         if kind == "trying" and scene.busy is None:
-            attempt = functools.partial(self.desk.preview, self.ident, turn.proposed[0])
+            attempt = functools.partial(self.session.preview, self.ident, turn.proposed[0])
             button = ui.button("Try it on the test record")
             button.on_click(lambda: self._ask(lambda: attempt(turn.serial))).props("outline")
 
@@ -233,7 +236,7 @@ class View:
 
     def _invent(self, serial: int) -> None:
         name, formula, shape = (self.typed.get(key, "") for key, _, _ in _OWN)
-        self._ask(lambda: self.desk.invent(self.ident, name, formula, serial, shape))
+        self._ask(lambda: self.session.invent(self.ident, name, formula, serial, shape))
 
     def _candidate(self, scene: Scene, turn: Turn, found: Any) -> None:
         effect, aliases = found["effect"], tuple(found["aliases"])
@@ -306,7 +309,7 @@ class View:
             if title == MODEL:
                 ui.html(panels.model(turn), sanitize=False).style("width:100%")
             wanted = dict(TABS)[title]
-            folder = turn_place(self.desk.out, self.ident, turn.serial) / "figures"
+            folder = turn_place(self.session.out, self.ident, turn.serial) / "figures"
             for name, heading, caption in turn.figures:
                 if name in wanted:
                     frame.figure(folder / f"{name}.json", name, heading, caption)
@@ -316,13 +319,13 @@ class View:
         with ui.expansion("The data, and how to do this on the command line").classes("w-full"):
             if study.records:
                 ui.html(panels.records(study.records), sanitize=False)
-            frame.local_plugins(self.desk)
+            frame.local_plugins(self.session)
             ui.html("<p class='soft' style='margin:12px 0 4px'>The same from a terminal:</p>",
                     sanitize=False)  # fmt: skip
             frame.code(frame.command(study))
 
     def _links(self, scene: Scene) -> None:
-        frame.links(self.desk, scene)
+        frame.links(self.session, scene)
 
     # --- clicks ----------------------------------------------------------------------------------
 
@@ -330,18 +333,18 @@ class View:
         self.every = False
         if effect.partition("@")[0] == own_name(self.typed.get("name", "")):
             self.typed.clear()  # it is in the model now
-        self._ask(lambda: self.desk.add(self.ident, effect, serial))
+        self._ask(lambda: self.session.add(self.ident, effect, serial))
 
     def _contrast(self, effects: tuple[str, ...], serial: int) -> None:
-        self._ask(lambda: self.desk.contrast(self.ident, effects, serial))
+        self._ask(lambda: self.session.contrast(self.ident, effects, serial))
 
     def _move(self, by: int) -> None:
         turn = self.scene().study.turn
         if turn is not None:
-            self._ask(lambda: self.desk.move(self.ident, by, turn.serial))
+            self._ask(lambda: self.session.move(self.ident, by, turn.serial))
 
     def _cancel(self) -> None:
-        self.desk.cancel(self.ident)
+        self.session.cancel(self.ident)
 
     def _toggle(self) -> None:
         self.every = not self.every
@@ -358,14 +361,14 @@ class View:
 _NEVER = object()
 
 
-def study_page(desk: Desk, ident: str) -> None:
+def study_page(session: Session, ident: str) -> None:
     """Build the page of one study."""
     try:
-        scene = desk.scene(ident)
+        scene = session.scene(ident)
     except SpiralError as error:
         frame.nothing_here(error)
         return
-    view = View(desk, ident)
+    view = StudyView(session, ident)
     with frame.bar(scene.study.title):
         view.regions["links"] = ui.row().classes("items-center gap-2")
     with frame.progress_bar():

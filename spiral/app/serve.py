@@ -80,17 +80,17 @@ def run(out: Path, port: int | None, browser: bool, plugins: str | None, token: 
     number = int(listening.getsockname()[1])
     import uvicorn
 
-    from spiral.app.desk import Desk
     from spiral.app.guard import TOKEN, Guard
+    from spiral.app.session import Session
     from spiral.app.viewer import Viewer
 
     out.mkdir(parents=True, exist_ok=True)
     viewer = Viewer()
-    desk = Desk(out.resolve(), plugins)
+    session = Session(out.resolve(), plugins)
     address = f"http://{HOST}:{number}/?{TOKEN}={token}"
     server = uvicorn.Server(
         uvicorn.Config(
-            Guard(application(desk, viewer), number, token),
+            Guard(application(session, viewer), number, token),
             log_level="warning",
             ws="websockets-sansio",
             timeout_graceful_shutdown=1,
@@ -105,7 +105,7 @@ def run(out: Path, port: int | None, browser: bool, plugins: str | None, token: 
     except KeyboardInterrupt:
         print("ended", file=sys.stderr)
     finally:
-        desk.close()
+        session.close()
         viewer.close()
 
 
@@ -121,32 +121,32 @@ def door(address: str) -> Iterator[Path]:
         yield file
 
 
-def application(desk: Any, viewer: Any) -> Any:
+def application(session: Any, viewer: Any) -> Any:
     """The page as an ASGI application."""
     from fastapi import FastAPI
     from nicegui import ui
 
+    from spiral.app.downloads import routes
     from spiral.app.mapping import file_page
     from spiral.app.page import study_page
     from spiral.app.start import start_page
-    from spiral.app.takeaway import routes
     from spiral.app.upload import route
 
     web = FastAPI(openapi_url=None)
-    routes(web, desk, viewer)
-    route(web, desk)
+    routes(web, session, viewer)
+    route(web, session)
 
     @ui.page("/", title="SPIRAL")
     def _start() -> None:
-        start_page(desk)
+        start_page(session)
 
     @ui.page("/study/{ident}", title="SPIRAL")
     def _study(ident: str) -> None:
-        study_page(desk, ident)
+        study_page(session, ident)
 
     @ui.page("/file/{ident}", title="SPIRAL")
     def _file(ident: str) -> None:
-        file_page(desk, ident)
+        file_page(session, ident)
 
     ui.run_with(web, title="SPIRAL", show_welcome_message=False, tailwind=False,
                 reconnect_timeout=20.0)  # fmt: skip

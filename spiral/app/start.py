@@ -8,8 +8,8 @@ from html import escape
 from nicegui import ui
 
 from spiral.app import frame, panels
-from spiral.app.desk import Desk
-from spiral.app.drop import drop_zone
+from spiral.app.drop_zone import drop_zone
+from spiral.app.session import Session
 from spiral.app.study import Study
 from spiral.types.errors import SpiralError
 from spiral.types.formatting import percent
@@ -17,7 +17,7 @@ from spiral.types.formatting import percent
 _LISTED = 12
 
 
-def start_page(desk: Desk) -> None:
+def start_page(session: Session) -> None:
     """Build the first page."""
     with frame.bar(""):
         pass
@@ -32,25 +32,25 @@ def start_page(desk: Desk) -> None:
             ui.html("<h2 class='head'>Begin with an embedded record</h2>", sanitize=False)
             with ui.element("div").classes("choices"):
                 for name, words in presets():
-                    _choice(desk, name, words)
+                    _choice(session, name, words)
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Or bring your own measurements</h2>", sanitize=False)
             drop_zone()
-            _path(desk)
-        frame.local_plugins(desk)
-        known = desk.studies()
+            _path(session)
+        frame.local_plugins(session)
+        known = session.studies()
         if known:
             with ui.element("section").classes("card"):
                 ui.html("<h2 class='head'>Go on with a study</h2>", sanitize=False)
                 _studies(known[:_LISTED])
 
 
-def _path(desk: Desk) -> None:
+def _path(session: Session) -> None:
     """A file that is on this machine already is read where it lies, whatever its size."""
 
     def read() -> None:
         try:
-            ident = desk.intake.there(where.value or "")
+            ident = session.file_setup.there(where.value or "")
         except SpiralError as error:
             frame.refused(error)
             return
@@ -84,10 +84,10 @@ def presets() -> list[tuple[str, str]]:
     return found
 
 
-def _choice(desk: Desk, name: str, said: str) -> None:
+def _choice(session: Session, name: str, said: str) -> None:
     def begin() -> None:
         try:
-            ident = desk.create(panels.words(name).capitalize(), (f"experiment={name}",))
+            ident = session.create(panels.words(name).capitalize(), (f"experiment={name}",))
         except SpiralError as error:
             frame.refused(error)
             return

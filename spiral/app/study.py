@@ -18,7 +18,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spiral.io.storage import new_run_id, own_file, to_json, unwritable, write_whole
+from spiral.io.storage import new_run_id, own_file, unwritable
+from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError, InputError
 
 if TYPE_CHECKING:

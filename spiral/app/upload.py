@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
-from spiral.app.desk import Desk
+from spiral.app.session import Session
 from spiral.types.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def too_large(size: int | None) -> InputError:
     )  # fmt: skip
 
 
-def route(web: FastAPI, desk: Desk) -> None:
+def route(web: FastAPI, session: Session) -> None:
     """Add ``POST /upload`` to the application: the body is the file, ``x-file-name`` its name."""
     from fastapi.responses import JSONResponse
 
@@ -35,7 +35,7 @@ def route(web: FastAPI, desk: Desk) -> None:
         size = request.headers.get("content-length", "")
         try:
             ident = await taken(
-                desk, unquote(request.headers.get("x-file-name", "record")),
+                session, unquote(request.headers.get("x-file-name", "record")),
                 int(size) if size.isdigit() else None, request.stream(),
             )  # fmt: skip
         except InputError as error:
@@ -46,8 +46,8 @@ def route(web: FastAPI, desk: Desk) -> None:
     web.add_route("/upload", upload, methods=["POST"])
 
 
-async def taken(desk: Desk, name: str, size: int | None, stream: AsyncIterator[bytes]) -> str:
-    """Write a stream to disk and have it read; returns the draft's name.
+async def taken(session: Session, name: str, size: int | None, stream: AsyncIterator[bytes]) -> str:
+    """Write a stream to disk and have it read; returns the setup's name.
 
     Raises
     ------
@@ -55,18 +55,18 @@ async def taken(desk: Desk, name: str, size: int | None, stream: AsyncIterator[b
     """
     if size is not None and size > MOST:
         raise too_large(size)
-    draft = desk.intake.begin(name)
+    setup = session.file_setup.begin(name)
     try:
-        written = await _written(Path(draft.path), stream)
+        written = await _written(Path(setup.path), stream)
         if not written:
             raise InputError(f"{name}: an empty file", "a file with rows of numbers")
         if size is not None and written != size:
             raise InputError(f"{name}: the upload broke off", "the whole file", "drop it again")
     except BaseException:
-        desk.intake.forget(draft)
+        session.file_setup.forget(setup)
         raise
-    desk.intake.arrived(draft)
-    return draft.ident
+    session.file_setup.arrived(setup)
+    return setup.ident
 
 
 async def _written(file: Path, stream: AsyncIterator[bytes]) -> int:

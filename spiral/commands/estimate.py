@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from spiral.io.request import OK, REFUSED, Outcome
 
 if TYPE_CHECKING:
-    from spiral.commands.study import Study
+    from spiral.commands.study import Command
     from spiral.inference.reconstruction.calibrate import Calibration
     from spiral.inference.reconstruction.estimate import Estimation
     from spiral.io.tables import Written
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from spiral.types.record import Record
 
 
-def reconstruct(study: Study) -> Outcome:
+def reconstruct(study: Command) -> Outcome:
     """Reconstruct all states of the configured records; exit 3 where the observer diverged."""
     from spiral.inference.reconstruction.estimate import estimate
     from spiral.io.config import build_model, build_observer, build_sources
@@ -40,7 +40,7 @@ def reconstruct(study: Study) -> Outcome:
     return Outcome(REFUSED if found.diverged else OK, result, parts)
 
 
-def _calibrated(study: Study, model: Model, records: tuple[Record, ...]) -> Calibration | None:
+def _calibrated(study: Command, model: Model, records: tuple[Record, ...]) -> Calibration | None:
     """The model fitted first: where that was asked for, or a parameter has no value."""
     from spiral.inference.problem import Problem
     from spiral.inference.reconstruction.calibrate import calibrate

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from spiral.commands.study import Study
+from spiral.commands.study import Command
 from spiral.io.request import OK, REFUSED, Outcome
 
 if TYPE_CHECKING:
     from spiral.inference.plan import Outlook, Plan, Wanted
-    from spiral.inference.plan_options import Wishes
+    from spiral.inference.plan_options import PlanOptions
 
 
-def identify(study: Study) -> Outcome:
+def identify(study: Command) -> Outcome:
     """Rank, mu, condition, alias groups and samples needed; refuses where terms look alike."""
     from spiral.inference.identifiability.identify import identify as judge
     from spiral.io.config import build_derivative
@@ -32,14 +32,14 @@ def identify(study: Study) -> Outcome:
     return Outcome(REFUSED if refused else OK, result, study.parts(problem, found=found))
 
 
-def plan(study: Study) -> Outcome:
+def plan(study: Command) -> Outcome:
     """Planned tests ranked by what they tell; refuses where none answers the question."""
     from spiral.inference.plan import plan as judge
-    from spiral.inference.plan_options import wishes_of
+    from spiral.inference.plan_options import plan_options
     from spiral.inference.planned_tests import planned_tests, simulator
 
     problem = study.problem()
-    wishes = wishes_of(study.config.get("plan"))
+    wishes = plan_options(study.config.get("plan"))
     wanted = _wanted(study, wishes)
     tests = planned_tests(problem, wishes)
     found = judge(problem, wanted, tests, simulator(problem, study.registry.simulation), study.tell)
@@ -61,7 +61,7 @@ def _open_question(wanted: Wanted) -> bool:
     return not wanted.effects and wanted.standard_error is None
 
 
-def _wanted(study: Study, wishes: Wishes) -> Wanted:
+def _wanted(study: Command, wishes: PlanOptions) -> Wanted:
     """The question, from names after the verb or the section ``plan``."""
     from spiral.inference.plan import Wanted
     from spiral.types.errors import ConfigError

@@ -52,7 +52,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
             f"spiral add {request.names[0]}, or effect=[{request.names[0]}]",
         )
     tell("reading the records")
-    asked = study.Study(request, config, registry, tell, on_round)
+    asked = study.Command(request, config, registry, tell, on_round)
     return report.with_curves(asked, steps[request.verb])
 
 

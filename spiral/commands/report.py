@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spiral.commands.study import Study, Tell
+from spiral.commands.study import Command, Tell
 from spiral.io.request import OK, Outcome, Request
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 
@@ -17,7 +17,7 @@ PAGE = "report.html"
 _KEYS = ("run", "out")
 
 
-def with_curves(study: Study, step: Callable[[Study], Outcome]) -> Outcome:
+def with_curves(study: Command, step: Callable[[Command], Outcome]) -> Outcome:
     """Do what a verb does; then keep the curves that a report needs beside its saved run.
 
     The result is saved before: curves that cannot be made cost nothing but themselves. Jobs of a
@@ -64,7 +64,8 @@ def report(request: Request, tell: Tell) -> Outcome:
     """
     from spiral.io.curves import read_curves
     from spiral.io.overrides import parse
-    from spiral.io.storage import load_run, write_whole
+    from spiral.io.storage import load_run
+    from spiral.io.writing import write_whole
     from spiral.view.report.page import page
 
     given = {".".join(i.path): i.value for i in parse(request.overrides)}

@@ -31,7 +31,7 @@ def _records_of(problem: Problem) -> dict[str, Records]:
 
 
 @dataclass(frozen=True)
-class Study:
+class Command:
     """A request with its composed configuration; the problem is built when a verb asks."""
 
     request: Request
@@ -64,7 +64,7 @@ class Study:
                 "registry": self.registry, **more}  # fmt: skip
 
 
-def discover(study: Study) -> Outcome:
+def discover(study: Command) -> Outcome:
     """The whole loop; exit 3 where it is refused."""
     problem = study.problem()
     run = study.saved(_through_the_loop(study, problem), problem)
@@ -75,7 +75,7 @@ def discover(study: Study) -> Outcome:
     return Outcome(REFUSED if refused else OK, result, study.parts(problem, run=run))
 
 
-def _through_the_loop(study: Study, problem: Problem) -> Run:
+def _through_the_loop(study: Command, problem: Problem) -> Run:
     """The loop, its rounds kept on disk, from where an unfinished study stopped."""
     from spiral.inference.discover import discover
     from spiral.io.checkpoint import keeper
@@ -89,7 +89,7 @@ def _through_the_loop(study: Study, problem: Problem) -> Run:
     return run
 
 
-def compare(study: Study) -> Outcome:
+def compare(study: Command) -> Outcome:
     """The model as configured against the test record; exit 3 where the fit did not converge."""
     from spiral.inference.compare import compare
     from spiral.view.terminal.preview import described
@@ -104,7 +104,7 @@ def compare(study: Study) -> Outcome:
     return Outcome(code, result, study.parts(problem, comparison=comparison))
 
 
-def diagnose(study: Study) -> Outcome:
+def diagnose(study: Command) -> Outcome:
     """The verdict on the model as it is; exit 3 where it is refused."""
     from spiral.inference.diagnose import diagnose
 
@@ -119,7 +119,7 @@ def diagnose(study: Study) -> Outcome:
     return Outcome(REFUSED if refused else OK, result, study.parts(problem, diagnosis=diagnosis))
 
 
-def add(study: Study) -> Outcome:
+def add(study: Command) -> Outcome:
     """The model before and after the named effects; exit 3 where the fit did not converge."""
     from spiral.inference.discover import add
     from spiral.types.run import estimates_dict

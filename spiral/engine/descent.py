@@ -16,7 +16,7 @@ import numpy as np
 from spiral.engine.elimination import triangle_of
 from spiral.engine.fit import Fitted, damped_step
 from spiral.engine.sensitivities import Reduction, reduce
-from spiral.engine.study import Columns, Layouts, Point, Study
+from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
 from spiral.types.record import Array
 
 _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
@@ -39,10 +39,10 @@ class Mix:
 
 
 def descend(
-    study: Study,
+    study: CompiledStudy,
     layouts: Layouts,
     point: Point,
-    columns: Columns,
+    columns: ParameterColumns,
     bounds: tuple[Array, Array],
     mix: Mix | None = None,
     iterations: int = _ITERATIONS,
@@ -68,10 +68,10 @@ def descend(
 
 
 def _searched(
-    study: Study,
+    study: CompiledStudy,
     layouts: Layouts,
     point: Point,
-    columns: Columns,
+    columns: ParameterColumns,
     bounds: tuple[Array, Array],
     reduction: Reduction,
     mix: Mix | None,
@@ -93,7 +93,7 @@ def _searched(
 
 def _direction(
     point: Point,
-    columns: Columns,
+    columns: ParameterColumns,
     bounds: tuple[Array, Array],
     reduction: Reduction,
     mix: Mix | None,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.sensitivities import Reduction, reduce
-from spiral.engine.study import Columns, Layouts, Point, Study
+from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
 from spiral.types.record import Array
 
 _ITERATIONS = 30
@@ -43,10 +43,10 @@ class Fitted:
 
 
 def fit(
-    study: Study,
+    study: CompiledStudy,
     layouts: Layouts,
     point: Point,
-    columns: Columns,
+    columns: ParameterColumns,
     bounds: tuple[Array, Array],
     iterations: int = _ITERATIONS,
 ) -> Fitted:
@@ -85,7 +85,9 @@ def fit(
     return Fitted.of(point, reduction, False, iterations)
 
 
-def _held(study: Study, layouts: Layouts, columns: Columns, reduction: Reduction) -> Columns:
+def _held(
+    study: CompiledStudy, layouts: Layouts, columns: ParameterColumns, reduction: Reduction
+) -> ParameterColumns:
     """The columns with a weak hold on those that are loose (coefficients of a curve).
 
     Of an effect whose best seen coefficient moves the response by s (in sigma, for one unit), each
@@ -111,7 +113,7 @@ def _held(study: Study, layouts: Layouts, columns: Columns, reduction: Reduction
 
 def damped_step(
     reduction: Reduction,
-    columns: Columns,
+    columns: ParameterColumns,
     point: Point,
     bounds: tuple[Array, Array],
     damping: float,
@@ -143,7 +145,7 @@ def damped_step(
     return step, free
 
 
-def _move(point: Point, columns: Columns, reduction: Reduction, step: Array) -> Point:
+def _move(point: Point, columns: ParameterColumns, reduction: Reduction, step: Array) -> Point:
     starts = tuple(
         x + e[:, :, -1] - e[:, :, :-1] @ step
         for x, e in zip(point.starts, reduction.elimination, strict=True)

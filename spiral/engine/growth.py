@@ -10,7 +10,7 @@ import numpy as np
 from spiral.engine.fit import Fitted, fit
 from spiral.engine.sensitivities import driven, run_windows
 from spiral.engine.start import motion
-from spiral.engine.study import Columns, Layouts, Point, Study
+from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
 from spiral.engine.windows import cut, stage_lengths
 from spiral.types.record import Array
 
@@ -27,18 +27,18 @@ class Stage:
     fitted: Fitted
 
 
-def layouts_for(study: Study, length: int, masks: tuple[Array | None, ...]) -> Layouts:
+def layouts_for(study: CompiledStudy, length: int, masks: tuple[Array | None, ...]) -> Layouts:
     """Windows of one length in every record."""
     return tuple(cut(s.samples, length, m) for s, m in zip(study.series, masks, strict=True))
 
 
-def lengths_for(study: Study, block: int) -> list[int]:
+def lengths_for(study: CompiledStudy, block: int) -> list[int]:
     """Stage lengths for the longest record."""
     return stage_lengths(max(s.samples for s in study.series), block)
 
 
 def first_starts(
-    study: Study, layouts: Layouts, values: Array, window: int = 11
+    study: CompiledStudy, layouts: Layouts, values: Array, window: int = 11
 ) -> tuple[Array, ...]:
     """Window starts from local polynomials; hidden coordinates begin at zero.
 
@@ -52,7 +52,7 @@ def first_starts(
     )
 
 
-def carried_starts(study: Study, stage: Stage, layouts: Layouts) -> tuple[Array, ...]:
+def carried_starts(study: CompiledStudy, stage: Stage, layouts: Layouts) -> tuple[Array, ...]:
     """States of a stage's fitted windows at the samples where other windows begin.
 
     A sample before the stage's first window takes the state that window starts with.
@@ -66,7 +66,7 @@ def carried_starts(study: Study, stage: Stage, layouts: Layouts) -> tuple[Array,
     return tuple(found)
 
 
-def _ran_away(before: Fitted, after: Fitted, columns: Columns) -> bool:
+def _ran_away(before: Fitted, after: Fitted, columns: ParameterColumns) -> bool:
     """Whether a parameter that was well determined has moved by a factor of a hundred.
 
     A model that cannot follow long windows may flee to where its input no longer matters (an
@@ -81,14 +81,14 @@ def _ran_away(before: Fitted, after: Fitted, columns: Columns) -> bool:
 
 
 def grow(
-    study: Study,
+    study: CompiledStudy,
     values: Array,
-    columns: Columns,
+    columns: ParameterColumns,
     bounds: tuple[Array, Array],
     masks: tuple[Array | None, ...],
     lengths: list[int],
     patient: bool = False,
-    first: tuple[Columns, tuple[Array, Array]] | None = None,
+    first: tuple[ParameterColumns, tuple[Array, Array]] | None = None,
     stage: Stage | None = None,
 ) -> Iterator[Stage]:
     """Yield a stage for each window length, as long as the fits converge.

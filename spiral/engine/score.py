@@ -49,7 +49,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Table:
+class ScoreTable:
     """A pass prepared for scoring: candidates' triangle with the active columns projected out."""
 
     triangle: Array
@@ -61,7 +61,7 @@ class Table:
     blocks: Array
 
 
-def tabulate(reduction: Reduction, active: int) -> Table:
+def tabulate(reduction: Reduction, active: int) -> ScoreTable:
     """Project the first ``active`` columns out of all others."""
     triangle = reduction.triangle
     norms = np.linalg.norm(triangle[:, :-1], axis=0)
@@ -69,7 +69,7 @@ def tabulate(reduction: Reduction, active: int) -> Table:
     inner = triangle[active:, active:]
     rest = float(inner[:, -1] @ inner[:, -1])
     dof = reduction.samples - reduction.nuisances - active
-    return Table(
+    return ScoreTable(
         inner[:, :-1], inner[:, -1], norms[active:], rest, reduction.samples, dof, blocks,
     )  # fmt: skip
 
@@ -87,7 +87,7 @@ def _without_active(reduction: Reduction, active: int) -> Array:
     return transform.T @ blocks @ transform
 
 
-def score(table: Table, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -> Score:
+def score(table: ScoreTable, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -> Score:
     """Evidence for the candidates' columns (indices among the candidates).
 
     One-sided columns that step out of their side are dropped from the group; the p-value of a
@@ -129,7 +129,7 @@ def log_tail(statistic: float, q: int, dof: int) -> float:
 
 
 @dataclass(frozen=True)
-class Projected:
+class ProjectedGroup:
     """A group of columns after the active ones are projected out.
 
     ``step`` the least-squares step; ``gain`` its fall of the sum of squares; ``alias`` the cosine
@@ -144,9 +144,9 @@ class Projected:
     basis: Array
 
 
-def projected(table: Table, kept: list[int]) -> Projected:
+def projected(table: ScoreTable, kept: list[int]) -> ProjectedGroup:
     """Step, gain and independent directions of some columns; rank 0 where nothing is left."""
-    none = Projected(np.zeros(len(kept)), 0.0, 1.0, 0, np.zeros((len(kept), 0)))
+    none = ProjectedGroup(np.zeros(len(kept)), 0.0, 1.0, 0, np.zeros((len(kept), 0)))
     if not kept:
         return none
     group = table.triangle[:, kept]
@@ -161,10 +161,10 @@ def projected(table: Table, kept: list[int]) -> Projected:
     large = sizes > _RANK * sizes[0]
     along = left[:, large].T @ table.target
     basis = right[large].T / scale[:, None] / sizes[large]
-    return Projected(basis @ along, float(along @ along), alias, int(large.sum()), basis)
+    return ProjectedGroup(basis @ along, float(along @ along), alias, int(large.sum()), basis)
 
 
-def _wald(table: Table, kept: list[int], group: Projected) -> tuple[float, float]:
+def _wald(table: ScoreTable, kept: list[int], group: ProjectedGroup) -> tuple[float, float]:
     """Robust Wald statistic over q, and the log of its p-value (Hotelling, blocks as cases)."""
     blocks = table.blocks
     count, q = len(blocks), group.rank
@@ -181,13 +181,13 @@ def _wald(table: Table, kept: list[int], group: Projected) -> tuple[float, float
     return wald, log_tail(ratio, q, count - q)
 
 
-def block_scores(table: Table, kept: list[int], group: Projected) -> Array:
+def block_scores(table: ScoreTable, kept: list[int], group: ProjectedGroup) -> Array:
     """(blocks, columns): J_b^T e_b, e the residual after the group's own step."""
     gram = table.blocks[:, kept][:, :, kept]
     return table.blocks[:, kept, -1] - np.einsum("bij,j->bi", gram, group.step)
 
 
-def cosine(table: Table, first: tuple[int, ...], second: tuple[int, ...]) -> float:
+def cosine(table: ScoreTable, first: tuple[int, ...], second: tuple[int, ...]) -> float:
     """Cosine of the smallest principal angle between two groups of signatures."""
     from scipy.linalg import subspace_angles
 

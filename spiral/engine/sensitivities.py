@@ -25,8 +25,8 @@ from spiral.engine.elimination import (
 )
 from spiral.engine.kernel import advance, drive, trajectories
 from spiral.engine.series import Series
-from spiral.engine.study import Columns, Layouts, Point, Study
-from spiral.engine.windows import Layout
+from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
+from spiral.engine.windows import WindowLayout
 from spiral.types.record import Array
 
 _PIECE = 4096  # samples in memory at a time
@@ -85,7 +85,7 @@ class _Reduced:
 
 
 def reduce(
-    study: Study, layouts: Layouts, point: Point, columns: Columns, block: int = 0
+    study: CompiledStudy, layouts: Layouts, point: Point, columns: ParameterColumns, block: int = 0
 ) -> Reduction:
     """Integrate all windows with sensitivities and reduce them.
 
@@ -131,7 +131,7 @@ def reduce(
     )
 
 
-def curvature_prior(study: Study, columns: Columns, values: Array) -> Array:
+def curvature_prior(study: CompiledStudy, columns: ParameterColumns, values: Array) -> Array:
     """Rows [J | r] of the prior on phase corrections: second differences of 0.05 rad per knot^2."""
     plain = len(study.keys)
     rows = [np.zeros((0, columns.count + 1))]
@@ -148,7 +148,7 @@ def curvature_prior(study: Study, columns: Columns, values: Array) -> Array:
     return np.concatenate(rows)
 
 
-def residuals(study: Study, layouts: Layouts, point: Point) -> tuple[Array, ...]:
+def residuals(study: CompiledStudy, layouts: Layouts, point: Point) -> tuple[Array, ...]:
     """Weighted residuals (samples, channels) of each record; zero where nothing counts."""
     found = []
     for record, (series, layout) in enumerate(zip(study.series, layouts, strict=True)):
@@ -160,7 +160,9 @@ def residuals(study: Study, layouts: Layouts, point: Point) -> tuple[Array, ...]
     return tuple(found)
 
 
-def run_windows(study: Study, record: int, layout: Layout, point: Point) -> tuple[Array, Array]:
+def run_windows(
+    study: CompiledStudy, record: int, layout: WindowLayout, point: Point
+) -> tuple[Array, Array]:
     """States and readings of one record, window by window; infinite throughout on divergence."""
     point.fits(study)
     series = study.series[record]
@@ -177,7 +179,7 @@ def run_windows(study: Study, record: int, layout: Layout, point: Point) -> tupl
     return states, readings
 
 
-def driven(study: Study, record: int, states: Array, row: Array) -> Array:
+def driven(study: CompiledStudy, record: int, states: Array, row: Array) -> Array:
     """States (samples, n) of a record with those that effects bring driven by the others.
 
     They begin at zero; where one of them runs away they are left at zero.
@@ -212,7 +214,7 @@ def _batches(layouts: Layouts) -> Iterator[_Batch]:
 
 
 def _advance(
-    study: Study,
+    study: CompiledStudy,
     series: Series,
     grid: Array,
     x: Array,
@@ -233,10 +235,10 @@ def _advance(
 
 
 def _reduce_batch(
-    study: Study,
+    study: CompiledStudy,
     layouts: Layouts,
     point: Point,
-    columns: Columns,
+    columns: ParameterColumns,
     batch: _Batch,
     weight: Array,
     grid: Array,

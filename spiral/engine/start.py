@@ -15,7 +15,7 @@ import numpy as np
 import sympy as sp
 
 from spiral.engine.series import Series
-from spiral.engine.study import Study
+from spiral.engine.study import CompiledStudy
 from spiral.physics.trace import Traced
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError
@@ -32,7 +32,7 @@ class Motion:
     acceleration: Array
 
 
-def motion(study: Study, series: Series, window: int) -> Motion:
+def motion(study: CompiledStudy, series: Series, window: int) -> Motion:
     """Local polynomials of degree 3 (Savitzky-Golay) through the measured coordinates.
 
     A state that is not measured, nor the rate of one that is, is taken as zero, or as the measured
@@ -71,7 +71,7 @@ class Balance:
     rows: int
 
 
-def balance(study: Study, traced: Traced, unknown: tuple[str, ...]) -> Balance:
+def balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> Balance:
     """Prepare the balance of a model traced without its candidates.
 
     Raises
@@ -121,7 +121,7 @@ def _turning(traced: Traced, linear: sp.Matrix, origin: str | None) -> int | Non
     return found[0] if len(found) == 1 else None
 
 
-def first_values(study: Study, equations: Balance, values: Array, window: int) -> Array:
+def first_values(study: CompiledStudy, equations: Balance, values: Array, window: int) -> Array:
     """Values (records, parameters) with the unknown ones solved from the balance of forces.
 
     The phase origin is found together with its unbalance from a quadrature pair; records whose
@@ -152,7 +152,7 @@ def first_values(study: Study, equations: Balance, values: Array, window: int) -
     return new
 
 
-def angle_groups(study: Study) -> list[int]:
+def angle_groups(study: CompiledStudy) -> list[int]:
     """Records that share a phase origin have the same number: those with measured phase."""
     groups: list[int] = []
     own = 0

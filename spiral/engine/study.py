@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.engine.series import Series
-from spiral.engine.windows import Layout
+from spiral.engine.windows import WindowLayout
 from spiral.physics.compile import Compiled
 from spiral.types.record import Array
 
@@ -17,7 +17,7 @@ ORIGIN = "system.phase_origin"
 
 
 @dataclass(frozen=True)
-class Study:
+class CompiledStudy:
     """One compiled model (the seed and all candidates) and the records of one machine."""
 
     compiled: Compiled
@@ -83,7 +83,7 @@ class Point:
     values: Array
     starts: tuple[Array, ...]
 
-    def fits(self, study: Study) -> None:
+    def fits(self, study: CompiledStudy) -> None:
         """Refuse a point of another study: compiled loops do not look where they write.
 
         Raises
@@ -100,7 +100,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Columns:
+class ParameterColumns:
     """The parameters that move: one global column each.
 
     ``index`` are positions of parameters; ``record`` is the record a column belongs to, or -1
@@ -159,7 +159,7 @@ class Columns:
         )
 
 
-def columns_for(study: Study, keys: Iterable[str], shared_origin: bool) -> Columns:
+def columns_for(study: CompiledStudy, keys: Iterable[str], shared_origin: bool) -> ParameterColumns:
     """Columns for parameters by name: nuisances of a record get one column for each record."""
     keys = tuple(keys)
     corrected = any(k.startswith(f"{CORRECTION}.") for k in keys)
@@ -180,7 +180,7 @@ def columns_for(study: Study, keys: Iterable[str], shared_origin: bool) -> Colum
                 continue  # the record's correction holds its origin as well
             index.append(position)
             record.append(r)
-    return Columns(np.array(index, dtype=np.int64), np.array(record, dtype=np.int64))
+    return ParameterColumns(np.array(index, dtype=np.int64), np.array(record, dtype=np.int64))
 
 
-Layouts = tuple[Layout, ...]
+Layouts = tuple[WindowLayout, ...]

@@ -13,7 +13,7 @@ _SHORTEST = 8  # samples in a block: noise correlated over a few samples still a
 
 
 @dataclass(frozen=True)
-class Layout:
+class WindowLayout:
     """Windows of one record: ``starts`` and ``lengths`` in samples, and the samples that count."""
 
     starts: Array
@@ -21,7 +21,7 @@ class Layout:
     mask: Array | None
 
 
-def cut(samples: int, length: int, mask: Array | None = None) -> Layout:
+def cut(samples: int, length: int, mask: Array | None = None) -> WindowLayout:
     """Windows of ``length`` samples that begin where the mask holds.
 
     Windows without a sample that counts are left out; a last window too short to determine
@@ -36,7 +36,7 @@ def cut(samples: int, length: int, mask: Array | None = None) -> Layout:
         (a, b - a) for a, b in zip(starts, stops, strict=True) if mask is None or mask[a:b].any()
     ]
     begin, size = (np.array(v, dtype=np.int64) for v in zip(*keep, strict=True))
-    return Layout(begin, size, mask)
+    return WindowLayout(begin, size, mask)
 
 
 def halves(samples: int, block: int) -> tuple[Array, Array]:

@@ -20,9 +20,9 @@ from spiral.inference.evidence.assembly import (
     with_records,
     with_steps,
 )
+from spiral.inference.evidence.fit_state import FitState, Masks, all_samples, begin, grown
 from spiral.inference.evidence.horizons import unseen
 from spiral.inference.evidence.judge import FreeRun, free_run, run_free, whole
-from spiral.inference.evidence.standing import Masks, Standing, all_samples, begin, grown
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.effect import Effect
 from spiral.types.model import Model
@@ -39,12 +39,12 @@ def compare(problem: Problem, progress: Progress = silent) -> Comparison:
     assembly, standing = prepared(problem, ())
     progress("fitting on growing windows")
     stage = last_stage(assembly, standing, all_samples(assembly))
-    return judged(assembly, Standing(standing.labels, stage.fitted.point.values), stage, progress)
+    return judged(assembly, FitState(standing.labels, stage.fitted.point.values), stage, progress)
 
 
 def prepared(
     problem: Problem, candidates: tuple[Effect, ...] | None = None
-) -> tuple[Assembly, Standing]:
+) -> tuple[Assembly, FitState]:
     """The problem assembled with its first standing, steps fine enough for its fastest mode."""
     if candidates is not None:
         problem = replace(problem, candidates=candidates)
@@ -53,7 +53,7 @@ def prepared(
     return refined(assembly, standing), standing
 
 
-def refined(assembly: Assembly, standing: Standing) -> Assembly:
+def refined(assembly: Assembly, standing: FitState) -> Assembly:
     """The same study with steps fine enough for the fastest mode of a standing."""
     substeps = substeps_for(assembly, standing.values[0])
     return assembly if substeps <= 1 else with_steps(assembly, substeps)
@@ -74,7 +74,7 @@ def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
 
 
 def last_stage(
-    assembly: Assembly, standing: Standing, masks: Masks, lengths: list[int] | None = None
+    assembly: Assembly, standing: FitState, masks: Masks, lengths: list[int] | None = None
 ) -> Stage:
     """The longest windows whose fit converged (the first, converged or not, if none did)."""
     kept: Stage | None = None
@@ -85,7 +85,7 @@ def last_stage(
     return kept
 
 
-def standard_errors(assembly: Assembly, standing: Standing, stage: Stage) -> dict[str, float]:
+def standard_errors(assembly: Assembly, standing: FitState, stage: Stage) -> dict[str, float]:
     """Standard error of every fitted parameter, inflated where chi2 per dof is above 1."""
     moving, _ = columns(assembly, standing.keys(assembly))
     if stage.fitted.reduction is None:
@@ -99,14 +99,14 @@ def standard_errors(assembly: Assembly, standing: Standing, stage: Stage) -> dic
     return errors
 
 
-def fitted_model(assembly: Assembly, standing: Standing, stage: Stage) -> Model:
+def fitted_model(assembly: Assembly, standing: FitState, stage: Stage) -> Model:
     """The model of a standing with a stage's values and their standard errors."""
     values, errors = stage.fitted.point.values, standard_errors(assembly, standing, stage)
     return to_model(assembly, standing.labels, values, errors, standing.freed, standing.held)
 
 
 def judged(
-    assembly: Assembly, standing: Standing, stage: Stage, progress: Progress = silent
+    assembly: Assembly, standing: FitState, stage: Stage, progress: Progress = silent
 ) -> Comparison:
     """The comparison of a fitted standing: free runs, chi2 and whiteness on all samples."""
     fitted = replace(standing, values=stage.fitted.point.values)
@@ -116,7 +116,7 @@ def judged(
 
 def compared(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     model: Model,
     longest: int | None,
     converged: bool,
@@ -156,13 +156,13 @@ def compared(
     )  # fmt: skip
 
 
-def chi2_on(assembly: Assembly, standing: Standing, length: int) -> float:
+def chi2_on(assembly: Assembly, standing: FitState, length: int) -> float:
     """Chi2 per degree of freedom on windows of a length; infinite where they run away."""
     full = whole(assembly, standing.labels, standing.values, length)
     return _per_dof(assembly, standing, full) if full.length == length else float("inf")
 
 
-def _per_dof(assembly: Assembly, standing: Standing, full: Stage) -> float:
+def _per_dof(assembly: Assembly, standing: FitState, full: Stage) -> float:
     dof = full.fitted.samples - full.fitted.nuisances - len(standing.keys(assembly))
     return full.fitted.cost / max(dof, 1)
 

@@ -10,8 +10,8 @@ from spiral.engine.threads import one_blas_thread
 from spiral.inference.compare import judged, last_stage, prepared, test_run
 from spiral.inference.evidence.admission import admit
 from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.fit_state import FitState, all_samples, half_masks
 from spiral.inference.evidence.judge import whole
-from spiral.inference.evidence.standing import Standing, all_samples, half_masks
 from spiral.inference.identifiability.parameters import entangled
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.rounds import strategy_for
@@ -100,7 +100,7 @@ def _advice(best: Suggestion) -> str:
 
 
 def _diagnosis(
-    assembly: Assembly, standing: Standing, comparison, proposal: Proposal, first: Round, progress
+    assembly: Assembly, standing: FitState, comparison, proposal: Proposal, first: Round, progress
 ) -> Diagnosis:
     settings = assembly.problem.settings
     stopped: Stopped = "diverged" if proposal.diverged else "no_candidate"
@@ -134,7 +134,7 @@ def _diagnosis(
 
 
 def _with_test_errors(
-    assembly: Assembly, standing: Standing, before: float, proposal: Proposal, progress: Progress
+    assembly: Assembly, standing: FitState, before: float, proposal: Proposal, progress: Progress
 ) -> tuple[Suggestion, ...]:
     """Work out the test error of the best suggestions, each admitted alone."""
     if proposal.evidence is None:

@@ -11,7 +11,7 @@ from spiral.engine.threads import one_blas_thread
 from spiral.inference.compare import judged, last_stage, prepared
 from spiral.inference.evidence.admission import with_effects
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.standing import Standing, all_samples
+from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.rounds import (
     Checkpoint,
@@ -130,11 +130,11 @@ def add(
 
 def _with_all(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     stage: Stage,
     effects: tuple[Effect, ...],
     progress: Progress,
-) -> tuple[Assembly, Standing]:
+) -> tuple[Assembly, FitState]:
     """Admit effects without gates; those with states of their own bring a study that holds them.
 
     Their frequencies are free from then on: beside an amplitude the long windows tell them well.

@@ -18,8 +18,8 @@ from spiral.engine.threads import one_blas_thread
 from spiral.inference.compare import last_stage, prepared, refined
 from spiral.inference.evidence.admission import with_effects
 from spiral.inference.evidence.assembly import Assembly, assemble, first_row, to_model, with_records
+from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.evidence.judge import whole
-from spiral.inference.evidence.standing import Standing, all_samples
 from spiral.inference.identifiability.information import Pair, View, separation
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.effect import Effect
@@ -212,7 +212,7 @@ def _truth(problem: Problem, model: Model, effect: str, others: tuple[Effect, ..
     """Compiled with the others beside it."""
     beside = tuple(e for e in others if e.label not in model.labels)
     assembly = assemble(replace(problem, model=model, candidates=beside))
-    assembly = refined(assembly, Standing(model.labels, first_row(assembly)))
+    assembly = refined(assembly, FitState(model.labels, first_row(assembly)))
     return _Truth(model, effect, others, assembly)
 
 
@@ -276,7 +276,7 @@ def _outlook(
         one = replace(truth.assembly.problem, model=model, records=(record,))
         steps = truth.assembly.study.series[0].substeps
         assembly = with_records(replace(truth.assembly, problem=one), (record,), steps, knot)
-        assembly = refined(assembly, Standing(model.labels, first_row(assembly)))
+        assembly = refined(assembly, FitState(model.labels, first_row(assembly)))
         view = View.of(assembly, *_at_truth(assembly, record))
         pairs += view.pairs(truth.effect, truth.others)
         error = view.error(wanted.parameter) if wanted.parameter else None

@@ -12,7 +12,7 @@ from spiral.types.fields import construct
 
 
 @dataclass(frozen=True)
-class Wishes:
+class PlanOptions:
     """What a plan may vary; what is left out follows from the records at hand.
 
     Fields
@@ -42,14 +42,16 @@ class Wishes:
     shown: int = 10
 
 
-def wishes_of(section: Mapping[str, Any] | None) -> Wishes:
+def plan_options(section: Mapping[str, Any] | None) -> PlanOptions:
     """The wishes of a configuration's section ``plan``.
 
     Raises
     ------
     ConfigError : an unknown field, or a value that cannot be.
     """
-    found = construct(Wishes, {k: v for k, v in (section or {}).items() if v is not None}, "plan")
+    found = construct(
+        PlanOptions, {k: v for k, v in (section or {}).items() if v is not None}, "plan"
+    )
     for name in ("durations", "rates", "amplitudes", "unbalances"):
         for value in getattr(found, name):
             if not value > 0:

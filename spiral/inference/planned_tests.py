@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from spiral.inference.plan import PlannedTest, Simulate
-from spiral.inference.plan_options import Wishes
+from spiral.inference.plan_options import PlanOptions
 from spiral.inference.problem import Problem
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model
@@ -24,7 +24,7 @@ _MOST = 200  # tests in one plan
 _RANDOM = ("noise", "multisine")
 
 
-def planned_tests(problem: Problem, wishes: Wishes) -> tuple[PlannedTest, ...]:
+def planned_tests(problem: Problem, wishes: PlanOptions) -> tuple[PlannedTest, ...]:
     """Every combination of what the wishes leave open.
 
     Raises
@@ -64,7 +64,7 @@ def _test(
     return PlannedTest(told, inputs, float(seconds), float(rate), float(weight))
 
 
-def _turning(problem: Problem, wishes: Wishes) -> list[tuple[str, dict[str, Any]]]:
+def _turning(problem: Problem, wishes: PlanOptions) -> list[tuple[str, dict[str, Any]]]:
     """Speeds: the range at hand, half of it and half as much again, from standstill and back."""
     speed = np.concatenate([r.inputs["speed"] for r in problem.records]) / (2 * np.pi)
     top = float(np.max(np.abs(speed)))
@@ -80,7 +80,7 @@ def _turning(problem: Problem, wishes: Wishes) -> list[tuple[str, dict[str, Any]
     return found
 
 
-def _driven(problem: Problem, wishes: Wishes, item: Input) -> list[tuple[str, dict[str, Any]]]:
+def _driven(problem: Problem, wishes: PlanOptions, item: Input) -> list[tuple[str, dict[str, Any]]]:
     """Waveforms of the first input, about its mean; other inputs stay at their means."""
     rest = {
         i.name: {"constant": _mean(problem, i.name)}

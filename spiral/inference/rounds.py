@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass, replace
 
 from spiral.inference.evidence.assembly import Assembly, to_model
-from spiral.inference.evidence.standing import Standing
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.problem import Problem, Progress, Settings
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
 from spiral.inference.strategies.innovation import INNOVATION
@@ -28,7 +28,7 @@ class Checkpoint:
     """All that a study needs to go on: the rounds so far and where the study stands."""
 
     rounds: tuple[Round, ...]
-    standing: Standing
+    standing: FitState
 
 
 def strategy_for(problem: Problem) -> Strategy:

@@ -14,9 +14,9 @@ from spiral.engine.statistics import Paired, paired_errors, spent
 from spiral.inference.evidence.admission import Admitted, admit
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.farstart import from_afar
+from spiral.inference.evidence.fit_state import FitState, Masks, grown
 from spiral.inference.evidence.judge import held_out
 from spiral.inference.evidence.scoring import Evidence, Ranked, score_stage
-from spiral.inference.evidence.standing import Masks, Standing, grown
 from spiral.inference.problem import Progress, Settings, silent
 from spiral.types.effect import SensorEffect
 from spiral.types.run import Suggestion
@@ -63,7 +63,7 @@ class Proposal:
 
 def propose(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     masks: tuple[Masks, Masks],
     round_number: int,
     progress: Progress = silent,
@@ -100,7 +100,7 @@ def propose(
 
 def _longest_that_agrees(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     mask: Masks,
     round_number: int,
     progress: Progress,
@@ -176,7 +176,7 @@ def _significant(ranked: Ranked, tests: int, settings: Settings, round_number: i
 
 def _contest(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     evidence: Evidence,
     ranked: Ranked,
     passing: list[Ranked],
@@ -227,7 +227,7 @@ def _alike(assembly: Assembly, paired: Paired) -> bool:
 
 
 def _refused(
-    assembly: Assembly, standing: Standing, evidence: Evidence, first: Admitted, mask: Masks
+    assembly: Assembly, standing: FitState, evidence: Evidence, first: Admitted, mask: Masks
 ) -> str:
     """Why the gates refuse a refitted candidate; empty where they let it pass."""
     settings = assembly.problem.settings

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spiral.inference.rounds import Checkpoint
-from spiral.io.storage import model_data, model_from, unwritable, write_whole
+from spiral.io.storage import model_data, model_from, unwritable
+from spiral.io.writing import write_whole
 
 if TYPE_CHECKING:
     from cattrs import Converter

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from spiral.inference.plan_options import Wishes
+from spiral.inference.plan_options import PlanOptions
 from spiral.inference.problem import Problem, Sampling, Settings
 from spiral.io import custom, question
 from spiral.io.overrides import Assignment, parse, set_value
@@ -275,7 +275,7 @@ def _normalise(config: Config, registry: Registry) -> None:
     config["effect"] = _effect_fields(config["effect"], registry)
     config["gate"] = gate_fields(config.get("gate"), registry, config["strategy"])
     config.setdefault("paper", plain(defaults_of(Sampling)))
-    config["plan"] = {**defaults_of(Wishes), **(config.get("plan") or {})}
+    config["plan"] = {**defaults_of(PlanOptions), **(config.get("plan") or {})}
 
 
 def _test_like_record(config: Config, registry: Registry, test: Config) -> Config:

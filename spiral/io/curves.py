@@ -29,8 +29,8 @@ from spiral.inference.evidence.assembly import (
     placed,
     to_model,
 )
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.judge import run_free
-from spiral.inference.evidence.standing import Standing
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.where.latent import LatentForce, smoothed_states, with_latent
 from spiral.inference.where.regions import Seen, seen, where
@@ -120,7 +120,7 @@ def gather(
     for name, comparison in comparisons.items():
         narrow = replace(assembly, problem=replace(whole, model=comparison.model))
         values = _zeroed(narrow, first_row(narrow), comparison.model)
-        narrow = refined(narrow, Standing(comparison.model.labels, values))
+        narrow = refined(narrow, FitState(comparison.model.labels, values))
         stage = _settled(
             narrow, comparison.model.labels, comparison.model, values, comparison.horizon
         )
@@ -133,7 +133,7 @@ def gather(
 
 @one_blas_thread
 def free_curves(
-    assembly: Assembly, name: str, standing: Standing, comparison: Comparison
+    assembly: Assembly, name: str, standing: FitState, comparison: Comparison
 ) -> Curves:
     """The curves of one model that need no missing force, with a study's own compilation.
 

@@ -20,7 +20,7 @@ _DIGITS = 4
 
 
 @dataclass(frozen=True)
-class Term:
+class EquationTerm:
     """What one effect (or the system itself) contributes to one equation."""
 
     owner: str
@@ -32,7 +32,7 @@ class Equation:
     """left = sum of terms."""
 
     left: str
-    terms: tuple[Term, ...]
+    terms: tuple[EquationTerm, ...]
 
 
 def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
@@ -51,7 +51,7 @@ def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
             continue
         terms = []
         if name in bare.states:
-            terms.append(Term("", base.rate[base.states.index(name)]))
+            terms.append(EquationTerm("", base.rate[base.states.index(name)]))
         for label, one in alone.items():
             seen = _with_values(one, model)
             if name in one.states:
@@ -59,7 +59,7 @@ def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
                 before = (
                     base.rate[base.states.index(name)] if name in bare.states else sp.Integer(0)
                 )
-                terms.append(Term(label, _difference(own, before)))
+                terms.append(EquationTerm(label, _difference(own, before)))
         found.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0)))
     return (*found, *_readings(model)), whole
 
@@ -109,9 +109,9 @@ def _readings(model: Model) -> list[Equation]:
     ]
     found = []
     for row, name in enumerate(model.system.observed):
-        terms = [Term("", steps[0][row])]
+        terms = [EquationTerm("", steps[0][row])]
         for effect, before, after in zip(sensors, steps, steps[1:], strict=False):
-            terms.append(Term(effect.label, _difference(after[row], before[row])))
+            terms.append(EquationTerm(effect.label, _difference(after[row], before[row])))
         found.append(Equation(f"reading of {name}", tuple(t for t in terms if t.value != 0)))
     return found
 

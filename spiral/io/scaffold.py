@@ -115,7 +115,7 @@ def _filled(template: str, kind: str, name: str, class_name: str) -> str:
 
 def _write(folder: Path, texts: dict[Path, str]) -> None:
     """All files or none."""
-    from spiral.io.storage import write_whole
+    from spiral.io.writing import write_whole
 
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     done: list[Path] = []

@@ -92,7 +92,8 @@ def curves_of(run: Run) -> Curves | None:
 def saved_form(run: Run) -> dict[str, Any]:
     """A run as it would be saved, as plain data: what the report is drawn from."""
     from spiral.io.registry import load_registry
-    from spiral.io.storage import content_of, finite
+    from spiral.io.storage import content_of
+    from spiral.io.writing import finite
 
     asked = run.question
     data = {} if asked is None else {"records": asked.records, "test": asked.test}
@@ -101,6 +102,6 @@ def saved_form(run: Run) -> dict[str, Any]:
 
 
 def _result(run: Run) -> Mapping[str, Any]:
-    from spiral.io.storage import finite
+    from spiral.io.writing import finite
 
     return finite(run.as_dict())

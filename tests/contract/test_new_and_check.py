@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-import spiral.io.storage
+import spiral.io.writing
 from spiral.cli import main
 from spiral.io.scaffold import KINDS
 
@@ -114,14 +114,14 @@ def test_nothing_is_overwritten(capsys, place, name):
 
 
 def test_nothing_half_written_remains(capsys, place, monkeypatch):
-    whole = spiral.io.storage.write_whole
+    whole = spiral.io.writing.write_whole
 
     def full(file: Path, text: str):
         if file.name.startswith("test_"):
             raise OSError(28, "No space left on device")
         whole(file, text)
 
-    monkeypatch.setattr(spiral.io.storage, "write_whole", full)
+    monkeypatch.setattr(spiral.io.writing, "write_whole", full)
     assert main(["new", "effect", "own_spring"]) == 2
     assert "No space left" in capsys.readouterr().err
     assert list(place.iterdir()) == []

@@ -17,6 +17,7 @@ from spiral.io import checkpoint, storage
 from spiral.io.checkpoint import FILE, FOLDER, Keeper, fingerprint, keeper
 from spiral.io.config import build_problem, compose
 from spiral.io.registry import load_registry
+from spiral.io.writing import to_json
 from spiral.types.errors import InputError
 
 REGISTRY = load_registry()
@@ -40,7 +41,7 @@ def untimed(value):
 
 
 def as_json(run):
-    return untimed(json.loads(storage.to_json(run.as_dict())))
+    return untimed(json.loads(to_json(run.as_dict())))
 
 
 def test_a_study_taken_up_ends_as_if_it_had_never_stopped(study, tmp_path):

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from spiral.app import desk as desks
+from spiral.app import session as sessions
 from spiral.cli import main
 from spiral.io.registry import NO_FOLDER, load_registry, local_sources
 
@@ -83,8 +83,8 @@ def test_what_is_named_is_what_is_run(folder):
 
 
 def test_the_page_names_them_without_running_them(folder, tmp_path, monkeypatch, trace):
-    monkeypatch.setattr(desks, "Process", lambda *given: None)
-    named = desks.Desk(tmp_path).local_plugins()
+    monkeypatch.setattr(sessions, "Process", lambda *given: None)
+    named = sessions.Desk(tmp_path).local_plugins()
     assert named == ("plugins/broken.py", "plugins/own.py")
-    assert desks.Desk(tmp_path, NO_FOLDER).local_plugins() == ()
+    assert sessions.Desk(tmp_path, NO_FOLDER).local_plugins() == ()
     assert not trace.exists()

@@ -7,21 +7,21 @@ from html.parser import HTMLParser
 
 import pytest
 
-from spiral.app import desk as desks
-from spiral.app import draft as drafts
 from spiral.app import panels, unseen
+from spiral.app import record_setup as drafts
+from spiral.app import session as sessions
 from spiral.app import study as kept
-from spiral.app.desk import Desk
-from spiral.app.scribe import Scribe
+from spiral.app.downloads import routes, written
+from spiral.app.run_writer import RunWriter
+from spiral.app.session import Session
 from spiral.app.study import Turn
-from spiral.app.takeaway import routes, written
 from spiral.io.mathml import mathml
 from spiral.io.tracking.track import Tracked
 from spiral.types.errors import ConfigError, InputError
 from spiral.view.report import evidence, text
 from spiral.view.report.markup import safe_mathml
 from spiral.view.report.page import Shown, single
-from tests.unit.test_desk import Idle
+from tests.unit.test_session import Idle
 
 EVIL = "\"'><img src=x onerror=alert(1)></script><script>alert(2)</script>`${alert(3)}`"
 
@@ -48,21 +48,21 @@ def harmless(html):
 
 
 @pytest.fixture
-def desk(tmp_path, monkeypatch):
-    monkeypatch.setattr(desks, "Process", Idle)
-    return Desk(tmp_path)
+def session(tmp_path, monkeypatch):
+    monkeypatch.setattr(sessions, "Process", Idle)
+    return Session(tmp_path)
 
 
 @pytest.fixture
-def ident(desk):
-    return desk.create("a rotor", ("experiment=rotor_coastdown",))
+def ident(session):
+    return session.create("a rotor", ("experiment=rotor_coastdown",))
 
 
-def rewritten(desk, ident, /, **values):
+def rewritten(session, ident, /, **values):
     """The study as somebody else's file has it, in a page that starts anew."""
-    file = kept.place(desk.out, ident) / kept.FILE
+    file = kept.place(session.out, ident) / kept.FILE
     file.write_text(json.dumps({**json.loads(file.read_text()), **values}))
-    return Desk(desk.out, desk.plugins)
+    return Session(session.out, session.plugins)
 
 
 def plain_turn(**values):
@@ -70,27 +70,27 @@ def plain_turn(**values):
     return asdict(replace(turn, **values))
 
 
-def test_a_plugin_folder_that_a_study_names_is_never_loaded(desk, ident, tmp_path):
+def test_a_plugin_folder_that_a_study_names_is_never_loaded(session, ident, tmp_path):
     """``plugins`` in study.json was executed when the page opened it."""
-    again = rewritten(desk, ident, plugins=str(tmp_path / "evil"), turns=[plain_turn()])
+    again = rewritten(session, ident, plugins=str(tmp_path / "evil"), turns=[plain_turn()])
     serial = again.scene(ident).study.turn.serial
     again.add(ident, "b", serial)
-    orders = [*again._bench.orders, *again._scribe.orders]
+    orders = [*again._fits.orders, *again._writer.orders]
     assert orders
     assert {o["plugins"] for o in orders} == {None}
     assert "plugins" not in asdict(again.scene(ident).study)
 
 
-def test_a_study_is_called_by_its_folder(desk, ident):
-    again = rewritten(desk, ident, ident="<script>")
+def test_a_study_is_called_by_its_folder(session, ident):
+    again = rewritten(session, ident, ident="<script>")
     assert again.scene(ident).study.ident == ident
     assert [s.ident for s in again.studies()] == [ident]
 
 
 @pytest.mark.parametrize("serial", ["../../elsewhere", "x", None, [1]])
-def test_the_number_of_a_turn_is_a_number(desk, ident, serial):
+def test_the_number_of_a_turn_is_a_number(session, ident, serial):
     """It becomes part of a folder's name."""
-    again = rewritten(desk, ident, turns=[{**plain_turn(), "serial": serial}])
+    again = rewritten(session, ident, turns=[{**plain_turn(), "serial": serial}])
     with pytest.raises(InputError, match="a study saved by this program"):
         again.scene(ident)
 
@@ -100,34 +100,34 @@ def test_the_number_of_a_turn_is_a_number(desk, ident, serial):
     [{"turns": 5}, {"turns": ["x"]}, {"records": ["x"]}, {"trouble": "x"}, {"noise_floor": EVIL},
      {"turns": [{"serial": 0, "result": {"test_error": EVIL}}]}, {"at": EVIL}],
 )  # fmt: skip
-def test_a_study_of_other_types_hides_no_other(desk, ident, values):
-    other = desk.create("another", ())
-    assert [s.ident for s in rewritten(desk, ident, **values).studies()] == [other]
+def test_a_study_of_other_types_hides_no_other(session, ident, values):
+    other = session.create("another", ())
+    assert [s.ident for s in rewritten(session, ident, **values).studies()] == [other]
 
 
-def test_a_study_that_is_a_link_elsewhere_is_not_read(desk, ident, tmp_path):
-    file = kept.place(desk.out, ident) / kept.FILE
+def test_a_study_that_is_a_link_elsewhere_is_not_read(session, ident, tmp_path):
+    file = kept.place(session.out, ident) / kept.FILE
     file.rename(tmp_path / "study.json")
     file.symlink_to(tmp_path / "study.json")
     with pytest.raises(InputError, match="link out of its folder"):
-        kept.load(desk.out, ident)
+        kept.load(session.out, ident)
 
 
 @pytest.mark.parametrize("run_id", ["../secret", "..", "/etc", "a/b", "-x", ""])
-def test_only_files_of_a_run_are_taken_away(desk, ident, tmp_path, run_id):
+def test_only_files_of_a_run_are_taken_away(session, ident, tmp_path, run_id):
     (tmp_path.parent / "secret").mkdir(exist_ok=True)
     (tmp_path.parent / "secret" / "run.json").write_text("{}")
-    again = rewritten(desk, ident, turns=[plain_turn(run_id=run_id)])
+    again = rewritten(session, ident, turns=[plain_turn(run_id=run_id)])
     with pytest.raises(ConfigError):
         written(again, ident, 0, "run.json")
 
 
-def test_a_link_among_a_runs_files_is_not_taken_away(desk, ident, tmp_path):
+def test_a_link_among_a_runs_files_is_not_taken_away(session, ident, tmp_path):
     run = tmp_path / "20260101-000000-abc"
     run.mkdir()
     (tmp_path / "secret").write_text("secret")
     (run / "run.json").symlink_to(tmp_path / "secret")
-    again = rewritten(desk, ident, turns=[plain_turn(run_id=run.name)])
+    again = rewritten(session, ident, turns=[plain_turn(run_id=run.name)])
     with pytest.raises(InputError, match="link out of its folder"):
         written(again, ident, 0, "run.json")
 
@@ -145,18 +145,18 @@ class Asked:
 @pytest.mark.parametrize(
     ("tracked", "opened"), [("experiments/1/runs/a1", 1), ("../../x", 0), ("//evil.example", 0)]
 )
-def test_mlflow_opens_the_pages_own_store(desk, ident, monkeypatch, tracked, opened):
+def test_mlflow_opens_the_pages_own_store(session, ident, monkeypatch, tracked, opened):
     """``store`` in study.json was handed to a server, or a browser was sent there."""
     from fastapi import FastAPI
     from fastapi.testclient import TestClient
 
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     turn = {**plain_turn(run_id="r", tracked=tracked), "store": "http://evil.example"}
-    again, viewer, web = rewritten(desk, ident, turns=[turn]), Asked(), FastAPI()
+    again, viewer, web = rewritten(session, ident, turns=[turn]), Asked(), FastAPI()
     routes(web, again, viewer)
     answer = TestClient(web).get(f"/mlflow/{ident}/0", follow_redirects=False)
     assert answer.status_code == (307 if opened else 404)
-    assert viewer.stores == (f"sqlite:///{desk.out / 'mlflow.db'}",) * opened
+    assert viewer.stores == (f"sqlite:///{session.out / 'mlflow.db'}",) * opened
 
 
 def test_runs_of_a_study_are_told_to_the_pages_own_store(tmp_path, monkeypatch):
@@ -165,15 +165,15 @@ def test_runs_of_a_study_are_told_to_the_pages_own_store(tmp_path, monkeypatch):
         "spiral.io.tracking.track.track",
         lambda how, *given, **more: told.append(how) or Tracked({}),
     )
-    writer = Scribe(tmp_path, lambda kind, data: None)
+    writer = RunWriter(tmp_path, lambda kind, data: None)
     writer.config = {"tracking": {"uri": "http://evil.example", "experiment": "mine"}}
     writer._track("r")
     assert (told[0].uri, told[0].experiment) == (None, "mine")
 
 
-def test_an_address_of_mlflow_typed_on_the_page_is_refused_in_words(desk):
+def test_an_address_of_mlflow_typed_on_the_page_is_refused_in_words(session):
     with pytest.raises(ConfigError, match=r"tracking\.uri on the page"):
-        desk.create("a rotor", ("experiment=rotor_coastdown", "tracking.uri=http://x"))
+        session.create("a rotor", ("experiment=rotor_coastdown", "tracking.uri=http://x"))
 
 
 def test_a_draft_is_called_by_its_folder_and_checked_by_type(tmp_path):

@@ -10,8 +10,9 @@ import pytest
 
 from spiral.io.registry import load_registry
 from spiral.io.request import Request
-from spiral.io.storage import save_result, write_whole
+from spiral.io.storage import save_result
 from spiral.io.tracking.store import Tracking
+from spiral.io.writing import write_whole
 from spiral.types.masking import without_passwords
 from spiral.view.terminal.parts import command
 

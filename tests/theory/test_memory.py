@@ -17,7 +17,7 @@ from spiral.engine.start import balance, first_values
 from spiral.inference.compare import last_stage, prepared
 from spiral.inference.discover import add, discover
 from spiral.inference.evidence.assembly import assemble, first_row
-from spiral.inference.evidence.standing import begin, half_masks
+from spiral.inference.evidence.fit_state import begin, half_masks
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.simulate import integrate
 from spiral.inference.strategies.resolved import peaks, scanned, widened

@@ -11,7 +11,7 @@ from spiral.cli import main
 from spiral.inference.compare import compare
 from spiral.inference.discover import discover
 from spiral.inference.plan import Wanted, plan
-from spiral.inference.plan_options import Wishes
+from spiral.inference.plan_options import PlanOptions
 from spiral.inference.planned_tests import planned_tests, simulator
 from spiral.inference.problem import Problem
 from spiral.types.errors import ConfigError
@@ -20,7 +20,7 @@ from tests.scenes import SEED_TRUTH, effect, planar_record, registry
 
 GYROSCOPIC, DAMPING = effect("gyroscopic"), effect("antisymmetric_damping")
 LABELS = {"gyroscopic": ("coefficient", 0.02), "antisymmetric_damping": ("damping", 2.0)}
-SPEEDS = Wishes(speeds=([16.0, 16.0], [30.0, 0.0]), durations=(4.0, 8.0), unbalances=(1.0,))
+SPEEDS = PlanOptions(speeds=([16.0, 16.0], [30.0, 0.0]), durations=(4.0, 8.0), unbalances=(1.0,))
 
 
 def question(record):
@@ -149,4 +149,4 @@ def test_a_bad_plan_is_one_message(given, words, tmp_path, capsys):
 
 def test_a_plan_has_an_end(steady):
     with pytest.raises(ConfigError, match="at most 200"):
-        planned_tests(steady, Wishes(durations=tuple(range(1, 90))))
+        planned_tests(steady, PlanOptions(durations=tuple(range(1, 90))))

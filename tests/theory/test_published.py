@@ -15,7 +15,7 @@ from spiral.inference.discover import discover
 from spiral.inference.problem import Published, Sampling
 from spiral.inference.strategies.paper import ENDED, PAPER
 from spiral.io.paper_options import GATES
-from spiral.io.storage import to_json
+from spiral.io.writing import to_json
 from spiral.types.derivative import Derivative, Derivatives
 from spiral.types.errors import ConfigError
 from spiral.types.library import terms_of

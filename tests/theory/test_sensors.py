@@ -9,7 +9,7 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.engine.score import Table
+from spiral.engine.score import ScoreTable
 from spiral.inference.discover import discover
 from spiral.inference.evidence.gridnull import effective_tests
 from spiral.inference.evidence.inseparable import inseparable
@@ -110,7 +110,9 @@ def _null_table(rng, columns, blocks=60, rows=40):
     triangle = np.linalg.qr(wide.reshape(-1, wide.shape[2]), mode="r")
     size = np.linalg.norm(triangle[:, :-1], axis=0)
     rest = float(triangle[:, -1] @ triangle[:, -1])
-    return Table(triangle[:, :-1], triangle[:, -1], size, rest, blocks * rows, blocks * rows, gram)
+    return ScoreTable(
+        triangle[:, :-1], triangle[:, -1], size, rest, blocks * rows, blocks * rows, gram
+    )
 
 
 def test_values_of_a_shape_that_say_the_same_are_one_test_and_independent_ones_many():

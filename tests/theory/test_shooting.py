@@ -15,7 +15,7 @@ from spiral.engine.growth import first_starts, layouts_for
 from spiral.engine.score import score, tabulate
 from spiral.engine.sensitivities import reduce, residuals, run_windows
 from spiral.engine.series import prepare
-from spiral.engine.study import Columns, Point, Study
+from spiral.engine.study import CompiledStudy, ParameterColumns, Point
 from spiral.engine.windows import block_length, cut, halves, stage_lengths
 from spiral.inference.simulate import integrate
 from spiral.physics.compile import compile_model
@@ -29,12 +29,12 @@ def _study(duration=1.2, effects=("gyroscopic", "cubic_stiffness"), seed=3):
     more = tuple(effect(e) for e in effects)
     record = planar_record(seed, duration=duration)
     compiled = compile_model(trace(base.system, (*base.effects, *more)))
-    study = Study(compiled, (prepare(base.system, record, 1),))
+    study = CompiledStudy(compiled, (prepare(base.system, record, 1),))
     values = np.zeros((1, len(study.keys)))
     for key, value in {**SEED_TRUTH, "system.phase_origin": 0.4}.items():
         values[0, study.index(key)] = value
     moving = np.arange(len(study.keys))
-    return study, values, Columns(moving, np.full(len(moving), -1))
+    return study, values, ParameterColumns(moving, np.full(len(moving), -1))
 
 
 def _point(study, values, layouts):
@@ -197,7 +197,7 @@ def test_partial_f_is_that_of_ordinary_least_squares():
         "gyroscopic.coefficient",
         "cubic_stiffness.stiffness",
     ]
-    columns = Columns(np.array([study.index(k) for k in keys]), np.full(4, -1))
+    columns = ParameterColumns(np.array([study.index(k) for k in keys]), np.full(4, -1))
     layouts = layouts_for(study, 801, (None,))
     point = _point(study, values, layouts)
     table = tabulate(reduce(study, layouts, point, columns), 2)

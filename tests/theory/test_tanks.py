@@ -9,8 +9,8 @@ from spiral.engine.windows import fair_block, halves
 from spiral.inference.compare import prepared
 from spiral.inference.evidence.admission import admit
 from spiral.inference.evidence.farstart import from_afar
+from spiral.inference.evidence.fit_state import all_samples, grown
 from spiral.inference.evidence.scoring import score_stage
-from spiral.inference.evidence.standing import all_samples, grown
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import integrate, simulate
 from spiral.inference.strategies.retire import let_go

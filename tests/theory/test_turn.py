@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spiral.app.bench import Bench
+from spiral.app.fit_worker import FitWorker
 from spiral.inference.compare import chi2_on, compared
 from spiral.inference.discover import discover
 from spiral.inference.problem import silent
@@ -78,7 +78,9 @@ def test_what_is_drawn_at_once_has_the_error_that_is_told(study, turns):
 def test_candidates_side_by_side_are_judged_on_windows_of_one_length(study, tmp_path):
     """One was fitted on the whole record, the other got no further than 512 samples."""
     _, strategy, assembly, at, step = study
-    bench = Bench(tmp_path, lambda kind, data: told.append((kind, data)), "a", strategy=strategy)
+    bench = FitWorker(
+        tmp_path, lambda kind, data: told.append((kind, data)), "a", strategy=strategy
+    )
     bench.begun = Begun(assembly, at.standing, at.rounds[0].comparison)
     bench.standing[0] = (at, step)
     other = turned(strategy, assembly, at, chosen(strategy, assembly, at, step, "gyroscopic"),

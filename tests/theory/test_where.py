@@ -12,7 +12,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.inference.compare import last_stage, prepared
-from spiral.inference.evidence.standing import all_samples
+from spiral.inference.evidence.fit_state import all_samples
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate
 from spiral.inference.where.latent import latent_keys, missing_force, smoothed_states, with_latent

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from spiral.io import storage
 from spiral.io.config import build_problem, compose
 from spiral.io.registry import load_registry
-from spiral.io.storage import load_run, new_run_id, run_ids, save_run, to_json
+from spiral.io.storage import load_run, new_run_id, run_ids, save_run
+from spiral.io.writing import to_json
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.run import ChannelError, Comparison, Round, Run
 

@@ -14,7 +14,7 @@ from spiral.types.record import Array
 
 
 @dataclass(frozen=True)
-class Settings:
+class FilterSettings:
     """Numbers of one run of the filter.
 
     ``process`` (n, n) covariance of the process noise per sample; ``noise`` (channels,) variances;
@@ -31,6 +31,10 @@ class Settings:
     doubt: Array = field(default_factory=lambda: np.zeros(0))
     wander: Array = field(default_factory=lambda: np.zeros(0))
     second_order: bool = False
+
+
+Settings = FilterSettings
+"""The name by which observers of version 0.1 import it."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ def tracked_indices(task: Task, names: tuple[str, ...]) -> Array:
 
 
 def filtered(
-    task: Task, settings: Settings, keep: bool = False, samples: int | None = None
+    task: Task, settings: FilterSettings, keep: bool = False, samples: int | None = None
 ) -> Pass:
     """Filter the record, or its first ``samples``; ``keep`` what a smoother needs."""
     from spiral.engine.filter.kernel import EXACT, SECOND_ORDER, extended
@@ -117,7 +121,7 @@ def block_diagonal(matrix: Array, tail: Array) -> Array:
 
 def as_reconstruction(
     task: Task,
-    settings: Settings,
+    settings: FilterSettings,
     found: Pass,
     levels: Mapping[str, float],
     seconds: float,

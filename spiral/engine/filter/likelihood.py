@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.engine.filter.extended import Settings, filtered
+from spiral.engine.filter.extended import FilterSettings, filtered
 from spiral.engine.filter.noise import groups
 from spiral.engine.filter.setup import with_level
 from spiral.engine.filter.task import Task
@@ -24,7 +24,7 @@ from spiral.engine.filter.whitened import Whitened, whitened
 from spiral.engine.leastsquares import least_squares
 from spiral.types.record import Array
 
-Prepared = tuple[tuple[Task, Settings], ...]
+Prepared = tuple[tuple[Task, FilterSettings], ...]
 """For each record of one machine: its task, and settings without process noise."""
 
 _STEPS, _HALVINGS, _CYCLES = 8, 5, 12

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.filter.extended import Settings, filtered, tracked_indices
+from spiral.engine.filter.extended import FilterSettings, filtered, tracked_indices
 from spiral.engine.filter.extended import smoothed as backward
 from spiral.engine.filter.noise import groups, intensity, sampled
 from spiral.engine.filter.task import Task
@@ -40,7 +40,7 @@ def prepared(
     track: tuple[str, ...] | None = None,
     doubt: Mapping[str, float] | None = None,
     spread: float = 1.0,
-) -> tuple[Task, Settings]:
+) -> tuple[Task, FilterSettings]:
     """Settings without process noise; a tracked phase origin is first looked for all around.
 
     Parameters
@@ -54,7 +54,7 @@ def prepared(
     """
     tracked = tracked_parameters(task, track)
     tracked_indices(task, tracked)
-    settings = Settings(
+    settings = FilterSettings(
         process=np.zeros((len(task.states), len(task.states))),
         noise=task.series.sigma**2,
         start=task.start,
@@ -69,13 +69,13 @@ def prepared(
     return task, settings
 
 
-def with_level(task: Task, settings: Settings, levels: Mapping[str, float]) -> Settings:
+def with_level(task: Task, settings: FilterSettings, levels: Mapping[str, float]) -> FilterSettings:
     """The settings with process noise at these levels."""
     return replace(settings, process=sampled(task, intensity(task, levels)))
 
 
 def chosen_levels(
-    task: Task, settings: Settings, given: Mapping[str, float] | float | None
+    task: Task, settings: FilterSettings, given: Mapping[str, float] | float | None
 ) -> dict[str, float]:
     """The levels given, or the most likely ones.
 
@@ -137,7 +137,7 @@ def _wander(task: Task, tracked: tuple[str, ...]) -> Array:
     return np.array([drift if name == "system.phase_origin" else 0.0 for name in tracked])
 
 
-def _turned(task: Task, settings: Settings, angle: str) -> Task:
+def _turned(task: Task, settings: FilterSettings, angle: str) -> Task:
     """The task with its phase origin at the present value, or at the best of eight turns."""
     first = task.values[task.keys.index(angle)]
     samples = min(task.series.samples, max(64, round(_SEARCH / task.series.dt)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.engine.filter.extended import Pass, Settings, block_diagonal, tracked_indices
+from spiral.engine.filter.extended import FilterSettings, Pass, block_diagonal, tracked_indices
 from spiral.engine.filter.task import Task
 from spiral.types.record import Array
 
@@ -19,7 +19,7 @@ def weights(size: int, alpha: float, beta: float, kappa: float) -> tuple[float, 
 
 
 def sigma_filtered(
-    task: Task, settings: Settings, shape: tuple[float, float, float], keep: bool = False
+    task: Task, settings: FilterSettings, shape: tuple[float, float, float], keep: bool = False
 ) -> Pass:
     """Filter the record; ``shape`` is (alpha, beta, kappa); ``keep`` the covariances."""
     from spiral.engine.filter.unscented import unscented

@@ -18,7 +18,7 @@ from spiral.engine.filter.static import StaticMap, static_map
 from spiral.engine.kernel import trajectories
 from spiral.engine.series import Series, prepare
 from spiral.engine.start import motion
-from spiral.engine.study import Study
+from spiral.engine.study import CompiledStudy
 from spiral.physics.compile import Compiled, compile_model
 from spiral.physics.trace import Traced, trace
 from spiral.types.model import Model
@@ -185,7 +185,7 @@ def free_run(compiled: Compiled, series: Series, grid: Array, values: Array) -> 
 
 def _guessed(compiled: Compiled, series: Series, mapping: StaticMap | None) -> Array:
     """Smoothed measurements and their rates; hidden coordinates by the static map."""
-    study = Study(compiled, (series,))
+    study = CompiledStudy(compiled, (series,))
     states = motion(study, series, min(41, series.samples // 2 * 2 - 1)).states
     names = compiled.traced.states
     if mapping is not None:

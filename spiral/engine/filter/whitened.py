@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.engine.filter.extended import Pass, Settings, filtered, tracked_indices
+from spiral.engine.filter.extended import FilterSettings, Pass, filtered, tracked_indices
 from spiral.engine.filter.task import Task, compiled_for
 from spiral.types.record import Array
 
@@ -32,7 +32,7 @@ class Whitened:
     found: Pass
 
 
-def whitened(task: Task, settings: Settings, keys: tuple[str, ...]) -> Whitened | None:
+def whitened(task: Task, settings: FilterSettings, keys: tuple[str, ...]) -> Whitened | None:
     """The record filtered and its innovations whitened; nothing where the filter runs away.
 
     Parameters

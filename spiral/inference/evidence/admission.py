@@ -16,14 +16,14 @@ from spiral.inference.evidence.assembly import (
     Variant,
     columns,
 )
-from spiral.inference.evidence.scoring import Ranked, score_stage, tested_keys
-from spiral.inference.evidence.standing import (
-    Standing,
+from spiral.inference.evidence.fit_state import (
+    FitState,
     all_samples,
     grown,
     stage_lengths,
     two_sided,
 )
+from spiral.inference.evidence.scoring import Ranked, score_stage, tested_keys
 from spiral.inference.problem import Progress
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
@@ -38,7 +38,7 @@ TOLD = 0.5  # relative standard error up to which a record tells a parameter
 class Admitted:
     """A candidate admitted and refitted at one window length."""
 
-    standing: Standing
+    standing: FitState
     stage: Stage
     variant: Variant
 
@@ -50,7 +50,7 @@ class Admitted:
         return tuple(f"{name}.{key}" for owner, key in own if owner == label)
 
 
-def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) -> Admitted:
+def admit(assembly: Assembly, standing: FitState, stage: Stage, ranked: Ranked) -> Admitted:
     """Add a candidate, refit, and set its shapes free where that pays or the record tells them.
 
     A shape that is told but held at its grid's value would make the others' errors too small.
@@ -62,7 +62,7 @@ def admit(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) 
     return min(found, key=lambda a: a.stage.fitted.cost)
 
 
-def _near(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) -> Admitted:
+def _near(assembly: Assembly, standing: FitState, stage: Stage, ranked: Ranked) -> Admitted:
     """A candidate refitted from zero amplitude."""
     variant = ranked.variant
     values = stepped(assembly, stage.fitted.point.values, variant, ranked.score.step)
@@ -85,7 +85,7 @@ def _near(assembly: Assembly, standing: Standing, stage: Stage, ranked: Ranked) 
     return Admitted(wider, Stage(stage.length, stage.layouts, fitted), variant)
 
 
-def _told(assembly: Assembly, standing: Standing, fitted: Fitted, keys: tuple[str, ...]) -> bool:
+def _told(assembly: Assembly, standing: FitState, fitted: Fitted, keys: tuple[str, ...]) -> bool:
     """Whether a fit that converged leaves these parameters a relative error of ``TOLD`` at most."""
     moving, _ = columns(assembly, standing.keys(assembly))
     at = [list(moving.index).index(assembly.study.index(k)) for k in keys]
@@ -93,7 +93,7 @@ def _told(assembly: Assembly, standing: Standing, fitted: Fitted, keys: tuple[st
     return fitted.converged and bool(np.all(standard_deviations(fitted)[at] <= TOLD * sizes))
 
 
-def afar(assembly: Assembly, standing: Standing, stage: Stage, label: str) -> list[Variant]:
+def afar(assembly: Assembly, standing: FitState, stage: Stage, label: str) -> list[Variant]:
     """Variants of an effect that may have a second basin: amplitudes bounded on both sides.
 
     What a rim lets over, or a limit cuts off, is unseen from zero amplitude. Only where the model
@@ -105,11 +105,11 @@ def afar(assembly: Assembly, standing: Standing, stage: Stage, label: str) -> li
 
 
 def _refits_from_afar(
-    assembly: Assembly, standing: Standing, stage: Stage, label: str
+    assembly: Assembly, standing: FitState, stage: Stage, label: str
 ) -> list[Admitted]:
     """Refits from a tenth of the bounds, from the shapes whose first step promises most."""
     study = assembly.study
-    found: list[tuple[float, Standing, Variant]] = []
+    found: list[tuple[float, FitState, Variant]] = []
     for variant in afar(assembly, standing, stage, label):
         values = stage.fitted.point.values.copy()
         for key in tested_keys(assembly, variant):
@@ -136,8 +136,8 @@ def _refits_from_afar(
 
 
 def with_effects(
-    assembly: Assembly, standing: Standing, effects: tuple[Effect, ...], progress: Progress
-) -> Standing:
+    assembly: Assembly, standing: FitState, effects: tuple[Effect, ...], progress: Progress
+) -> FitState:
     """Admit effects one by one at the shortest windows, without gates, for a good start.
 
     Those with a second basin are admitted at the longest windows.
@@ -173,7 +173,7 @@ def stepped(assembly: Assembly, values: Array, variant: Variant, step: Array) ->
     return new
 
 
-def refit(assembly: Assembly, standing: Standing, stage: Stage) -> Fitted:
+def refit(assembly: Assembly, standing: FitState, stage: Stage) -> Fitted:
     """Fit a standing on a stage's windows, started from that stage's states."""
     moving, bounds = columns(assembly, standing.keys(assembly))
     point = Point(standing.values, stage.fitted.point.starts)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.series import prepare
-from spiral.engine.study import ORIGIN, Columns, Study, columns_for
+from spiral.engine.study import ORIGIN, CompiledStudy, ParameterColumns, columns_for
 from spiral.inference.evidence.lines import strongest_line
 from spiral.inference.evidence.scales import extremes, scale, spread_out, usable, visited
 from spiral.inference.problem import Problem
@@ -59,7 +59,7 @@ class Assembly:
     """
 
     problem: Problem
-    study: Study
+    study: CompiledStudy
     variants: tuple[Variant, ...]
     regression: Any = None
     left_out: Mapping[str, str] = field(default_factory=dict)
@@ -116,7 +116,7 @@ def _compiled(problem: Problem, variants: Sequence[Variant], substeps: int) -> A
     check_rest(compiled, model.system, (*model.effects, *problem.candidates))
     knot = problem.settings.phase_knot
     series = tuple(prepare(model.system, r, substeps, knot) for r in problem.records)
-    return Assembly(problem, Study(compiled, series), tuple(variants))
+    return Assembly(problem, CompiledStudy(compiled, series), tuple(variants))
 
 
 def _undefined(assembly: Assembly, states: Sequence[Array]) -> tuple[str, ...]:
@@ -251,7 +251,9 @@ def _role(assembly: Assembly, key: str) -> str:
     return assembly.study.compiled.traced.parameters[assembly.study.index(key)].role
 
 
-def columns(assembly: Assembly, keys: tuple[str, ...]) -> tuple[Columns, tuple[Array, Array]]:
+def columns(
+    assembly: Assembly, keys: tuple[str, ...]
+) -> tuple[ParameterColumns, tuple[Array, Array]]:
     """Columns with their bounds; the phase origin is shared where phase was measured."""
     study = assembly.study
     shared = all("phase" in s.record.measured for s in study.series)

@@ -24,12 +24,12 @@ from spiral.engine.sensitivities import residuals
 from spiral.engine.statistics import paired_errors
 from spiral.inference.evidence.admission import admit, afar
 from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Evidence, Ranked, bic
-from spiral.inference.evidence.standing import Standing
 from spiral.types.record import Array
 
 
-def from_afar(assembly: Assembly, standing: Standing, evidence: Evidence) -> Evidence:
+def from_afar(assembly: Assembly, standing: FitState, evidence: Evidence) -> Evidence:
     """The evidence with refits in place of linear steps for candidates with a second basin."""
     stage = evidence.stage
     before = residuals(assembly.study, stage.layouts, stage.fitted.point)
@@ -39,7 +39,7 @@ def from_afar(assembly: Assembly, standing: Standing, evidence: Evidence) -> Evi
 
 def _rescored(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     evidence: Evidence,
     ranked: Ranked,
     before: tuple[Array, ...],

@@ -18,14 +18,14 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from spiral.engine.score import MINIMUM_BLOCKS, Table, projected
+from spiral.engine.score import MINIMUM_BLOCKS, ScoreTable, projected
 from spiral.types.record import Array
 
 _DRAWS = 999
 
 
 def effective_tests(
-    table: Table, groups: list[tuple[int, ...]], best: int, rng: np.random.Generator
+    table: ScoreTable, groups: list[tuple[int, ...]], best: int, rng: np.random.Generator
 ) -> float:
     """The number m of independent tests that the best of several groups of columns amounts to.
 
@@ -54,7 +54,7 @@ def effective_tests(
     return float(np.clip(found, 1.0, len(groups)))
 
 
-def _scores(table: Table, groups: list[tuple[int, ...]], best: int) -> list[Array]:
+def _scores(table: ScoreTable, groups: list[tuple[int, ...]], best: int) -> list[Array]:
     """(blocks, rank) of every group with a rank, from the residual after the best one's step."""
     if not len(table.blocks):
         return []

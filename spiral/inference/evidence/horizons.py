@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.filter.extended import Settings, filtered, tracked_indices
+from spiral.engine.filter.extended import FilterSettings, filtered, tracked_indices
 from spiral.engine.filter.noise import intensity, sampled
 from spiral.engine.filter.setup import chosen_levels, prepared
 from spiral.engine.filter.task import Task, task_with
@@ -137,7 +137,7 @@ def forecast(task: Task, disturbed: Disturbed, first: int, steps: int) -> tuple[
     return found.innovations[first:], _ahead(task, settings, found.means, first, steps)
 
 
-def _ahead(task: Task, settings: Settings, means: Array, first: int, steps: int) -> Array:
+def _ahead(task: Task, settings: FilterSettings, means: Array, first: int, steps: int) -> Array:
     """(starts, channels) y(t + h) - h(phi_h(x^(t | t)))."""
     series, n = task.series, len(task.states)
     last = series.samples - 1 - steps

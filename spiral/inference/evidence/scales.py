@@ -26,7 +26,7 @@ from spiral.engine.filter.setup import prepared, with_level
 from spiral.engine.filter.task import compiled_for, free_run, task_with
 from spiral.engine.series import Series, prepare
 from spiral.engine.start import motion
-from spiral.engine.study import Study
+from spiral.engine.study import CompiledStudy
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import Traced, trace
 from spiral.types.model import Model
@@ -81,7 +81,9 @@ def spread_out(states: Array, count: int = 64) -> Array:
 def visited(model: Model, records: tuple[Record, ...]) -> tuple[Array, ...]:
     """The system's states (samples, n) along every record; hidden ones as the model infers them."""
     traced = trace(model.system, ())
-    study = Study(compile_model(traced), tuple(prepare(model.system, r, 1) for r in records))
+    study = CompiledStudy(
+        compile_model(traced), tuple(prepare(model.system, r, 1) for r in records)
+    )
     seen = [motion(study, s, _WINDOW).states for s in study.series]
     hidden = [i for i, name in enumerate(traced.states) if name not in _shown(traced)]
     if hidden:

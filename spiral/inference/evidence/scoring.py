@@ -10,7 +10,7 @@ import numpy as np
 from spiral.engine.growth import Stage
 from spiral.engine.score import (
     Score,
-    Table,
+    ScoreTable,
     block_samples,
     correlation_samples,
     score,
@@ -23,9 +23,9 @@ from spiral.inference.evidence.assembly import (
     Variant,
     columns,
 )
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.gridnull import effective_tests
 from spiral.inference.evidence.inseparable import inseparable
-from spiral.inference.evidence.standing import Standing
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ class Evidence:
 
     stage: Stage
     ranked: tuple[Ranked, ...]
-    table: Table
+    table: ScoreTable
     block: int
 
 
-def score_stage(assembly: Assembly, standing: Standing, stage: Stage) -> Evidence:
+def score_stage(assembly: Assembly, standing: FitState, stage: Stage) -> Evidence:
     """Score all candidates that are not active, in one pass."""
     keys = standing.keys(assembly)
     present = _labels(assembly, standing)
@@ -91,7 +91,7 @@ def score_stage(assembly: Assembly, standing: Standing, stage: Stage) -> Evidenc
 
 
 def scored(
-    assembly: Assembly, table: Table, groups: list[tuple[Variant, tuple[str, ...]]]
+    assembly: Assembly, table: ScoreTable, groups: list[tuple[Variant, tuple[str, ...]]]
 ) -> Iterator[tuple[Variant, tuple[str, ...], Score]]:
     """Each variant with the keys of its columns (one for each record) and their score."""
     parameters, first = assembly.study.compiled.traced.parameters, 0
@@ -113,7 +113,7 @@ def _owner(assembly: Assembly, index: int) -> str:
     return known.get(owner, owner)
 
 
-def _best(table: Table, variants: list[Ranked]) -> Ranked:
+def _best(table: ScoreTable, variants: list[Ranked]) -> Ranked:
     """The best value of a candidate's shapes, and how many tests choosing it amounts to."""
     best = min(range(len(variants)), key=lambda i: variants[i].rank)
     groups = [r.columns for r in variants]
@@ -121,7 +121,7 @@ def _best(table: Table, variants: list[Ranked]) -> Ranked:
     return replace(variants[best], tests=tests * variants[best].tests)
 
 
-def _labels(assembly: Assembly, standing: Standing) -> set[str]:
+def _labels(assembly: Assembly, standing: FitState) -> set[str]:
     """Real names of the candidates that are active."""
     return {v.original.label for v in assembly.variants if v.label in standing.labels}
 
@@ -139,7 +139,7 @@ def tested_keys(assembly: Assembly, variant: Variant) -> tuple[str, ...]:
     )
 
 
-def bic(table: Table, scored: Score) -> float:
+def bic(table: ScoreTable, scored: Score) -> float:
     """N log(1 - gain / rest) + q log N: twice the negative log-likelihood gain, plus its price."""
     left = max(1.0 - scored.gain / max(table.rest, 1e-300), 1e-12)
     return table.samples * float(np.log(left)) + scored.rank * float(np.log(table.samples))

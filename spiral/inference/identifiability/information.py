@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.sensitivities import reduce
-from spiral.engine.study import Columns, Layouts, Point
+from spiral.engine.study import Layouts, ParameterColumns, Point
 from spiral.inference.evidence.assembly import Assembly, columns, first_row
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import tested_keys
-from spiral.inference.evidence.standing import Standing
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
 from spiral.types.record import Array
@@ -80,7 +80,7 @@ class View:
     """
 
     assembly: Assembly
-    moving: Columns
+    moving: ParameterColumns
     fitted: int
     triangle: Array
 
@@ -92,7 +92,7 @@ class View:
         ------
         ConfigError : the model does not stay finite on the record.
         """
-        standing = Standing(assembly.problem.model.labels, point.values)
+        standing = FitState(assembly.problem.model.labels, point.values)
         keys = standing.keys(assembly)
         more = tuple(k for v in assembly.variants for k in tested_keys(assembly, v))
         moving, _ = columns(assembly, (*keys, *more))

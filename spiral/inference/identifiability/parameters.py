@@ -8,10 +8,10 @@ import numpy as np
 
 from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import reduce
-from spiral.engine.study import Columns
+from spiral.engine.study import ParameterColumns
 from spiral.inference.evidence.assembly import Assembly, columns
+from spiral.inference.evidence.fit_state import FitState, all_samples, grown
 from spiral.inference.evidence.scoring import tested_keys
-from spiral.inference.evidence.standing import Standing, all_samples, grown
 from spiral.types.record import Array
 
 _COLLINEAR = 0.1  # singular value of unit signatures under which a combination is looked at
@@ -34,7 +34,7 @@ class Entanglement:
     noise_share: float
 
 
-def entangled(assembly: Assembly, standing: Standing) -> Entanglement | None:
+def entangled(assembly: Assembly, standing: FitState) -> Entanglement | None:
     """Check the standing's parameters; nothing where the record tells them apart.
 
     A combination counts as entangled where its unit signatures are nearly collinear (singular
@@ -69,7 +69,7 @@ def entangled(assembly: Assembly, standing: Standing) -> Entanglement | None:
 
 
 def _noisy_directions(
-    assembly: Assembly, stage: Stage, moving: Columns, unit: Array, norms: Array
+    assembly: Assembly, stage: Stage, moving: ParameterColumns, unit: Array, norms: Array
 ) -> tuple[Array, float, float]:
     """Singular vectors that noise sustains, smallest singular value, largest noise share."""
     _, singular, right = np.linalg.svd(unit)
@@ -86,7 +86,9 @@ def _noisy_directions(
     return np.array(bad), float(singular[-1]), float(np.max(shares))
 
 
-def _redrawn(assembly: Assembly, stage: Stage, moving: Columns, rng: np.random.Generator) -> Array:
+def _redrawn(
+    assembly: Assembly, stage: Stage, moving: ParameterColumns, rng: np.random.Generator
+) -> Array:
     """The triangle of signatures, initial states moved by fresh noise of the residual's size."""
     study, point = assembly.study, stage.fitted.point
     misfit = np.sqrt(max(stage.fitted.chi2_per_dof, 1.0))
@@ -107,7 +109,7 @@ def _redrawn(assembly: Assembly, stage: Stage, moving: Columns, rng: np.random.G
 
 
 def _groups(
-    assembly: Assembly, standing: Standing, stage: Stage, bad: Array, owners: list[str]
+    assembly: Assembly, standing: FitState, stage: Stage, bad: Array, owners: list[str]
 ) -> tuple[tuple[str, ...], ...]:
     """Effects tied together: the model's entangled ones, and candidates that they mimic."""
     links = [{_owner(owners[i]) for i in np.flatnonzero(np.abs(v) > 0.1)} for v in bad]

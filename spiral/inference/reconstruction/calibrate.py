@@ -34,7 +34,7 @@ from spiral.engine.filter.task import Task, prepare_task, with_record
 from spiral.engine.fit import Fitted, covariance
 from spiral.engine.growth import Stage, carried_starts, layouts_for
 from spiral.engine.sensitivities import reduce
-from spiral.engine.study import Columns, Point
+from spiral.engine.study import ParameterColumns, Point
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.compare import last_stage, prepared, standard_errors
 from spiral.inference.evidence.admission import TOLD
@@ -46,7 +46,7 @@ from spiral.inference.evidence.assembly import (
     unknown_keys,
     with_steps,
 )
-from spiral.inference.evidence.standing import Standing, all_samples
+from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.model import Model
 from spiral.types.record import Array
@@ -101,7 +101,7 @@ def calibrate(
 
 
 def _from_filter(
-    assembly: Assembly, standing: Standing, progress: Progress, together: tuple[str, ...]
+    assembly: Assembly, standing: FitState, progress: Progress, together: tuple[str, ...]
 ) -> tuple[Assembly, Stage]:
     """Start values and hidden states from filters, then windows, then whole records."""
     problem = assembly.problem
@@ -124,7 +124,7 @@ def _from_filter(
 
 def _descended(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     first: Task,
     together: tuple[str, ...],
     progress: Progress,
@@ -215,7 +215,7 @@ def _own_origin(task: Task, levels: Mapping[str, float]) -> Task:
 
 
 def _mixed(
-    assembly: Assembly, moving: Columns, values: Array, together: tuple[str, ...]
+    assembly: Assembly, moving: ParameterColumns, values: Array, together: tuple[str, ...]
 ) -> Mix | None:
     """One common factor for some columns; the others move alone."""
     if not together:
@@ -257,7 +257,7 @@ def cramer_rao(problem: Problem) -> dict[str, float]:
     }
 
 
-def _result(assembly: Assembly, standing: Standing, stage: Stage) -> Calibration:
+def _result(assembly: Assembly, standing: FitState, stage: Stage) -> Calibration:
     values, study = stage.fitted.point.values, assembly.study
     errors = standard_errors(assembly, standing, stage)
     models = tuple(

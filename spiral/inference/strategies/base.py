@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.standing import Standing
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.problem import Problem, Progress
 from spiral.types.run import Comparison, Stopped, Suggestion
 
@@ -24,7 +24,7 @@ class Begun:
     """
 
     assembly: Assembly
-    standing: Standing
+    standing: FitState
     comparison: Comparison
     details: Mapping[str, Any] = field(default_factory=dict)
     refused: bool = False
@@ -55,7 +55,7 @@ class Step:
 class Settled:
     """The model after an admission, refitted and compared; effects let go again."""
 
-    standing: Standing
+    standing: FitState
     comparison: Comparison
     retired: tuple[str, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class Strategy:
 
     name: str
     begin: Callable[[Problem, Progress], Begun]
-    propose: Callable[[Assembly, Standing, Comparison, int, Progress], Step]
+    propose: Callable[[Assembly, FitState, Comparison, int, Progress], Step]
     settle: Callable[[Assembly, Step, Progress], Settled]
     ranked: Callable[[Step], tuple[Suggestion, ...]] | None = None
-    choose: Callable[[Assembly, Standing, Step, str], Step] | None = None
+    choose: Callable[[Assembly, FitState, Step, str], Step] | None = None

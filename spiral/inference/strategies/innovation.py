@@ -24,8 +24,8 @@ from spiral.engine.statistics import whiteness
 from spiral.inference.compare import compared, prepared, refined
 from spiral.inference.evidence.admission import stepped
 from spiral.inference.evidence.assembly import Assembly, Variant, columns, to_model
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import tested_keys
-from spiral.inference.evidence.standing import Standing
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
 from spiral.types.record import Array
@@ -57,7 +57,7 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
 
 def _propose(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     comparison: Comparison,
     number: int,
     progress: Progress,
@@ -113,7 +113,7 @@ def _ended(
 
 def _admission(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     trial: Trial,
     offered: Offered,
     gains: Mapping[tuple[int, ...], float],
@@ -157,7 +157,7 @@ def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
 
 
 def _refitted(
-    assembly: Assembly, standing: Standing, found: Climbed | None, progress: Progress
+    assembly: Assembly, standing: FitState, found: Climbed | None, progress: Progress
 ) -> Settled:
     """The most likely model with these effects, compared; whiteness is of its innovations."""
     progress("most likely values and process noise")
@@ -181,7 +181,7 @@ def _refitted(
     return Settled(wider, comparison, details={**details, "process_noise": dict(found.levels)})
 
 
-def _values(standing: Standing, found: Climbed, parts: tuple[Whitened, ...]) -> Array:
+def _values(standing: FitState, found: Climbed, parts: tuple[Whitened, ...]) -> Array:
     """(records, parameters) with each record's own as the filter found them in the end."""
     rows = standing.values.copy()
     for row, (task, settings), part in zip(rows, found.prepared, parts, strict=True):
@@ -191,7 +191,7 @@ def _values(standing: Standing, found: Climbed, parts: tuple[Whitened, ...]) -> 
     return rows
 
 
-def _prepared(assembly: Assembly, standing: Standing) -> Prepared:
+def _prepared(assembly: Assembly, standing: FitState) -> Prepared:
     """Every record's task at the standing's values; what belongs to a record is tracked."""
     model, traced = assembly.problem.model, assembly.study.compiled.traced
     tracked = _tracked(assembly, standing)
@@ -203,13 +203,13 @@ def _prepared(assembly: Assembly, standing: Standing) -> Prepared:
     )
 
 
-def _tracked(assembly: Assembly, standing: Standing) -> tuple[str, ...]:
+def _tracked(assembly: Assembly, standing: FitState) -> tuple[str, ...]:
     known = dict(assembly.problem.model.pairs)
     keys = standing.keys(assembly)
     return tuple(k for k in keys if k in known and known[k].scope == "record")
 
 
-def _moving(assembly: Assembly, standing: Standing) -> tuple[str, ...]:
+def _moving(assembly: Assembly, standing: FitState) -> tuple[str, ...]:
     """Parameters that the likelihood decides: all that move, but for those that are tracked."""
     tracked = _tracked(assembly, standing)
     return tuple(k for k in standing.keys(assembly) if k not in tracked)
@@ -220,7 +220,7 @@ def _bounds(assembly: Assembly, keys: tuple[str, ...]) -> dict[str, tuple[float,
     return {k: (float(a), float(b)) for k, a, b in zip(keys, low, high, strict=True)}
 
 
-def _absent(assembly: Assembly, standing: Standing) -> tuple[Variant, ...]:
+def _absent(assembly: Assembly, standing: FitState) -> tuple[Variant, ...]:
     present = {v.original.label for v in assembly.variants if v.label in standing.labels}
     return tuple(v for v in assembly.variants if v.original.label not in present)
 

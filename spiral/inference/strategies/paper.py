@@ -16,7 +16,7 @@ import numpy as np
 from spiral.engine.gate import Judgement, Trial, through
 from spiral.inference.compare import compared, refined
 from spiral.inference.evidence.assembly import Assembly, assemble, first_row, to_model
-from spiral.inference.evidence.standing import Standing
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.paper.halton import (
     Regressor,
     box_points,
@@ -76,7 +76,7 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
     assembly = assemble(problem)
     terms = terms_of(published.library, problem.model.system)
     labels = problem.model.labels
-    known = Standing(labels, first_row(assembly), corrected=False)
+    known = FitState(labels, first_row(assembly), corrected=False)
     offered = {v.original.label for v in assembly.variants if not v.effect.undirected()}
     active = [k for k in known.keys(assembly) if k in _amplitudes(assembly)]
     wanted = [t for t in terms if t.effect.label in offered and t.key not in active]
@@ -121,13 +121,13 @@ def _split(samples: Samples, published: Published) -> Array:
 # --- the current model as a regression -----------------------------------------------------------
 
 
-def _active(kept: Regression, standing: Standing, assembly: Assembly) -> list[int]:
+def _active(kept: Regression, standing: FitState, assembly: Assembly) -> list[int]:
     """Columns of the current model; the pair of an unbalance counts as two."""
     keys = set(standing.keys(assembly))
     return [i for i, n in enumerate(kept.names) if n.split(" ")[0] in keys]
 
 
-def _trial(assembly: Assembly, standing: Standing) -> Trial:
+def _trial(assembly: Assembly, standing: FitState) -> Trial:
     kept: Regression = assembly.regression
     active = _active(kept, standing, assembly)
     chosen = set(active)
@@ -150,7 +150,7 @@ def _trial(assembly: Assembly, standing: Standing) -> Trial:
     return replace(bare, residual=kept.target - bare.active @ bare.before.b)
 
 
-def _refitted(assembly: Assembly, standing: Standing, progress: Progress) -> Settled:
+def _refitted(assembly: Assembly, standing: FitState, progress: Progress) -> Settled:
     """Joint least squares on the training samples (paper, eq. joint_ols), and the comparison."""
     kept: Regression = assembly.regression
     progress("joint least squares on the training samples")
@@ -173,7 +173,7 @@ def _refitted(assembly: Assembly, standing: Standing, progress: Progress) -> Set
 
 def _propose(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     comparison: Comparison,
     number: int,
     progress: Progress,
@@ -207,7 +207,7 @@ def _xi(assembly: Assembly) -> Array:
 
 
 def _learned(
-    assembly: Assembly, standing: Standing, trial: Trial, log: dict[str, Any], progress: Progress
+    assembly: Assembly, standing: FitState, trial: Trial, log: dict[str, Any], progress: Progress
 ) -> tuple[Learned, Trial]:
     """Steps 2 to 4: learn the residual, and project it onto the library."""
     published, kept = _of(assembly.problem), assembly.regression
@@ -243,7 +243,7 @@ def _ended(
     return Step((), shown, stopped=stopped, details=log)
 
 
-def _admission(assembly: Assembly, standing: Standing, trial: Trial, log: dict[str, Any]) -> Step:
+def _admission(assembly: Assembly, standing: FitState, trial: Trial, log: dict[str, Any]) -> Step:
     """Terms that passed, as effects of the model with their physical origin."""
     kept: Regression = assembly.regression
     by_key = {t.key: t for t in kept.terms}

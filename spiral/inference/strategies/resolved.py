@@ -30,9 +30,9 @@ from spiral.engine.statistics import paired_errors, whiteness
 from spiral.engine.study import Point
 from spiral.inference.evidence.admission import Admitted
 from spiral.inference.evidence.assembly import Assembly, Variant, columns
+from spiral.inference.evidence.fit_state import FitState, Masks, grown, stage_lengths
 from spiral.inference.evidence.judge import held_out
 from spiral.inference.evidence.scoring import scored, tested_keys
-from spiral.inference.evidence.standing import Masks, Standing, grown, stage_lengths
 from spiral.inference.problem import Progress
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried, held_variants, reassembled, variant_of
@@ -49,7 +49,7 @@ _LOWEST, _HIGHEST = 4.0, 0.1  # band: periods in the record; share of the sample
 
 def remembered(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     proposal: Proposal,
     white: bool,
     masks: tuple[Masks, Masks],
@@ -77,7 +77,7 @@ def remembered(
 
 def _outlasts(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     proposal: Proposal,
     wide: Assembly,
     found: Proposal,
@@ -100,7 +100,7 @@ def _outlasts(
 
 
 def _over_whole(
-    assembly: Assembly, standing: Standing, masks: tuple[Masks, Masks], length: int
+    assembly: Assembly, standing: FitState, masks: tuple[Masks, Masks], length: int
 ) -> tuple[Array, ...]:
     """Held-out residuals on the longest windows, after a refit that grows from this length."""
     lengths = [n for n in stage_lengths(assembly) if n >= length]
@@ -109,7 +109,7 @@ def _over_whole(
 
 
 def called_for(
-    assembly: Assembly, standing: Standing, proposal: Proposal, white: bool
+    assembly: Assembly, standing: FitState, proposal: Proposal, white: bool
 ) -> tuple[Effect, ...]:
     """Candidates with states of their own that a round tries; none while others explain the rest.
 
@@ -150,7 +150,7 @@ class Scanned:
 
 
 def widened(
-    assembly: Assembly, standing: Standing, stage: Stage, effects: Sequence[Effect]
+    assembly: Assembly, standing: FitState, stage: Stage, effects: Sequence[Effect]
 ) -> tuple[Assembly, tuple[Scanned, ...]]:
     """The study with variants of effects that have states of their own, beside its candidates."""
     scans = scanned(assembly, standing, stage, effects)
@@ -161,7 +161,7 @@ def widened(
 
 
 def scanned(
-    assembly: Assembly, standing: Standing, stage: Stage, effects: Sequence[Effect]
+    assembly: Assembly, standing: FitState, stage: Stage, effects: Sequence[Effect]
 ) -> tuple[Scanned, ...]:
     """Lay the shapes of effects at the peaks of what a fit of the standing model leaves."""
     band = frequencies(max(assembly.study.series, key=lambda s: s.samples))
@@ -197,12 +197,12 @@ class _Scan:
     effect: Effect
     copies: tuple[Variant, ...]
     wide: Assembly
-    standing: Standing
+    standing: FitState
     stage: Stage
     states: tuple[str, ...]
 
     @classmethod
-    def of(cls, assembly: Assembly, standing: Standing, stage: Stage, effect: Effect) -> _Scan:
+    def of(cls, assembly: Assembly, standing: FitState, stage: Stage, effect: Effect) -> _Scan:
         """Compile without the other candidates."""
         copies = tuple(variant_of(effect, str(i + 1), {}) for i in range(VALUES))
         active = {label.split("#")[0] for label in standing.labels}

@@ -16,9 +16,9 @@ from spiral.engine.statistics import paired_errors
 from spiral.inference.compare import fitted_model
 from spiral.inference.evidence.admission import Admitted, admit, refit
 from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.judge import held_out
 from spiral.inference.evidence.scoring import tested_keys
-from spiral.inference.evidence.standing import Masks, Standing
 from spiral.inference.suggest import Proposal, listed
 from spiral.types.model import Model
 
@@ -52,7 +52,7 @@ def superfluous(
     return tuple(gone)
 
 
-def simplest(assembly: Assembly, standing: Standing, proposal: Proposal, mask: Masks) -> Proposal:
+def simplest(assembly: Assembly, standing: FitState, proposal: Proposal, mask: Masks) -> Proposal:
     """The proposal with the member of its alias group beside which the fewest effects are needed.
 
     Aliases stay those that need as few.
@@ -73,14 +73,14 @@ def simplest(assembly: Assembly, standing: Standing, proposal: Proposal, mask: M
     return replace(proposal, admitted=best[0], aliases=aliases, suggestions=shown)
 
 
-def let_go(assembly: Assembly, standing: Standing, labels: tuple[str, ...]) -> Standing:
+def let_go(assembly: Assembly, standing: FitState, labels: tuple[str, ...]) -> FitState:
     """The standing without these effects, whose amplitudes are zero again."""
     for label in labels:
         standing = _without(assembly, standing, label)
     return standing
 
 
-def _without(assembly: Assembly, standing: Standing, label: str) -> Standing:
+def _without(assembly: Assembly, standing: FitState, label: str) -> FitState:
     values = standing.values.copy()
     for key in tested_keys(assembly, assembly.variant(label)):
         values[:, assembly.study.index(key)] = 0.0  # else it would act on, unseen by the fit

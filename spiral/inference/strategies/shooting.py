@@ -14,8 +14,8 @@ import numpy as np
 from spiral.inference.compare import judged, last_stage, prepared
 from spiral.inference.evidence.admission import Admitted, admit
 from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
 from spiral.inference.evidence.scoring import tested_keys
-from spiral.inference.evidence.standing import Masks, Standing, half_masks
 from spiral.inference.identifiability.parameters import entangled
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
@@ -41,7 +41,7 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
 
 def _propose(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     comparison: Comparison,
     number: int,
     progress: Progress,
@@ -70,7 +70,7 @@ def _propose(
 
 def curve_of(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     proposal: Proposal,
     comparison: Comparison,
     number: int,
@@ -113,7 +113,7 @@ def _in_place(begun: Assembly, place: Assembly, proposal: Proposal) -> Proposal:
     return replace(proposal, admitted=moved(admitted, place, final))
 
 
-def _step(standing: Standing, proposal: Proposal) -> Step:
+def _step(standing: FitState, proposal: Proposal) -> Step:
     assert proposal.admitted is not None
     effect = proposal.admitted.variant.original
     mediated = any(x.split("#")[0] == "gyroscopic" for x in standing.labels)
@@ -136,7 +136,7 @@ def _ranked(step: Step) -> tuple[Suggestion, ...]:
     return by_evidence(proposal.evidence, proposal.admitted, proposal.aliases)
 
 
-def _choose(assembly: Assembly, standing: Standing, step: Step, label: str) -> Step:
+def _choose(assembly: Assembly, standing: FitState, step: Step, label: str) -> Step:
     """Another candidate at the windows on which all were scored; no gate is asked."""
     proposal: Proposal = step.found
     evidence = proposal.evidence
@@ -175,7 +175,7 @@ def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
     return Settled(standing, comparison, (*proposal.dropped, *retired))
 
 
-def _without_amplitudes(assembly: Assembly, latest: Admitted) -> Standing:
+def _without_amplitudes(assembly: Assembly, latest: Admitted) -> FitState:
     """The standing with the new effect's amplitudes at zero, where short windows must not diverge.
 
     Fitted to long windows of a model that is far off, a softening spring may let the short windows
@@ -189,7 +189,7 @@ def _without_amplitudes(assembly: Assembly, latest: Admitted) -> Standing:
 
 def _judge(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     mask: Masks,
     progress: Progress,
 ) -> Comparison:

@@ -18,7 +18,7 @@ from spiral.engine.growth import Stage
 from spiral.inference.compare import last_stage
 from spiral.inference.evidence.admission import Admitted
 from spiral.inference.evidence.assembly import Assembly, columns
-from spiral.inference.evidence.standing import Masks, Standing
+from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.unknown.curvepath import Course, Path, courses
 from spiral.physics.learned import Learned, LearnedFlow, LearnedForce, spacing
 from spiral.types.record import Array
@@ -136,7 +136,7 @@ def _quantity(learned: Learned) -> str:
 
 
 def _curve(
-    assembly: Assembly, standing: Standing, stage: Stage, learned: Learned, course: Course
+    assembly: Assembly, standing: FitState, stage: Stage, learned: Learned, course: Course
 ) -> Curve:
     low, high = np.percentile(course.seen, [_TAILS, 100 - _TAILS])
     at = np.linspace(low, high, _POINTS)

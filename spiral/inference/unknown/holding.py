@@ -12,11 +12,11 @@ from dataclasses import replace
 from spiral.inference.compare import substeps_for
 from spiral.inference.evidence.admission import Admitted
 from spiral.inference.evidence.assembly import Assembly, Variant, assemble, first_row, with_steps
-from spiral.inference.evidence.standing import Standing
+from spiral.inference.evidence.fit_state import FitState
 from spiral.types.effect import Effect
 
 
-def holding(assembly: Assembly, standing: Standing) -> Assembly:
+def holding(assembly: Assembly, standing: FitState) -> Assembly:
     """A study that has all effects of a standing, late ones too; the same where it has them.
 
     The standing's values are in its order. Where an effect brings fast states its steps are finer.
@@ -70,7 +70,7 @@ def reassembled(
     return with_steps(made, substeps)
 
 
-def carried(standing: Standing, old: Assembly, new: Assembly) -> Standing:
+def carried(standing: FitState, old: Assembly, new: Assembly) -> FitState:
     """A standing's values in another study's order of parameters."""
     values = first_row(new)
     tail = len(old.study.keys)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.standing import Masks, Standing, begin
+from spiral.inference.evidence.fit_state import FitState, Masks, begin
 from spiral.inference.problem import Progress
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.forcecurve import Unknown, described
@@ -30,7 +30,7 @@ class Found:
 
 def unknown_shape(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     masks: tuple[Masks, Masks],
     round_number: int,
     progress: Progress,
@@ -61,7 +61,7 @@ def unknown_shape(
     return None
 
 
-def _fresh(assembly: Assembly, standing: Standing, kept: tuple[str, ...]) -> Standing:
+def _fresh(assembly: Assembly, standing: FitState, kept: tuple[str, ...]) -> FitState:
     """The first standing of the seed; curves kept, and shapes of all others, as they were."""
     known = tuple(x for x in kept if x in assembly.problem.model.labels)
     begun, study = begin(assembly, known), assembly.study
@@ -75,7 +75,7 @@ def _fresh(assembly: Assembly, standing: Standing, kept: tuple[str, ...]) -> Sta
     return replace(begun, values=values, labels=kept)
 
 
-def _learned(assembly: Assembly, standing: Standing) -> list[str]:
+def _learned(assembly: Assembly, standing: FitState) -> list[str]:
     """Compiled labels of the curves in a standing."""
     own = {v.label: v.effect for v in assembly.variants}
     return [x for x in standing.labels if isinstance(own.get(x), Learned)]
@@ -83,8 +83,8 @@ def _learned(assembly: Assembly, standing: Standing) -> list[str]:
 
 def _found(
     assembly: Assembly,
-    standing: Standing,
-    start: Standing,
+    standing: FitState,
+    start: FitState,
     masks: tuple[Masks, Masks],
     round_number: int,
     progress: Progress,

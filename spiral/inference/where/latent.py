@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.extended import Settings, filtered, smoothed
+from spiral.engine.filter.extended import FilterSettings, filtered, smoothed
 from spiral.engine.filter.setup import chosen_levels, prepared, with_level
 from spiral.engine.filter.task import Task, prepare_task
 from spiral.types.effect import ForceEffect
@@ -115,7 +115,7 @@ def missing_force(
     sizes, rates = _scales(task, keys)
     settings = replace(settings, tracked=keys, doubt=sizes)
 
-    def walking(level: float) -> Settings:
+    def walking(level: float) -> FilterSettings:
         return replace(settings, wander=(10.0**level * sizes) ** 2 * rates * record.dt)
 
     level = _most_likely(task, walking)
@@ -178,7 +178,9 @@ def _most_likely(task: Task, walking) -> float | None:
     return float(found.x) if found.fun < costs[best] else _LEVELS[best]
 
 
-def _smoothed(task: Task, settings: Settings, level: float, start: int) -> MissingForce | None:
+def _smoothed(
+    task: Task, settings: FilterSettings, level: float, start: int
+) -> MissingForce | None:
     found = filtered(task, settings, keep=True)
     if found.done < task.series.samples:
         return None

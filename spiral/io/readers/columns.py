@@ -13,7 +13,7 @@ import numpy as np
 from spiral.io.readers import preparation
 from spiral.io.readers.files import Table
 from spiral.io.readers.pulses import Edge
-from spiral.io.readers.sampling import Series, resampled, without_gaps
+from spiral.io.readers.sampling import FileSeries, resampled, without_gaps
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 from spiral.types.fields import construct
 from spiral.types.record import Array, Record, check_increasing, check_noise, make_record
@@ -34,7 +34,7 @@ class SlowRoll:
 
 
 @dataclass(frozen=True)
-class Layout:
+class ColumnLayout:
     """Name -> the file's column, its unit, factor to the system's unit, and reading at rest.
 
     ``constant`` are inputs that have no column but one value throughout, in the system's unit.
@@ -193,7 +193,7 @@ class Columns(Source):
             notes=(*table.notes, told, *series.notes),
         )
 
-    def _layout(self, system: System, table: Table) -> Layout:
+    def _layout(self, system: System, table: Table) -> ColumnLayout:
         channels = self._mapped(table, "channels", system.observed, required=system.observed)
         driving = tuple(i.name for i in system.inputs if i.derived_from is None)
         known = tuple(i.name for i in system.inputs)
@@ -211,11 +211,11 @@ class Columns(Source):
         }
         offset = self._offsets((*channels, *inputs))
         pulse = {} if self.pulse is None else {"pulse": self.pulse}
-        return Layout(channels, inputs, clock, pulse, units, scale, offset, constant)
+        return ColumnLayout(channels, inputs, clock, pulse, units, scale, offset, constant)
 
     def _series(
-        self, system: System, table: Table, layout: Layout, start: int, stop: int
-    ) -> Series:
+        self, system: System, table: Table, layout: ColumnLayout, start: int, stop: int
+    ) -> FileSeries:
         """Rows [start, stop) in the system's units; gaps, pulses and signs as configured."""
         name = Path(table.name).name
 
@@ -231,7 +231,7 @@ class Columns(Source):
 
         pulse = values("pulse", layout.pulse).get("pulse")
         time = self._time(table, layout.clock, start, stop) * layout.scale.get("time", 1.0)
-        series = Series(
+        series = FileSeries(
             name,
             time,
             values("channels", layout.channels),
@@ -271,8 +271,8 @@ class Columns(Source):
         return found
 
     def _without_run_out(
-        self, system: System, table: Table, layout: Layout, wish: SlowRoll, series: Series
-    ) -> Series:
+        self, system: System, table: Table, layout: ColumnLayout, wish: SlowRoll, series: FileSeries
+    ) -> FileSeries:
         """Slow-roll vectors of the named stretch, subtracted."""
         slow = series
         if wish.path is not None:
@@ -382,7 +382,7 @@ def _is_number(given: str, table: Table) -> bool:
         return False
 
 
-def _told(system: System, layout: Layout, rate: float | None) -> str:
+def _told(system: System, layout: ColumnLayout, rate: float | None) -> str:
     """What was taken for what, in words."""
     clock, units = layout.clock, layout.units
     words = [

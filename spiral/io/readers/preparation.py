@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from spiral.io.readers.pulses import Edge, turning
-from spiral.io.readers.sampling import Series
+from spiral.io.readers.sampling import FileSeries
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 from spiral.types.record import check_values, clipping
 from spiral.types.system import System
@@ -31,8 +31,8 @@ _SLOW = 0.5  # highest speed of a slow roll, as a share of the record's
 
 
 def with_pulse(
-    system: System, series: Series, column: str, level: float | None, edge: Edge | None
-) -> Series:
+    system: System, series: FileSeries, column: str, level: float | None, edge: Edge | None
+) -> FileSeries:
     """Phase from the series' once-per-turn pulse; speed too where it has none.
 
     Raises
@@ -54,7 +54,7 @@ def with_pulse(
     return replace(series, inputs=inputs, pulse=None).noted(words)
 
 
-def unwrapped(series: Series) -> Series:
+def unwrapped(series: FileSeries) -> FileSeries:
     """A phase that jumps back by a turn, made continuous: the angle is the same."""
     phase = series.inputs.get("phase")
     if phase is None:
@@ -69,7 +69,7 @@ def unwrapped(series: Series) -> Series:
     return replace(series, inputs=inputs).noted("phase made continuous where it jumps by a turn")
 
 
-def with_rotation(system: System, series: Series, rotation: Rotation) -> Series:
+def with_rotation(system: System, series: FileSeries, rotation: Rotation) -> FileSeries:
     """Speed and phase with the sign of the sense of rotation: positive turns x towards y.
 
     Raises
@@ -94,7 +94,7 @@ def with_rotation(system: System, series: Series, rotation: Rotation) -> Series:
     return series
 
 
-def _turned(series: Series, name: str) -> float:
+def _turned(series: FileSeries, name: str) -> float:
     """Angle turned over the record in rad, by one of the inputs."""
     values = series.inputs[name]
     if name == "phase":
@@ -102,7 +102,7 @@ def _turned(series: Series, name: str) -> float:
     return float(np.trapezoid(values, series.time))
 
 
-def _must_agree(series: Series) -> None:
+def _must_agree(series: FileSeries) -> None:
     if not {"speed", "phase"} <= set(series.inputs):
         return
     by_phase, by_speed = (_turned(series, n) / (2 * np.pi) for n in ("phase", "speed"))
@@ -128,7 +128,7 @@ def _must_turn(system: System, given: str) -> None:
 # --- run-out and probes --------------------------------------------------------------------------
 
 
-def checked(series: Series) -> Series:
+def checked(series: FileSeries) -> FileSeries:
     """Channels refused or noted as the probes read them, before they are mixed or filtered."""
     for key, values in series.channels.items():
         check_values(series.name, "channel", key, values, len(series.time))
@@ -137,7 +137,7 @@ def checked(series: Series) -> Series:
     return series
 
 
-def slow_roll_rows(series: Series, low: float, high: float) -> Array:
+def slow_roll_rows(series: FileSeries, low: float, high: float) -> Array:
     """Samples whose speed, sign left out, lies between two limits in rad/s."""
     if "speed" not in series.inputs:
         raise InputError(
@@ -156,7 +156,7 @@ def slow_roll_rows(series: Series, low: float, high: float) -> Array:
     return found
 
 
-def must_be_slow(slow: Series, rows: Array, series: Series) -> None:
+def must_be_slow(slow: FileSeries, rows: Array, series: FileSeries) -> None:
     """Refuse a slow-roll stretch whose speed is not well below the record's highest."""
     if "speed" not in slow.inputs or "speed" not in series.inputs or not len(rows):
         return
@@ -172,7 +172,7 @@ def must_be_slow(slow: Series, rows: Array, series: Series) -> None:
         )
 
 
-def slow_roll_vectors(series: Series, rows: Array) -> dict[str, Array]:
+def slow_roll_vectors(series: FileSeries, rows: Array) -> dict[str, Array]:
     """Mean, cosine and sine of phase in each channel over slow rows, by least squares.
 
     y = m + a cos(theta) + b sin(theta): what a probe reads of a shaft that turns too slowly to
@@ -200,7 +200,7 @@ def slow_roll_vectors(series: Series, rows: Array) -> dict[str, Array]:
     return {k: np.linalg.lstsq(basis, v[rows], rcond=None)[0] for k, v in series.channels.items()}
 
 
-def without_run_out(system: System, series: Series, vectors: Mapping[str, Array]) -> Series:
+def without_run_out(system: System, series: FileSeries, vectors: Mapping[str, Array]) -> FileSeries:
     """The slow-roll vectors subtracted over the whole record, before probes are turned."""
     phase = series.inputs["phase"]
     channels, words = {}, []
@@ -215,7 +215,7 @@ def without_run_out(system: System, series: Series, vectors: Mapping[str, Array]
     return replace(series, channels=channels).noted("slow roll subtracted: " + ", ".join(words))
 
 
-def to_axes(system: System, series: Series, angles: Mapping[str, float]) -> Series:
+def to_axes(system: System, series: FileSeries, angles: Mapping[str, float]) -> FileSeries:
     """Readings of two probes turned to the system's axes.
 
     A probe at angle a from the first axis towards the second reads p = x cos a + y sin a; the two

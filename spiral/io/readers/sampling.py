@@ -22,7 +22,7 @@ _SKIP = 1.5  # a step longer than the usual one by this skips at least one sampl
 
 
 @dataclass(frozen=True)
-class Series:
+class FileSeries:
     """One file's numbers in the system's units, before they are checked as a record.
 
     Parameters
@@ -41,11 +41,11 @@ class Series:
     notes: tuple[str, ...] = ()
     pulse: Array | None = None
 
-    def noted(self, words: str) -> Series:
+    def noted(self, words: str) -> FileSeries:
         """The same numbers with one more note."""
         return replace(self, notes=(*self.notes, words))
 
-    def mapped(self, change: Callable[[str, Array], Array]) -> Series:
+    def mapped(self, change: Callable[[str, Array], Array]) -> FileSeries:
         """Every channel and input, and the pulse, changed by a function of its name and values."""
         channels = {k: change(k, v) for k, v in self.channels.items()}
         inputs = {k: change(k, v) for k, v in self.inputs.items()}
@@ -56,7 +56,7 @@ class Series:
 # --- gaps ----------------------------------------------------------------------------------------
 
 
-def without_gaps(series: Series, longest: int) -> Series:
+def without_gaps(series: FileSeries, longest: int) -> FileSeries:
     """Missing values and missing rows bridged by Akima interpolation, up to ``longest`` in a row.
 
     Raises
@@ -86,7 +86,7 @@ def without_gaps(series: Series, longest: int) -> Series:
     )
 
 
-def _with_missing_rows(series: Series, longest: int) -> tuple[Series, int]:
+def _with_missing_rows(series: FileSeries, longest: int) -> tuple[FileSeries, int]:
     """Rows put in where time skips a whole number of steps, their values missing."""
     steps = np.diff(series.time)
     usual = float(np.median(steps)) if len(steps) else 1.0
@@ -112,7 +112,7 @@ def _runs(bad: Array) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def _check_gaps(series: Series, key: str, gaps: list[tuple[int, int]], longest: int) -> None:
+def _check_gaps(series: FileSeries, key: str, gaps: list[tuple[int, int]], longest: int) -> None:
     samples = len(series.time)
     for start, stop in gaps:
         if stop - start > longest:
@@ -128,7 +128,7 @@ def _check_gaps(series: Series, key: str, gaps: list[tuple[int, int]], longest: 
 
 
 def _too_long(
-    series: Series, what: str, count: int, row: int, at: float, longest: int
+    series: FileSeries, what: str, count: int, row: int, at: float, longest: int
 ) -> InputError:
     return InputError(
         f"{series.name}: a gap of {count} samples in {what} at {at:.6g} s (row {row})",
@@ -150,7 +150,7 @@ def _bridged(values: Array) -> Array:
 # --- rates ---------------------------------------------------------------------------------------
 
 
-def resampled(system: System, series: Series, rate: float) -> Series:
+def resampled(system: System, series: FileSeries, rate: float) -> FileSeries:
     """Another, uniform rate: interpolation where steps differ, then an anti-alias filter.
 
     Signals pass a linear-phase low-pass (Kaiser window) at half the new rate; what the system calls
@@ -190,7 +190,7 @@ def resampled(system: System, series: Series, rate: float) -> Series:
     )
 
 
-def _check_rate(series: Series, steps: Array, own: float, rate: float) -> None:
+def _check_rate(series: FileSeries, steps: Array, own: float, rate: float) -> None:
     if rate > own * (1 + 1e-3):
         raise InputError(
             f"record.resample={rate:g} of {series.name}",

@@ -46,7 +46,7 @@ class SweepOptions:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """A sweep before it starts.
 
     ``calls`` are the jobs as workers are sent them; ``config`` is what holds for all of them:
@@ -71,7 +71,7 @@ def planned(
     overrides: Sequence[str],
     plugins: str | None,
     registry: Registry,
-) -> Plan:
+) -> SweepPlan:
     """Every combination of the values given, in order.
 
     Raises
@@ -93,7 +93,7 @@ def planned(
     calls = tuple(_settled(job) for job in jobs)
     out = str(config["out"])
     found = _fingerprint(verb, names, calls, registry)
-    return Plan(verb, names, jobs, calls, plugins, out, chosen, backend, found, config)
+    return SweepPlan(verb, names, jobs, calls, plugins, out, chosen, backend, found, config)
 
 
 def key_of(text: str) -> str:

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spiral.io.storage import new_run_id, to_json, write_whole
+from spiral.io.storage import new_run_id
+from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import InputError
 
 FOLDER = "sweeps"

@@ -14,7 +14,7 @@ from typing import Any
 
 from spiral.engine.signals import Signals, Stopped
 from spiral.inference.problem import Progress, silent
-from spiral.io.sweeps.jobs import Plan
+from spiral.io.sweeps.jobs import SweepPlan
 from spiral.io.sweeps.ledger import Ledger, open_ledger
 from spiral.io.sweeps.pool import (
     Answer,
@@ -107,7 +107,7 @@ class Sweep:
 
 def run_sweep(
     execute: Execute,
-    plan: Plan,
+    plan: SweepPlan,
     tell: Progress = silent,
     on_status: Callable[[Status], None] | None = None,
     on_row: OnRow | None = None,
@@ -133,7 +133,7 @@ def run_sweep(
 class _Desk:
     """What the parent keeps while a sweep is under way."""
 
-    plan: Plan
+    plan: SweepPlan
     ledger: Ledger
     signals: Signals
     tell: Progress
@@ -199,7 +199,7 @@ class _Desk:
 
     def _keep(self, index: int, answer: Answer) -> None:
         """One job has ended: its row is written whole before anything else is done."""
-        from spiral.io.storage import finite
+        from spiral.io.writing import finite
 
         with self.signals.held():
             row = Row(

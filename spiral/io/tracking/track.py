@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from spiral.io.registry import LocalFile, Registry, load_registry, told
-from spiral.io.storage import FILE, SavedRun, read_run, run_ids, to_json, write_whole
+from spiral.io.storage import FILE, SavedRun, read_run, run_ids
 from spiral.io.tracking import content
 from spiral.io.tracking.store import Draw, Store, Tracking, in_force, opened
+from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.masking import without_passwords
 from spiral.types.run import estimate_rows

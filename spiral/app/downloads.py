@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spiral.app.desk import Desk
+from spiral.app.session import Session
 from spiral.app.study import Turn
 from spiral.app.viewer import Viewer
 from spiral.io.storage import own_file, run_folder
@@ -21,14 +21,14 @@ REPORT = "report.html"
 _TRACKED = re.compile(r"experiments/\w+/runs/\w+", re.ASCII)
 
 
-def routes(web: FastAPI, desk: Desk, viewer: Viewer) -> None:
+def routes(web: FastAPI, session: Session, viewer: Viewer) -> None:
     """Add the addresses of files to the application."""
     from fastapi.responses import FileResponse, PlainTextResponse, RedirectResponse
 
     @web.get("/take/{ident}/{serial}/{name}")
     async def _take(ident: str, serial: int, name: str) -> Any:
         try:
-            file = await asyncio.to_thread(written, desk, ident, serial, name)
+            file = await asyncio.to_thread(written, session, ident, serial, name)
         except SpiralError as error:
             return PlainTextResponse(str(error), status_code=404)
         return FileResponse(file, filename=f"{file.parent.name}-{name}")
@@ -36,66 +36,66 @@ def routes(web: FastAPI, desk: Desk, viewer: Viewer) -> None:
     @web.get("/mlflow/{ident}/{serial}")
     async def _mlflow(ident: str, serial: int) -> Any:
         try:
-            turn = _saved(desk, ident, serial)
+            turn = _saved(session, ident, serial)
             if not _TRACKED.fullmatch(turn.tracked):
                 raise ConfigError(f"turn {serial}", "a turn that MLflow knows of", "wait a moment")
-            store = Tracking().where(desk.out)  # never one that a file of the study names
+            store = Tracking().where(session.out)  # never one that a file of the study names
             address = await asyncio.to_thread(viewer.address, store, turn.tracked)
         except SpiralError as error:
             return PlainTextResponse(str(error), status_code=404)
         return RedirectResponse(address)
 
 
-def written(desk: Desk, ident: str, serial: int, name: str) -> Path:
+def written(session: Session, ident: str, serial: int, name: str) -> Path:
     """A turn's report, model or numbers as a file in the folder of its run.
 
     Raises
     ------
     ConfigError : no such study, turn or file, or a turn that is not saved yet.
     """
-    turn = _saved(desk, ident, serial)
+    turn = _saved(session, ident, serial)
     makers = {REPORT: _report, "model.tex": _latex, "model.txt": _equation, "run.json": None}
     if name not in makers:
         raise ConfigError(f"file {name}", f"one of {', '.join(makers)}")
-    file = own_file(run_folder(desk.out, turn.run_id), name)
+    file = own_file(run_folder(session.out, turn.run_id), name)
     make = makers[name]
     if make is not None and not file.is_file():
-        from spiral.io.storage import write_whole
+        from spiral.io.writing import write_whole
 
-        write_whole(file, make(desk, turn))
+        write_whole(file, make(session, turn))
     return file
 
 
-def _saved(desk: Desk, ident: str, serial: int) -> Turn:
-    turn = desk.scene(ident).study.turn_of(serial)
+def _saved(session: Session, ident: str, serial: int) -> Turn:
+    turn = session.scene(ident).study.turn_of(serial)
     if turn is None or not turn.run_id:
         raise ConfigError(f"turn {serial}", "a turn that is saved", "wait a moment")
     return turn
 
 
-def _report(desk: Desk, turn: Turn) -> str:
+def _report(session: Session, turn: Turn) -> str:
     from spiral.io.curves import read_curves
     from spiral.io.storage import load_run
     from spiral.view.report.page import page
 
-    saved = load_run(turn.run_id, desk.out)
+    saved = load_run(turn.run_id, session.out)
     return page(saved.data, read_curves(saved.file.parent))[0]
 
 
-def _latex(desk: Desk, turn: Turn) -> str:
+def _latex(session: Session, turn: Turn) -> str:
     from spiral.io.export import latex
 
-    return latex(_model(desk, turn)) + "\n"
+    return latex(_model(session, turn)) + "\n"
 
 
-def _equation(desk: Desk, turn: Turn) -> str:
+def _equation(session: Session, turn: Turn) -> str:
     from spiral.io.export import equation
 
-    return equation(_model(desk, turn)) + "\n"
+    return equation(_model(session, turn)) + "\n"
 
 
-def _model(desk: Desk, turn: Turn) -> Any:
+def _model(session: Session, turn: Turn) -> Any:
     from spiral.io.registry import load_registry
     from spiral.io.storage import load_run
 
-    return load_run(turn.run_id, desk.out).model(load_registry(desk.plugins))
+    return load_run(turn.run_id, session.out).model(load_registry(session.plugins))

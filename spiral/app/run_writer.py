@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from spiral.app.bench import FIGURES, STATE, Order, Tell, draw
+from spiral.app.fit_worker import FIGURES, STATE, Order, Tell, draw
 from spiral.app.study import turn_place
 from spiral.inference.problem import Problem
 from spiral.inference.rounds import Checkpoint, concluded
@@ -25,7 +25,7 @@ _BY_HAND = "The effects were added by hand."
 
 
 @dataclass
-class Scribe:
+class RunWriter:
     """What the process keeps between two orders: the records of the study last written down."""
 
     out: Path

@@ -35,7 +35,7 @@ from spiral.inference.unknown.holding import having, holding
 from spiral.io.checkpoint import read_checkpoint, write_checkpoint
 from spiral.io.curves import FINAL, Curves, beside, free_curves, read_curves, write_curves
 from spiral.io.registry import Registry
-from spiral.io.storage import finite, to_json, write_whole
+from spiral.io.writing import finite, to_json, write_whole
 from spiral.types.run import Round, Run
 
 Tell = Callable[[str, Mapping[str, Any]], None]
@@ -49,7 +49,7 @@ STATE, KEYS, FREE, FIGURES = "checkpoint.json", "keys.json", "free", "figures"
 
 
 @dataclass
-class Bench:
+class FitWorker:
     """What one process keeps between two orders: the study last worked on."""
 
     out: Path
@@ -63,11 +63,11 @@ class Bench:
     standing: dict[int, tuple[Checkpoint, Step]] = field(default_factory=dict)
     tried: dict[tuple[int, str], Checkpoint] = field(default_factory=dict)
 
-    def peek(self, order: Order) -> None:
+    def describe_file(self, order: Order) -> None:
         """What is in a file: its columns, their first numbers, and a picture of them."""
-        from spiral.app import peek
+        from spiral.app import file_preview
 
-        peek.peek(order, self.tell)
+        file_preview.describe_file(order, self.tell)
 
     def check(self, order: Order) -> None:
         """What a mapping makes of a file; the records are kept for the study that may follow."""

@@ -1,6 +1,6 @@
 """A file on its way to a study: what is in it, and which column is what.
 
-A draft lies in ``OUT/studies/uploads/ID`` beside its file, so that a reload finds it.
+A setup lies in ``OUT/studies/uploads/ID`` beside its file, so that a reload finds it.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from spiral.app.study import FOLDER, UPLOADS, typed
-from spiral.io.storage import new_run_id, own_file, to_json, write_whole
+from spiral.io.storage import new_run_id, own_file
+from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError
 
-FILE = "draft.json"
+FILE = "setup.json"
 _ID = re.compile(r"[0-9a-f-]{8,40}")
 _TIMES = ("time", "t", "seconds", "zeit", "clock")
 _NAMED = {"rpm": "rpm", "hz": "Hz", "um": "um", "µm": "um", "mm": "mm", "ms": "ms", "mv": "mV"}
@@ -36,7 +37,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Draft:
+class RecordSetup:
     """A file, its columns once it has been read, and what was chosen so far.
 
     ``systems`` describes the systems there are; ``seen`` what the last look at the mapped record
@@ -60,23 +61,23 @@ class Draft:
 
 
 def place(out: Path, ident: str) -> Path:
-    """The folder of a draft.
+    """The folder of a setup.
 
     Raises
     ------
-    ConfigError : no name that a draft may have.
+    ConfigError : no name that a setup may have.
     """
     if not _ID.fullmatch(ident):
         raise ConfigError(f"file {ident[:60]!r}", "a file that was dropped", "drop it again")
     return out / FOLDER / UPLOADS / ident
 
 
-def begun(out: Path, name: str) -> Draft:
-    """A draft with a folder for its file, which is not there yet."""
+def begun(out: Path, name: str) -> RecordSetup:
+    """A setup with a folder for its file, which is not there yet."""
     ident = new_run_id()
     folder = place(out, ident)
     folder.mkdir(parents=True)
-    return Draft(ident, name, str(folder / safe(name)))
+    return RecordSetup(ident, name, str(folder / safe(name)))
 
 
 def safe(name: str) -> str:
@@ -86,21 +87,21 @@ def safe(name: str) -> str:
     return cleaned or "record"
 
 
-def save(out: Path, draft: Draft) -> None:
-    """Write the draft over what was there."""
-    write_whole(place(out, draft.ident) / FILE, to_json(asdict(draft)))
+def save(out: Path, setup: RecordSetup) -> None:
+    """Write the setup over what was there."""
+    write_whole(place(out, setup.ident) / FILE, to_json(asdict(setup)))
 
 
-def load(out: Path, ident: str) -> Draft:
-    """A draft from disk.
+def load(out: Path, ident: str) -> RecordSetup:
+    """A setup from disk.
 
     Raises
     ------
-    ConfigError : no such draft.
+    ConfigError : no such setup.
     """
     try:
         data = json.loads(own_file(place(out, ident), FILE).read_text(encoding="utf-8"))
-        return typed().structure({**data, "ident": ident}, Draft)
+        return typed().structure({**data, "ident": ident}, RecordSetup)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ConfigError(f"file {ident}", "one that was dropped here", "drop it again") from error
 
@@ -166,9 +167,9 @@ def unit_in(name: str) -> str:
     return _NAMED.get(last, "")
 
 
-def lacking(draft: Draft) -> list[str]:
+def lacking(setup: RecordSetup) -> list[str]:
     """What still has to be chosen, in words."""
-    system, choice = draft.system(), draft.choice
+    system, choice = setup.system(), setup.choice
     if system is None:
         return ["a system"]
     needed = [s["name"] for s in system["channels"]]
@@ -179,12 +180,12 @@ def lacking(draft: Draft) -> list[str]:
     return found
 
 
-def overrides(draft: Draft) -> tuple[str, ...]:
+def overrides(setup: RecordSetup) -> tuple[str, ...]:
     """What the command line would be told."""
-    choice, system = draft.choice, draft.system()
+    choice, system = setup.choice, setup.system()
     assert system is not None
     channels = {s["name"] for s in system["channels"]}
-    given = [f"system={choice.system}", "record=file", f"record.path={quoted(draft.path)}"]
+    given = [f"system={choice.system}", "record=file", f"record.path={quoted(setup.path)}"]
     if choice.time:
         given.append(f"record.time={quoted(choice.time)}")
     else:

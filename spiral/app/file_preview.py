@@ -10,7 +10,7 @@ import numpy as np
 
 from spiral.io.readers.files import Table
 from spiral.io.readers.readers import read_table
-from spiral.io.storage import finite, write_whole
+from spiral.io.writing import finite, write_whole
 from spiral.types.errors import InputError
 
 PICTURE = "columns.json"
@@ -19,7 +19,7 @@ _FIRST = 3  # numbers that are shown of each
 _MOST = 200  # columns that are listed
 
 
-def peek(order: Mapping[str, Any], tell: Callable[[str, Mapping[str, Any]], None]) -> None:
+def describe_file(order: Mapping[str, Any], tell: Callable[[str, Mapping[str, Any]], None]) -> None:
     """Read a file, tell its columns and the systems there are, and draw it.
 
     Raises

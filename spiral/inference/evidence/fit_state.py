@@ -27,7 +27,7 @@ Masks = tuple[Array | None, ...]
 
 
 @dataclass(frozen=True)
-class Standing:
+class FitState:
     """Where a study stands: active effects (compiled labels), values, shapes set free.
 
     ``held`` are amplitudes of active effects that stay at zero, not admitted themselves;
@@ -69,13 +69,13 @@ def stage_lengths(assembly: Assembly) -> list[int]:
     return lengths_for(assembly.study, block_length(shortest))
 
 
-def begin(assembly: Assembly, labels: tuple[str, ...]) -> Standing:
+def begin(assembly: Assembly, labels: tuple[str, ...]) -> FitState:
     """The first standing: unknown values from the balance of forces.
 
     Several smoothing windows are tried; the one whose shortest-window fit promises the smallest
     error after one step is kept.
     """
-    known = Standing(labels, first_row(assembly))
+    known = FitState(labels, first_row(assembly))
     keys = known.keys(assembly)
     unknown = unknown_keys(assembly, keys)
     study, model = assembly.study, assembly.problem.model
@@ -96,13 +96,13 @@ def begin(assembly: Assembly, labels: tuple[str, ...]) -> Standing:
         reduction = reduce(study, layouts, point, moving)
         promised = float(reduction.triangle[-1, -1] ** 2) if reduction.finite else np.inf
         if promised < lowest:
-            best, lowest = Standing(labels, values), promised
+            best, lowest = FitState(labels, values), promised
     return best
 
 
 def grown(
     assembly: Assembly,
-    standing: Standing,
+    standing: FitState,
     masks: Masks,
     lengths: list[int] | None = None,
     patient: bool = False,

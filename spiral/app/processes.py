@@ -145,16 +145,16 @@ def _worker(kind: str, out: Path, tell: Any) -> Any:
     from spiral.io.registry import load_registry
 
     load_registry(local=False)  # local plugins are run when an order asks for them
-    if kind == "scribe":
+    if kind == "writer":
         os.nice(10)  # the page waits for the other one
-        from spiral.app.scribe import Scribe
+        from spiral.app.run_writer import RunWriter
 
-        return Scribe(out, tell)
+        return RunWriter(out, tell)
     import spiral.engine.filter.kernel
     import spiral.engine.kernel  # noqa: F401  (compiled, or read from the cache, before a click)
-    from spiral.app.bench import Bench
+    from spiral.app.fit_worker import FitWorker
 
-    return Bench(out, tell)
+    return FitWorker(out, tell)
 
 
 def _without(out: str, error: Mapping[str, str]) -> dict[str, str]:

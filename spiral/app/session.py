@@ -1,6 +1,6 @@
-"""What the page knows and may ask. One desk serves all tabs: what one changes, all see.
+"""What the page knows and may ask. One session serves all tabs: what one changes, all see.
 
-The desk alone writes ``study.json``. Orders go to the processes of ``crew``; their events change
+The session alone writes ``study.json``. Orders go to the processes of ``crew``; their events change
 the study here, and every change has a number by which a tab sees that it is behind.
 """
 
@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from spiral.app import study as kept
-from spiral.app.crew import Event, Process
-from spiral.app.draft import quoted
-from spiral.app.intake import DOES, Intake
+from spiral.app.file_setup import DOES, FileSetup
 from spiral.app.panels import words
+from spiral.app.processes import Event, Process
+from spiral.app.record_setup import quoted
 from spiral.app.study import LEARNED, Study, Turn
 from spiral.io.registry import local_sources
 from spiral.io.tracking.store import URI_VARIABLE
@@ -63,7 +63,7 @@ class Scene:
     windows: int = 0
 
 
-class Desk:
+class Session:
     """All studies of one folder of runs, and the processes that work on them."""
 
     def __init__(self, out: Path, plugins: str | None = None) -> None:
@@ -78,14 +78,14 @@ class Desk:
             "rank": _FIRST,
             "preview": _AGAIN,
         }
-        self._bench = Process("bench", out, self._on_bench)
-        self.intake = Intake(out, lambda order: self._bench.give(order), plugins, self._lock)
-        self._scribe = Process("scribe", out, self._on_scribe)
+        self._fits = Process("fits", out, self._on_fits)
+        self.file_setup = FileSetup(out, lambda order: self._fits.give(order), plugins, self._lock)
+        self._writer = Process("writer", out, self._on_writer)
 
     def close(self) -> None:
         """End the processes."""
-        self._bench.close()
-        self._scribe.close()
+        self._fits.close()
+        self._writer.close()
 
     # --- what is there ---------------------------------------------------------------------------
 
@@ -217,7 +217,7 @@ class Desk:
 
     def cancel(self, ident: str) -> None:
         """End what is under way; the study stays as it was before."""
-        self._bench.cancel(ident)
+        self._fits.cancel(ident)
 
     # --- how it is done --------------------------------------------------------------------------
 
@@ -236,7 +236,7 @@ class Desk:
         study = replace(scene.study, serials=serial + 1, trouble=None)
         self._put(replace(scene, study=study, contrast=(),
                           busy=Busy(what, serial, expected=self._expected[do])))  # fmt: skip
-        self._bench.give({**self._order(study, do, serial), **more})
+        self._fits.give({**self._order(study, do, serial), **more})
 
     def _try(self, scene: Scene, effect: str, serial: int) -> None:
         self._ask(scene, "preview", f"Trying {words(effect)} on the test record",
@@ -253,9 +253,9 @@ class Desk:
             kept.save(self.out, scene.study)
         return scene
 
-    def _on_bench(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+    def _on_fits(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
         if order["do"] in DOES:
-            self.intake.on_event(order, kind, data)
+            self.file_setup.on_event(order, kind, data)
             return
         with self._lock:
             scene = self.scene(order["study"])
@@ -318,7 +318,7 @@ class Desk:
     def _write(self, ident: str, serial: int) -> None:
         scene = self.scene(ident)
         self._put(replace(scene, writing=(*scene.writing, serial)), save=False)
-        self._scribe.give(self._order(scene.study, "write", serial))
+        self._writer.give(self._order(scene.study, "write", serial))
 
     def _catch_up(self, ident: str) -> None:
         """Write down the turns that the program did not come to before it ended."""
@@ -326,7 +326,7 @@ class Desk:
             if turn.candidates is not None and not turn.run_id:
                 self._write(ident, turn.serial)
 
-    def _on_scribe(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+    def _on_writer(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
         with self._lock:
             scene = self.scene(order["study"])
             serial = order["serial"]

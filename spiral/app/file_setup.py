@@ -1,0 +1,135 @@
+"""Files on their way to a study: read and looked at by the process of the fits, kept as setups."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from spiral.app import record_setup as kept
+from spiral.app.processes import Event
+from spiral.app.record_setup import Choice, RecordSetup
+from spiral.io.readers.files import find_file
+from spiral.types.errors import ConfigError
+
+Give = Callable[[Mapping[str, Any]], None]
+DOES = ("describe_file", "check")
+
+
+@dataclass(frozen=True)
+class OpenFile:
+    """A setup with what is under way for it; ``version`` grows with every change."""
+
+    setup: RecordSetup
+    version: int = 0
+    busy: str = ""
+    asked: int = 0
+
+
+class FileSetup:
+    """All setups of one folder of runs."""
+
+    def __init__(self, out: Path, give: Give, plugins: str | None, lock: threading.RLock) -> None:
+        self._out, self._give, self._plugins, self._lock = out, give, plugins, lock
+        self._open: dict[str, OpenFile] = {}
+
+    def begin(self, name: str) -> RecordSetup:
+        """Room for a file of this name."""
+        return kept.begun(self._out, name)
+
+    def forget(self, setup: RecordSetup) -> None:
+        """The room of a file that did not arrive."""
+        shutil.rmtree(kept.place(self._out, setup.ident), ignore_errors=True)
+
+    def arrived(self, setup: RecordSetup) -> None:
+        """The file is there: read it."""
+        with self._lock:
+            kept.save(self._out, setup)
+            self._open[setup.ident] = OpenFile(setup, busy="Reading the file")
+            folder = str(kept.place(self._out, setup.ident))
+            self._give(
+                {**self._order(setup, "describe_file"), "path": setup.path, "folder": folder}
+            )
+
+    def there(self, path: str) -> str:
+        """A file on this machine, read where it lies; returns the setup's name.
+
+        Raises
+        ------
+        InputError : no such file.
+        """
+        file = find_file(path.strip()).resolve()
+        setup = replace(kept.begun(self._out, file.name), path=str(file))
+        self.arrived(setup)
+        return setup.ident
+
+    def look(self, ident: str) -> OpenFile:
+        """A setup as it is now.
+
+        Raises
+        ------
+        ConfigError : no such setup.
+        """
+        with self._lock:
+            if ident not in self._open:
+                self._open[ident] = OpenFile(kept.load(self._out, ident))
+            return self._open[ident]
+
+    def choose(self, ident: str, choice: Choice) -> None:
+        """Another mapping; where it is complete, it is looked at with the record's own eyes."""
+        with self._lock:
+            opened = self.look(ident)
+            if choice.system != opened.setup.choice.system:
+                system = next(s for s in opened.setup.systems if s["name"] == choice.system)
+                choice = replace(kept.guessed(opened.setup.columns, system), more=choice.more)
+            setup = replace(opened.setup, choice=choice, seen=(), trouble=None)
+            complete = not kept.lacking(setup)
+            asked = opened.asked + 1
+            self._put(replace(opened, setup=setup, asked=asked,
+                              busy="Reading with this mapping" if complete else ""))  # fmt: skip
+            if complete:
+                order = self._order(setup, "check")
+                self._give({**order, "overrides": list(kept.overrides(setup)), "asked": asked})
+
+    def question(self, ident: str) -> tuple[str, tuple[str, ...]]:
+        """Title and overrides of the study that a setup makes.
+
+        Raises
+        ------
+        ConfigError : a mapping that is not complete.
+        """
+        setup = self.look(ident).setup
+        lacking = kept.lacking(setup)
+        if lacking:
+            raise ConfigError(f"a mapping without {', '.join(lacking)}", "all of them chosen",
+                              "choose what is marked")  # fmt: skip
+        return setup.name, kept.overrides(setup)
+
+    def on_event(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+        """What the process told of a setup."""
+        with self._lock:
+            opened = self.look(str(order["study"]))
+            if order.get("asked", opened.asked) != opened.asked:
+                return  # the mapping has changed since
+            setup = opened.setup
+            if kind == "columns":
+                setup = replace(setup, **{**data, "columns": tuple(data["columns"]),
+                                          "systems": tuple(data["systems"])})  # fmt: skip
+            elif kind == "records":
+                setup = replace(setup, seen=tuple(data["records"]))
+            elif kind == "failed":
+                setup = replace(setup, trouble=dict(data))
+            elif kind not in ("done", "cancelled"):
+                return
+            busy = "" if kind in ("done", "failed", "cancelled") else opened.busy
+            self._put(replace(opened, setup=setup, busy=busy))
+
+    def _order(self, setup: RecordSetup, do: str) -> dict[str, Any]:
+        return {"do": do, "study": setup.ident, "plugins": self._plugins, "overrides": []}
+
+    def _put(self, opened: OpenFile) -> None:
+        self._open[opened.setup.ident] = replace(opened, version=opened.version + 1)
+        kept.save(self._out, opened.setup)
