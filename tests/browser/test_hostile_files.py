@@ -98,7 +98,7 @@ def test_a_folder_of_studies_shows_its_texts_and_runs_none(watched, served, fore
               "horizon": 64, "channels": {evil: {"rmse": 1.0, "relative": 0.1}},
               "model": {"effects": {evil: {}}, "system": {}}}  # fmt: skip
     turn = Turn(
-        0, evil, result, (found,), (evil,), {evil: evil}, evil, evil, evil, evil,
+        0, evil, result, (found,), (evil,), {evil: evil}, evil, evil, evil, {}, evil,
         ({"left": evil, "terms": [{"owner": evil, "math": evil}]},),
         (("free_run", evil, evil),), True, "20200101-000000-abc", "", evil,
     )  # fmt: skip

@@ -41,7 +41,7 @@ def study(served, chromium, tmp_path_factory):
     file = tmp_path_factory.mktemp("steps") / "softening.csv"
     rows = softening(np.arange(SAMPLES) / RATE)
     np.savetxt(file, rows, "%.9g", delimiter=",", header="t,x,force", comments="")
-    page = chromium.new_page()
+    page = served.enter(chromium.new_page())
     page.set_default_timeout(120_000)
     page.goto(served.address)
     page.set_input_files("#drop-file", file)
@@ -132,7 +132,7 @@ def test_an_effect_that_was_let_go_is_no_part_of_the_model(tab, served, picture)
         more = {"admitted": names, "retired": list(retired), "model": model}
         return Turn(serial, added, {**errors, **more})
 
-    made = new_study(served.out, "let go", ("experiment=rotor_coastdown",), None)
+    made = new_study(served.out, "let go", ("experiment=rotor_coastdown",))
     turns = (turn(0, "", 0.5), turn(1, "cross_damping", 0.2),
              turn(2, "probe_turn", 0.1, ["cross_damping"]))  # fmt: skip
     save(served.out, replace(made, turns=turns, at=2, serials=3))
