@@ -60,12 +60,13 @@ def headline(study: Study) -> str:
     if not line:
         return '<p class="label">Free-run error on the test record</p><div class="number">…</div>'
     now, first = (line[i].result.get("test_error") for i in (-1, 0))
+    value = _shown(now) if now is not None else f'<span class="words">{_shown(now)}</span>'
     before = f"<small> from {percent(first)}</small>" if len(line) > 1 else ""
     floor = study.noise_floor
     noise = f" Noise alone makes {percent(floor)}." if floor is not None else ""
     return (
         '<p class="label">Free-run error on the test record</p>'
-        f'<div class="number" id="error-now">{_shown(now)}{before}</div>'
+        f'<div class="number" id="error-now">{value}{before}</div>'
         f'<p class="soft">Share of each channel\'s deviation; this record chose nothing.{noise}</p>'
     )
 

@@ -29,6 +29,7 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .soft {{ color:var(--soft); font-size:14.5px; line-height:1.5; margin:0; }}
 .number {{ font-size:46px; line-height:1.05; font-weight:700; color:var(--blue);
   font-variant-numeric:tabular-nums; }}
+.number .words {{ font-size:32px; white-space:nowrap; }}
 .number small {{ font-size:20px; white-space:nowrap; color:var(--soft); font-weight:500; }}
 .label {{ font-size:13.5px; color:var(--soft); margin:0 0 2px; }}
 .chips {{ display:flex; flex-wrap:wrap; gap:6px; margin-top:12px; }}
