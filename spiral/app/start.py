@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from html import escape
 
 from nicegui import ui
@@ -11,7 +12,8 @@ from spiral.app import frame, panels
 from spiral.app.drop_zone import drop_zone
 from spiral.app.session import Session
 from spiral.app.study import Study
-from spiral.types.errors import SpiralError
+from spiral.io.readers.files import find_file
+from spiral.types.errors import InputError, SpiralError
 from spiral.types.formatting import percent
 
 _LISTED = 12
@@ -30,15 +32,17 @@ def start_page(session: Session) -> None:
         )
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Begin with an embedded record</h2>", sanitize=False)
+            here = [p for p in presets() if p.lacks is None]
             with ui.element("div").classes("choices"):
-                for name, words in presets():
-                    _choice(session, name, words)
+                for preset in here:
+                    _choice(session, preset.name, preset.said)
+            _elsewhere([p for p in presets() if p.lacks is not None])
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Or bring your own measurements</h2>", sanitize=False)
             drop_zone()
             _path(session)
         frame.local_plugins(session)
-        known = session.studies()
+        known = sorted(session.studies(), key=lambda study: not study.line)  # failed ones last
         if known:
             with ui.element("section").classes("card"):
                 ui.html("<h2 class='head'>Go on with a study</h2>", sanitize=False)
@@ -64,7 +68,16 @@ def _path(session: Session) -> None:
         ui.button("Read", on_click=read).props("outline")
 
 
-def presets() -> list[tuple[str, str]]:
+@dataclass(frozen=True)
+class Preset:
+    """An embedded study: its name, what its file says, and the measured file that it lacks here."""
+
+    name: str
+    said: str
+    lacks: str | None = None
+
+
+def presets() -> list[Preset]:
     """The presets with the first sentence of what their files say of them; the demo's first.
 
     Those with evidence of another kind are left to the command line: the page adds by hand, and
@@ -72,16 +85,40 @@ def presets() -> list[tuple[str, str]]:
     """
     from importlib.resources import files
 
+    import yaml
+
     from spiral.io.config import PACKAGE, experiments
 
     found = []
     for name in sorted(experiments(), key=lambda n: (n != "rotor_coastdown", n)):
-        lines = (files(PACKAGE) / "experiment" / f"{name}.yaml").read_text("utf-8").splitlines()
+        text = (files(PACKAGE) / "experiment" / f"{name}.yaml").read_text("utf-8")
+        lines = text.splitlines()
         if any(re.match(r"strategy: *(?!shooting)", x) for x in lines):
             continue
         told = [x[1:].strip() for x in lines[1:] if x.startswith("#")]
-        found.append((name, " ".join(told).split(". ")[0].rstrip(".") + "."))
+        said = " ".join(told).split(". ")[0].rstrip(".") + "."
+        needed = (yaml.safe_load(text).get("record") or {}).get("path")
+        found.append(Preset(name, said, needed if needed and not _is_here(needed) else None))
     return found
+
+
+def _is_here(path: str) -> bool:
+    try:
+        find_file(path)
+    except InputError:
+        return False
+    return True
+
+
+def _elsewhere(absent: list[Preset]) -> None:
+    """Presets on measured data that is not on this machine, and how they come to run."""
+    if not absent:
+        return
+    names = ", ".join(f"{panels.words(p.name)} ({p.lacks})" for p in absent)
+    ui.label(
+        f"With measured data that is not on this machine: {names}. Set SPIRAL_DATA to the folder "
+        "that holds these files; experiments/NAME/README.md says where each comes from."
+    ).classes("soft").props["id"] = "absent"
 
 
 def _choice(session: Session, name: str, said: str) -> None:
