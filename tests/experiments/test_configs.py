@@ -60,6 +60,7 @@ def test_the_innovations_say_which_bearing(tmp_path):
     assert abs(fitted["estimate"] - 3.122e11) < 5 * fitted["se"] < 0.05 * 3.122e11
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not DATA or not (Path(DATA or ".") / "silverbox" / "SNLS80mV.csv").exists(),
     reason="silverbox/SNLS80mV.csv is not under SPIRAL_DATA",
