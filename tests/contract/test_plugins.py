@@ -19,7 +19,14 @@ REGISTRY = registry()
 EFFECTS = [e for e in REGISTRY.entries if e.kind in ("system", "effect")]
 
 
-@pytest.mark.parametrize("entry", EFFECTS, ids=[f"{e.kind}-{e.name}" for e in EFFECTS])
+def _param(entry):
+    """One of the learned curves, whose many coefficients are traced at length; the rest are slow."""
+    slow = entry.name.startswith("learned_") and entry.name != "learned_spring"
+    marks = (pytest.mark.slow,) if slow else ()
+    return pytest.param(entry, marks=marks, id=f"{entry.kind}-{entry.name}")
+
+
+@pytest.mark.parametrize("entry", [_param(e) for e in EFFECTS])
 def test_every_shipped_system_and_effect_passes(entry):
     checks = check_plugin(entry, REGISTRY)
     assert len(checks) >= 10

@@ -12,7 +12,10 @@ from spiral.types.effect import ForceEffect
 from tests.scenes import registry
 
 OWN = ("hidden_mode", "lag")  # with states of their own: longer studies
-QUICK = [c if c.effect not in OWN else pytest.param(c, marks=pytest.mark.slow) for c in CASES]
+QUICK = [  # every third; the others with the slow tests, and all of them in the benchmark
+    c if c.effect not in OWN and i % 3 == 0 else pytest.param(c, marks=pytest.mark.slow)
+    for i, c in enumerate(CASES)
+]
 
 
 @pytest.mark.parametrize("case", QUICK, ids=lambda c: c.effect)

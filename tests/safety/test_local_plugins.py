@@ -84,7 +84,7 @@ def test_what_is_named_is_what_is_run(folder):
 
 def test_the_page_names_them_without_running_them(folder, tmp_path, monkeypatch, trace):
     monkeypatch.setattr(sessions, "Process", lambda *given: None)
-    named = sessions.Desk(tmp_path).local_plugins()
+    named = sessions.Session(tmp_path).local_plugins()
     assert named == ("plugins/broken.py", "plugins/own.py")
-    assert sessions.Desk(tmp_path, NO_FOLDER).local_plugins() == ()
+    assert sessions.Session(tmp_path, NO_FOLDER).local_plugins() == ()
     assert not trace.exists()
