@@ -20,7 +20,7 @@ EFFECTS = [e for e in REGISTRY.entries if e.kind in ("system", "effect")]
 
 
 def _param(entry):
-    """One of the learned curves, whose many coefficients are traced at length; the rest are slow."""
+    """Of the learned curves, whose many coefficients take long to trace, one; the rest are slow."""
     slow = entry.name.startswith("learned_") and entry.name != "learned_spring"
     marks = (pytest.mark.slow,) if slow else ()
     return pytest.param(entry, marks=marks, id=f"{entry.kind}-{entry.name}")
