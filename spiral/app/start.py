@@ -32,11 +32,12 @@ def start_page(session: Session) -> None:
         )
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Begin with an embedded record</h2>", sanitize=False)
-            here = [p for p in presets() if p.lacks is None]
+            known_presets = presets()
+            here = [p for p in known_presets if p.lacks is None]
             with ui.element("div").classes("choices"):
                 for preset in here:
                     _choice(session, preset.name, preset.said)
-            _elsewhere([p for p in presets() if p.lacks is not None])
+            _elsewhere([p for p in known_presets if p.lacks is not None])
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Or bring your own measurements</h2>", sanitize=False)
             drop_zone()
