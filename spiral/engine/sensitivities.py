@@ -7,7 +7,6 @@ a rank-revealing step (a direction of the state that the window does not show is
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -26,11 +25,11 @@ from spiral.engine.elimination import (
 from spiral.engine.kernel import advance, drive, trajectories
 from spiral.engine.series import Series
 from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
+from spiral.engine.threads import THREADS
 from spiral.engine.windows import WindowLayout
 from spiral.types.record import Array
 
 _PIECE = 4096  # samples in memory at a time
-_THREADS = min(2, int(os.environ.get("NUMBA_NUM_THREADS", "2")))  # that share the windows
 _CURVATURE = 0.05  # rad per knot^2: expected second difference of a phase correction
 
 
@@ -198,9 +197,9 @@ def driven(study: CompiledStudy, record: int, states: Array, row: Array) -> Arra
 
 
 def _parallel(work, batches: list[_Batch]) -> list:
-    if len(batches) < 2 * _THREADS:
+    if len(batches) < 2 * THREADS:
         return [work(batch) for batch in batches]
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPoolExecutor(THREADS) as pool:
         return list(pool.map(work, batches))
 
 

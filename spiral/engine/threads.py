@@ -7,8 +7,12 @@ results then do not depend on how many threads a machine has.
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
+
+THREADS = min(2, int(os.environ.get("NUMBA_NUM_THREADS", "2")))
+"""Threads that share the windows or records of one step; no result depends on their number."""
 
 P = ParamSpec("P")
 R = TypeVar("R")

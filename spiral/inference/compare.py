@@ -134,7 +134,7 @@ def compared(
     names = problem.model.system.observed
     records = tuple(0 for _ in problem.records)
     own = run_free(assembly, full, records).errors(names)
-    other = _with_test(assembly, values)
+    other = with_test(assembly, values)
     run = None if other is None else _free(other, labels, values)
     channels = run.errors(names) if run is not None else own
     white = whiteness(left, problem.settings.lags)
@@ -150,7 +150,7 @@ def compared(
         horizon=int(full.length),
         converged=converged,
         notes=tuple(n for r in problem.records for n in r.notes),
-        noise_ratio=_noise_ratio(problem.records),
+        noise_ratio=stated_ratio(problem.records),
         unseen=() if other is None or run is None
         else unseen(assembly, other, model, labels, values, run),
     )  # fmt: skip
@@ -182,11 +182,11 @@ def predict(model: Model, records: tuple[Record, ...], settle: float | None = No
 
 def test_run(assembly: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun | None:
     """Free run on the test records, or nothing where there are none."""
-    other = _with_test(assembly, values)
+    other = with_test(assembly, values)
     return None if other is None else _free(other, labels, values)
 
 
-def _with_test(assembly: Assembly, values: np.ndarray) -> Assembly | None:
+def with_test(assembly: Assembly, values: np.ndarray) -> Assembly | None:
     """The study with the test records in place of the fitted ones, steps fine enough for them."""
     problem = assembly.problem
     if not problem.test:
@@ -198,13 +198,16 @@ def _with_test(assembly: Assembly, values: np.ndarray) -> Assembly | None:
 
 def _free(other: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun:
     """Free run on the records of a study that is at the test records."""
+    return free_run(other, labels, values, settling(other))
+
+
+def settling(other: Assembly) -> float:
+    """Seconds of each test record that fix its own nuisances."""
     settle = other.problem.settle
-    if settle is None:
-        settle = _SETTLE * min(r.samples * r.dt for r in other.problem.test)
-    return free_run(other, labels, values, settle)
+    return _SETTLE * min(r.samples * r.dt for r in other.problem.test) if settle is None else settle
 
 
-def _noise_ratio(records: tuple[Record, ...]) -> float | None:
+def stated_ratio(records: tuple[Record, ...]) -> float | None:
     """Noise that the records show without a model over what they declare, rms over channels."""
     ratios = [
         estimate_noise(r.channels[name]) / declared

@@ -110,3 +110,4 @@ class Problem:
     published: Published | None = None
     dictionary: tuple[Effect, ...] = ()
     innovation: tuple[Gate, ...] | None = None
+    likelihood: bool = False

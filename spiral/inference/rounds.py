@@ -14,6 +14,7 @@ from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.problem import Problem, Progress, Settings
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
 from spiral.inference.strategies.innovation import INNOVATION
+from spiral.inference.strategies.likelihood import LIKELIHOOD
 from spiral.inference.strategies.paper import PAPER
 from spiral.inference.strategies.shooting import SHOOTING
 from spiral.inference.verdict import advice_for, missing, study_verdict, summary
@@ -35,6 +36,8 @@ def strategy_for(problem: Problem) -> Strategy:
     """The kind of evidence that a problem asks for."""
     if problem.published is not None:
         return PAPER
+    if problem.likelihood:
+        return LIKELIHOOD
     return SHOOTING if problem.innovation is None else INNOVATION
 
 

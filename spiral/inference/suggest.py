@@ -16,7 +16,7 @@ from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.farstart import from_afar
 from spiral.inference.evidence.fit_state import FitState, Masks, grown
 from spiral.inference.evidence.judge import held_out
-from spiral.inference.evidence.scoring import Evidence, Ranked, score_stage
+from spiral.inference.evidence.scoring import Evidence, Ranked, Ranking, score_stage
 from spiral.inference.problem import Progress, Settings, silent
 from spiral.types.effect import SensorEffect
 from spiral.types.run import Suggestion
@@ -260,7 +260,7 @@ def listed(
 
 
 def by_evidence(
-    evidence: Evidence, chosen: Admitted | None, aliases: tuple[str, ...]
+    evidence: Ranking, chosen: Admitted | None, aliases: tuple[str, ...]
 ) -> tuple[Suggestion, ...]:
     """All candidates as suggestions in one order: by ``net``, on the same windows for all.
 

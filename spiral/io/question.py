@@ -20,7 +20,7 @@ from spiral.types.model import Model
 from spiral.types.placement import check_effect
 from spiral.types.record import Record, split_off_test
 
-STRATEGIES = ("shooting", "paper", "innovation")
+STRATEGIES = ("shooting", "paper", "innovation", "likelihood")
 USED_BY = {
     "gate": ("paper", "innovation"),
     "learner": ("paper",),
@@ -63,7 +63,10 @@ def check_used(section: str, strategy: str, given: str) -> None:
 
 
 def candidates_for(
-    registry: Registry, model: Model, named: Sequence[str | Effect] | None
+    registry: Registry,
+    model: Model,
+    named: Sequence[str | Effect] | None,
+    everywhere: bool = False,
 ) -> tuple[Effect, ...]:
     """Effects that may be missing: those named, or all that fit, less those of the model.
 
@@ -72,7 +75,7 @@ def candidates_for(
     ConfigError : an effect that does not fit the system.
     """
     if named is None:
-        found = registry.candidates(model.system)
+        found = registry.candidates(model.system, everywhere)
     else:
         found = tuple(
             registry.effect_from_label(e) if isinstance(e, str) else e for e in dict.fromkeys(named)
@@ -131,11 +134,13 @@ def put(
     check_strategy(strategy)
     if settle is not None and not (isinstance(settle, int | float) and settle >= 0):
         raise ConfigError(f"test.settle={settle!r}", "seconds, zero or above")
-    asked = () if strategy == "paper" else candidates_for(registry, model, candidates)
+    everywhere = strategy == "likelihood"
+    asked = () if strategy == "paper" else candidates_for(registry, model, candidates, everywhere)
     fitted, kept = split(records, test, holdout)
     problem = Problem(model, fitted, kept, settle, asked, settings or Settings())
-    if strategy == "shooting":
-        return replace(problem, dictionary=registry.dictionary(model.system))
+    if strategy in ("shooting", "likelihood"):
+        problem = replace(problem, dictionary=registry.dictionary(model.system))
+        return replace(problem, likelihood=strategy == "likelihood")
     chosen = gates if gates is not None else gate_fields(None, registry, strategy)
     if strategy == "innovation":
         return replace(problem, innovation=gate_chain(chosen, registry))

@@ -148,8 +148,8 @@ class Registry:
             given["port"] = port
         return self.make("effect", name, given)
 
-    def candidates(self, system: System) -> tuple[Effect, ...]:
-        """Every effect with a physical name that fits the system's first port."""
+    def candidates(self, system: System, everywhere: bool = False) -> tuple[Effect, ...]:
+        """Every effect with a physical name that fits the system's first port, or any of them."""
         from spiral.types.effect import FlowEffect, ForceEffect, SensorEffect
         from spiral.types.placement import check_effect
         from spiral.types.units import units_fit
@@ -159,13 +159,14 @@ class Registry:
             plugin = self.entry("effect", name).plugin
             if not issubclass(plugin, ForceEffect | SensorEffect | FlowEffect) or plugin.bare:
                 continue
-            effect = plugin()
-            try:
-                check_effect(system, effect)
-            except ConfigError:
-                continue
-            if units_fit(system, effect):
-                found.append(effect)
+            others = system.ports[1:] if everywhere and issubclass(plugin, ForceEffect) else ()
+            for effect in (plugin(), *(plugin(port=port.name) for port in others)):
+                try:
+                    check_effect(system, effect)
+                except ConfigError:
+                    continue
+                if units_fit(system, effect):
+                    found.append(effect)
         return tuple(found)
 
     def dictionary(self, system: System) -> tuple[Effect, ...]:

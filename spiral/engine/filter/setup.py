@@ -103,9 +103,14 @@ def chosen_levels(
     return {k: float(v) for k, v in levels.items()}
 
 
-def smoothed(task: Task, levels: Mapping[str, float] | None = None) -> Array:
+def smoothed(
+    task: Task,
+    levels: Mapping[str, float] | None = None,
+    track: tuple[str, ...] | None = None,
+    doubt: Mapping[str, float] | None = None,
+) -> Array:
     """Smoothed states and tracked parameters (samples, N); the process noise given or tuned."""
-    task, settings = prepared(task)
+    task, settings = prepared(task, track, doubt)
     levels = chosen_levels(task, settings, levels)
     found = filtered(task, with_level(task, settings, levels), keep=True)
     if found.done == task.series.samples:

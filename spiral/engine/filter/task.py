@@ -119,11 +119,16 @@ def task_with(
     start: Array | None = None,
     inputs: Array | None = None,
     substeps: int | None = None,
+    series: Series | None = None,
 ) -> Task:
-    """A task of functions compiled elsewhere: of the model, or of one with more effects."""
-    if substeps is None:
-        substeps = enough_substeps(compiled, values, prepare(model.system, record, 1))
-    series = prepare(model.system, record, substeps)
+    """A task of functions compiled elsewhere: of the model, or of one with more effects.
+
+    ``series`` is the record where it is prepared already.
+    """
+    if series is None:
+        if substeps is None:
+            substeps = enough_substeps(compiled, values, prepare(model.system, record, 1))
+        series = prepare(model.system, record, substeps)
     mapping = static_map(compiled.traced, values)
     grid = series.inputs if inputs is None else inputs
     centre, scales, rates = _settled(compiled, series, grid, values, mapping)

@@ -28,6 +28,8 @@ from spiral.types.parameter import Parameter
 from spiral.types.port import Port
 from spiral.types.record import Array, Record
 
+NO_NUMBER = "it is no number (0/0, overflow) along these records"
+
 
 @dataclass(frozen=True)
 class Variant:
@@ -55,7 +57,8 @@ class Assembly:
     """One compiled study with what it was made from.
 
     ``left_out`` are candidates that these records cannot be asked about, and why; ``regression``
-    is what ``strategy=paper`` keeps with it: differentiated samples and equations.
+    is what ``strategy=paper`` keeps with it: differentiated samples and equations. ``offered`` are
+    variants of candidates that are not compiled: they are scored by their signatures.
     """
 
     problem: Problem
@@ -63,6 +66,7 @@ class Assembly:
     variants: tuple[Variant, ...]
     regression: Any = None
     left_out: Mapping[str, str] = field(default_factory=dict)
+    offered: tuple[Variant, ...] = ()
 
     @property
     def later(self) -> tuple[Effect, ...]:
@@ -82,6 +86,23 @@ def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()
     the records are left out, by name: compiled in with the others they would make no numbers of
     all.
     """
+    variants, left_out, states = offers(problem)
+    variants += more
+    assembly = compiled_with(problem, variants, substeps)
+    undefined = _undefined(assembly, states)
+    if undefined:
+        left_out |= dict.fromkeys(undefined, NO_NUMBER)
+        kept = [v for v in variants if v.original.label not in undefined]
+        assembly = compiled_with(problem, kept, substeps)
+    return replace(assembly, left_out=left_out)
+
+
+def offers(
+    problem: Problem,
+) -> tuple[list[Variant], dict[str, str], Sequence[Array]]:
+    """Variants of the candidates without states of their own; those left out and why; the states
+    that the records visit.
+    """
     now = [c for c in problem.candidates if not c.states]
     states = visited(problem.model, problem.records) if now else ()
     largest = extremes(problem.model.system, problem.records, states) if now else {}
@@ -92,17 +113,11 @@ def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()
         variants += found
         if not found:
             left_out[candidate.label] = _unaskable(problem.model, candidate, largest)
-    variants += more
-    assembly = _compiled(problem, variants, substeps)
-    undefined = _undefined(assembly, states)
-    if undefined:
-        left_out |= dict.fromkeys(undefined, "it is no number (0/0, overflow) along these records")
-        kept = [v for v in variants if v.original.label not in undefined]
-        assembly = _compiled(problem, kept, substeps)
-    return replace(assembly, left_out=left_out)
+    return variants, left_out, states
 
 
-def _compiled(problem: Problem, variants: Sequence[Variant], substeps: int) -> Assembly:
+def compiled_with(problem: Problem, variants: Sequence[Variant], substeps: int) -> Assembly:
+    """One compiled study of the problem's model and these variants."""
     model = problem.model
     effects = [*model.effects]
     shifts = [0.0] * len(effects)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.growth import Stage, first_starts, grow, layouts_for, lengths_for
+from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.sensitivities import reduce
 from spiral.engine.start import SMOOTHING, balance, first_values
 from spiral.engine.study import Point
@@ -33,7 +34,8 @@ class FitState:
     ``held`` are amplitudes of active effects that stay at zero, not admitted themselves;
     ``shortest`` the shortest windows of later fits: those on which an effect was found from afar,
     or one with own states, which short windows would begin anew too often. ``free_from`` is the
-    longest windows on which shapes were set free.
+    longest windows on which shapes were set free. ``noise`` is what acts at random, and
+    ``substeps`` the integration steps per sample, where the evidence is a likelihood.
     """
 
     labels: tuple[str, ...]
@@ -43,6 +45,8 @@ class FitState:
     held: tuple[str, ...] = ()
     shortest: int = 0
     free_from: int = 0
+    noise: NoiseModel | None = None
+    substeps: int = 1
 
     def keys(self, assembly: Assembly) -> tuple[str, ...]:
         """Parameters that a fit of this standing moves."""

@@ -18,6 +18,7 @@ samples where that is less than two; and the free run, which starts once and mea
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,7 @@ from spiral.engine.filter.noise import intensity, sampled
 from spiral.engine.filter.setup import chosen_levels, prepared
 from spiral.engine.filter.task import Task, task_with
 from spiral.engine.kernel import trajectories
+from spiral.engine.series import Series
 from spiral.inference.evidence.assembly import ORIGIN, Assembly, nuisance_keys
 from spiral.inference.evidence.judge import FreeRun
 from spiral.types.horizon import Horizon
@@ -55,6 +57,10 @@ class Disturbed:
     tracked: tuple[str, ...]
 
 
+Forecaster = Callable[[Task, int, int], tuple[Array, Array]]
+"""(task, first sample, samples ahead) -> what predictions miss, as ``forecast`` gives it."""
+
+
 def unseen(
     fitted: Assembly, test: Assembly, model: Model, labels: tuple[str, ...], values: Array,
     run: FreeRun,
@@ -69,12 +75,23 @@ def unseen(
     run : the free run over the test records, with each record's own values.
     """
     disturbed = process_noise(fitted, model, labels, values)
+
+    def forecaster(task: Task, first: int, steps: int) -> tuple[Array, Array]:
+        return forecast(task, disturbed, first, steps)
+
+    return at_horizons(test, model, run, forecaster)
+
+
+def at_horizons(
+    test: Assembly, model: Model, run: FreeRun, forecaster: Forecaster
+) -> tuple[Horizon, ...]:
+    """Errors of a free run, and of what a filter forecasts, on the records of a study."""
     seconds = _seconds(test, run)
     misses: dict[str, list[Array]] = {"one_sample": [], "ahead": [], "free_run": []}
     for r, series in enumerate(test.study.series):
         first, steps = run.settled[r], round(seconds / series.dt)
         task = task_for(test, model, run.values[r], series.record, series.substeps)
-        one, ahead = forecast(task, disturbed, first, steps)
+        one, ahead = forecaster(task, first, steps)
         misses["one_sample"].append(one)
         misses["ahead"].append(ahead)
         misses["free_run"].append((run.predicted[r] - run.measured[r])[first:])
@@ -99,12 +116,12 @@ def process_noise(
     """The most likely process noise of a model on the part of its records that moves most."""
     known = dict(model.pairs)
     tracked = tuple(k for k in nuisance_keys(fitted, labels) if k in known)
-    r, start, stop = _liveliest(fitted)
+    r, start, stop = liveliest(fitted.study.series)
     series = fitted.study.series[r]
     record = series.record.part(start, stop, series.record.name)
     record = replace(record, noise=series.record.sigma())
     task = task_for(fitted, model, values[r], record, series.substeps)
-    task, settings = prepared(task, tracked, _doubts(tracked))
+    task, settings = prepared(task, tracked, doubts(tracked))
     levels = chosen_levels(task, settings, None)
     return Disturbed(intensity(task, levels), settings.covariance, tracked)
 
@@ -124,7 +141,7 @@ def forecast(task: Task, disturbed: Disturbed, first: int, steps: int) -> tuple[
     Returns (samples, channels) one sample ahead and (starts, channels) ``steps`` ahead, of starts
     spread evenly; infinite where the filter or a prediction runs away.
     """
-    task, settings = prepared(task, disturbed.tracked, _doubts(disturbed.tracked))
+    task, settings = prepared(task, disturbed.tracked, doubts(disturbed.tracked))
     settings = replace(
         settings,
         covariance=disturbed.covariance,
@@ -134,10 +151,10 @@ def forecast(task: Task, disturbed: Disturbed, first: int, steps: int) -> tuple[
     if found.done < task.series.samples:
         lost = np.full((task.series.samples - first, task.series.y.shape[1]), np.inf)
         return lost, lost
-    return found.innovations[first:], _ahead(task, settings, found.means, first, steps)
+    return found.innovations[first:], ahead_of(task, settings, found.means, first, steps)
 
 
-def _ahead(task: Task, settings: FilterSettings, means: Array, first: int, steps: int) -> Array:
+def ahead_of(task: Task, settings: FilterSettings, means: Array, first: int, steps: int) -> Array:
     """(starts, channels) y(t + h) - h(phi_h(x^(t | t)))."""
     series, n = task.series, len(task.states)
     last = series.samples - 1 - steps
@@ -148,7 +165,7 @@ def _ahead(task: Task, settings: FilterSettings, means: Array, first: int, steps
     states, readings = np.empty((series.samples, n)), np.empty_like(series.y)
     misses = np.full((len(starts), series.y.shape[1]), np.inf)
     for i, start in enumerate(starts):
-        row[0, tracked] = means[start, n:]
+        row[0, tracked] = means[start, n : n + len(tracked)]
         ok = trajectories(
             task.compiled.rate_value, task.compiled.output_value,
             np.ascontiguousarray(means[start : start + 1, :n]), starts[i : i + 1], length,
@@ -159,7 +176,7 @@ def _ahead(task: Task, settings: FilterSettings, means: Array, first: int, steps
     return misses
 
 
-def _doubts(tracked: tuple[str, ...]) -> dict[str, float]:
+def doubts(tracked: tuple[str, ...]) -> dict[str, float]:
     return {ORIGIN: _DOUBT} if ORIGIN in tracked else {}
 
 
@@ -174,10 +191,10 @@ def _seconds(test: Assembly, run: FreeRun) -> float:
     return dt * max(round(min(samples, _LONGEST * scored)), 1)
 
 
-def _liveliest(fitted: Assembly) -> tuple[int, int, int]:
+def liveliest(records: Sequence[Series]) -> tuple[int, int, int]:
     """Record, first and last sample of the stretch whose channels move most, over their noise."""
     best, most = (0, 0, 0), -1.0
-    for r, series in enumerate(fitted.study.series):
+    for r, series in enumerate(records):
         length = min(series.samples, _TUNED)
         for start in {*range(0, series.samples - length, length // 2), series.samples - length}:
             part = series.y[start : start + length] / series.sigma

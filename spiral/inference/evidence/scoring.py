@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,8 @@ from spiral.engine.score import (
     score,
     tabulate,
 )
-from spiral.engine.sensitivities import reduce, residuals
+from spiral.engine.sensitivities import Reduction, reduce, residuals
+from spiral.engine.study import ParameterColumns
 from spiral.inference.evidence.assembly import (
     ORIGIN,
     Assembly,
@@ -26,6 +27,7 @@ from spiral.inference.evidence.assembly import (
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.gridnull import effective_tests
 from spiral.inference.evidence.inseparable import inseparable
+from spiral.types.record import Array
 
 
 @dataclass(frozen=True)
@@ -54,53 +56,102 @@ class Ranked:
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """Candidates at one window length, best first, with the pass they were scored in."""
+class Ranking:
+    """Candidates, best first, with the table that they were scored in; ``block`` in samples."""
 
-    stage: Stage
     ranked: tuple[Ranked, ...]
     table: ScoreTable
     block: int
 
 
+@dataclass(frozen=True)
+class Evidence(Ranking):
+    """Candidates at one window length, with the stage whose fit they were scored along."""
+
+    stage: Stage
+
+
+@dataclass(frozen=True)
+class Group:
+    """A candidate's columns in a pass, one for each key (each record's own where it has one).
+
+    ``sides`` say which of them can only be positive.
+    """
+
+    variant: Variant
+    keys: tuple[str, ...]
+    sides: tuple[bool, ...]
+
+
 def score_stage(assembly: Assembly, standing: FitState, stage: Stage) -> Evidence:
     """Score all candidates that are not active, in one pass."""
     keys = standing.keys(assembly)
-    present = _labels(assembly, standing)
-    absent = [v for v in assembly.variants if v.original.label not in present]
-    groups = [(v, tested_keys(assembly, v)) for v in absent]
-    candidate_keys = tuple(k for _, g in groups for k in g)
+    groups = [group_of(assembly, v) for v in absent(assembly, standing)]
+    candidate_keys = tuple(k for g in groups for k in dict.fromkeys(g.keys))
     residual = residuals(assembly.study, stage.layouts, stage.fitted.point)
-    counted = sum(int(np.any(r != 0, axis=1).sum()) for r in residual)
-    block = block_samples(correlation_samples(residual), counted)
+    block = block_for(residual)
     moving, _ = columns(assembly, (*keys, *candidate_keys))
     active, _ = columns(assembly, keys)
     reduction = reduce(assembly.study, stage.layouts, stage.fitted.point, moving, block)
-    table = tabulate(reduction, active.count)
+    found = rank(reduction, owners_of(assembly, active), groups, block)
+    return Evidence(found.ranked, found.table, block, stage)
+
+
+def block_for(residual: tuple[Array, ...]) -> int:
+    """Samples in a block over which these residuals are no longer alike."""
+    counted = sum(int(np.any(r != 0, axis=1).sum()) for r in residual)
+    return block_samples(correlation_samples(residual), counted)
+
+
+def absent(assembly: Assembly, standing: FitState) -> list[Variant]:
+    """Variants of the candidates that are not active."""
+    present = _labels(assembly, standing)
+    return [v for v in assembly.variants if v.original.label not in present]
+
+
+def group_of(assembly: Assembly, variant: Variant) -> Group:
+    """The columns of a compiled variant's amplitudes."""
+    parameters = assembly.study.compiled.traced.parameters
+    index = columns(assembly, tested_keys(assembly, variant))[0].index
+    sides = tuple(parameters[i].lower == 0.0 and variant.companion is None for i in index)
+    return Group(variant, tuple(assembly.study.keys[i] for i in index), sides)
+
+
+def owners_of(assembly: Assembly, active: ParameterColumns) -> list[str]:
+    """The effect that each active column belongs to."""
+    return [_owner(assembly, int(i)) for i in active.index]
+
+
+def rank(
+    reduction: Reduction, owners: Sequence[str], groups: Sequence[Group], block: int
+) -> Ranking:
+    """Candidates by their evidence in a reduced pass over [active | candidates | residual].
+
+    ``owners`` are the effects of the active columns. Of each candidate the best variant is kept.
+    """
+    active = len(owners)
+    table = tabulate(reduction, active)
     ranks: dict[str, list[Ranked]] = {}
-    for variant, owners, found in scored(assembly, table, groups):
-        tied = inseparable(reduction.triangle, active.count, found.columns)
-        names = [_owner(assembly, int(moving.index[i])) for i in tied.with_]
+    for group, found in scored(table, groups):
+        variant = group.variant
+        tied = inseparable(reduction.triangle, active, found.columns)
+        names = dict.fromkeys(owners[i] for i in tied.with_)
         ranked = Ranked(
             variant, found.columns, found, bic(table, found), variant.searched,
-            tuple(dict.fromkeys(names)), tuple(owners[i] for i in tied.held), tied.whole,
+            tuple(names), tuple(group.keys[i] for i in tied.held), tied.whole,
         )  # fmt: skip
         ranks.setdefault(variant.original.label, []).append(ranked)
     best = [_best(table, variants) for variants in ranks.values()]
-    return Evidence(stage, tuple(sorted(best, key=lambda r: r.rank)), table, block)
+    return Ranking(tuple(sorted(best, key=lambda r: r.rank)), table, block)
 
 
-def scored(
-    assembly: Assembly, table: ScoreTable, groups: list[tuple[Variant, tuple[str, ...]]]
-) -> Iterator[tuple[Variant, tuple[str, ...], Score]]:
-    """Each variant with the keys of its columns (one for each record) and their score."""
-    parameters, first = assembly.study.compiled.traced.parameters, 0
-    for variant, group in groups:
-        index = columns(assembly, group)[0].index
-        sides = tuple(parameters[i].lower == 0.0 and variant.companion is None for i in index)
-        found = score(table, tuple(range(first, first + len(sides))), sides)
-        first += len(sides)
-        yield variant, tuple(assembly.study.keys[i] for i in index), found
+def scored(table: ScoreTable, groups: Sequence[Group]) -> Iterator[tuple[Group, Score]]:
+    """Each candidate's columns with their score."""
+    first = 0
+    for group in groups:
+        at = tuple(range(first, first + len(group.sides)))
+        first += len(at)
+        yield group, score(table, at, group.sides)
 
 
 def _owner(assembly: Assembly, index: int) -> str:

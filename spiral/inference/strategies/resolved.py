@@ -32,7 +32,7 @@ from spiral.inference.evidence.admission import Admitted
 from spiral.inference.evidence.assembly import Assembly, Variant, columns
 from spiral.inference.evidence.fit_state import FitState, Masks, grown, stage_lengths
 from spiral.inference.evidence.judge import held_out
-from spiral.inference.evidence.scoring import scored, tested_keys
+from spiral.inference.evidence.scoring import group_of, scored, tested_keys
 from spiral.inference.problem import Progress
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried, held_variants, reassembled, variant_of
@@ -183,11 +183,19 @@ def _others(parameter: Parameter) -> tuple[float, ...]:
     return parameter.grid or (parameter.start or 1.0,)
 
 
-def _spectral(effect: Effect, frequency: float) -> dict[str, float]:
+def spectral(effect: Effect, frequency: float) -> dict[str, float]:
     """The shapes that a frequency stands for: itself in Hz, 1 / (2 pi f) in s."""
     late = float(1.0 / (2 * np.pi * frequency))
     hertz = float(frequency)
     return {p.name: late if p.unit == "s" else hertz for p in _shapes(effect) if p.spectrum}
+
+
+def others_of(effect: Effect) -> tuple[dict[str, float], list[dict[str, float]]]:
+    """Shapes that are no frequency: their middle values, and all values to try."""
+    shapes = [p for p in _shapes(effect) if not p.spectrum]
+    usual = {p.name: _others(p)[len(_others(p)) // 2] for p in shapes}
+    grids = itertools.product(*(_others(p) for p in shapes))
+    return usual, [dict(zip(usual, values, strict=True)) for values in grids]
 
 
 @dataclass(frozen=True)
@@ -228,14 +236,15 @@ class _Scan:
             for name, value in trial.items():
                 values[:, study.index(f"{copy.label}.{name}")] = value
         keys = self.standing.keys(self.wide)
-        groups = [(copy, tested_keys(self.wide, copy)) for copy in self.copies]
-        moving, _ = columns(self.wide, (*keys, *(k for _, group in groups for k in group)))
+        groups = [group_of(self.wide, copy) for copy in self.copies]
+        tested = (k for copy in self.copies for k in tested_keys(self.wide, copy))
+        moving, _ = columns(self.wide, (*keys, *tested))
         point = Point(values, self._starts(values))
         reduction = reduce(study, self.stage.layouts, point, moving)
         if not reduction.finite:
             return [0.0] * len(trials)
         table = tabulate(reduction, columns(self.wide, keys)[0].count)
-        return [found.explains for _, _, found in scored(self.wide, table, groups)]
+        return [found.explains for _, found in scored(table, groups)]
 
     def _starts(self, values: Array) -> tuple[Array, ...]:
         """The fit's own states where its windows begin, those of the copies driven to there."""
@@ -250,18 +259,13 @@ class _Scan:
 def _scan(scan: _Scan, band: Array) -> Scanned:
     """The spectrum, and variants at its refined peaks: first the frequency, then the others."""
     effect = scan.effect
-    shapes = [p for p in _shapes(effect) if not p.spectrum]
-    usual = {p.name: _others(p)[len(_others(p)) // 2] for p in shapes}
-    others = [
-        dict(zip(usual, values, strict=True))
-        for values in itertools.product(*(_others(p) for p in shapes))
-    ]
-    share = scan.shares([{**usual, **_spectral(effect, f)} for f in band])
+    usual, others = others_of(effect)
+    share = scan.shares([{**usual, **spectral(effect, f)} for f in band])
     chosen = []
     for peak in peaks(share)[:VALUES]:
         near = band[peak] * _STEP**_FINE
-        best = near[np.argmax(scan.shares([{**usual, **_spectral(effect, f)} for f in near]))]
-        trials = [{**o, **_spectral(effect, best)} for o in others]
+        best = near[np.argmax(scan.shares([{**usual, **spectral(effect, f)} for f in near]))]
+        trials = [{**o, **spectral(effect, best)} for o in others]
         chosen.append(trials[int(np.argmax(scan.shares(trials)))])
     searched = max(len(band) // len(chosen), 1)
     variants = tuple(variant_of(effect, str(i + 1), c, searched) for i, c in enumerate(chosen))

@@ -1,0 +1,1 @@
+"""Parameters and noise by the likelihood of one-step predictions over whole records."""

@@ -1,0 +1,277 @@
+"""Maximum likelihood of one-step predictions over parameters and the sizes of the noise together.
+
+With e the whitened misses, X = d / s^(1/2) their slopes by parameters, and by the logarithm of a
+size of the noise a: l = d log s / da, w = (d miss / da) / s^(1/2) (forward differences), the
+scoring step solves
+
+    |e - X dp + w da|^2 + |(e^2 - 1) / 2^(1/2) - l da / 2^(1/2)|^2 -> min
+
+whose normal equations are the likelihood's slope and its expected information. Steps are damped
+(Levenberg and Marquardt) until the likelihood rises. The first steps take X from the filter with
+its gains held, which is one pass; once these promise more than they keep, X is by differences. A model that lacks something starts with much
+process noise, and with it the filter follows the record however wrong the model is; as parameters
+find their values the noise falls, and predictions are judged ever more by the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.leastsquares import Fit, solve_triangle, triangle
+from spiral.engine.likelihood.noise import NoiseModel, limits
+from spiral.engine.likelihood.predict import (
+    RUNAWAY,
+    Prediction,
+    Prepared,
+    all_predicted,
+    log_likelihood,
+)
+from spiral.types.record import Array
+
+_DIFFERENCE = 0.05  # of the logarithm of a size, for its slopes
+_LARGEST = 2.0  # most that the logarithm of a size moves in one step
+_ENOUGH = 0.02  # log-likelihood that is not worth another step
+ROUGH = 5e-4  # log-likelihood for each reading
+_FLOOR = 1.01  # times its least value up to which a size stays there
+_MOVE = 1e-3  # standard deviations that whitened misses move in a difference
+_TRUE = 0.5  # share of the promised gain from which slopes with held gains are good enough
+_DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
+
+Masks = Sequence[Array] | None
+"""(samples,) True for the samples of each record that count; none where all do."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where the likelihood is highest.
+
+    ``parts`` are the predictions there with their slopes by ``keys``; ``solved`` the last scoring
+    regression, whose inverse is that of the information; ``converged`` whether no step was worth
+    more; ``steps`` how many were taken.
+    """
+
+    prepared: Prepared
+    noise: NoiseModel
+    keys: tuple[str, ...]
+    log_likelihood: float
+    parts: tuple[Prediction, ...]
+    solved: Fit | None
+    converged: bool
+    steps: int
+
+    @property
+    def finite(self) -> bool:
+        """Whether the filter stayed with every record."""
+        return self.log_likelihood > RUNAWAY
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters that moved."""
+        task = self.prepared[0][0]
+        return {k: float(task.values[task.keys.index(k)]) for k in self.keys}
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Standard errors of the parameters that moved, from the expected information."""
+        if self.solved is None:
+            return {}
+        spread = self.solved.spread(1.0)
+        return {k: float(s) for k, s in zip(self.keys, spread, strict=False)}
+
+    @property
+    def noise_errors(self) -> dict[str, float]:
+        """Standard errors of the logarithms of the noise's sizes."""
+        if self.solved is None:
+            return {}
+        spread = self.solved.spread(1.0)[len(self.keys) :]
+        return {k: float(s) for k, s in zip(self.noise.names, spread, strict=False)}
+
+    @property
+    def chi2(self) -> float:
+        """Mean squared whitened miss; 1 where the noise is what it is said to be."""
+        squares = sum(float(np.sum(p.whitened**2)) for p in self.parts)
+        return squares / max(sum(int(np.sum(p.spreads > 0)) for p in self.parts), 1)
+
+
+def maximise(
+    prepared: Prepared,
+    keys: tuple[str, ...],
+    noise: NoiseModel,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    masks: Masks = None,
+    steps: int = 40,
+    tune: bool = True,
+    rough: bool = False,
+) -> Estimate:
+    """The most likely values of parameters that all records share, and of the noise.
+
+    Parameters
+    ----------
+    prepared : records at the values to start from; tracked parameters are found by the filter.
+    keys : the parameters that move, none of them tracked.
+    bounds : lowest and highest values by name.
+    tune : whether the noise moves too.
+    rough : ends where a step is worth less than ``ROUGH`` a reading. A model that lacks something
+        creeps along a valley of the likelihood long after that.
+    """
+    search = _Search(keys, bounds or {}, masks, tune)
+    enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
+    parts = all_predicted([(prepared, noise)], keys)[0]
+    height = log_likelihood(parts, masks)
+    at = Estimate(prepared, noise, keys, height, parts, None, False, 0)
+    damping, exact = _DAMPING, False
+    for number in range(steps):
+        if not at.finite:
+            break
+        columns, beside = search.slopes(at, exact)
+        rows = search.rows(at, columns, beside)
+        better, damping, solved, promised = search.climb(at, rows, beside, damping)
+        gain = 0.0 if better is None else better.log_likelihood - at.log_likelihood
+        at = replace(at if better is None else better, solved=solved, steps=number + 1)
+        if gain < enough and (exact or not keys or (rough and promised < enough)):
+            return replace(at, converged=True)
+        if not exact and (gain < enough or gain < _TRUE * promised):
+            exact, damping = bool(keys), _DAMPING
+    return at
+
+
+Beside = Mapping[str, tuple[tuple[Array, Array], ...]]
+"""By size of the noise, for every record: slopes of e and of log s by its logarithm."""
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What a climb moves and may not leave."""
+
+    keys: tuple[str, ...]
+    bounds: Mapping[str, tuple[float, float]]
+    masks: Masks
+    tune: bool
+
+    def slopes(self, at: Estimate, exact: bool) -> tuple[list[Array], Beside]:
+        """Slopes of the whitened misses by parameters (sign turned), and by sizes of the noise.
+
+        ``exact``: by differences; else as the predictions have them, with the filter's gains held.
+        Sizes at their least value stay there.
+        """
+        task = at.prepared[0][0]
+        sizes = [
+            n for n in (at.noise.names if self.tune else ())
+            if at.noise.values[n] > _FLOOR * limits(task, n)[0]
+        ]  # fmt: skip
+        held = [p.columns for p in at.parts]
+        widths = _widths(held) if exact else {}
+        moved: list[tuple[Prepared, NoiseModel]] = [
+            (at.prepared, at.noise.with_values({n: at.noise.values[n] * np.exp(_DIFFERENCE)}))
+            for n in sizes
+        ]
+        moved += [(_shifted(at.prepared, self.keys[j], h), at.noise) for j, h in widths.items()]
+        others = all_predicted(moved)
+        beside = {
+            n: tuple(_change(a, b) for a, b in zip(at.parts, other, strict=True))
+            for n, other in zip(sizes, others, strict=False)
+            if log_likelihood(other) > RUNAWAY
+        }
+        columns = [c.copy() for c in held]
+        for (j, h), other in zip(widths.items(), others[len(sizes) :], strict=True):
+            if log_likelihood(other) > RUNAWAY:
+                for mine, old, new in zip(columns, at.parts, other, strict=True):
+                    mine[:, :, j] = (old.misses - new.misses) * old.weight / h
+        return columns, beside
+
+    def rows(self, at: Estimate, columns: list[Array], beside: Beside) -> tuple[Array, int]:
+        """The scoring regression as a triangle."""
+        blocks = []
+        for r, part in enumerate(at.parts):
+            mask = slice(None) if self.masks is None else self.masks[r]
+            blocks += _regression(part, columns[r], [b[r] for b in beside.values()], mask)
+        return triangle(blocks)
+
+    def climb(
+        self, at: Estimate, rows: tuple[Array, int], beside: Beside, damping: float
+    ) -> tuple[Estimate | None, float, Fit, float]:
+        """The first damped step that rises, the damping to go on with, and the gain promised."""
+        names = (*self.keys, *beside)
+        upper, count = rows
+        solved = solve_triangle(upper, count)
+        sizes = np.linalg.norm(upper[:, :-1], axis=0)
+        promised = 0.5 * (float(np.sum(upper[:, -1] ** 2)) - solved.rss)
+        for _ in range(_TRIES):
+            step = _damped(upper, sizes, damping)
+            trial = self._moved(at, names, step, solved.kept)
+            parts = all_predicted([trial], self.keys)[0]
+            height = log_likelihood(parts, self.masks)
+            if height > at.log_likelihood:
+                better = Estimate(*trial, self.keys, height, parts, None, False, 0)
+                return better, max(damping * _EASE, 1e-9), solved, promised
+            damping = max(damping, 1e-6) * _STRAIN
+        return None, damping, solved, promised
+
+    def _moved(
+        self, at: Estimate, names: tuple[str, ...], step: Array, kept: Array
+    ) -> tuple[Prepared, NoiseModel]:
+        task = at.prepared[0][0]
+        values, sizes = {}, {}
+        for name, delta, told in zip(names, step, kept, strict=True):
+            if name in self.keys:
+                low, high = self.bounds.get(name, (-np.inf, np.inf))
+                now = task.values[task.keys.index(name)]
+                values[name] = float(np.clip(now + (delta if told else 0.0), low, high))
+            elif told:
+                low, high = limits(task, name)
+                grown = at.noise.values[name] * np.exp(np.clip(delta, -_LARGEST, _LARGEST))
+                sizes[name] = float(np.clip(grown, low, high))
+        prepared = tuple((t.with_values(values), s) for t, s in at.prepared)
+        return prepared, at.noise.with_values(sizes)
+
+
+def _widths(columns: Sequence[Array]) -> dict[int, float]:
+    """For every column the step that moves the whitened misses by ``_MOVE`` on average."""
+    energy = np.sum([np.sum(c**2, axis=(0, 1)) for c in columns], axis=0)
+    count = sum(c.shape[0] * c.shape[1] for c in columns)
+    return {j: _MOVE * float(np.sqrt(count / e)) for j, e in enumerate(energy) if e > 0}
+
+
+def _shifted(prepared: Prepared, key: str, step: float) -> Prepared:
+    """The records with one parameter moved."""
+    task = prepared[0][0]
+    value = float(task.values[task.keys.index(key)]) + step
+    return tuple((t.with_values({key: value}), s) for t, s in prepared)
+
+
+def _change(part: Prediction, other: Prediction) -> tuple[Array, Array]:
+    """Slopes of the misses over s^(1/2), and of log s, from a run with one size a little larger."""
+    miss = (other.misses - part.misses) * part.weight / _DIFFERENCE
+    seen = part.spreads > 0
+    grown = np.log(other.spreads, where=seen, out=np.zeros_like(part.spreads))
+    grown -= np.log(part.spreads, where=seen, out=np.zeros_like(part.spreads))
+    return miss, grown / _DIFFERENCE
+
+
+def _regression(
+    part: Prediction, columns: Array, beside: Sequence[tuple[Array, Array]], mask: Array | slice
+) -> list[Array]:
+    """Rows [X, -w | e] and [0, l / 2^(1/2) | (e^2 - 1) / 2^(1/2)] of one record."""
+    seen = part.spreads[mask] > 0
+    e, columns = part.whitened[mask][seen], columns[mask][seen]
+    width = columns.shape[1]
+    first = np.zeros((len(e), width + len(beside) + 1))
+    second = np.zeros_like(first)
+    first[:, :width], first[:, -1] = columns, e
+    for j, (miss, grown) in enumerate(beside):
+        first[:, width + j] = -miss[mask][seen]
+        second[:, width + j] = grown[mask][seen] / np.sqrt(2.0)
+    second[:, -1] = (e**2 - 1.0) / np.sqrt(2.0)
+    return [first, second] if beside else [first]
+
+
+def _damped(upper: Array, sizes: Array, damping: float) -> Array:
+    """Least squares with every unit column held at zero by ``damping``."""
+    scale = np.where(sizes > 0, sizes, 1.0)
+    k = len(scale)
+    matrix = np.vstack([upper[:, :-1] / scale, np.sqrt(damping) * np.eye(k)])
+    target = np.concatenate([upper[:, -1], np.zeros(k)])
+    return np.linalg.lstsq(matrix, target, rcond=1e-12)[0] / scale

@@ -1,0 +1,203 @@
+"""What is random about a machine and its sensors: terms with named sizes, as filter matrices.
+
+Each term is a Gaussian process of its own, white or a state of the noise z (``kernel``):
+
+    white     v_j ~ N(0, a^2)                        measurement noise of channel j
+    coloured  z' = -z / T + w,  std a                measurement noise with correlation time T
+    band      z'' = -2^(1/2) w0 z' - w0^2 z + w      noise behind a low-pass of corner w0 / 2 pi
+    drift     z' = w,  a per s^(1/2)                 a sensor's zero that wanders
+    force     white acceleration                     level as ``spiral.engine.filter.noise`` says
+    gust      z' = -z / T + w,  std a                acceleration with correlation time T
+
+Sizes are what a likelihood decides (``fit``), on a logarithmic scale. A gust's a is a share of the
+standard deviation of the rate it acts on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from spiral.engine.filter.extended import FilterSettings, block_diagonal
+from spiral.engine.filter.noise import groups, intensity, sampled
+from spiral.engine.filter.task import Task
+from spiral.types.record import Array
+
+Kind = Literal["white", "coloured", "band", "drift", "force", "gust"]
+
+_LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a level
+_LEVEL = 1e-5  # least level of a force
+_SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
+
+
+@dataclass(frozen=True)
+class Term:
+    """One kind of randomness; ``where`` is a channel or a group of states."""
+
+    kind: Kind
+    where: str
+
+    @property
+    def size(self) -> str:
+        """Name of its size."""
+        return f"{self.kind}.{self.where}"
+
+    @property
+    def time(self) -> str:
+        """Name of its correlation time (or corner's 1 / w0), which all of a kind share."""
+        return f"{self.kind}.time" if self.kind in ("coloured", "band", "gust") else ""
+
+    @property
+    def states(self) -> int:
+        """States that it brings to one channel or rate."""
+        return {"white": 0, "force": 0, "band": 2}.get(self.kind, 1)
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Terms with their sizes and times by name."""
+
+    terms: tuple[Term, ...]
+    values: Mapping[str, float]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sizes and times, each once."""
+        found = (n for t in self.terms for n in (t.size, t.time) if n)
+        return tuple(dict.fromkeys(found))
+
+    def has(self, kind: Kind) -> bool:
+        """Whether there is a term of this kind."""
+        return any(t.kind == kind for t in self.terms)
+
+    def with_values(self, values: Mapping[str, float]) -> NoiseModel:
+        """The same terms with other sizes."""
+        return replace(self, values={**self.values, **values})
+
+    def added(self, terms: tuple[Term, ...], values: Mapping[str, float]) -> NoiseModel:
+        """With further terms."""
+        return NoiseModel((*self.terms, *terms), {**self.values, **values})
+
+    def without(self, *kinds: Kind) -> NoiseModel:
+        """Without the terms of these kinds."""
+        terms = tuple(t for t in self.terms if t.kind not in kinds)
+        names = NoiseModel(terms, {}).names
+        return NoiseModel(terms, {k: v for k, v in self.values.items() if k in names})
+
+
+def first_noise(task: Task, level: float, sizes: Array | None = None) -> NoiseModel:
+    """White noise of every channel and a white force on every group of states.
+
+    Parameters
+    ----------
+    level : of the forces. sizes : (channels,) of the white noise; left out, the record's own.
+    """
+    channels = task.compiled.traced.channels
+    white = task.series.sigma if sizes is None else sizes
+    terms = (*(Term("white", c) for c in channels), *(Term("force", g) for g in groups(task)))
+    values = {f"white.{c}": float(s) for c, s in zip(channels, white, strict=True)}
+    return NoiseModel(terms, values | {f"force.{g}": level for g in groups(task)})
+
+
+def limits(task: Task, name: str) -> tuple[float, float]:
+    """Smallest and largest value that a size or time may take."""
+    kind, _, where = name.partition(".")
+    if where == "time":
+        return _SHORTEST * task.series.dt, _LONGEST * task.series.dt * task.series.samples
+    if kind == "force":
+        return _LEVEL, _MOST
+    if kind == "gust":
+        return _LEVEL, _MOST
+    channels = task.compiled.traced.channels
+    spread = float(np.std(task.series.y[:, channels.index(where)])) or 1.0
+    if kind == "drift":
+        length = np.sqrt(task.series.dt * task.series.samples)
+        return _LEAST * spread / length, _MOST * spread / length
+    return _LEAST * spread, _MOST * spread
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """What the kernel is told of one record: see ``kernel.predict_record``; ``p`` before it."""
+
+    r: Array
+    q: Array
+    p: Array
+    phi: Array
+    seen: Array
+    driven: Array
+
+
+def matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> Matrices:
+    """The noise of one record as matrices."""
+    n, channels = len(task.states), task.compiled.traced.channels
+    white = [noise.values.get(f"white.{c}", 0.0) for c in channels]
+    levels = {t.where: noise.values[t.size] for t in noise.terms if t.kind == "force"}
+    q = block_diagonal(sampled(task, intensity(task, levels)), settings.wander)
+    p = block_diagonal(settings.covariance, settings.doubt**2)
+    blocks = [b for t in noise.terms for b in _blocks(task, t, noise.values)]
+    k = sum(len(b.phi) for b in blocks)
+    phi, added, first = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k))
+    seen, driven = np.zeros((len(channels), k)), np.zeros((n, k))
+    at = 0
+    for block in blocks:
+        part = slice(at, at := at + len(block.phi))
+        phi[part, part], added[part, part], first[part, part] = block.phi, block.q, block.p
+        if block.channel >= 0:
+            seen[block.channel, part.start] = 1.0
+        else:
+            driven[block.state, part.start] = 1.0
+    size = len(q) + k
+    whole, start = np.zeros((size, size)), np.zeros((size, size))
+    whole[: len(q), : len(q)], whole[len(q) :, len(q) :] = q, added
+    start[: len(q), : len(q)], start[len(q) :, len(q) :] = p, first
+    return Matrices(np.array(white) ** 2, whole, start, phi, seen, driven)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """One process z: its transition, added and first covariance, and what it acts on."""
+
+    phi: Array
+    q: Array
+    p: Array
+    channel: int = -1
+    state: int = -1
+
+
+def _blocks(task: Task, term: Term, values: Mapping[str, float]) -> list[_Block]:
+    if not term.states:
+        return []
+    dt, size = task.series.dt, values[term.size]
+    if term.kind == "gust":
+        return [
+            replace(_relaxing(dt, values[term.time], size * float(task.rates[i])), state=i)
+            for i in groups(task)[term.where]
+        ]
+    channel = task.compiled.traced.channels.index(term.where)
+    if term.kind == "drift":
+        one = np.ones((1, 1))
+        return [_Block(one, one * size**2 * dt, 0.0 * one, channel)]
+    if term.kind == "band":
+        return [replace(_low_pass(dt, values[term.time], size), channel=channel)]
+    return [replace(_relaxing(dt, values[term.time], size), channel=channel)]
+
+
+def _relaxing(dt: float, time: float, size: float) -> _Block:
+    """A stationary process of standard deviation ``size`` that forgets with this time constant."""
+    phi = np.full((1, 1), np.exp(-dt / time))
+    whole = np.full((1, 1), size**2)
+    return _Block(phi, whole * (1 - phi**2), whole)
+
+
+def _low_pass(dt: float, time: float, size: float) -> _Block:
+    """White noise behind a second-order Butterworth low-pass with w0 = 1 / time, stationary."""
+    from scipy.linalg import expm
+
+    rate = np.array([[0.0, 1.0], [-1.0 / time**2, -np.sqrt(2.0) / time]])
+    phi = expm(rate * dt)
+    first = np.diag([size**2, (size / time) ** 2])  # solves A P + P A^T + b b^T = 0
+    return _Block(phi, first - phi @ first @ phi.T, first)

@@ -1,0 +1,138 @@
+"""One-step predictions of prepared records under a model of their noise, and their likelihood.
+
+    log L = -1/2 sum_kj (log 2 pi s_kj + e_kj^2 / s_kj)
+
+over samples k and channels j, each predicted from all that came before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from spiral.engine.filter.extended import FilterSettings, tracked_indices
+from spiral.engine.filter.task import Task, compiled_for
+from spiral.engine.likelihood.noise import NoiseModel, matrices
+from spiral.engine.threads import THREADS
+from spiral.types.record import Array
+
+Prepared = tuple[tuple[Task, FilterSettings], ...]
+"""For each record of one machine: its task, and settings without process noise."""
+
+RUNAWAY = -1e300
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One record predicted sample by sample.
+
+    ``misses`` and ``spreads`` (samples, channels): e and its variance s, 0 where nothing was
+    measured; ``slopes`` (samples, channels, parameters) of the predictions; ``means`` (samples, N)
+    of states, tracked parameters and noise states after each sample, or no rows; ``transitions``,
+    ``gains`` and ``rows`` as ``carry_signatures`` wants them, or no rows.
+    """
+
+    misses: Array
+    spreads: Array
+    slopes: Array
+    means: Array
+    transitions: Array
+    gains: Array
+    rows: Array
+    done: int
+
+    @property
+    def whole(self) -> bool:
+        """Whether the filter stayed with the record to its end."""
+        return self.done == len(self.misses)
+
+    @cached_property
+    def whitened(self) -> Array:
+        """(samples, channels) e / s^(1/2); 0 where nothing was measured."""
+        return self.misses * self.weight
+
+    @property
+    def columns(self) -> Array:
+        """(samples, channels, parameters) d / s^(1/2)."""
+        return self.slopes * self.weight[..., None]
+
+    @cached_property
+    def heights(self) -> Array:
+        """(samples,) log-likelihood of each sample; -inf from where the filter ran away."""
+        seen = self.spreads > 0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            each = np.where(seen, np.log(2 * np.pi * self.spreads) + self.whitened**2, 0.0)
+        found = -0.5 * each.sum(axis=1)
+        found[self.done :] = -np.inf
+        return found
+
+    @cached_property
+    def weight(self) -> Array:
+        """(samples, channels) 1 / s^(1/2), 0 where nothing was measured."""
+        with np.errstate(divide="ignore"):
+            return np.where(self.spreads > 0, 1 / np.sqrt(self.spreads), 0.0)
+
+
+def predicted(
+    task: Task, settings: FilterSettings, noise: NoiseModel, keys: Sequence[str] = (),
+    keep: bool = False, carry: bool = False,
+) -> Prediction:  # fmt: skip
+    """One record, with slopes by ``keys``; ``keep`` the means, ``carry`` what signatures need."""
+    from spiral.engine.likelihood.kernel import predict_record
+
+    known = dict(task.model.pairs)
+    tracked = tracked_indices(task, settings.tracked)
+    both = np.concatenate([tracked, tracked_indices(task, tuple(keys))]).astype(np.int64)
+    names = (*settings.tracked, *keys)
+    own = all(k in known and known[k].scope == "record" for k in names)
+    compiled = task.compiled if own else compiled_for(task.compiled.traced)
+    parts = matrices(task, settings, noise)
+    samples, m = task.series.y.shape
+    size, kept = len(parts.q), samples if keep or carry else 0
+    more = samples if carry else 0
+    first = np.concatenate([settings.start, task.values[tracked]])
+    arrays = (
+        np.zeros((samples, m)), np.zeros((samples, m)), np.zeros((samples, m, len(keys))),
+        np.zeros((kept, size)), np.zeros((more, size, size)), np.zeros((more, m, size)),
+        np.zeros((more, m, size)),
+    )  # fmt: skip
+    done = predict_record(
+        compiled.rate, compiled.output, np.concatenate([first, np.zeros(size - len(first))]),
+        parts.p, task.values.copy(), both, len(tracked), task.inputs, task.series.substeps,
+        task.series.dt, np.ascontiguousarray(task.series.y), parts.r, parts.q, parts.phi,
+        parts.seen, parts.driven, *arrays,
+    )  # fmt: skip
+    return Prediction(*arrays, int(done))
+
+
+def all_predicted(
+    cases: Sequence[tuple[Prepared, NoiseModel]], keys: Sequence[str] = ()
+) -> list[tuple[Prediction, ...]]:
+    """Every record of every case; cases run side by side, and know nothing of one another."""
+    jobs = [(task, settings, noise) for prepared, noise in cases for task, settings in prepared]
+    with np.errstate(all="ignore"):
+        if len(jobs) == 1 or THREADS == 1:
+            flat = [predicted(*job, keys) for job in jobs]
+        else:
+            with ThreadPoolExecutor(THREADS) as pool:
+                flat = list(pool.map(lambda job: predicted(*job, keys), jobs))
+    found, at = [], 0
+    for prepared, _ in cases:
+        found.append(tuple(flat[at : at + len(prepared)]))
+        at += len(prepared)
+    return found
+
+
+def log_likelihood(parts: Sequence[Prediction], masks: Sequence[Array] | None = None) -> float:
+    """Sum over records, or over the samples of their masks; ``RUNAWAY`` where one ran away."""
+    if not all(p.whole for p in parts):
+        return RUNAWAY
+    rows = [p.heights for p in parts]
+    if masks is not None:
+        rows = [h[m] for h, m in zip(rows, masks, strict=True)]
+    total = float(sum(h.sum() for h in rows))
+    return total if np.isfinite(total) else RUNAWAY

@@ -1,0 +1,1 @@
+"""Models judged by the likelihood of one-step predictions, with a model of what is random."""

@@ -1,0 +1,227 @@
+"""What may be missing, by likelihood: scored, refitted on one half, judged on the other.
+
+1. *Score.* Candidates are ranked along the filtered motion (``scores``).
+2. *Refit.* The best are refitted with parameters and noise on the blocks that select, in a race:
+   a few steps for all, more for those that keep up.
+3. *Judge.* On the other blocks the winner, with its values from the first, must predict better
+   than the model as it is with its most likely values there; and by Wilks' test, both refitted
+   there, significantly so. Where a shape was searched for, which that test does not know, the
+   prediction alone decides (the split likelihood ratio of Wasserman, Ramdas and Balakrishnan 2020),
+
+       E = L_1(theta_1 of the first half; second half) / max L_0(theta; second half),
+
+   whose mean is at most one where the model as it is holds, for any number of samples and without
+   regularity: it passes at E >= 1 / alpha.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from spiral.engine.likelihood.fit import maximise
+from spiral.engine.likelihood.noise import NoiseModel
+from spiral.engine.likelihood.predict import log_likelihood
+from spiral.inference.evidence.admission import TOLD, stepped
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.fit_state import FitState, Masks
+from spiral.inference.evidence.scoring import (
+    Ranked,
+)
+from spiral.inference.likelihood.fitting import (
+    LikelihoodFit,
+    bounds_of,
+    moving,
+    samples_of,
+    subjects,
+    with_estimate,
+    with_variants,
+)
+from spiral.inference.problem import Progress
+from spiral.inference.unknown.holding import carried as carried_to
+from spiral.types.record import Array
+
+_RIVALS = 8  # candidates refitted
+_HEAT, _RACE = 3, 12  # scoring steps for all rivals, and for those that keep up
+_KEEP = 0.5  # share of the best gain from which a rival keeps up
+_CHUNK = 1024  # samples whose signatures are in memory at a time
+_ODDS = 100.0  # ratio of likelihoods under which two candidates are not told apart
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A candidate refitted on the blocks that select.
+
+    ``gain`` in log-likelihood over the model as it is; ``worth`` the same less Schwarz's price.
+    """
+
+    ranked: Ranked
+    fit: LikelihoodFit
+    gain: float
+    worth: float
+
+    @property
+    def label(self) -> str:
+        """Its effect."""
+        return self.ranked.variant.original.label
+
+
+def race(
+    assembly: Assembly, base: LikelihoodFit, found: list[Ranked], masks: Masks, progress: Progress
+) -> tuple[Assembly, list[Rival]]:
+    """Candidates refitted on the blocks that select, best first; those that fell behind are out.
+
+    They are in terms of a study that has them all.
+    """
+    chosen = found[:_RIVALS]
+    if not chosen:
+        return assembly, []
+    progress(f"compiling {len(chosen)} candidates")
+    wide = with_variants(assembly, [r.variant for r in chosen])
+    start = in_study(base, assembly, wide)
+    runners = []
+    for ranked in chosen:
+        progress(f"refitting with {ranked.variant.original.label}")
+        runners.append(_refit(wide, start, ranked, masks, _HEAT))
+    runners = [r for r in runners if r.fit.estimate.finite]
+    if not runners:
+        return wide, []
+    best = max(r.worth for r in runners)
+    near = [r for r in runners if r.worth >= _KEEP * best or r.worth >= best - 20.0]
+    done = []
+    for runner in near:
+        progress(f"refitting with {runner.label}")
+        done.append(_further(wide, start, runner, masks, _RACE))
+    return wide, sorted(done, key=lambda r: -r.worth)
+
+
+def in_study(fit: LikelihoodFit, old: Assembly, new: Assembly) -> LikelihoodFit:
+    """A fit's state in another study's order; its estimate stays in the old one's."""
+    return replace(fit, state=carried_to(fit.state, old, new))
+
+
+def _refit(
+    assembly: Assembly, base: LikelihoodFit, ranked: Ranked, masks: Masks, steps: int
+) -> Rival:
+    """A candidate added to the model as it is, a few steps from where that stands."""
+    variant = ranked.variant
+    values = stepped(assembly, base.state.values, variant, ranked.score.step)
+    wider = replace(
+        base.state,
+        labels=(*base.state.labels, variant.label),
+        values=values,
+        held=(*base.state.held, *ranked.held),
+    )
+    fit = _fitted(assembly, wider, base.estimate.noise, masks, steps)
+    return _rival(base, ranked, fit)
+
+
+def _further(
+    assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks, steps: int
+) -> Rival:
+    """A rival's fit taken on, its shapes set free where the record tells them."""
+    fit = _fitted(assembly, rival.fit.state, rival.fit.estimate.noise, masks, steps)
+    fit = fit if fit.height >= rival.fit.height else rival.fit
+    tuned = rival.ranked.variant.tuned
+    if tuned:
+        freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *tuned))))
+        loose = _fitted(assembly, freer, fit.estimate.noise, masks, steps)
+        if loose.estimate.finite and told(loose, tuned):
+            fit = loose
+    return _rival(base, rival.ranked, fit)
+
+
+def told(fit: LikelihoodFit, keys: tuple[str, ...]) -> bool:
+    """Whether a fit leaves these parameters a relative error of a half at most."""
+    values, errors = fit.estimate.values, fit.estimate.errors
+    return all(errors.get(k, np.inf) <= TOLD * abs(values.get(k, 0.0)) for k in keys)
+
+
+def _fitted(
+    assembly: Assembly, state: FitState, noise: NoiseModel, masks: Masks, steps: int
+) -> LikelihoodFit:
+    keys = moving(assembly, state)
+    prepared = subjects(assembly, state)
+    estimate = maximise(prepared, keys, noise, bounds_of(assembly, keys), masks, steps, rough=True)
+    return LikelihoodFit(with_estimate(state, estimate), estimate)
+
+
+def _rival(base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit) -> Rival:
+    gain = fit.height - base.height
+    price = 0.5 * len(ranked.columns) * float(np.log(samples_of(fit.estimate.prepared)))
+    return Rival(ranked, fit, gain, gain - price)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The winner on the blocks that did not select, in log-likelihood.
+
+    ``predicted`` its gain with its values from the blocks that did, ``refitted`` with the most
+    likely ones; ``terms`` the parameters that it has beyond the model as it is.
+    """
+
+    predicted: float
+    refitted: float
+    terms: int
+    searched: bool
+
+    def passes(self, level: float) -> bool:
+        """Whether it holds there, at a level of error."""
+        if self.searched:
+            return self.predicted >= np.log(1 / level)
+        return self.predicted > 0 and self.p_value < level
+
+    @property
+    def p_value(self) -> float:
+        """Of Wilks' test; the split likelihood ratio's where a shape was searched for."""
+        if self.searched:
+            return float(np.exp(-max(self.predicted, 0.0)))
+        return float(stats.chi2.sf(2 * max(self.refitted, 0.0), self.terms))
+
+
+def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) -> Judged:
+    """A winner against the model as it is on other blocks than those that chose it.
+
+    Parameters
+    ----------
+    base : the model as it is. masks : the blocks that did not select.
+    """
+    best = _most_likely(assembly, base, masks)
+    theirs = log_likelihood(rival.fit.estimate.parts, masks)
+    again = _most_likely(assembly, rival.fit, masks)
+    freed = set(rival.fit.state.freed) - set(base.state.freed)
+    terms = len(rival.ranked.columns) + len(freed)
+    return Judged(theirs - best, max(again, theirs) - best, terms, bool(freed))
+
+
+def _most_likely(assembly: Assembly, fit: LikelihoodFit, masks: Masks) -> float:
+    """The highest log-likelihood of a model on some blocks."""
+    keys = fit.estimate.keys
+    bounds = bounds_of(assembly, keys)
+    found = maximise(fit.estimate.prepared, keys, fit.estimate.noise, bounds, masks, _RACE)
+    return found.log_likelihood
+
+
+def alike(assembly: Assembly, rivals: list[Rival]) -> tuple[str, ...]:
+    """Rivals that the whole records do not tell from the first one."""
+    first, *others = rivals
+    best = log_likelihood(first.fit.estimate.parts) - _terms(first)
+    near = [r for r in others if best - log_likelihood(r.fit.estimate.parts) + _terms(r)
+            < np.log(_ODDS)]  # fmt: skip
+    return tuple(dict.fromkeys(r.label for r in near if r.label != first.label))
+
+
+def _terms(rival: Rival) -> float:
+    return 0.5 * len(rival.ranked.columns) * float(np.log(samples_of(rival.fit.estimate.prepared)))
+
+
+def response_change(base: LikelihoodFit, rival: Rival) -> Array:
+    """Root mean square of the change of each prediction, in standard deviations of the misses."""
+    before = np.concatenate([p.misses for p in base.estimate.parts])
+    after = np.concatenate([p.misses for p in rival.fit.estimate.parts])
+    spread = np.concatenate([np.sqrt(p.spreads) for p in base.estimate.parts])
+    seen = spread > 0
+    change = np.where(seen, (after - before) / np.where(seen, spread, 1.0), 0.0)
+    return np.sqrt(np.mean(change**2, axis=0))

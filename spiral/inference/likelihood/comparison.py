@@ -1,0 +1,187 @@
+"""A model fitted by likelihood, compared: free runs, chi2 and whiteness of its innovations.
+
+A free run begins where a smoother has the states at the first sample: over the whole of a fitted
+record, over the settling part of a test record. Its start is then refined by least squares over
+that stretch, where this lowers the error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from spiral.engine.filter.setup import prepared as filter_prepared
+from spiral.engine.filter.setup import smoothed
+from spiral.engine.filter.task import Task, linearised
+from spiral.engine.fit import fit
+from spiral.engine.growth import Stage, layouts_for
+from spiral.engine.likelihood.noise import NoiseModel
+from spiral.engine.likelihood.predict import predicted
+from spiral.engine.study import Point
+from spiral.inference.compare import settling, stated_ratio, with_test
+from spiral.inference.evidence.assembly import (
+    Assembly,
+    columns,
+    nuisance_keys,
+    to_model,
+    with_records,
+)
+from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.evidence.horizons import ahead_of, at_horizons, doubts, task_for
+from spiral.inference.evidence.judge import FreeRun, run_free
+from spiral.inference.likelihood.fitting import LikelihoodFit, colour, settled_values
+from spiral.inference.problem import Progress
+from spiral.types.model import Model
+from spiral.types.record import Array
+from spiral.types.run import Comparison
+
+_STEPS = 8  # of least squares that refine a start
+_PERIODS = 3  # of the slowest mode that tell where a record begins
+_STILL = 1e-6  # share of the fastest rate under which a mode does not move
+_SHORTEST = 16  # samples of a settling part
+
+
+def compared_by_likelihood(
+    assembly: Assembly, found: LikelihoodFit, progress: Progress
+) -> tuple[FitState, Comparison]:
+    """The state of a fit with what belongs to each record, and its comparison."""
+    estimate = found.estimate
+    state = settled_values(found) if estimate.finite else found.state
+    model = to_model(assembly, state.labels, state.values, estimate.errors, state.freed, state.held)
+    progress("free run on the test record")
+    own = _runs(assembly, state, model, None)
+    names = model.system.observed
+    run, unseen = own, ()
+    other = with_test(assembly, state.values)
+    if other is not None:
+        run = _runs(other, state, model, _settling(other, estimate.prepared[0][0]))
+        forecaster = _forecaster(state, nuisances(assembly, state, model))
+        unseen = at_horizons(other, model, run, forecaster)
+    errors = run.errors(names)
+    white = colour(assembly, found) if estimate.finite else None
+    problem = assembly.problem
+    return state, Comparison(
+        model=model,
+        fit_error=_mean(e.relative for e in own.errors(names).values()),
+        test_error=_mean(e.relative for e in errors.values()),
+        channels=errors,
+        noise_floor=_floor(state.noise, names, run),
+        chi2_per_dof=estimate.chi2 if estimate.finite else np.inf,
+        whiteness_p=0.0 if white is None else white.p,
+        whiteness_effect=np.inf if white is None else white.effect,
+        horizon=max(s.samples for s in assembly.study.series),
+        converged=estimate.converged,
+        notes=tuple(n for r in problem.records for n in r.notes),
+        noise_ratio=stated_ratio(problem.records),
+        innovation_chi2=estimate.chi2 if estimate.finite else np.inf,
+        unseen=unseen,
+    )
+
+
+def _settling(other: Assembly, task: Task) -> float:
+    """Seconds of each test record that tell where it begins: those asked for, else a tenth of the
+    shortest, or three periods of the model's slowest mode where that is more, up to a third.
+    """
+    asked = settling(other)
+    if other.problem.settle is not None:
+        return asked
+    inputs = task.inputs.mean(axis=0) if task.inputs.size else np.zeros(task.inputs.shape[1])
+    matrix = linearised(task.compiled, task.values, inputs, task.centre)
+    sizes = np.abs(np.linalg.eigvals(matrix))
+    sizes = sizes[sizes > _STILL * sizes.max(initial=0.0)]
+    slowest = 2 * np.pi / float(sizes.min()) if len(sizes) else 0.0
+    shortest = min(r.samples * r.dt for r in other.problem.test)
+    return float(max(asked, min(_PERIODS * slowest, shortest / 3)))
+
+
+def nuisances(assembly: Assembly, state: FitState, model: Model) -> tuple[str, ...]:
+    """Parameters that belong to a record and that a filter follows."""
+    known = dict(model.pairs)
+    return tuple(k for k in nuisance_keys(assembly, state.labels) if k in known)
+
+
+def _runs(assembly: Assembly, state: FitState, model: Model, settle: float | None) -> FreeRun:
+    """Free runs over the records of a study; ``settle`` seconds tell where each begins."""
+    series = assembly.study.series
+    settled = tuple(
+        0 if settle is None else min(max(round(settle / s.dt), _SHORTEST), s.samples // 2)
+        for s in series
+    )
+    heads = assembly
+    if settle is not None:
+        parts = tuple(
+            replace(s.record.part(0, n, s.record.name), noise=s.record.sigma())
+            for s, n in zip(series, settled, strict=True)
+        )
+        heads = with_records(assembly, parts, series[0].substeps)
+    rows = state.values if settle is None else np.repeat(state.values[:1], len(series), axis=0)
+    starts = []
+    values = rows.copy()
+    for r, head in enumerate(heads.study.series):
+        task = task_for(heads, model, rows[r], head.record, head.substeps)
+        means = _smoothed(task, state.noise, nuisances(assembly, state, model), settle is not None)
+        starts.append(means[0][None, : len(task.states)].copy())
+        for place, key in enumerate(nuisances(assembly, state, model)):
+            values[r, task.keys.index(key)] = means[-1, len(task.states) + place]
+    stage = _refined(heads, state, Point(values, tuple(starts)))
+    return run_free(assembly, stage, settled)
+
+
+def _smoothed(
+    task: Task, noise: NoiseModel | None, tracked: tuple[str, ...], anywhere: bool
+) -> Array:
+    """(samples, states and tracked parameters) by all of the record.
+
+    Where nothing is known of the record yet its phase origin is looked for all around.
+    """
+    levels = None
+    if noise is not None:
+        levels = {t.where: noise.values[t.size] for t in noise.terms if t.kind == "force"}
+    given = {} if anywhere else doubts(tracked)
+    return smoothed(task, levels, tracked, given)
+
+
+def _refined(heads: Assembly, state: FitState, point: Point) -> Stage:
+    """Starts and nuisances by least squares over whole heads, where that lowers the error."""
+    study = heads.study
+    whole = max(s.samples for s in study.series)
+    layouts = layouts_for(study, whole, (None,) * len(study.series))
+    moving, bounds = columns(heads, nuisance_keys(heads, state.labels))
+    with np.errstate(all="ignore"):
+        begun = fit(study, layouts, point, moving, bounds, iterations=0)
+        found = fit(study, layouts, point, moving, bounds, iterations=_STEPS)
+    return Stage(whole, layouts, found if found.cost <= begun.cost else begun)
+
+
+def _forecaster(state: FitState, tracked: tuple[str, ...]):
+    """Forecasts of a filter with the noise of a fit."""
+    noise = state.noise
+    assert noise is not None
+
+    def forecast(task: Task, first: int, steps: int) -> tuple[Array, Array]:
+        task, settings = filter_prepared(task, tracked, doubts(tracked))
+        run = predicted(task, settings, noise, keep=True)
+        if not run.whole:
+            lost = np.full((task.series.samples - first, task.series.y.shape[1]), np.inf)
+            return lost, lost
+        return run.misses[first:], ahead_of(task, settings, run.means, first, steps)
+
+    return forecast
+
+
+def _floor(noise: NoiseModel | None, names: Sequence[str], run: FreeRun) -> float:
+    """Measurement noise over the deviation of each channel, mean over channels."""
+    assert noise is not None
+    kinds = ("white", "coloured", "band")
+    sizes = [
+        np.sqrt(sum(noise.values.get(f"{kind}.{name}", 0.0) ** 2 for kind in kinds))
+        for name in names
+    ]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.mean(np.array(sizes) / run.deviations()))
+
+
+def _mean(values) -> float:
+    return float(np.mean(list(values)))

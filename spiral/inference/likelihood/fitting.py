@@ -1,0 +1,194 @@
+"""A study's state fitted by the likelihood of its one-step predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.filter.setup import prepared as filter_prepared
+from spiral.engine.filter.task import compiled_for, linearised, task_with
+from spiral.engine.likelihood.fit import Estimate, Masks, maximise
+from spiral.engine.likelihood.noise import NoiseModel, first_noise
+from spiral.engine.likelihood.predict import Prepared, predicted
+from spiral.engine.series import Series, prepare
+from spiral.engine.statistics import Whiteness, whiteness
+from spiral.inference.evidence.assembly import Assembly, Variant, columns, compiled_with
+from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.evidence.horizons import doubts
+from spiral.inference.evidence.scales import spread_out
+from spiral.inference.unknown.holding import variant_of
+from spiral.types.record import Array
+
+LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
+_ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
+_MOST_SUBSTEPS = 32
+
+
+@dataclass(frozen=True)
+class LikelihoodFit:
+    """A state of a study with its most likely values, and the estimate that has them."""
+
+    state: FitState
+    estimate: Estimate
+
+    @property
+    def height(self) -> float:
+        """Its log-likelihood."""
+        return self.estimate.log_likelihood
+
+
+def polished(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
+    """A rough fit taken on to its very maximum."""
+    estimate = maximise(
+        found.estimate.prepared, found.estimate.keys, found.estimate.noise,
+        bounds_of(assembly, found.estimate.keys),
+    )  # fmt: skip
+    return LikelihoodFit(with_estimate(found.state, estimate), estimate)
+
+
+def tracked(assembly: Assembly, state: FitState) -> tuple[str, ...]:
+    """Parameters that belong to a record; the filter follows them."""
+    known = dict(assembly.problem.model.pairs)
+    keys = state.keys(assembly)
+    return tuple(k for k in keys if k in known and known[k].scope == "record")
+
+
+def moving(assembly: Assembly, state: FitState) -> tuple[str, ...]:
+    """Parameters that the likelihood decides: all that a fit moves but those that are tracked."""
+    followed = tracked(assembly, state)
+    return tuple(k for k in state.keys(assembly) if k not in followed)
+
+
+def bounds_of(assembly: Assembly, keys: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """Lowest and highest values by name."""
+    _, (low, high) = columns(assembly, keys)
+    return {k: (float(a), float(b)) for k, a, b in zip(keys, low, high, strict=True)}
+
+
+def subjects(assembly: Assembly, state: FitState) -> Prepared:
+    """Every record with the state's values and integration steps."""
+    model, traced = assembly.problem.model, assembly.study.compiled.traced
+    followed = tracked(assembly, state)
+    compiled = compiled_for(traced)
+    rows = np.ascontiguousarray(state.values[:, : len(traced.keys)])
+    known = doubts(followed) if state.noise is not None else {}
+    return tuple(
+        filter_prepared(
+            task_with(model, compiled, row.copy(), series.record, series=series), followed, known
+        )
+        for row, series in zip(rows, on_steps(assembly, state.substeps), strict=True)
+    )
+
+
+def on_steps(assembly: Assembly, substeps: int) -> tuple[Series, ...]:
+    """The records with at least so many integration steps per sample."""
+    series = assembly.study.series
+    if substeps <= series[0].substeps:
+        return series
+    return tuple(prepare(assembly.problem.model.system, s.record, substeps) for s in series)
+
+
+def held(assembly: Assembly, state: FitState) -> Assembly:
+    """The study compiled with all effects of a state; the same where it has them.
+
+    The state's values are in its order.
+    """
+    known = {*assembly.problem.model.labels, *(v.label for v in assembly.variants)}
+    return with_variants(
+        assembly, [_variant(assembly, x) for x in state.labels if x not in known]
+    )  # fmt: skip
+
+
+def _variant(assembly: Assembly, label: str) -> Variant:
+    """A variant by its label, of those offered or of an effect with states of its own."""
+    for variant in assembly.offered:
+        if variant.label == label:
+            return variant
+    name, _, tag = label.partition("#")
+    effect = next(e for e in assembly.later if e.label == name)
+    return variant_of(effect, tag, {})
+
+
+def with_variants(assembly: Assembly, more: Sequence[Variant]) -> Assembly:
+    """A study compiled with further variants, its records as they are."""
+    known = {v.label for v in assembly.variants}
+    new = tuple(v for v in more if v.label not in known)
+    if not new:
+        return assembly
+    steps = assembly.study.series[0].substeps
+    made = compiled_with(assembly.problem, (*assembly.variants, *new), steps)
+    return replace(made, left_out=assembly.left_out, offered=assembly.offered)
+
+
+def finer(found: LikelihoodFit) -> int:
+    """Integration steps per sample that the motion asks for: |eigenvalue| dt of 0.3 along it."""
+    fastest = 0.0
+    for task, settings in found.estimate.prepared:
+        run = predicted(task, settings, found.estimate.noise, keep=True)
+        states = run.means[: run.done, : len(task.states)]
+        inputs = task.inputs[:: 2 * task.series.substeps]
+        for k in spread_out(states):
+            matrix = linearised(task.compiled, task.values, inputs[k], states[k])
+            fastest = max(fastest, float(np.abs(np.linalg.eigvals(matrix)).max()) * task.series.dt)
+    return int(np.clip(np.ceil(fastest / _ADVANCE), 1, _MOST_SUBSTEPS))
+
+
+def refitted(
+    assembly: Assembly,
+    state: FitState,
+    noise: NoiseModel | None = None,
+    masks: Masks = None,
+    steps: int = 40,
+    rough: bool = False,
+) -> LikelihoodFit:
+    """The most likely values of a state's parameters and of its noise.
+
+    Parameters
+    ----------
+    noise : to start from; left out, the state's own, or white noise as the record has it with
+        much process noise.
+    masks : samples of each record that count. steps : at most so many; ``rough`` as in
+        ``maximise``.
+    """
+    prepared = subjects(assembly, state)
+    noise = noise or state.noise or first_noise(prepared[0][0], LEVEL)
+    keys = moving(assembly, state)
+    estimate = maximise(prepared, keys, noise, bounds_of(assembly, keys), masks, steps, rough=rough)
+    return LikelihoodFit(with_estimate(state, estimate), estimate)
+
+
+def with_estimate(state: FitState, estimate: Estimate) -> FitState:
+    """The state with an estimate's values and noise."""
+    values = state.values.copy()
+    for row, (task, _) in zip(values, estimate.prepared, strict=True):
+        row[: len(task.keys)] = task.values
+    return replace(state, values=values, noise=estimate.noise)
+
+
+def settled_values(found: LikelihoodFit) -> FitState:
+    """The state with what belongs to each record as the filter has it at the record's end."""
+    values = found.state.values.copy()
+    for row, (task, settings) in zip(values, found.estimate.prepared, strict=True):
+        if not settings.tracked:
+            continue
+        run = predicted(task, settings, found.estimate.noise, keep=True)
+        for place, key in enumerate(settings.tracked):
+            row[task.keys.index(key)] = run.means[-1, len(task.states) + place]
+    return replace(found.state, values=values)
+
+
+def innovations(found: LikelihoodFit) -> tuple[Array, ...]:
+    """Whitened misses (samples, channels) of every record."""
+    return tuple(p.whitened for p in found.estimate.parts)
+
+
+def colour(assembly: Assembly, found: LikelihoodFit) -> Whiteness:
+    """Whether the misses are white."""
+    return whiteness(innovations(found), assembly.problem.settings.lags)
+
+
+def samples_of(prepared: Prepared) -> int:
+    """Readings in all records."""
+    return sum(task.series.y.size for task, _ in prepared)

@@ -1,0 +1,156 @@
+"""Which model of what is random the record wants: terms tried one at a time, kept by likelihood.
+
+From white measurement noise and a white random force upwards: coloured measurement noise, noise
+behind a low-pass, a sensor that drifts, a force with a correlation time. A term is kept where
+
+    2 (log L_1 - log L_0) > q log N + 2 log(1 / alpha)
+
+q its sizes and times, N the readings (Schwarz's criterion, with odds of 1 / alpha to one); the best
+is taken first, until none is worth its price. Then terms whose size has fallen to nothing go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.filter.noise import groups
+from spiral.engine.filter.setup import prepared as filter_prepared
+from spiral.engine.filter.task import Task, task_with
+from spiral.engine.likelihood.fit import Estimate, maximise
+from spiral.engine.likelihood.noise import NoiseModel, Term, limits
+from spiral.engine.likelihood.predict import Prepared
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.horizons import doubts, liveliest
+from spiral.inference.likelihood.fitting import (
+    LikelihoodFit,
+    bounds_of,
+    colour,
+    samples_of,
+    with_estimate,
+)
+from spiral.inference.problem import Progress
+
+_ODDS = 100.0  # to one, for which a term is kept
+_LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of the one that is kept
+_ROUNDS = 2
+_NOTHING = 3.0  # times its least size under which a term is nothing
+
+
+@dataclass(frozen=True)
+class Rung:
+    """Terms that come together, with sizes to start from."""
+
+    terms: tuple[Term, ...]
+    values: dict[str, float]
+
+
+def climbed_ladder(
+    assembly: Assembly, found: LikelihoodFit, progress: Progress, force: bool = False
+) -> LikelihoodFit:
+    """The fit with the noise that its record wants, parameters and sizes refitted together.
+
+    Nothing is tried where the misses are white, unless ``force``.
+    """
+    if not found.estimate.finite:
+        return found
+    for _ in range(_ROUNDS):
+        if colour(assembly, found).p >= assembly.problem.settings.whiteness_level and not force:
+            break
+        progress("trying what may act at random")
+        best = _best(found.estimate)
+        if best is None:
+            break
+        keys = found.estimate.keys
+        estimate = maximise(best.prepared, keys, best.noise, bounds_of(assembly, keys), rough=True)
+        found = LikelihoodFit(with_estimate(found.state, estimate), estimate)
+    return found
+
+
+def _best(at: Estimate) -> Estimate | None:
+    """The noise with one term more that is worth most beyond its price; none where none is.
+
+    Terms are looked at on the part of the first record that moves most; what comes first there is
+    judged on all.
+    """
+    part = _part(at)
+    task, count = part[0][0], samples_of(part)
+    now = maximise(part, (), at.noise, steps=_LOOK)
+    looks = []
+    for rung in rungs(task, now.noise):
+        noise = now.noise.added(rung.terms, rung.values)
+        look = maximise(part, (), noise, steps=_LOOK)
+        looks.append((look.log_likelihood - _price(noise, at.noise, count), look))
+    looks = [x for x in looks if x[1].finite and x[0] > now.log_likelihood]
+    if not looks:
+        return None
+    chosen = max(looks, key=lambda x: x[0])[1]
+    chosen = maximise(at.prepared, (), chosen.noise, steps=_TUNE, rough=True)
+    gain = chosen.log_likelihood - at.log_likelihood
+    worth = gain - _price(chosen.noise, at.noise, samples_of(at.prepared)) - np.log(_ODDS)
+    return chosen if worth > 0 else None
+
+
+def _part(at: Estimate) -> Prepared:
+    """The liveliest stretch of the records, at the values of an estimate."""
+    r, start, stop = liveliest([task.series for task, _ in at.prepared])
+    task, settings = at.prepared[r]
+    if start == 0 and stop == task.series.samples:
+        return (at.prepared[r],)
+    record = replace(
+        task.series.record.part(start, stop, task.series.record.name),
+        noise=task.series.record.sigma(),
+    )
+    short = task_with(
+        task.model, task.compiled, task.values.copy(), record, substeps=task.series.substeps
+    )
+    return (filter_prepared(short, settings.tracked, doubts(settings.tracked)),)
+
+
+def _price(noise: NoiseModel, before: NoiseModel, count: int) -> float:
+    return 0.5 * (len(noise.names) - len(before.names)) * float(np.log(count))
+
+
+def rungs(task: Task, noise: NoiseModel) -> Iterator[Rung]:
+    """What may come next."""
+    channels, dt = task.compiled.traced.channels, task.series.dt
+    white = {c: max(noise.values[f"white.{c}"], limits(task, f"white.{c}")[0]) for c in channels}
+    spread = dict(zip(channels, np.std(task.series.y, axis=0), strict=True))
+    if not noise.has("coloured") and not noise.has("band"):
+        kinds = (("coloured", 4.0), ("band", 1.0))
+        for kind, steps in kinds:
+            terms = tuple(Term(kind, c) for c in channels)
+            sizes = {t.size: float(white[t.where]) for t in terms}
+            yield Rung(terms, sizes | {f"{kind}.time": steps * dt})
+    for c in channels:
+        term = Term("drift", c)
+        if term in noise.terms:
+            continue
+        length = float(np.sqrt(dt * task.series.samples))
+        yield Rung((term,), {term.size: 0.1 * float(spread[c]) / length})
+    if not noise.has("gust"):
+        terms = tuple(Term("gust", g) for g in groups(task))
+        for share in (0.003, 0.03):
+            time = max(share * dt * task.series.samples, 3 * dt)
+            yield Rung(terms, {t.size: 0.05 for t in terms} | {"gust.time": time})
+
+
+def pruned(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
+    """The fit without the terms beyond white that it no longer wants."""
+    noise = found.estimate.noise
+    if not found.estimate.finite:
+        return found
+    for kind in ("coloured", "band", "gust", "drift"):
+        if not noise.has(kind):
+            continue
+        progress("asking whether less acts at random")
+        less = noise.without(kind)
+        keys = found.estimate.keys
+        trial = maximise(found.estimate.prepared, keys, less, bounds_of(assembly, keys), rough=True)
+        price = _price(noise, less, samples_of(trial.prepared))
+        if trial.log_likelihood > found.height - price - np.log(_ODDS):
+            found = LikelihoodFit(with_estimate(found.state, trial), trial)
+            noise = less
+    return found

@@ -1,0 +1,284 @@
+"""Candidates scored by their signatures along the filtered motion; nothing is compiled for them.
+
+The whitened misses e of the model as it is are regressed on their slopes by what moves and by every
+candidate's amplitudes, on the blocks that select: the fall of |e|^2 is twice the gain in
+log-likelihood of one step.
+
+An effect with states of its own has a frequency that means nothing while its amplitude is zero.
+Its own states are driven along the motion for a whole band of frequencies, the misses are resolved
+into what each explains, and the largest peaks, refined, are candidates like all others.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from spiral.engine.filter.task import Task
+from spiral.engine.leastsquares import triangle
+from spiral.engine.likelihood.noise import NoiseModel
+from spiral.engine.likelihood.predict import Prediction, predicted
+from spiral.engine.score import tabulate
+from spiral.engine.sensitivities import Reduction
+from spiral.inference.evidence.assembly import Assembly, Variant, columns
+from spiral.inference.evidence.fit_state import FitState, Masks
+from spiral.inference.evidence.scoring import (
+    Group,
+    Ranking,
+    block_for,
+    owners_of,
+    rank,
+    scored,
+)
+from spiral.inference.likelihood.fitting import LikelihoodFit, moving
+from spiral.inference.strategies.resolved import frequencies, others_of, peaks, spectral
+from spiral.inference.unknown.holding import variant_of
+from spiral.physics.signatures import (
+    Along,
+    Own,
+    amplitude_names,
+    own_of,
+    own_states_along,
+    signatures,
+)
+from spiral.types.effect import Effect
+from spiral.types.record import Array
+
+_CHUNK = 1024  # samples whose signatures are in memory at a time
+_PEAKS = 3  # of the spectrum, whose frequencies are tried
+_FINE = 1.1 ** np.linspace(-0.9, 0.9, 13)  # refinement of a peak
+
+
+@dataclass(frozen=True)
+class Passage:
+    """A pass of the filter over all records, with what candidates are scored along."""
+
+    assembly: Assembly
+    active: tuple[str, ...]
+    tasks: tuple[Task, ...]
+    parts: tuple[Prediction, ...]
+    motions: tuple[Along, ...]
+    masks: Masks
+    block: int
+
+
+def ranking(
+    assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks
+) -> Ranking | None:
+    """Candidates by their score on some blocks; nothing where the filter runs away.
+
+    They are not compiled: their signatures are carried along the filtered motion.
+    """
+    passage = _passage(assembly, fit, noise, masks)
+    if passage is None:
+        return None
+    present = _present(assembly, fit.state)
+    offered = [v for v in assembly.offered if v.original.label not in present]
+    for effect in (e for e in assembly.later if e.label not in present):
+        offered += resonances(passage, effect)
+    reduction, groups = _pass(passage, offered)
+    first, _ = columns(assembly, passage.active)
+    return rank(reduction, owners_of(assembly, first), groups, passage.block)
+
+
+def _passage(
+    assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks
+) -> Passage | None:
+    prepared, active = fit.estimate.prepared, moving(assembly, fit.state)
+    with np.errstate(all="ignore"):
+        parts = tuple(predicted(task, settings, noise, active, carry=True)
+                      for task, settings in prepared)  # fmt: skip
+    if not all(p.whole and np.all(np.isfinite(p.slopes)) for p in parts):
+        return None
+    tasks = tuple(task for task, _ in prepared)
+    motions = tuple(motion_of(assembly, t, p) for t, p in zip(tasks, parts, strict=True))
+    block = block_for(tuple(p.whitened for p in parts))
+    return Passage(assembly, active, tasks, parts, motions, masks, block)
+
+
+def _pass(passage: Passage, offered: Sequence[Variant]) -> tuple[Reduction, list[Group]]:
+    """The regression with all these variants that are numbers, and their groups."""
+    groups = [_group(passage.assembly, v, len(passage.parts)) for v in offered]
+    with np.errstate(all="ignore"):
+        carried = [_carried(passage, r, groups) for r in range(len(passage.parts))]
+    finite = np.all([np.all(np.isfinite(c), axis=(0, 1)) for c in carried], axis=0)
+    groups, carried = _finite(groups, carried, finite)
+    return _reduced(passage.parts, carried, passage.masks, passage.block), groups
+
+
+# --- effects with states of their own ------------------------------------------------------------
+
+
+def resonances(passage: Passage, effect: Effect) -> list[Variant]:
+    """Variants of an effect with own states at the peaks of what the misses resolve into."""
+    band = frequencies(max(passage.tasks, key=lambda t: t.series.samples).series)
+    usual, others = others_of(effect)
+    share = _shares(passage, effect, [{**usual, **spectral(effect, f)} for f in band])
+    chosen = []
+    for peak in peaks(share)[:_PEAKS]:
+        trials = [{**o, **spectral(effect, f)} for f in band[peak] * _FINE for o in others]
+        chosen.append(trials[int(np.argmax(_shares(passage, effect, trials)))])
+    searched = max(len(band) // max(len(chosen), 1), 1)
+    return [variant_of(effect, str(i + 1), c, searched) for i, c in enumerate(chosen)]
+
+
+def _shares(passage: Passage, effect: Effect, trials: Sequence[Mapping[str, float]]) -> Array:
+    """Share of what is left that each trial (shapes by name) explains."""
+    offered = [variant_of(effect, str(i + 1), dict(t)) for i, t in enumerate(trials)]
+    reduction, groups = _pass(passage, offered)
+    table = tabulate(reduction, len(passage.active))
+    found = dict.fromkeys((v.label for v in offered), 0.0)
+    found |= {g.variant.label: s.explains for g, s in scored(table, groups)}
+    return np.array(list(found.values()))
+
+
+def _own_states(along: Along, dt: float, groups: Sequence[Group]) -> dict[str, Own]:
+    """Own states of every variant that has any, by its label; those of one effect together."""
+    found: dict[str, Own] = {}
+    keyed = sorted(
+        (g.variant for g in groups if g.variant.effect.states), key=lambda v: v.original.label
+    )
+    for _, some in itertools.groupby(keyed, key=lambda v: v.original.label):
+        variants = list(some)
+        names = [k.rsplit(".", 1)[1] for k in variants[0].shapes]
+        shapes = {n: np.array([v.shapes[f"{v.label}.{n}"] for v in variants]) for n in names}
+        states = own_states_along(along, dt, variants[0].original, shapes)
+        for copy, variant in enumerate(variants):
+            found[variant.label] = own_of(variant.original, states, copy)
+    return found
+
+
+# --- slopes --------------------------------------------------------------------------------------
+
+
+def _present(assembly: Assembly, state: FitState) -> set[str]:
+    return {v.original.label for v in assembly.variants if v.label in state.labels}
+
+
+def _group(assembly: Assembly, variant: Variant, records: int) -> Group:
+    """The columns of a candidate's amplitudes, for each record its own where they have one."""
+    port = assembly.problem.model.system.place(variant.effect)
+    known = dict(variant.effect.keys(port))
+    keys, sides = [], []
+    for owner in (variant.effect, variant.companion):
+        if owner is None:
+            continue
+        for name in amplitude_names(variant.effect, port):
+            q = known[f"{variant.label}.{name}"]
+            count = records if q.scope == "record" else 1
+            keys += [f"{owner.label}.{name}"] * count
+            sides += [q.lower == 0.0 and variant.companion is None] * count
+    return Group(variant, tuple(keys), tuple(sides))
+
+
+def _finite(
+    groups: list[Group], carried: list[Array], finite: Array
+) -> tuple[list[Group], list[Array]]:
+    """Without the candidates that are no numbers along the records."""
+    kept, at, first = [], [], 0
+    for group in groups:
+        own = list(range(first, first := first + len(group.keys)))
+        if finite[own].all():
+            kept.append(group)
+            at += own
+    return kept, [c[:, :, at] for c in carried]
+
+
+def _carried(passage: Passage, record: int, groups: Sequence[Group]) -> Array:
+    """(samples, channels, columns) slopes of predictions by amplitudes that are zero."""
+    from spiral.engine.likelihood.kernel import carry_signatures
+
+    task, part = passage.tasks[record], passage.parts[record]
+    along, dt = passage.motions[record], task.series.dt
+    owns = _own_states(along, dt, groups)
+    samples, m = part.misses.shape
+    width, n = sum(len(g.keys) for g in groups), len(task.states)
+    found = np.zeros((samples, m, width))
+    slopes = np.zeros((part.means.shape[1], width))
+    for first in range(0, samples, _CHUNK):
+        last = min(first + _CHUNK, samples)
+        where = slice(first, min(last + 1, samples))
+        pushes, readings = _columns(along.part(where), groups, owns, where, record, width)
+        whole = np.zeros((last - first + 1, n, width))
+        whole[: len(pushes), : pushes.shape[1]] = pushes
+        carry_signatures(
+            part.transitions[first:last], part.gains[first:last], part.rows[first:last], whole,
+            np.ascontiguousarray(readings[: last - first]), slopes, 0.5 * dt, found[first:last],
+        )  # fmt: skip
+    return found
+
+
+def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
+    """The filtered motion of a record: states of the system, rates and readings of the model."""
+    system = assembly.problem.model.system
+    n, count = len(system.states), len(task.states)
+    inputs = task.inputs[:: 2 * task.series.substeps]
+    rates, readings = np.empty((len(part.means), count)), np.empty_like(task.series.y)
+    rows = np.ascontiguousarray(part.means[:, :count])
+    for k, x in enumerate(rows):
+        u = np.ascontiguousarray(inputs[k])
+        task.compiled.rate_value(x, u, task.values, rates[k])
+        task.compiled.output_value(x, u, task.values, readings[k])
+    known = dict(zip(task.keys, map(float, task.values), strict=True))
+    values = {p.name: known[f"system.{p.name}"] for p in system.parameters}
+    return Along(system, rows[:, :n], inputs, rates[:, :n], readings, values)
+
+
+def _columns(
+    along: Along,
+    groups: Sequence[Group],
+    owns: Mapping[str, Own],
+    where: slice,
+    record: int,
+    width: int,
+) -> tuple[Array, Array]:
+    """Slopes of rates (samples, n, columns) and readings (samples, channels, columns)."""
+    count, n = along.states.shape
+    rates, readings = np.zeros((count, n, width)), np.zeros((count, along.readings.shape[1], width))
+    at = 0
+    for group in groups:
+        variant = group.variant
+        shapes = {k.rsplit(".", 1)[1]: v for k, v in variant.shapes.items()}
+        own = {
+            n: tuple(p[where] for p in v) if isinstance(v, tuple) else v[where]
+            for n, v in owns.get(variant.label, {}).items()
+        }
+        parts = [signatures(along, variant.original, shapes, own=own)]
+        if variant.companion is not None:
+            parts.append(signatures(along, variant.original, shapes, np.pi / 2))
+        width_each = sum(p[0].shape[2] for p in parts)
+        copies = len(group.keys) // width_each
+        place = at + record if copies > 1 else at
+        for pushes, told in parts:
+            for j in range(pushes.shape[2]):
+                rates[:, :, place], readings[:, :, place] = pushes[:, :, j], told[:, :, j]
+                place += copies
+        at += len(group.keys)
+    return rates, readings
+
+
+def _reduced(
+    parts: Sequence[Prediction], carried: Sequence[Array], masks: Masks, block: int
+) -> Reduction:
+    """Whitened misses and slopes as one reduced pass, with its Gram blocks."""
+    rows, grams, cost, samples = [], [], 0.0, 0
+    for r, (part, own) in enumerate(zip(parts, carried, strict=True)):
+        mask = np.ones(len(part.misses), dtype=bool) if masks[r] is None else masks[r]
+        weight = part.weight[..., None]
+        whole = np.concatenate(
+            [part.slopes * weight, own * weight, part.whitened[..., None]], axis=2
+        )
+        whole[~mask] = 0.0
+        for start in range(0, len(whole), block):
+            piece = whole[start : start + block].reshape(-1, whole.shape[2])
+            if mask[start : start + block].any():
+                grams.append(piece.T @ piece)
+        seen = whole[mask].reshape(-1, whole.shape[2])
+        rows.append(seen)
+        cost += float(seen[:, -1] @ seen[:, -1])
+        samples += len(seen)
+    upper, _ = triangle(rows)
+    return Reduction(upper, cost, samples, 0, (), np.array(grams))

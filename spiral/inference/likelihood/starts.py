@@ -1,0 +1,83 @@
+"""The seed fitted from several starts; the likelihood of the whole records decides.
+
+1. the values given, or the balance of forces through the measured motion (``fit_state.begin``);
+2. a fit on windows of 64 and 256 samples, which bears values that are far off where the motion is
+   measured;
+3. the first again with process noise ten times smaller and ten times larger to begin with.
+
+Each is taken a few steps, and the most likely one to its maximum. The next is tried only while the
+best so far does not explain the records: its fit did not converge, or it needs a random force that
+is no small one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from spiral.engine.likelihood.noise import first_noise
+from spiral.inference.compare import last_stage
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.fit_state import FitState, all_samples, stage_lengths
+from spiral.inference.likelihood.fitting import LEVEL, LikelihoodFit, finer, refitted, subjects
+from spiral.inference.problem import Progress
+
+_SMALL = 0.05  # level of a random force that is a small one
+_HEAT = 8  # scoring steps of each start
+_WINDOWS = 2  # window lengths of a start from windows
+
+
+def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> LikelihoodFit:
+    """The fit of the most likely start, on steps as fine as its motion asks for."""
+    best: LikelihoodFit | None = None
+    for begin, level in _starts(assembly, state, progress):
+        noise = first_noise(subjects(assembly, begin)[0][0], level)
+        found = refitted(assembly, begin, noise, steps=_HEAT, rough=True)
+        if best is None or found.height > best.height:
+            best = found
+        if best.estimate.converged and _explains(best):
+            break
+    assert best is not None
+    progress("most likely values of the model as it is")
+    return on_finer_steps(assembly, refitted(assembly, best.state, rough=True))
+
+
+def on_finer_steps(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
+    """The fit again where its motion asks for finer integration steps than it had."""
+    if not found.estimate.finite:
+        return found
+    wanted = finer(found)
+    if wanted <= found.estimate.prepared[0][0].series.substeps:
+        return found
+    return refitted(assembly, replace(found.state, substeps=wanted), rough=True)
+
+
+def _starts(
+    assembly: Assembly, state: FitState, progress: Progress
+) -> Iterator[tuple[FitState, float]]:
+    progress("starting from the values given")
+    yield state, LEVEL
+    progress("starting again from short windows")
+    near = _from_windows(assembly, state)
+    if near is not None:
+        yield near, LEVEL
+    for factor in (0.1, 10.0):
+        progress("starting again with another random force")
+        yield state, LEVEL * factor
+
+
+def _from_windows(assembly: Assembly, state: FitState) -> FitState | None:
+    lengths = [n for n in stage_lengths(assembly) if n >= state.shortest][:_WINDOWS]
+    stage = last_stage(assembly, state, all_samples(assembly), lengths)
+    values = stage.fitted.point.values
+    if not np.all(np.isfinite(values)):
+        return None
+    return replace(state, values=values)
+
+
+def _explains(found: LikelihoodFit) -> bool:
+    """Whether no more than a small random force acts beside the model."""
+    noise = found.estimate.noise
+    return all(noise.values[t.size] <= _SMALL for t in noise.terms if t.kind == "force")

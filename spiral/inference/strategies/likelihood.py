@@ -1,0 +1,241 @@
+"""``strategy=likelihood``: the whole record's likelihood decides, with a model of what is random.
+
+    several starts -> most likely values and noise -> score, race and judge the candidates ->
+    admission, where no horizon on unseen data grows worse -> refit, noise and effects that are
+    no longer wanted let go.
+
+Windows (``strategy=shooting``) are a start, and the proposers where the scores find nothing though
+the model is not near its noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from spiral.engine.statistics import spent
+from spiral.inference.compare import refined
+from spiral.inference.evidence.assembly import Assembly, compiled_with, offers
+from spiral.inference.evidence.fit_state import FitState, begin, half_masks
+from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
+from spiral.inference.identifiability.parameters import entangled
+from spiral.inference.likelihood.candidates import (
+    Rival,
+    alike,
+    in_study,
+    judged,
+    race,
+    response_change,
+)
+from spiral.inference.likelihood.comparison import compared_by_likelihood
+from spiral.inference.likelihood.fitting import (
+    LikelihoodFit,
+    colour,
+    held,
+    polished,
+    refitted,
+    with_variants,
+)
+from spiral.inference.likelihood.ladder import climbed_ladder, pruned
+from spiral.inference.likelihood.scores import ranking
+from spiral.inference.likelihood.starts import best_fit, on_finer_steps
+from spiral.inference.problem import Problem, Progress
+from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.suggest import by_evidence
+from spiral.inference.unknown.holding import carried
+from spiral.inference.verdict import near_noise
+from spiral.types.horizon import changes
+from spiral.types.run import Comparison, Stopped, Suggestion
+
+_LAST = 1e-6  # whiteness from which a model may be the last
+_WARM = 6  # scoring steps from the values on all samples to those on the selecting half
+_ASKED = 3  # rivals that may be judged in one round
+_LISTED = 5
+
+
+def _begin(problem: Problem, progress: Progress) -> Begun:
+    progress("compiling the model")
+    settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
+    problem = replace(problem, settings=settings)
+    bare = compiled_with(problem, (), 1)
+    state = replace(begin(bare, problem.model.labels), corrected=False)
+    bare = refined(bare, state)
+    tangle = entangled(bare, state)
+    found = best_fit(bare, state, progress)
+    found = climbed_ladder(bare, found, progress)
+    found = finished(bare, found, progress)
+    settled = _settled(bare, found, progress)
+    variants, left_out, _ = offers(replace(problem, model=settled.comparison.model))
+    assembly = replace(bare, offered=tuple(variants), left_out=left_out)
+    groups = () if tangle is None else tangle.groups
+    return Begun(
+        assembly, settled.standing, settled.comparison, settled.details,
+        refused=tangle is not None, groups=groups,
+    )  # fmt: skip
+
+
+def _settled(
+    assembly: Assembly, found: LikelihoodFit, progress: Progress, retired: tuple[str, ...] = ()
+) -> Settled:
+    """A fit on all samples as the state of the study, compared with the test records."""
+    state, comparison = compared_by_likelihood(assembly, found, progress)
+    details: dict[str, Any] = {"noise": dict(found.estimate.noise.values)}
+    if found.estimate.finite:
+        details["log_likelihood"] = found.height
+    return Settled(state, comparison, retired, details)
+
+
+def _propose(
+    assembly: Assembly, state: FitState, comparison: Comparison, number: int, progress: Progress
+) -> Step:
+    assembly = held(assembly, state)
+    select, judge = half_masks(assembly)
+    progress("scoring candidates by one-step predictions")
+    base = refitted(assembly, state, masks=select, steps=_WARM, rough=True)
+    ranked = ranking(assembly, base, base.estimate.noise, select)
+    if ranked is None:
+        return Step((), {}, stopped="diverged")
+    wide, rivals = race(assembly, base, _promising(ranked), select, progress)
+    base = in_study(base, assembly, wide)
+    rejected: dict[str, str] = {}
+    level = spent(assembly.problem.settings.level, number) / _ASKED
+    for place, rival in enumerate(rivals[:_ASKED]):
+        reason = _refused(assembly, base, rival, judge, level)
+        if reason:
+            rejected[rival.label] = reason
+            continue
+        aliases = alike(assembly, rivals[place:])
+        progress(f"most likely values with {rival.label}")
+        settled = _with(assembly, wide, rival, progress)
+        worse = [c for c in changes(comparison.unseen, settled.comparison.unseen)
+                 if c.judged == "worse"]  # fmt: skip
+        if worse:
+            rejected[rival.label] = _said(worse[0])
+            continue
+        effect = rival.ranked.variant.original
+        return Step(
+            _suggestions(rivals, ranked, effect.label, aliases), rejected, (effect.label,),
+            {effect.label: aliases}, meaning=effect.meaning(), found=settled,
+        )  # fmt: skip
+    near = near_noise(comparison, assembly.problem.settings)
+    stopped: Stopped = "whiteness" if near else "no_candidate"
+    return Step(_suggestions(rivals, ranked, "", ()), rejected, stopped=stopped)
+
+
+def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
+    """The fit at its very maximum, where the model may be the last: its misses are white."""
+    if not found.estimate.finite or colour(assembly, found).p < _LAST:
+        return found
+    progress("polishing the fit")
+    return polished(assembly, found)
+
+
+def _promising(found: Ranking) -> list[Ranked]:
+    """Candidates whose score is worth their price, the best first."""
+    return [r for r in found.ranked if r.rank < 0 and not r.whole]
+
+
+def _refused(
+    assembly: Assembly, base: LikelihoodFit, rival: Rival, judge: Any, level: float
+) -> str:
+    settings = assembly.problem.settings
+    if not rival.worth > 0:
+        return "refitted, it does not make the record more likely than its price"
+    size = float(np.max(response_change(base, rival)))
+    if size < settings.smallest * 0.1:
+        return (
+            f"significant, but too small to matter: it changes the prediction by {size:.3f} noise "
+            f"standard deviations (least {settings.smallest:g})"
+        )
+    found = judged(assembly, base, rival, judge)
+    if not found.passes(level):
+        return (
+            f"not confirmed on the blocks that did not select (p = {found.p_value:.2g}, log-likelihood "
+            f"{found.predicted:+.3g} as it was fitted)"
+        )
+    return ""
+
+
+def _said(change: Any) -> str:
+    return (
+        f"the error on unseen data grows ({change.horizon}: {100 * change.before:.3g} -> "
+        f"{100 * change.after:.3g} %)"
+    )
+
+
+def _with(assembly: Assembly, wide: Assembly, rival: Rival, progress: Progress) -> Settled:
+    """The model with a rival, fitted to all samples; noise and effects not wanted any more go.
+
+    It is compiled without the other rivals.
+    """
+    own = with_variants(assembly, [rival.ranked.variant])
+    found = refitted(own, carried(rival.fit.state, wide, own), rough=True)
+    found = on_finer_steps(own, found)
+    found = pruned(own, found, progress)
+    found = climbed_ladder(own, found, progress)
+    found = finished(own, found, progress)
+    found, gone = _without_superfluous(own, found, rival.ranked.variant.label)
+    return _settled(own, found, progress, gone)
+
+
+def _without_superfluous(
+    assembly: Assembly, found: LikelihoodFit, latest: str
+) -> tuple[LikelihoodFit, tuple[str, ...]]:
+    """Effects admitted before that the record no longer wants, let go."""
+    gone: list[str] = []
+    for label in found.state.labels:
+        if label in assembly.problem.model.labels or label == latest:
+            continue
+        keys = tested_keys(assembly, assembly.variant(label))
+        values, errors = found.estimate.values, found.estimate.errors
+        if any(abs(values.get(k, 0.0)) > 3 * errors.get(k, np.inf) for k in keys):
+            continue
+        fewer = _dropped(assembly, found.state, label)
+        trial = refitted(assembly, fewer)
+        price = 0.5 * len(keys) * np.log(sum(p.misses.size for p in trial.estimate.parts))
+        if trial.height > found.height - price:
+            found = trial
+            gone.append(assembly.variant(label).original.label)
+    return found, tuple(gone)
+
+
+def _dropped(assembly: Assembly, state: FitState, label: str) -> FitState:
+    from spiral.inference.strategies.retire import let_go
+
+    return let_go(assembly, state, (label,))
+
+
+def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
+    return step.found
+
+
+def _suggestions(
+    rivals: list[Rival], found: Ranking, label: str, aliases: tuple[str, ...]
+) -> tuple[Suggestion, ...]:
+    """The admitted one, then what was refitted by its worth, then others by their score."""
+    listed = {s.effect: s for s in by_evidence(found, None, ())}
+    refitted_ = [_as_suggestion(r, listed) for r in rivals]
+    known = {s.effect for s in refitted_}
+    named = [*refitted_, *(s for s in listed.values() if s.effect not in known)]
+    named = [replace(s, aliases=aliases) if s.effect == label else s for s in named]
+    return tuple(sorted(named, key=lambda s: s.effect != label)[:_LISTED])
+
+
+def _as_suggestion(rival: Rival, listed: Mapping[str, Suggestion]) -> Suggestion:
+    """A refitted candidate: twice its gain in log-likelihood, and the share of the misses."""
+    from scipy import stats
+
+    count = sum(p.misses.size for p in rival.fit.estimate.parts) / 2  # the half that selects
+    gain, terms = max(rival.gain, 0.0), len(rival.ranked.columns)
+    p_value = float(stats.chi2.sf(2 * gain, terms))
+    return replace(
+        listed[rival.label], statistic=2 * gain, p_value=p_value, wald_p_value=p_value,
+        explains=1 - float(np.exp(-2 * gain / count)),
+        net=1 - float(np.exp(-2 * rival.worth / count)),
+    )  # fmt: skip
+
+
+LIKELIHOOD = Strategy("likelihood", _begin, _propose, _settle)

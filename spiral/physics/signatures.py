@@ -1,0 +1,319 @@
+"""What a unit of each amplitude of an effect adds to the rates and the readings, along a motion.
+
+A system's rates are affine in what is injected at its places,
+
+    x' = f(x, u, p) + G(x, u, p) Q,      Q = J^T F        (virtual work; a flow is its own Q)
+
+so an effect that is absent has the slope G J^T dF/da by an amplitude a, F being linear in it. The
+effect's own equation is evaluated along the states as arrays; nothing is compiled for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from spiral.physics.trace import input_columns, trace
+from spiral.types.cache import kept
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
+from spiral.types.placement import check_effect
+from spiral.types.port import At, Port
+from spiral.types.record import Array
+from spiral.types.system import MechanicalSystem, System
+
+Function = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Along:
+    """A motion of a system: ``states`` (samples, n) of the system alone, ``inputs`` (samples, input
+    columns), ``rates`` (samples, n) and ``readings`` (samples, channels) of the model as it is,
+    ``values`` of the system's parameters by name.
+    """
+
+    system: System
+    states: Array
+    inputs: Array
+    rates: Array
+    readings: Array
+    values: Mapping[str, float]
+
+    def part(self, where: slice) -> Along:
+        """A stretch of it."""
+        return replace(
+            self, states=self.states[where], inputs=self.inputs[where], rates=self.rates[where],
+            readings=self.readings[where],
+        )  # fmt: skip
+
+    @property
+    def parameters(self) -> list[float]:
+        """The system's, in their order."""
+        return [self.values[p.name] for p in self.system.parameters]
+
+
+def amplitude_names(effect: Effect, port: Port) -> tuple[str, ...]:
+    """Names of an effect's amplitudes in the order of the columns, with ``_axis`` where per axis."""
+    known = {p.name for p in effect.amplitudes()}
+    return tuple(k.rsplit(".", 1)[1] for k, p in effect.keys(port) if p.name in known)
+
+
+Own = Mapping[str, Any]
+"""An effect's own states along a motion: (samples,) each, or a tuple of such, one for each axis."""
+
+
+def signatures(
+    along: Along,
+    effect: Effect,
+    shapes: Mapping[str, float],
+    shift: float = 0.0,
+    own: Own | None = None,
+) -> tuple[Array, Array]:
+    """Slopes of rates (samples, n, amplitudes) and readings (samples, channels, amplitudes).
+
+    Parameters
+    ----------
+    shapes : values of the effect's shape parameters by name. shift : rad added to ``u.phase``.
+    own : its own states (``own_states_along``), where it has any.
+    """
+    system = along.system
+    port = check_effect(system, effect)
+    count, n = along.states.shape
+    m = len(system.observed)
+    units = _unit_amplitudes(effect, port, shapes)
+    rates, readings = np.zeros((count, n, len(units))), np.zeros((count, m, len(units)))
+    u = _inputs(along, shift)
+    if isinstance(effect, SensorEffect):
+        at = At(
+            tuple(along.states[:, _index(system, c)] for c in system.observed),
+            tuple(along.rates[:, _index(system, c)] for c in system.observed),
+            SimpleNamespace(),
+        )
+        y = list(along.readings.T)
+        for j, p in enumerate(units):
+            told = effect.reading(y, at, u, p)
+            readings[:, :, j] = _columns(told, count) - along.readings
+        return rates, readings
+    pushed = _pushed(system)(*along.states.T, *along.inputs.T, *along.parameters)
+    gain = _matrix(pushed, count)
+    hidden = SimpleNamespace(**(own or {}))
+    for j, p in enumerate(units):
+        pushes = _injected(along, effect, port, u, p, hidden)
+        rates[:, :, j] = np.einsum("tij,tj->ti", gain, pushes)
+    return rates, readings
+
+
+def own_states_along(
+    along: Along, dt: float, effect: Effect, shapes: Mapping[str, Array], shift: float = 0.0
+) -> dict[str, list[Array]]:
+    """An effect's own states (samples, values) from rest, driven by a motion, amplitudes at zero.
+
+    Classical Runge-Kutta steps of one sample, the motion between samples by cubic Hermite.
+
+    Parameters
+    ----------
+    shapes : (values,) of each shape parameter: as many copies at once.
+
+    Returns
+    -------
+    For each state one array, or where it is per axis one for each axis.
+    """
+    system, port = along.system, check_effect(along.system, effect)
+    count = len(next(iter(shapes.values()), np.zeros(1)))
+    p = _unit_amplitudes(effect, port, dict(shapes))[0]
+    for q in effect.amplitudes():
+        setattr(p, q.name, tuple(0.0 for _ in port.axes) if q.per_axis else 0.0)
+    u = vars(_inputs(along, shift))
+    position, velocity = _at(along, port)
+    middle, turning = _halfway(position, velocity, dt)
+    names = [(s.name, i) for s in effect.states for i in range(_axes(port) if s.per_axis else 1)]
+    found = np.zeros((len(along.states), len(names), count))
+
+    def slope(k: int, half: bool, z: Array) -> Array:
+        q, v = (middle, turning) if half else (position, velocity)
+        given = SimpleNamespace(**{n: c[k] for n, c in u.items()})
+        rates = effect.rate(At(tuple(q[k]), tuple(v[k]), _own(effect, port, z)), given, p)
+        flat = [
+            part
+            for s in effect.states
+            for part in (rates[s.name] if s.per_axis else [rates[s.name]])
+        ]
+        return np.stack([np.broadcast_to(np.asarray(f, float), (count,)) for f in flat])
+
+    for k in range(len(found) - 1):
+        z = found[k]
+        first = slope(k, False, z)
+        second = slope(k, True, z + 0.5 * dt * first)
+        third = slope(k, True, z + 0.5 * dt * second)
+        fourth = slope(k + 1, False, z + dt * third)
+        found[k + 1] = z + dt / 6.0 * (first + 2 * second + 2 * third + fourth)
+    at = {s.name: [j for j, (n, _) in enumerate(names) if n == s.name] for s in effect.states}
+    return {n: [found[:, j] for j in places] for n, places in at.items()}
+
+
+def own_of(effect: Effect, states: Mapping[str, list[Array]], copy: int) -> Own:
+    """One copy's own states, as the effect's equations see them."""
+    per_axis = {s.name: s.per_axis for s in effect.states}
+    return {
+        n: tuple(p[:, copy] for p in parts) if per_axis[n] else parts[0][:, copy]
+        for n, parts in states.items()
+    }
+
+
+def _own(effect: Effect, port: Port, z: Array) -> SimpleNamespace:
+    found, at = SimpleNamespace(), 0
+    for state in effect.states:
+        count = _axes(port) if state.per_axis else 1
+        rows = tuple(z[at : at + count])
+        setattr(found, state.name, rows if state.per_axis else rows[0])
+        at += count
+    return found
+
+
+def _axes(port: Port) -> int:
+    return max(len(port.axes), 1)
+
+
+def _at(along: Along, port: Port) -> tuple[Array, Array]:
+    """(samples, axes) positions and velocities of a port; a flow's place moves at its own rate."""
+    if isinstance(along.system, MechanicalSystem):
+        count = len(along.states)
+        position, velocity, _ = _geometry(along.system, port.name)(
+            *along.states.T, *along.parameters
+        )
+        return _columns(position, count), _columns(velocity, count)
+    place = _place(along.system, port.name)(*along.states.T, *along.parameters)
+    position = _columns(place, len(along.states))
+    return position, np.gradient(position, axis=0)
+
+
+def _halfway(position: Array, velocity: Array, dt: float) -> tuple[Array, Array]:
+    """Position and velocity between samples."""
+    middle, turning = position.copy(), velocity.copy()
+    middle[:-1] = 0.5 * (position[:-1] + position[1:]) + dt / 8 * (velocity[:-1] - velocity[1:])
+    turning[:-1] = 1.5 / dt * np.diff(position, axis=0) - 0.25 * (velocity[:-1] + velocity[1:])
+    return middle, turning
+
+
+def _injected(
+    along: Along,
+    effect: Effect,
+    port: Port,
+    u: SimpleNamespace,
+    p: SimpleNamespace,
+    own: SimpleNamespace,
+) -> Array:
+    """(samples, injections) that an effect with these values injects."""
+    system, count = along.system, len(along.states)
+    names = [i.name for i in system.injections]
+    if isinstance(effect, ForceEffect):
+        position, velocity, jacobian = _geometry(system, port.name)(
+            *along.states.T, *along.parameters
+        )
+        at = At(tuple(_columns(position, count).T), tuple(_columns(velocity, count).T), own)
+        force = _columns(effect.force(at, u, p), count)
+        return np.einsum("tai,ta->ti", _matrix(jacobian, count), force)
+    assert isinstance(effect, FlowEffect)
+    x = SimpleNamespace(
+        **{s.name: along.states[:, i] for i, s in enumerate(system.states)}, own=own
+    )
+    flows = effect.flow(x, u, p)
+    found = np.zeros((count, len(names)))
+    for name, value in flows.items():
+        found[:, names.index(name)] = value
+    return found
+
+
+def _unit_amplitudes(
+    effect: Effect, port: Port, shapes: Mapping[str, Any]
+) -> list[SimpleNamespace]:
+    """Parameters with one amplitude at 1 and all others at 0, for each amplitude in turn."""
+    axes = port.axes if len(port.axes) > 1 else (port.axes[0] if port.axes else "",)
+    spots = [
+        (q.name, i) for q in effect.amplitudes() for i in range(len(axes) if q.per_axis else 1)
+    ]
+    found = []
+    for name, place in spots:
+        p = SimpleNamespace()
+        for q in effect.parameters:
+            if q.role == "shape":
+                one: Any = shapes.get(q.name, q.start or 0.0)
+                setattr(p, q.name, (one,) * len(axes) if q.per_axis else one)
+                continue
+            values = [float(q.name == name and i == place) for i in range(len(axes))]
+            setattr(p, q.name, tuple(values) if q.per_axis else values[0])
+        found.append(p)
+    return found
+
+
+def _inputs(along: Along, shift: float) -> SimpleNamespace:
+    system = along.system
+    u = SimpleNamespace(**dict(zip(input_columns(system), along.inputs.T, strict=True)))
+    seen = system.seen(u, SimpleNamespace(**along.values))
+    return SimpleNamespace(**{**vars(seen), "phase": seen.phase + shift}) if shift else seen
+
+
+def _index(system: System, name: str) -> int:
+    return [s.name for s in system.states].index(name)
+
+
+def _columns(values: Sequence[Any], count: int) -> Array:
+    """(samples, values) of arrays and numbers."""
+    return np.stack([np.broadcast_to(np.asarray(v, float), (count,)) for v in values], axis=1)
+
+
+def _matrix(rows: Sequence[Sequence[Any]], count: int) -> Array:
+    """(samples, rows, columns) of a nested list of arrays and numbers."""
+    return np.stack([_columns(row, count) for row in rows], axis=1)
+
+
+@kept(32)
+def _pushed(system: System) -> Function:
+    """G(x, u, p): slopes of the rates by what is injected."""
+    traced = trace(system, ())
+    x = SimpleNamespace(**dict(zip((s.name for s in system.states), traced.x, strict=True)))
+    u = SimpleNamespace(**dict(zip(traced.inputs, traced.u, strict=True)))
+    p = SimpleNamespace(
+        **{k.split(".", 1)[1]: s for k, s in zip(traced.keys, traced.p, strict=True)}
+    )
+    pushes = {i.name: sp.Symbol(f"q{j}", real=True) for j, i in enumerate(system.injections)}
+    rates = system.rate(x, u, p, pushes)
+    wanted = sp.Matrix([sp.sympify(rates[s.name]) for s in system.states])
+    slopes = wanted.jacobian(list(pushes.values())).subs(dict.fromkeys(pushes.values(), 0))
+    return sp.lambdify([*traced.x, *traced.u, *traced.p], slopes.tolist(), "numpy")
+
+
+@kept(128)
+def _geometry(system: System, name: str) -> Function:
+    """Position, velocity and Jacobian of a port by the states."""
+    assert isinstance(system, MechanicalSystem)
+    traced = trace(system, ())
+    port = next(p for p in system.ports if p.name == name)
+    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
+    p = SimpleNamespace(
+        **{k.split(".", 1)[1]: s for k, s in zip(traced.keys, traced.p, strict=True)}
+    )
+    q, v = system.split(x)
+    names = [c.name for c in system.coordinates]
+    position = sp.Matrix([sp.sympify(e) for e in port.coordinates(q, p)])
+    jacobian = position.jacobian([getattr(q, n) for n in names])
+    velocity = jacobian * sp.Matrix([getattr(v, n) for n in names])
+    parts = [list(position), list(velocity), jacobian.tolist()]
+    return sp.lambdify([*traced.x, *traced.p], parts, "numpy")
+
+
+@kept(128)
+def _place(system: System, name: str) -> Function:
+    """Position of a port of a system that is not mechanical, by the states."""
+    traced = trace(system, ())
+    port = next(p for p in system.ports if p.name == name)
+    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
+    p = SimpleNamespace(
+        **{k.split(".", 1)[1]: s for k, s in zip(traced.keys, traced.p, strict=True)}
+    )
+    place = [sp.sympify(e) for e in port.coordinates(x, p)]
+    return sp.lambdify([*traced.x, *traced.p], place, "numpy")
