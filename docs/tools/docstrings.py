@@ -13,7 +13,7 @@ from typing import Any
 import griffe
 
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}\n((?:.+\n?)*)", re.MULTILINE)
-ITEM = re.compile(r"^(\S[^:]*?) ?: (.*(?:\n +.*)*)", re.MULTILINE)
+ITEM = re.compile(r"^(\S[^:\n]*?) ?:(?: |$)(.*(?:\n +.*)*)", re.MULTILINE)
 
 
 def markdown(text: str) -> str:
@@ -23,14 +23,17 @@ def markdown(text: str) -> str:
 
 def _section(match: re.Match[str]) -> str:
     title, body = match[1], match[2]
-    if not ITEM.match(body):
+    found = list(ITEM.finditer(body))
+    if title == "Returns":
         return f"**{title}**\n\n{body}"
-    items = (f"- {_code(m[1])}: {_joined(m[2])}" for m in ITEM.finditer(body))
+    if "\n".join(m[0] for m in found) != body.rstrip():
+        raise ValueError(f"a section {title!r} with lines that are no `name : text`:\n{body}")
+    items = (f"- {_code(m[1])}: {_joined(m[2])}" for m in found)
     return f"**{title}**\n\n" + "\n".join(items) + "\n"
 
 
 def _joined(text: str) -> str:
-    return " ".join(line.strip() for line in text.splitlines())
+    return " ".join(line.strip() for line in text.strip().splitlines())
 
 
 def _code(names: str) -> str:

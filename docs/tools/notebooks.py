@@ -10,6 +10,7 @@ import hashlib
 import html
 import json
 import os
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -98,8 +99,13 @@ def _shown(output: Any, ident: str) -> str:
     if "text/markdown" in data:
         return f'<div class="output" markdown="1">\n\n{data["text/markdown"]}\n\n</div>'
     if "text/html" in data:
-        return f'<div class="output">{data["text/html"]}</div>'
+        return f'<div class="output">{_bare(data["text/html"])}</div>'
     return _text(data.get("text/plain", ""))  # progress is gone by now: an empty text
+
+
+def _bare(table: str) -> str:
+    """A table of pandas without the frame and the styles that it brings."""
+    return re.sub(r'<style.*?</style>| border="1"| style="[^"]*"', "", table, flags=re.DOTALL)
 
 
 def _text(text: str) -> str:

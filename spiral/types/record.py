@@ -46,9 +46,9 @@ class Record:
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        series = f"channels {', '.join(self.channels)}; inputs {', '.join(self.inputs) or 'none'}"
         length = f"{self.samples} samples, {self.samples * self.dt:.4g} s at {1 / self.dt:.4g} Hz"
-        return "\n  ".join([f"Record {self.name}: {length}; {series}", *self.notes])
+        series = f"channels {', '.join(self.channels)}; inputs {', '.join(self.inputs) or 'none'}"
+        return "\n  ".join([f"Record {self.name}: {length}", series, *self.notes])
 
     @property
     def samples(self) -> int:

@@ -12,7 +12,12 @@ from spiral.types.model import Estimate, Model
 from spiral.types.showing import Shown, Summary
 
 Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unknown_structure"]
+"""What a study says of its seed: an effect is missing and named; nothing is missing; the record
+cannot tell the model's effects apart; something is missing that no candidate explains."""
+
 Stopped = Literal["whiteness", "no_candidate", "not_identifiable", "diverged", "max_rounds"]
+"""How a study ended: what is left is white; no candidate passed; the record cannot tell; a fit did
+not converge; as many rounds as ``settings.max_rounds`` were made."""
 
 
 @dataclass(frozen=True)
@@ -181,7 +186,7 @@ class Diagnosis(Shown):
         )
         return Summary(
             f"{self.verdict}. {self.where.sentence}".strip(),
-            ("effect", "explains", "p", "cannot be told from", "meaning"),
+            ("effect", "explains", "p", "looks like", "meaning"),
             rows,
             self.advice,
         )
@@ -252,7 +257,7 @@ class Round:
 
 @dataclass(frozen=True, repr=False)
 class Run:
-    """The frozen history of a study: tried, admitted, rejected, on which evidence.
+    """The history of a study: what was tried, added and refused in each round, on which evidence.
 
     ``missing`` are the effects that the verdict names, ``summary`` says it with its figures.
     ``question`` is the ``Problem`` that it answers, where it was put in this process.

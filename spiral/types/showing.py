@@ -21,19 +21,20 @@ class Summary:
     def text(self) -> str:
         """In lines of plain text, the table's columns aligned."""
         table = [self.head, *self.rows] if self.rows else []
-        widths = [max(len(row[i]) for row in table) for i in range(len(self.head))] if table else []
-        lines = [
-            "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-            for row in table
-        ]
+        width = {i: max(len(row[i]) for row in table) for i in self._kept()}
+        lines = ["  " + "  ".join(row[i].ljust(width[i]) for i in width) for row in table]
         return "\n".join(line.rstrip() for line in (self.opening, *lines, self.closing) if line)
 
     def markdown(self) -> str:
         """As a notebook shows it."""
         rows = [self.head, ("---",) * len(self.head), *self.rows] if self.rows else []
-        cells = ([_MARKUP.sub(r"\\\g<0>", cell) for cell in row] for row in rows)
+        cells = ([_MARKUP.sub(r"\\\g<0>", row[i]) for i in self._kept()] for row in rows)
         table = "\n".join(f"| {' | '.join(row)} |" for row in cells)
         return "\n\n".join(part for part in (self.opening, table, self.closing) if part)
+
+    def _kept(self) -> list[int]:
+        """Columns that hold something."""
+        return [i for i in range(len(self.head)) if any(row[i] for row in self.rows)]
 
 
 class Shown(ABC):

@@ -63,6 +63,7 @@ def test_every_public_name_is_in_the_reference(site):
     known = {anchor.rstrip('"').rsplit(".", 1)[-1] for anchor in anchors}
     assert set(spiral.__all__) - {"plot"} <= known
     assert {"error_falling", "figures"} <= known
+    assert "<code>choices</code>: <code>effects</code> beside" in pages["functions"]
 
 
 def test_decisions_keep_their_numbers(site):
