@@ -78,7 +78,7 @@ class FadingFriction(ForceEffect):
     parameters = (
         Parameter("level", "force", lower=0.0, per_axis=True),
         Parameter("fading", "velocity", lower=0.0, start=0.05, role="shape"),
-        Parameter("width", "velocity", lower=0.0, start=0.003, role="shape"),
+        Parameter("width", "velocity", lower=0.0, start=0.01, role="shape"),
     )
 
     def force(self, at, u, p):
@@ -103,7 +103,7 @@ pd.options.display.float_format = "{:.4g}".format
 record = spiral.simulate(
     "carriage",
     duration=8.0,
-    rate=400.0,
+    rate=800.0,
     inputs={"force": {"noise": 2.0, "band": [0.5, 15]}},
     effects=["fading_friction"],
     values={
@@ -159,7 +159,7 @@ class Grip(ForceEffect):
 
     parameters = (
         Parameter("level", "force", lower=0.0),
-        Parameter("width", "velocity", lower=0.0, start=0.003, role="shape"),
+        Parameter("width", "velocity", lower=0.0, start=0.01, role="shape"),
     )
 
     def force(self, at, u, p):

@@ -38,7 +38,7 @@ def table() -> str:
     """All decisions by number, with their dates and statuses."""
     known = decisions()
     rows = [
-        f"| {n} | [{title}]({page}#decision-{n}) | {date} | {_linked(status, known)} |"
+        f"| {n} | [{title}]({page}#decision-{n}) | *{date}*{{ .date }} | {_linked(status, known)} |"
         for n, (page, title, date, status) in sorted(known.items())
     ]
     return "\n".join(["| | decision | date | status |", "|--:|---|---|---|", *rows])
