@@ -28,7 +28,7 @@ FIND_PYTHON = for python in python3.11 python3 /usr/bin/python3.11 /usr/bin/pyth
 		>/dev/null 2>&1; then echo "$$python"; exit; fi; done; \
 	echo 'needed: Python 3.11 or newer with venv (Debian: apt install python3.11-venv)' >&2; exit 1
 
-.PHONY: help setup demo app test test-slow pictures bench lint format lock clean
+.PHONY: help setup demo app test test-slow docs pictures bench lint format lock clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -71,6 +71,12 @@ test-slow: warm ## Run the slow statistical tests
 	@echo "test: pytest with $(WORKERS) workers, slow tests only"
 	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist worksteal $(PYTEST)
 
+# Notebooks are executed where they or the package changed; their outputs are kept.
+docs: warm ## Build the documentation into site/ (no network; some two minutes the first time)
+	@echo "docs: mkdocs, strict"
+	@$(TEST_ENV) NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+	@echo "docs: open site/index.html"
+
 pictures: setup ## Draw the README's pictures anew (needs a Chromium)
 	@$(BIN)/python docs/pictures/make.py
 
@@ -107,5 +113,5 @@ lock: ## Resolve every version anew into requirements.lock
 	mv "$$folder/lock" requirements.lock; echo "lock: $$(grep -c == requirements.lock) versions"
 
 clean: ## Remove the environment, caches and build folders
-	@rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	@rm -rf $(VENV) build dist site docs/tools/.cache *.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -7,14 +7,13 @@ may stand as well: its effects and values are where the next step begins.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spiral.inference.problem import Problem, Progress, Settings, silent
+from spiral.inference.problem import Problem, Progress, Settings
 from spiral.io import question
 from spiral.io.registry import Registry, load_registry
 from spiral.types.effect import Effect
@@ -40,25 +39,34 @@ Plugins = str | Path | Registry | None
 
 
 def read(
-    path: str | Path | Sequence[str], system: Physics, *, plugins: Plugins = None, **fields: Any
+    path: str | Path | Sequence[str] | Mapping[str, Any],
+    system: Physics,
+    *,
+    plugins: Plugins = None,
+    **fields: Any,
 ) -> Any:
     """A record from a file, or a tuple of records from several files of one machine.
 
     Parameters
     ----------
+    path : a file, several files, or any source by its name with fields, for instance the embedded
+        run-down of a rotor: ``{"name": "rotor_coastdown", "seed": 11}``.
     system : whose channels and inputs the columns are.
     fields : as ``record.NAME`` on the command line: ``time`` or ``rate``, ``channels``, ``inputs``,
         ``units``, ``rows``, ``noise``, ``offset``, ``resample``, ...
 
     Raises
     ------
-    SpiralError : a file or a column that cannot be used; it says what was given, what was expected,
-        and what to try.
+    SpiralError : a file, a column or a field that cannot be used.
     """
     registry = _registry(plugins)
-    several = not isinstance(path, str | Path)
-    given = {"path": [str(p) for p in path] if several else str(path), **fields}
-    records = registry.make("source", "file", given, "record").load(_system(system, registry))
+    several = not isinstance(path, str | Path | Mapping)
+    if isinstance(path, Mapping):
+        source = _plugin("source", {**path, **fields}, registry)
+    else:
+        given = {"path": [str(p) for p in path] if several else str(path), **fields}
+        source = registry.make("source", "file", given, "record")
+    records = source.load(_system(system, registry))
     return records if several or len(records) > 1 else records[0]
 
 
@@ -384,16 +392,8 @@ def _of(run: Run) -> Problem:
     return run.question
 
 
-@contextmanager
-def _told(choices: dict[str, Any]) -> Iterator[Progress]:
+def _told(choices: dict[str, Any]) -> AbstractContextManager[Progress]:
     """Progress as the caller wants it: told to a function, drawn for a person, or silent."""
-    given = choices.pop("progress", None)
-    if given is not None:
-        yield given
-    elif sys.stderr.isatty() or "ipykernel" in sys.modules:
-        from spiral.view.terminal.parts import progress
+    from spiral.view.progress import progress_for
 
-        with progress() as tell:
-            yield tell
-    else:
-        yield silent
+    return progress_for(choices.pop("progress", None))

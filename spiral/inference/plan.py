@@ -24,8 +24,10 @@ from spiral.inference.identifiability.information import Pair, View, separation
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
+from spiral.types.formatting import number, percent
 from spiral.types.model import Model
 from spiral.types.record import Record
+from spiral.types.showing import Shown, Summary
 
 ENOUGH = 0.95  # probability with which a proposed test must separate
 
@@ -84,8 +86,8 @@ class Outlook:
         return min((p.noncentrality for p in self.pairs), default=0.0)
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Shown):
     """Planned tests, best first, beside what the record at hand tells.
 
     ``suffices``: how many answer the question; the first is the shortest of them. ``model`` is the
@@ -100,6 +102,16 @@ class Plan:
     suffices: int
     advice: str
     notes: tuple[str, ...] = ()
+
+    def _shown(self) -> Summary:
+        tests = (self.now, *self.tests[:5])
+        names = ("the record at hand", *(t.test.words for t in self.tests[:5]))
+        rows = tuple(
+            (name, percent(t.probability), number(t.noncentrality, 3), number(t.error, 3))
+            for name, t in zip(names, tests, strict=True)
+        )
+        head = ("test", "tells apart", "rise of chi2", "standard error")
+        return Summary(f"Plan for {self.model.name}", head, rows, self.advice)
 
     @property
     def verdict(self) -> Literal["answered", "not_answered"]:
@@ -142,8 +154,8 @@ def plan(
     truths, notes = _truths(problem, wanted, progress)
     now = _outlook_now(problem, truths, wanted)
     found = []
-    for number, test in enumerate(tests, 1):
-        progress(f"test {number} of {len(tests)}: {test.words}")
+    for count, test in enumerate(tests, 1):
+        progress(f"test {count} of {len(tests)}: {test.words}")
         found.append(_outlook(problem, truths, wanted, test, simulate))
     order = sorted(found, key=lambda o: _order(o, wanted))
     suffices = sum(_answers(o, wanted) for o in order)

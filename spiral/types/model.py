@@ -9,6 +9,7 @@ import numpy as np
 
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.formatting import plus_minus
 from spiral.types.parameter import Parameter
 from spiral.types.placement import check_effect, model_keys
 from spiral.types.system import System
@@ -32,7 +33,7 @@ class Estimate:
         return {"estimate": self.estimate, "se": self.se, "t": self.t, "unit": self.unit}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Model:
     """A system with effects.
 
@@ -52,6 +53,20 @@ class Model:
     freed: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
     errors: Mapping[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        rows = [
+            f"  {key} = {plus_minus(self.values.get(key), self.errors.get(key))} {self.unit(key)}"
+            for key, _ in self.pairs
+        ]
+        return "\n".join([f"Model of {self.name}", *(row.rstrip() for row in rows)])
+
+    @property
+    def name(self) -> str:
+        """The system's name, and the effects beside its seed."""
+        seed = {e.label for e in self.system.seed}
+        added = [label for label in self.labels if label not in seed]
+        return " with ".join(filter(None, [self.system.plugin_name(), ", ".join(added)]))
 
     def __post_init__(self) -> None:
         labels = [e.label for e in self.effects]

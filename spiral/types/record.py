@@ -20,7 +20,7 @@ MINIMUM_SAMPLES = 64
 JITTER = 0.02  # largest deviation of a time step from the mean one, as a share of it
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Record:
     """One measured or simulated series on a uniform time grid.
 
@@ -44,6 +44,11 @@ class Record:
     truth: Mapping[str, Array] = field(default_factory=dict)
     measured: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        length = f"{self.samples} samples, {self.samples * self.dt:.4g} s at {1 / self.dt:.4g} Hz"
+        series = f"channels {', '.join(self.channels)}; inputs {', '.join(self.inputs) or 'none'}"
+        return "\n  ".join([f"Record {self.name}: {length}", series, *self.notes])
 
     @property
     def samples(self) -> int:

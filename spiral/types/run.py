@@ -6,12 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from spiral.types.formatting import number, percent
+from spiral.types.formatting import number, percent, probability
 from spiral.types.horizon import Change, Horizon
 from spiral.types.model import Estimate, Model
+from spiral.types.showing import Shown, Summary
 
 Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unknown_structure"]
+"""What a study says of its seed: an effect is missing and named; nothing is missing; the record
+cannot tell the model's effects apart; something is missing that no candidate explains."""
+
 Stopped = Literal["whiteness", "no_candidate", "not_identifiable", "diverged", "max_rounds"]
+"""How a study ended: what is left is white; no candidate passed; the record cannot tell; a fit did
+not converge; as many rounds as ``settings.max_rounds`` were made."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +32,8 @@ class ChannelError:
         return {"rmse": self.rmse, "relative": self.relative}
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
     """A fitted model against measurements it was fitted on and against those it was not.
 
     ``fit_error`` and ``test_error`` are relative free-run errors, mean over channels;
@@ -54,6 +60,15 @@ class Comparison:
     noise_ratio: float | None = None
     innovation_chi2: float | None = None
     unseen: tuple[Horizon, ...] = ()
+
+    def _shown(self) -> Summary:
+        errors = (self.fit_error, self.test_error, self.noise_floor)
+        return Summary(
+            f"Comparison of {self.model.name}",
+            ("fit error", "test error", "noise floor", "chi2/dof"),
+            ((*map(percent, errors), number(self.chi2_per_dof)),),
+            "; ".join(self.notes),
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -142,8 +157,8 @@ class Where:
         return {**found, **what, **said, "sentence": self.sentence}
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Shown):
     """What is missing, where it shows, and what to do.
 
     ``not_separable`` are candidates that effects of the model take over on this record, in part or
@@ -163,6 +178,18 @@ class Diagnosis:
     unknown: Mapping[str, Any] | None = None
     left_out: Mapping[str, str] = field(default_factory=dict)
     summary: str = ""
+
+    def _shown(self) -> Summary:
+        rows = tuple(
+            (s.effect, percent(s.explains), probability(s.p_value), ", ".join(s.aliases), s.meaning)
+            for s in self.suggestions[:5]
+        )
+        return Summary(
+            f"{self.verdict}. {self.where.sentence}".strip(),
+            ("effect", "explains", "p", "looks like", "meaning"),
+            rows,
+            self.advice,
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
@@ -230,7 +257,7 @@ class Round:
 
 @dataclass(frozen=True, repr=False)
 class Run:
-    """The frozen history of a study: tried, admitted, rejected, on which evidence.
+    """The history of a study: what was tried, added and refused in each round, on which evidence.
 
     ``missing`` are the effects that the verdict names, ``summary`` says it with its figures.
     ``question`` is the ``Problem`` that it answers, where it was put in this process.

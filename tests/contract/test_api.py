@@ -45,6 +45,24 @@ def test_a_run_shows_itself(run):
     assert notebook.count("\n|--:") == 1
 
 
+def test_every_result_prints_a_short_text_and_is_a_table_in_a_notebook(run, record):
+    found = spiral.estimate(run, record)
+    identified = spiral.identify(record, "oscillator", candidates=CANDIDATES)
+    for result in (record, run.model, run.final, found, identified):
+        assert "array(" not in repr(result)
+        assert len(repr(result)) < 800
+    for result in (run.final, found, identified):
+        assert "\n| --- |" in result._repr_markdown_()
+
+
+def test_a_source_by_its_name():
+    fields = {"name": "rotor_coastdown", "duration": 0.5, "seed": 3}
+    record = spiral.read(fields, "planar_rotor")
+    assert (record.samples, set(record.measured)) == (500, {"speed", "phase"})
+    with pytest.raises(ConfigError, match="rotor_coastdown"):
+        spiral.read({"name": "rotor_coastdwn"}, "planar_rotor")
+
+
 def test_the_same_record_by_file_gives_the_same_answer(run, record, tmp_path):
     import pandas as pd
 

@@ -19,6 +19,12 @@ def _commands() -> list[list[str]]:
     return [line.split()[1:] for line in block[1].splitlines()]
 
 
+def test_the_tutorial_of_the_site_takes_the_same_steps():
+    text = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    steps = [line.split()[1:] for line in text.splitlines() if line.startswith("spiral ")]
+    assert [s for s in steps if s[0] not in ("discover", "report")] == _commands()
+
+
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tutorial")

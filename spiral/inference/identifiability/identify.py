@@ -26,16 +26,18 @@ from spiral.inference.identifiability.signatures import Signatures, equation_row
 from spiral.inference.problem import Problem, Progress, Settings, silent
 from spiral.types.derivative import Derivative, Derivatives, differentiate
 from spiral.types.errors import ConfigError
+from spiral.types.formatting import number
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
+from spiral.types.showing import Shown, Summary
 
 _STANDS_OUT = 3.0  # noise standard deviations by which an unseen direction would have to show
 _STEADY = 0.02  # relative variation of speed under which it counts as constant
 _SETTLED = 4  # samples left out at each end of a planned test, where slopes are one-sided
 
 
-@dataclass(frozen=True)
-class Identification:
+@dataclass(frozen=True, repr=False)
+class Identification(Shown):
     """What a record can tell before any fit.
 
     Parameters
@@ -63,6 +65,17 @@ class Identification:
     left_out: Mapping[str, str]
     planned: bool
     advice: str
+
+    def _shown(self) -> Summary:
+        needed = number(self.samples_needed) if np.isfinite(self.samples_needed) else "no number"
+        rank = f"{self.found.rank} of {len(self.terms)}"
+        return Summary(
+            f"{self.verdict}: {len(self.terms)} terms",
+            ("rank", "condition", "mu", "samples needed", "cannot be told apart"),
+            ((rank, number(self.found.condition, 3), number(self.mu, 3), needed,
+              "; ".join(", ".join(group) for group in self.aliases) or "-"),),
+            self.advice,
+        )  # fmt: skip
 
     @property
     def mu(self) -> float:

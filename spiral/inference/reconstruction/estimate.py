@@ -27,8 +27,10 @@ from spiral.inference.reconstruction.consistency import (
 from spiral.inference.reconstruction.consistency import stable_samples as stable
 from spiral.inference.reconstruction.observability import Observability, observability
 from spiral.physics.trace import own_states
+from spiral.types.formatting import number, percent
 from spiral.types.model import Model, pretty_unit
 from spiral.types.record import Array, Record
+from spiral.types.showing import Shown, Summary
 
 SKIPPED = 1.0  # s at the start that are not scored
 BAND = 1.959964  # half a 95 % band, in standard deviations
@@ -92,8 +94,8 @@ class Reconstructed:
         return self.task.model.unit(name) if name in self.task.keys else known.get(name, "")
 
 
-@dataclass(frozen=True)
-class Estimation:
+@dataclass(frozen=True, repr=False)
+class Estimation(Shown):
     """States of one or several records of one machine, scored together."""
 
     observer: str
@@ -102,6 +104,18 @@ class Estimation:
     states: Mapping[str, StateScore]
     baseline: Mapping[str, float | None]
     observability: Observability
+
+    def _shown(self) -> Summary:
+        rows = tuple(
+            (name, number(s.deviation, 3), percent(s.relative), percent(s.coverage_95), s.unit)
+            for name, s in self.states.items()
+        )
+        said = "diverged" if self.diverged else f"mean NIS {number(self.nis_mean, 3)}"
+        return Summary(
+            f"States of {self.model.name} by {self.observer}: {said}",
+            ("state", "standard deviation", "error (truth known)", "truth in 95 % band", "unit"),
+            rows,
+        )
 
     @property
     def diverged(self) -> bool:
@@ -167,8 +181,8 @@ def estimate(
         them.
     """
     parts = []
-    for number, (model, record) in enumerate(zip(models, records, strict=True)):
-        inputs, substeps = (grids[number] if grids else None) or (None, None)
+    for index, (model, record) in enumerate(zip(models, records, strict=True)):
+        inputs, substeps = (grids[index] if grids else None) or (None, None)
         task = prepare_task(model, record, inputs=inputs, substeps=substeps)
         progress(f"{observer.plugin_name()} over {record.name}: {record.samples} samples")
         parts.append(reconstructed(task, observer))

@@ -1,0 +1,46 @@
+"""The notebooks: each runs from top to bottom in an empty folder and finds what it says."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nbclient", reason="nbclient is in the dev extra")
+pytest.importorskip("jupytext", reason="jupytext is in the dev extra")
+
+DOCS = Path(__file__).parents[2] / "docs"
+SAID = {
+    "own_file": ["Missing were cubic_stiffness, coulomb_friction", "States of oscillator"],
+    "own_system": ["Missing was fading_friction", "States of carriage", "grip"],
+    "rotor": ["cross_stiffness, cubic_stiffness, gyroscopic", "What is left is white noise"],
+}
+"""What stands among the outputs of each."""
+
+
+def _notebooks():
+    spec = importlib.util.spec_from_file_location("notebooks", DOCS / "tools" / "notebooks.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _texts(notebook):
+    for cell in notebook.cells:
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {})
+            yield output.get("text", "") + data.get("text/markdown", data.get("text/plain", ""))
+
+
+def test_every_notebook_is_listed():
+    assert {path.stem for path in (DOCS / "notebooks").glob("*.py")} == set(SAID)
+
+
+# The rotor has 14 000 samples and every candidate of the catalog: some 45 s of one core.
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n == "rotor" else ()) for n in SAID]
+)
+def test_a_notebook_runs(name):
+    path = DOCS / "notebooks" / f"{name}.py"
+    shown = "\n".join(_texts(_notebooks().run(path))).replace("\\_", "_")
+    for text in SAID[name]:
+        assert text in shown
