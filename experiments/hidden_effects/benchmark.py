@@ -29,13 +29,13 @@ from experiments.hidden_effects.strengths import (
     strengths,
 )
 from experiments.hidden_effects.summary import conclude
+from experiments.studies.outcomes import coefficient, named
 from spiral.inference.discover import discover
 from spiral.io.registry import Registry
 from spiral.types.errors import ConfigError
 from spiral.types.run import Run
 
 ROUNDS = 2  # one for the hidden effect, one in which nothing more may be admitted
-_TOP = 3
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,6 @@ def study(job: Job) -> dict[str, Any] | None:
         "seed": job.seed,
         "identifiable": bool(hidden.effect) and hidden.identifiable(job.noise),
         "verdict": run.verdict,
-        "admitted": [x for r in run.rounds for x in r.admitted],
         "before": run.rounds[0].comparison.test_error,
         "after": run.rounds[-1].comparison.test_error,
         "floor": run.rounds[-1].comparison.noise_floor,
@@ -86,32 +85,13 @@ def study(job: Job) -> dict[str, Any] | None:
 
 
 def _named(run: Run, hidden: Hidden) -> dict[str, Any]:
-    """Ranks of the hidden effect, counting its alias group, and what was admitted beside it."""
+    """Ranks of the hidden effect, what was invented beside it, and its coefficient's error."""
     label = hidden.effect
-    groups = [(x, {x, *r.aliases.get(x, ())}) for r in run.rounds for x in r.admitted]
-    first = bool(groups) and label in groups[0][1]
-    ranked = run.rounds[0].suggestions[:_TOP]
-    top = first or any(label == s.effect or label in s.aliases for s in ranked)
-    invented = [x for x, group in groups if not label or label not in group]
-    estimate = _coefficient(run, hidden)
+    truth = {f"{label}.{name}": value for name, value in hidden.values.items()}
     return {
-        "first": first,
-        "top": bool(label) and top,
-        "alone": first and groups[0][1] == {label},
-        "aliases": sorted(groups[0][1] - {groups[0][0]}) if groups else [],
-        "invented": invented,
-        "error_se": estimate,
-        "suggested": [s.effect for s in ranked],
+        **named(run, (label,) if label else ()),
+        "error_se": coefficient(run, truth)["error_se"],
     }
-
-
-def _coefficient(run: Run, hidden: Hidden) -> float | None:
-    """Error of the hidden effect's first amplitude in its standard errors."""
-    table = run.model.estimates().get(hidden.effect, {})
-    for name, value in hidden.values.items():
-        if name in table and table[name].se:
-            return (table[name].estimate - value) / table[name].se
-    return None
 
 
 def jobs_of(given: argparse.Namespace, registry: Registry) -> list[Job]:

@@ -3,36 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-Row = dict[str, Any]
+from experiments.studies.rates import Row, number_told, rate, rate_told
+
 _GROUPS = (("all identifiable", ()), ("by strength and noise", ("strength", "noise")),
            ("by system, strength and noise", ("system", "strength", "noise")))  # fmt: skip
-
-
-def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
-    """Wilson's 95 % interval of a rate of ``hits`` among ``count``."""
-    if count == 0:
-        return 0.0, 1.0
-    rate, size = hits / count, 1 + z**2 / count
-    middle = (rate + z**2 / (2 * count)) / size
-    half = z / size * np.sqrt(rate * (1 - rate) / count + z**2 / (4 * count**2))
-    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
-
-
-def rate(rows: Sequence[Row], hit: Callable[[Row], bool]) -> dict[str, Any]:
-    """A share of rows with its interval."""
-    hits = sum(map(hit, rows))
-    return {
-        "rate": hits / len(rows) if rows else None,
-        "hits": hits,
-        "count": len(rows),
-        "interval": wilson(hits, len(rows)),
-    }
 
 
 def figures(rows: Sequence[Row]) -> dict[str, Any]:
@@ -111,27 +91,20 @@ def table(found: dict[str, Any]) -> str:
     for title in ("all identifiable", "by strength and noise", "by system, strength and noise"):
         lines += [f"\n**{title}**\n", f"| {' | '.join(_COLUMNS)} |", "|" + "---|" * len(_COLUMNS)]
         for name, row in found[title].items():
-            cells = [_rate(row[k]) for k in ("first", "top3", "false")]
-            cells += [_number(row["fall"]), _number(row["over_floor"]), _rate(row["near_floor"])]
-            cells += [_number(row["coefficient_error_se"]), _rate(row["within_2_se"])]
-            cells.append(_number(row["seconds"]))
+            cells = [rate_told(row[k]) for k in ("first", "top3", "false")]
+            cells += [
+                number_told(row["fall"]),
+                number_told(row["over_floor"]),
+                rate_told(row["near_floor"]),
+            ]
+            cells += [number_told(row["coefficient_error_se"]), rate_told(row["within_2_se"])]
+            cells.append(number_told(row["seconds"]))
             lines.append(f"| {name} | {row['first']['count']} | {' | '.join(cells)} |")
     null, unseen = found["null"], found["not_identifiable"]["named_or_nothing"]
-    lines += [f"\nNull records: something admitted in {_rate(null['false'])} of "
+    lines += [f"\nNull records: something admitted in {rate_told(null['false'])} of "
               f"{null['false']['count']}.", f"Not identifiable: named, or nothing admitted, in "
-              f"{_rate(unseen)} of {unseen['count']}."]  # fmt: skip
+              f"{rate_told(unseen)} of {unseen['count']}."]  # fmt: skip
     return "\n".join(lines)
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
-
-
-def _rate(found: dict[str, Any]) -> str:
-    if found["rate"] is None:
-        return "-"
-    low, high = found["interval"]
-    return f"{found['rate']:.1%} ({low:.1%} to {high:.1%})"
 
 
 def heat_map(rows: Sequence[Row], system: str) -> Any:

@@ -6,7 +6,7 @@ from experiments.hidden_effects.benchmark import Job, main, study
 from experiments.hidden_effects.cases import CASES, Case, problem
 from experiments.hidden_effects.run import outcome
 from experiments.hidden_effects.strengths import SCENES, SHARES, strengths
-from experiments.hidden_effects.summary import wilson
+from experiments.studies.rates import wilson
 from spiral.inference.evidence.assembly import assemble
 from spiral.types.effect import ForceEffect
 from tests.scenes import registry
