@@ -38,6 +38,8 @@ class Settings:
     miss : probability of missing such a term.
     chi2_limit : chi2 per degree of freedom, and its inverse, beyond which the noise does not
         explain what a model leaves: evidence relies on a noise model that is right within this.
+    random_limit : share of the machine's own rates up to which a force that acts at random is an
+        answer; beyond it the model lacks something.
     least_t : |estimate| over standard error under which an effect is not called missing.
     learned : whether ``discover`` admits a learned curve where no candidate explains what is left.
     phase_knot : seconds between knots of the smooth phase correction that a fitted record gets
@@ -51,6 +53,7 @@ class Settings:
     whiteness_level: float = 0.001
     lags: int = 40
     chi2_limit: float = 2.0
+    random_limit: float = 0.2
     least_t: float = 3.0
     share: float = 0.1
     miss: float = 0.05

@@ -56,6 +56,9 @@ def noise_factor(found: Comparison, settings: Settings) -> float:
     the noise is said to be): then it is the noise, and the statement is off.
     """
     chi2, limit = chi2_of(found), settings.chi2_limit
+    if found.random is not None:  # the noise was fitted: its size against what is declared
+        fitted = found.noise_ratio or 1.0
+        return 1.0 if 1 / limit <= fitted**2 <= limit else fitted
     if not white(found, settings) or not np.isfinite(chi2) or 1 / limit <= chi2 <= limit:
         return 1.0
     seen = found.noise_ratio
@@ -74,11 +77,46 @@ def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
     if not white(found, settings):
         share = percent(min(found.whiteness_effect, 1.0))
         reasons.append(f"what is left is not white (its past predicts about {share} of it)")
-    free = found.innovation_chi2 is None  # else process noise moves what runs freely
+    forces = random_forces(found)
+    if forces and max(forces.values()) > settings.random_limit:
+        share = percent(max(forces.values()))
+        reasons.append(
+            f"beside it a random force of {share} of the machine's own would have to act"
+        )
+    modelled = found.innovation_chi2 is None or found.random is not None
+    free = modelled and not forces  # else process noise moves what runs freely
     if free and not found.test_error**2 <= limit * (factor * found.noise_floor) ** 2:
         floor = percent(factor * found.noise_floor)
         reasons.append(f"the test error is {percent(found.test_error)} where noise makes {floor}")
     return tuple(reasons)
+
+
+def random_forces(found: Comparison) -> dict[str, float]:
+    """Forces that act at random beside the model, by name, as shares of the machine's own."""
+    return {k: v for k, v in (found.random or {}).items() if k.split(".")[0] in ("force", "gust")}
+
+
+def random_sentence(found: Comparison) -> str:
+    """What acts at random beside white noise of the sensors; empty where nothing does."""
+    said = []
+    for name, share in (found.random or {}).items():
+        kind, _, where = name.partition(".")
+        time = found.random_times.get(name)
+        lasting = "" if time is None else f", correlated over {number(time, 2)} s"
+        if kind in ("force", "gust"):
+            states = "measured" if where == "observed" else where
+            said.append(
+                f"a random force acts on the {states} states: {percent(share)} of the machine's "
+                f"own{lasting or ', white'}"
+            )
+        elif kind == "drift":
+            said.append(f"sensor {where} drifts by {percent(share)} of its motion over the record")
+        else:
+            said.append(
+                f"the noise of sensor {where} is not white: {percent(share)} of its motion{lasting}"
+            )
+    text = "; ".join(said)
+    return text[:1].upper() + text[1:] + "." if text else ""
 
 
 def near_noise(found: Comparison, settings: Settings) -> bool:
@@ -168,8 +206,9 @@ def verdict_sentence(verdict: Verdict, found: Comparison, settings: Settings) ->
     words = _VERDICTS[verdict]
     if words.endswith("."):
         return words
+    random = random_sentence(found)
     if verdict == "nothing_missing":
-        return f"{words}: {_figures(found)}."
+        return f"{words}: {_figures(found)}.{' ' + random if random else ''}"
     reasons = shortfalls(found, settings)
     if len(reasons) == 1 and not found.test_error <= found.fit_error and _fits(found, settings):
         return (
@@ -185,10 +224,13 @@ def _fits(found: Comparison, settings: Settings) -> bool:
 
 
 def _figures(found: Comparison) -> str:
+    floor = percent(found.noise_floor)
+    error = f"the test error is {percent(found.test_error)} (noise floor {floor})"
+    if found.random is not None:
+        return f"what is left is white noise, and {error}"
     return (
         f"chi2 per degree of freedom is {number(chi2_of(found), 3)}, what is left is white, "
-        f"and the test error is {percent(found.test_error)} (noise floor "
-        f"{percent(found.noise_floor)})"
+        f"and {error}"
     )
 
 
@@ -211,7 +253,7 @@ def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, setting
     if reasons := shortfalls(last, settings):
         more = "More is missing" if last.converged else "Whether more is missing cannot be told"
         said.append(f"{more}: {'; '.join(reasons)}.")
-    return " ".join(said)
+    return " ".join([*said, random_sentence(last)]).strip()
 
 
 def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:

@@ -27,13 +27,17 @@ from spiral.types.record import Array
 from spiral.types.system import MechanicalSystem, System
 
 Function = Callable[..., Any]
+Own = Mapping[str, Any]
+"""An effect's own states along a motion: (samples,) each, or a tuple of such, one for each axis."""
 
 
 @dataclass(frozen=True)
 class Along:
-    """A motion of a system: ``states`` (samples, n) of the system alone, ``inputs`` (samples, input
-    columns), ``rates`` (samples, n) and ``readings`` (samples, channels) of the model as it is,
-    ``values`` of the system's parameters by name.
+    """A motion of a system.
+
+    ``states`` (samples, n) of the system alone, ``inputs`` (samples, input columns), ``rates``
+    (samples, n) and ``readings`` (samples, channels) of the model as it is, ``values`` of the
+    system's parameters by name.
     """
 
     system: System
@@ -57,13 +61,9 @@ class Along:
 
 
 def amplitude_names(effect: Effect, port: Port) -> tuple[str, ...]:
-    """Names of an effect's amplitudes in the order of the columns, with ``_axis`` where per axis."""
+    """Names of an effect's amplitudes in the order of columns, with ``_axis`` where per axis."""
     known = {p.name for p in effect.amplitudes()}
     return tuple(k.rsplit(".", 1)[1] for k, p in effect.keys(port) if p.name in known)
-
-
-Own = Mapping[str, Any]
-"""An effect's own states along a motion: (samples,) each, or a tuple of such, one for each axis."""
 
 
 def signatures(
@@ -86,7 +86,7 @@ def signatures(
     m = len(system.observed)
     units = _unit_amplitudes(effect, port, shapes)
     rates, readings = np.zeros((count, n, len(units))), np.zeros((count, m, len(units)))
-    u = _inputs(along, shift)
+    u = inputs_seen(along, shift)
     if isinstance(effect, SensorEffect):
         at = At(
             tuple(along.states[:, _index(system, c)] for c in system.observed),
@@ -107,78 +107,7 @@ def signatures(
     return rates, readings
 
 
-def own_states_along(
-    along: Along, dt: float, effect: Effect, shapes: Mapping[str, Array], shift: float = 0.0
-) -> dict[str, list[Array]]:
-    """An effect's own states (samples, values) from rest, driven by a motion, amplitudes at zero.
-
-    Classical Runge-Kutta steps of one sample, the motion between samples by cubic Hermite.
-
-    Parameters
-    ----------
-    shapes : (values,) of each shape parameter: as many copies at once.
-
-    Returns
-    -------
-    For each state one array, or where it is per axis one for each axis.
-    """
-    system, port = along.system, check_effect(along.system, effect)
-    count = len(next(iter(shapes.values()), np.zeros(1)))
-    p = _unit_amplitudes(effect, port, dict(shapes))[0]
-    for q in effect.amplitudes():
-        setattr(p, q.name, tuple(0.0 for _ in port.axes) if q.per_axis else 0.0)
-    u = vars(_inputs(along, shift))
-    position, velocity = _at(along, port)
-    middle, turning = _halfway(position, velocity, dt)
-    names = [(s.name, i) for s in effect.states for i in range(_axes(port) if s.per_axis else 1)]
-    found = np.zeros((len(along.states), len(names), count))
-
-    def slope(k: int, half: bool, z: Array) -> Array:
-        q, v = (middle, turning) if half else (position, velocity)
-        given = SimpleNamespace(**{n: c[k] for n, c in u.items()})
-        rates = effect.rate(At(tuple(q[k]), tuple(v[k]), _own(effect, port, z)), given, p)
-        flat = [
-            part
-            for s in effect.states
-            for part in (rates[s.name] if s.per_axis else [rates[s.name]])
-        ]
-        return np.stack([np.broadcast_to(np.asarray(f, float), (count,)) for f in flat])
-
-    for k in range(len(found) - 1):
-        z = found[k]
-        first = slope(k, False, z)
-        second = slope(k, True, z + 0.5 * dt * first)
-        third = slope(k, True, z + 0.5 * dt * second)
-        fourth = slope(k + 1, False, z + dt * third)
-        found[k + 1] = z + dt / 6.0 * (first + 2 * second + 2 * third + fourth)
-    at = {s.name: [j for j, (n, _) in enumerate(names) if n == s.name] for s in effect.states}
-    return {n: [found[:, j] for j in places] for n, places in at.items()}
-
-
-def own_of(effect: Effect, states: Mapping[str, list[Array]], copy: int) -> Own:
-    """One copy's own states, as the effect's equations see them."""
-    per_axis = {s.name: s.per_axis for s in effect.states}
-    return {
-        n: tuple(p[:, copy] for p in parts) if per_axis[n] else parts[0][:, copy]
-        for n, parts in states.items()
-    }
-
-
-def _own(effect: Effect, port: Port, z: Array) -> SimpleNamespace:
-    found, at = SimpleNamespace(), 0
-    for state in effect.states:
-        count = _axes(port) if state.per_axis else 1
-        rows = tuple(z[at : at + count])
-        setattr(found, state.name, rows if state.per_axis else rows[0])
-        at += count
-    return found
-
-
-def _axes(port: Port) -> int:
-    return max(len(port.axes), 1)
-
-
-def _at(along: Along, port: Port) -> tuple[Array, Array]:
+def at_port_along(along: Along, port: Port) -> tuple[Array, Array]:
     """(samples, axes) positions and velocities of a port; a flow's place moves at its own rate."""
     if isinstance(along.system, MechanicalSystem):
         count = len(along.states)
@@ -189,14 +118,6 @@ def _at(along: Along, port: Port) -> tuple[Array, Array]:
     place = _place(along.system, port.name)(*along.states.T, *along.parameters)
     position = _columns(place, len(along.states))
     return position, np.gradient(position, axis=0)
-
-
-def _halfway(position: Array, velocity: Array, dt: float) -> tuple[Array, Array]:
-    """Position and velocity between samples."""
-    middle, turning = position.copy(), velocity.copy()
-    middle[:-1] = 0.5 * (position[:-1] + position[1:]) + dt / 8 * (velocity[:-1] - velocity[1:])
-    turning[:-1] = 1.5 / dt * np.diff(position, axis=0) - 0.25 * (velocity[:-1] + velocity[1:])
-    return middle, turning
 
 
 def _injected(
@@ -250,7 +171,8 @@ def _unit_amplitudes(
     return found
 
 
-def _inputs(along: Along, shift: float) -> SimpleNamespace:
+def inputs_seen(along: Along, shift: float) -> SimpleNamespace:
+    """The inputs as effects see them, each (samples,)."""
     system = along.system
     u = SimpleNamespace(**dict(zip(input_columns(system), along.inputs.T, strict=True)))
     seen = system.seen(u, SimpleNamespace(**along.values))
@@ -302,7 +224,7 @@ def _geometry(system: System, name: str) -> Function:
     position = sp.Matrix([sp.sympify(e) for e in port.coordinates(q, p)])
     jacobian = position.jacobian([getattr(q, n) for n in names])
     velocity = jacobian * sp.Matrix([getattr(v, n) for n in names])
-    parts = [list(position), list(velocity), jacobian.tolist()]
+    parts = [position.flat(), velocity.flat(), jacobian.tolist()]
     return sp.lambdify([*traced.x, *traced.p], parts, "numpy")
 
 

@@ -43,7 +43,11 @@ class Comparison(Shown):
     rms over channels, and nothing where they declare none; ``unseen`` are errors on the
     test records at several horizons (``inference.evidence.horizons``), none without a test.
     ``innovation_chi2`` is the mean squared whitened innovation, where a filter's likelihood is the
-    evidence: process noise then explains what a free run misses.
+    evidence: process noise then explains what a free run misses. ``random`` names what acts at
+    random beside white noise of the sensors (``engine.likelihood.noise``), with its size: of a
+    force its share of the rate that it acts on, of a reading its share of the channel's deviation;
+    nothing where no such model was fitted; ``random_times`` its correlation time in s, where it
+    has one.
     """
 
     model: Model
@@ -60,6 +64,8 @@ class Comparison(Shown):
     noise_ratio: float | None = None
     innovation_chi2: float | None = None
     unseen: tuple[Horizon, ...] = ()
+    random: Mapping[str, float] | None = None
+    random_times: Mapping[str, float] = field(default_factory=dict)
 
     def _shown(self) -> Summary:
         errors = (self.fit_error, self.test_error, self.noise_floor)
@@ -78,6 +84,8 @@ class Comparison(Shown):
             "noise_floor": self.noise_floor,
             "noise_ratio": self.noise_ratio,
             "innovation_chi2": self.innovation_chi2,
+            "random": None if self.random is None else dict(self.random),
+            "random_times": dict(self.random_times),
             "channels": {k: v.as_dict() for k, v in self.channels.items()},
             "chi2_per_dof": self.chi2_per_dof,
             "whiteness_p": self.whiteness_p,

@@ -18,9 +18,10 @@ from spiral.inference.compare import last_stage, prepared
 from spiral.inference.discover import add, discover
 from spiral.inference.evidence.assembly import assemble, first_row
 from spiral.inference.evidence.fit_state import begin, half_masks
+from spiral.inference.evidence.spectrum import peaks
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.simulate import integrate
-from spiral.inference.strategies.resolved import peaks, scanned, widened
+from spiral.inference.strategies.resolved import scanned, widened
 from spiral.inference.suggest import propose
 from spiral.inference.unknown.holding import carried, reassembled, variant_of
 from spiral.physics.trace import trace

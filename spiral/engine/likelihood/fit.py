@@ -8,9 +8,11 @@ scoring step solves
 
 whose normal equations are the likelihood's slope and its expected information. Steps are damped
 (Levenberg and Marquardt) until the likelihood rises. The first steps take X from the filter with
-its gains held, which is one pass; once these promise more than they keep, X is by differences. A model that lacks something starts with much
-process noise, and with it the filter follows the record however wrong the model is; as parameters
-find their values the noise falls, and predictions are judged ever more by the model.
+its gains held, which is one pass; once these promise more than they keep, X is by differences.
+
+A model that lacks something starts with much process noise, and with it the filter follows the
+record however wrong the model is; as parameters find their values the noise falls, and predictions
+are judged ever more by the model.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from spiral.engine.leastsquares import Fit, solve_triangle, triangle
 from spiral.engine.likelihood.noise import NoiseModel, limits
 from spiral.engine.likelihood.predict import (
     RUNAWAY,
+    Masks,
     Prediction,
     Prepared,
     all_predicted,
@@ -40,9 +43,6 @@ _MOVE = 1e-3  # standard deviations that whitened misses move in a difference
 _TRUE = 0.5  # share of the promised gain from which slopes with held gains are good enough
 _DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
 
-Masks = Sequence[Array] | None
-"""(samples,) True for the samples of each record that count; none where all do."""
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -50,7 +50,7 @@ class Estimate:
 
     ``parts`` are the predictions there with their slopes by ``keys``; ``solved`` the last scoring
     regression, whose inverse is that of the information; ``converged`` whether no step was worth
-    more; ``steps`` how many were taken.
+    more; ``steps`` how many were taken; ``sizes`` of the noise that the regression has.
     """
 
     prepared: Prepared
@@ -61,6 +61,7 @@ class Estimate:
     solved: Fit | None
     converged: bool
     steps: int
+    sizes: tuple[str, ...] = ()
 
     @property
     def finite(self) -> bool:
@@ -87,7 +88,7 @@ class Estimate:
         if self.solved is None:
             return {}
         spread = self.solved.spread(1.0)[len(self.keys) :]
-        return {k: float(s) for k, s in zip(self.noise.names, spread, strict=False)}
+        return {k: float(s) for k, s in zip(self.sizes, spread, strict=False)}
 
     @property
     def chi2(self) -> float:
@@ -131,6 +132,7 @@ def maximise(
         better, damping, solved, promised = search.climb(at, rows, beside, damping)
         gain = 0.0 if better is None else better.log_likelihood - at.log_likelihood
         at = replace(at if better is None else better, solved=solved, steps=number + 1)
+        at = replace(at, sizes=tuple(beside))
         if gain < enough and (exact or not keys or (rough and promised < enough)):
             return replace(at, converged=True)
         if not exact and (gain < enough or gain < _TRUE * promised):
@@ -186,7 +188,8 @@ class _Search:
         """The scoring regression as a triangle."""
         blocks = []
         for r, part in enumerate(at.parts):
-            mask = slice(None) if self.masks is None else self.masks[r]
+            chosen = None if self.masks is None else self.masks[r]
+            mask = slice(None) if chosen is None else chosen
             blocks += _regression(part, columns[r], [b[r] for b in beside.values()], mask)
         return triangle(blocks)
 

@@ -23,7 +23,7 @@ import numpy as np
 from numba import types
 
 from spiral.engine.filter.kernel import EXACT, hold, propagate, step_with_slopes
-from spiral.engine.kernel import MODEL_FUNCTION
+from spiral.engine.kernel import MODEL_FUNCTION, VALUE_FUNCTION
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
@@ -136,6 +136,80 @@ def _sound(x, p):
     return True
 
 
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _rows(cx, cv, both, tracked, seen, x, y, h, c, misses):
+    """Rows c of all channels by (x, theta, z), and y less what the mean predicts."""
+    m, n = cx.shape
+    first = n + tracked
+    for j in range(m):
+        misses[j] = y[j] - h[j]
+        for i in range(n):
+            c[j, i] = cx[j, i]
+        for i in range(tracked):
+            c[j, n + i] = cv[j, both[i]]
+        for i in range(seen.shape[1]):
+            c[j, first + i] = seen[j, i]
+            misses[j] -= seen[j, i] * x[first + i]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _measured(
+    x, p, c, cv, both, tracked, r, s, scratch, misses, spreads, slopes, k, gains
+):  # fmt: skip
+    """All channels of a sample taken in one by one; False where a variance is not positive.
+
+    What the mean has moved since the first channel is taken from the misses of those after it.
+    """
+    size, width = s.shape
+    gain, pc, before = scratch[1], scratch[2], scratch[3]
+    before[:] = x
+    for j in range(c.shape[0]):
+        if np.isnan(misses[j]):
+            spreads[j] = 0.0
+            misses[j] = 0.0
+            slopes[j] = 0.0
+            continue
+        for i in range(size):
+            misses[j] -= c[j, i] * (x[i] - before[i])
+        spreads[j] = take_in(x, p, c[j], r[j], misses[j], gain, pc)
+        if not spreads[j] > 0.0:
+            return False
+        if gains.shape[0] > 0:
+            gains[k, j] = gain
+        if width:
+            _slope(c[j], cv[j], both, tracked, s, gain, slopes[j])
+    return True
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _keep(k, c, x, rows, means):
+    """Rows and mean of a sample, where they are asked for."""
+    if rows.shape[0] > 0:
+        rows[k] = c
+    if means.shape[0] > 0:
+        means[k] = x
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _unit(f):
+    """F = [I | 0]."""
+    f[:] = 0.0
+    for i in range(f.shape[0]):
+        f[i, i] = 1.0
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _forget(x, phi, first, later):
+    """z <- Phi z."""
+    k = phi.shape[0]
+    for i in range(k):
+        later[i] = 0.0
+        for j in range(k):
+            later[i] += phi[i, j] * x[first + j]
+    for i in range(k):
+        x[first + i] = later[i]
+
+
 @nb.njit(
     types.int64(
         MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F2, _F1, _I1, types.int64, _F2, types.int64,
@@ -175,68 +249,36 @@ def predict_record(
     f, work = np.zeros((n, n + tracked + width)), np.zeros((3, n, n + tracked + width))
     vectors, a, b = np.zeros((3, n)), np.zeros((n, n)), np.zeros((n, values.shape[0]))
     h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
-    c, gain, pc, before = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
+    c, scratch = np.zeros((m, size)), np.zeros((4, size))
     whole, big = np.zeros((size, size)), np.zeros((size, size))
     s, out = np.zeros((size, width)), np.zeros((size, width))
     followed = both[:tracked]
     for k in range(samples):
         hold(values, followed, x[:first])
         output(x[:n], inputs[k * 2 * substeps], values, h, cx, cv)
-        before[:] = x
-        for j in range(m):
-            for i in range(n):
-                c[i] = cx[j, i]
-            for i in range(tracked):
-                c[n + i] = cv[j, both[i]]
-            miss = y[k, j] - h[j]
-            for i in range(k_noise):
-                c[first + i] = seen[j, i]
-                miss -= seen[j, i] * before[first + i]
-            if np.isnan(miss):
-                spreads[k, j] = 0.0
-                misses[k, j] = 0.0
-                slopes[k, j] = 0.0
-                continue
-            for i in range(size):
-                miss -= c[i] * (x[i] - before[i])
-            misses[k, j] = miss
-            spreads[k, j] = take_in(x, p, c, r[j], miss, gain, pc)
-            if not spreads[k, j] > 0.0:
-                return k
-            if gains.shape[0] > 0:
-                gains[k, j] = gain
-                rows[k, j] = c
-            if width:
-                _slope(c, cv[j], both, tracked, s, gain, slopes[k, j])
-        if means.shape[0] > 0:
-            means[k] = x
+        _rows(cx, cv, both, tracked, seen, x, y[k], h, c, misses[k])
+        if not _measured(x, p, c, cv, both, tracked, r, s, scratch, misses[k], spreads[k],
+                         slopes[k], k, gains):  # fmt: skip
+            return k
+        _keep(k, c, x, rows, means)
         if not _sound(x, p):
             return k
         if k == samples - 1:
             break
-        f[:] = 0.0
-        for i in range(n):
-            f[i, i] = 1.0
+        _unit(f)
         hold(values, followed, x[:first])
         _push(x, driven, first, half)
         for sub in range(substeps):
             step_with_slopes(rate, x, values, both, inputs, (k * substeps + sub) * 2,
                              dt / substeps, EXACT, f, vectors, a, b, work)  # fmt: skip
         _push(x, driven, first, half)
+        _forget(x, phi, first, scratch[0])
         _transition(f, phi, driven, tracked, half, whole)
         if transitions.shape[0] > 0:
             transitions[k] = whole
-        for i in range(k_noise):
-            before[first + i] = 0.0
-            for j in range(k_noise):
-                before[first + i] += phi[i, j] * x[first + j]
-        for i in range(k_noise):
-            x[first + i] = before[first + i]
         if width:
             _carry(whole, f, tracked, s, out)
         propagate(p, whole, q, big)
-        if not _sound(x, p):
-            return k + 1
     return samples
 
 
@@ -288,3 +330,40 @@ def carry_signatures(transitions, gains, rows, pushes, readings, s, half, slopes
         for i in range(n):
             for a in range(width):
                 s[i, a] += half * pushes[k + 1, i, a]
+
+
+@nb.njit(
+    types.void(VALUE_FUNCTION, _F2, _F2, _F2, _F2, types.float64, _F3),
+    cache=True, nogil=True, error_model="numpy",
+)  # fmt: skip
+def drive_own(rate, motion, between, inputs, values, dt, states):
+    """States z of an effect alone, driven by a motion, by classical Runge-Kutta from rest.
+
+    Parameters
+    ----------
+    rate : function of (z, motion), u, p. motion, between : (samples, m) at the samples, and half a
+        step later. inputs : (samples, k). values : (copies, parameters).
+    states : (copies, samples, n) out.
+    """
+    copies, samples, n = states.shape
+    m = motion.shape[1]
+    x, f, total, u = np.zeros(n + m), np.zeros(n + m), np.zeros(n), inputs[0].copy()
+    for copy in range(copies):
+        p = values[copy]
+        for k in range(samples - 1):
+            total[:] = 0.0
+            for stage in range(4):
+                point = dt * (0.0 if stage == 0 else (1.0 if stage == 3 else 0.5))
+                for i in range(n):
+                    x[i] = states[copy, k, i] + point * f[i]
+                here = motion[k] if stage == 0 else (motion[k + 1] if stage == 3 else between[k])
+                for i in range(m):
+                    x[n + i] = here[i]
+                for i in range(u.shape[0]):
+                    late = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+                    u[i] = (1.0 - late) * inputs[k, i] + late * inputs[k + 1, i]
+                rate(x, u, p, f)
+                for i in range(n):
+                    total[i] += (2.0 if stage == 1 or stage == 2 else 1.0) * f[i]
+            for i in range(n):
+                states[copy, k + 1, i] = states[copy, k, i] + dt / 6.0 * total[i]

@@ -114,12 +114,16 @@ def all_predicted(
 ) -> list[tuple[Prediction, ...]]:
     """Every record of every case; cases run side by side, and know nothing of one another."""
     jobs = [(task, settings, noise) for prepared, noise in cases for task, settings in prepared]
+
+    def run(job: tuple[Task, FilterSettings, NoiseModel]) -> Prediction:
+        return predicted(*job, keys)
+
     with np.errstate(all="ignore"):
         if len(jobs) == 1 or THREADS == 1:
-            flat = [predicted(*job, keys) for job in jobs]
+            flat = [run(job) for job in jobs]
         else:
             with ThreadPoolExecutor(THREADS) as pool:
-                flat = list(pool.map(lambda job: predicted(*job, keys), jobs))
+                flat = list(pool.map(run, jobs))
     found, at = [], 0
     for prepared, _ in cases:
         found.append(tuple(flat[at : at + len(prepared)]))
@@ -127,12 +131,16 @@ def all_predicted(
     return found
 
 
-def log_likelihood(parts: Sequence[Prediction], masks: Sequence[Array] | None = None) -> float:
+Masks = Sequence[Array | None] | None
+"""(samples,) True for the samples of each record that count; none where all do."""
+
+
+def log_likelihood(parts: Sequence[Prediction], masks: Masks = None) -> float:
     """Sum over records, or over the samples of their masks; ``RUNAWAY`` where one ran away."""
     if not all(p.whole for p in parts):
         return RUNAWAY
     rows = [p.heights for p in parts]
     if masks is not None:
-        rows = [h[m] for h, m in zip(rows, masks, strict=True)]
+        rows = [h if m is None else h[m] for h, m in zip(rows, masks, strict=True)]
     total = float(sum(h.sum() for h in rows))
     return total if np.isfinite(total) else RUNAWAY

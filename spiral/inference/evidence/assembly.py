@@ -100,8 +100,9 @@ def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()
 def offers(
     problem: Problem,
 ) -> tuple[list[Variant], dict[str, str], Sequence[Array]]:
-    """Variants of the candidates without states of their own; those left out and why; the states
-    that the records visit.
+    """Variants of the candidates without states of their own.
+
+    Beside them those left out and why, and the states that the records visit.
     """
     now = [c for c in problem.candidates if not c.states]
     states = visited(problem.model, problem.records) if now else ()

@@ -177,6 +177,7 @@ def ahead_of(task: Task, settings: FilterSettings, means: Array, first: int, ste
 
 
 def doubts(tracked: tuple[str, ...]) -> dict[str, float]:
+    """First standard deviation of a phase origin that the record has told already."""
     return {ORIGIN: _DOUBT} if ORIGIN in tracked else {}
 
 

@@ -3,15 +3,9 @@
 1. *Score.* Candidates are ranked along the filtered motion (``scores``).
 2. *Refit.* The best are refitted with parameters and noise on the blocks that select, in a race:
    a few steps for all, more for those that keep up.
-3. *Judge.* On the other blocks the winner, with its values from the first, must predict better
-   than the model as it is with its most likely values there; and by Wilks' test, both refitted
-   there, significantly so. Where a shape was searched for, which that test does not know, the
-   prediction alone decides (the split likelihood ratio of Wasserman, Ramdas and Balakrishnan 2020),
-
-       E = L_1(theta_1 of the first half; second half) / max L_0(theta; second half),
-
-   whose mean is at most one where the model as it is holds, for any number of samples and without
-   regularity: it passes at E >= 1 / alpha.
+3. *Judge.* On the other blocks the winner must predict better than the model as it is, both with
+   their values from the first; and by Wilks' test, both refitted there, significantly so, for as
+   many tests as values of its shapes were tried.
 """
 
 from __future__ import annotations
@@ -23,16 +17,16 @@ from scipy import stats
 
 from spiral.engine.likelihood.fit import maximise
 from spiral.engine.likelihood.noise import NoiseModel
-from spiral.engine.likelihood.predict import log_likelihood
+from spiral.engine.likelihood.predict import Masks, log_likelihood
+from spiral.engine.score import Score
 from spiral.inference.evidence.admission import TOLD, stepped
-from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.fit_state import FitState, Masks
-from spiral.inference.evidence.scoring import (
-    Ranked,
-)
+from spiral.inference.evidence.assembly import Assembly, Variant
+from spiral.inference.evidence.fit_state import FitState, two_sided
+from spiral.inference.evidence.scoring import Ranked, tested_keys
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     bounds_of,
+    explains,
     moving,
     samples_of,
     subjects,
@@ -41,10 +35,12 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.holding import carried as carried_to
+from spiral.types.effect import SensorEffect
 from spiral.types.record import Array
 
 _RIVALS = 8  # candidates refitted
 _HEAT, _RACE = 3, 12  # scoring steps for all rivals, and for those that keep up
+_FAR, _FAR_ONES = 0.1, 3  # share of its bound that an amplitude starts from; shapes tried so
 _KEEP = 0.5  # share of the best gain from which a rival keeps up
 _CHUNK = 1024  # samples whose signatures are in memory at a time
 _ODDS = 100.0  # ratio of likelihoods under which two candidates are not told apart
@@ -75,7 +71,8 @@ def race(
 
     They are in terms of a study that has them all.
     """
-    chosen = found[:_RIVALS]
+    far = [] if explains(base) else from_afar(assembly, base.state, found)
+    chosen = [*found[:_RIVALS], *far]
     if not chosen:
         return assembly, []
     progress(f"compiling {len(chosen)} candidates")
@@ -84,7 +81,7 @@ def race(
     runners = []
     for ranked in chosen:
         progress(f"refitting with {ranked.variant.original.label}")
-        runners.append(_refit(wide, start, ranked, masks, _HEAT))
+        runners.append(_refit(wide, start, ranked, masks, _HEAT, ranked in far))
     runners = [r for r in runners if r.fit.estimate.finite]
     if not runners:
         return wide, []
@@ -97,17 +94,51 @@ def race(
     return wide, sorted(done, key=lambda r: -r.worth)
 
 
+def from_afar(assembly: Assembly, state: FitState, found: list[Ranked]) -> list[Ranked]:
+    """Candidates with a second basin, bounded on both sides, which zero amplitude may not show.
+
+    What a rim lets over, or a limit cuts off, is unseen from there. Of each effect a few shapes
+    over its grid are tried.
+    """
+    present = {v.original.label for v in assembly.variants if v.label in state.labels}
+    known = {r.variant.label: r for r in found}
+    none = Score((0,), np.zeros(1), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    grids: dict[str, list[Variant]] = {}
+    for variant in assembly.offered:
+        label = variant.original.label
+        if two_sided(variant.original) and label not in present:
+            grids.setdefault(label, []).append(variant)
+    chosen = []
+    for grid in grids.values():
+        spots = np.unique(np.linspace(0, len(grid) - 1, _FAR_ONES).round().astype(int))
+        chosen += [grid[i] for i in spots]
+    return [known.get(v.label, Ranked(v, (0,), none, 0.0, v.searched)) for v in chosen]
+
+
 def in_study(fit: LikelihoodFit, old: Assembly, new: Assembly) -> LikelihoodFit:
     """A fit's state in another study's order; its estimate stays in the old one's."""
     return replace(fit, state=carried_to(fit.state, old, new))
 
 
 def _refit(
-    assembly: Assembly, base: LikelihoodFit, ranked: Ranked, masks: Masks, steps: int
+    assembly: Assembly,
+    base: LikelihoodFit,
+    ranked: Ranked,
+    masks: Masks,
+    steps: int,
+    far: bool = False,
 ) -> Rival:
-    """A candidate added to the model as it is, a few steps from where that stands."""
+    """A candidate added to the model as it is, a few steps from where that stands.
+
+    ``far``: from a share of its bounds; else from zero, where the first step finds its size.
+    """
     variant = ranked.variant
     values = stepped(assembly, base.state.values, variant, ranked.score.step)
+    for key in tested_keys(assembly, variant) if far else ():
+        position = assembly.study.index(key)
+        known = assembly.study.compiled.traced.parameters[position]
+        values = values.copy()
+        values[:, position] = _FAR * (known.upper or 1.0)
     wider = replace(
         base.state,
         labels=(*base.state.labels, variant.label),
@@ -158,27 +189,25 @@ def _rival(base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit) -> Rival:
 class Judged:
     """The winner on the blocks that did not select, in log-likelihood.
 
-    ``predicted`` its gain with its values from the blocks that did, ``refitted`` with the most
-    likely ones; ``terms`` the parameters that it has beyond the model as it is.
+    ``predicted`` its gain where both models have their values from the blocks that did,
+    ``refitted`` where both have their most likely ones; ``terms`` the parameters that it has beyond
+    the model as it is; ``searched`` among how many values its shapes were looked for.
     """
 
     predicted: float
     refitted: float
     terms: int
-    searched: bool
+    searched: int
 
     def passes(self, level: float) -> bool:
         """Whether it holds there, at a level of error."""
-        if self.searched:
-            return self.predicted >= np.log(1 / level)
         return self.predicted > 0 and self.p_value < level
 
     @property
     def p_value(self) -> float:
-        """Of Wilks' test; the split likelihood ratio's where a shape was searched for."""
-        if self.searched:
-            return float(np.exp(-max(self.predicted, 0.0)))
-        return float(stats.chi2.sf(2 * max(self.refitted, 0.0), self.terms))
+        """Of Wilks' test, for as many tests as shapes were searched among."""
+        single = float(stats.chi2.sf(2 * max(self.refitted, 0.0), self.terms))
+        return min(self.searched * single, 1.0)
 
 
 def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) -> Judged:
@@ -188,12 +217,14 @@ def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) 
     ----------
     base : the model as it is. masks : the blocks that did not select.
     """
-    best = _most_likely(assembly, base, masks)
     theirs = log_likelihood(rival.fit.estimate.parts, masks)
-    again = _most_likely(assembly, rival.fit, masks)
+    ours = log_likelihood(base.estimate.parts, masks)
+    before = max(_most_likely(assembly, base, masks), ours)
+    after = max(_most_likely(assembly, rival.fit, masks), theirs)
     freed = set(rival.fit.state.freed) - set(base.state.freed)
     terms = len(rival.ranked.columns) + len(freed)
-    return Judged(theirs - best, max(again, theirs) - best, terms, bool(freed))
+    searched = rival.ranked.variant.searched if freed else 1
+    return Judged(theirs - ours, after - before, terms, searched)
 
 
 def _most_likely(assembly: Assembly, fit: LikelihoodFit, masks: Masks) -> float:
@@ -204,13 +235,28 @@ def _most_likely(assembly: Assembly, fit: LikelihoodFit, masks: Masks) -> float:
     return found.log_likelihood
 
 
-def alike(assembly: Assembly, rivals: list[Rival]) -> tuple[str, ...]:
+def alike(rivals: list[Rival]) -> tuple[str, ...]:
     """Rivals that the whole records do not tell from the first one."""
     first, *others = rivals
     best = log_likelihood(first.fit.estimate.parts) - _terms(first)
-    near = [r for r in others if best - log_likelihood(r.fit.estimate.parts) + _terms(r)
-            < np.log(_ODDS)]  # fmt: skip
+    near = [
+        r for r in others
+        if best - log_likelihood(r.fit.estimate.parts) + _terms(r) < np.log(_ODDS)
+    ]  # fmt: skip
     return tuple(dict.fromkeys(r.label for r in near if r.label != first.label))
+
+
+def machine_first(
+    rival: Rival, aliases: tuple[str, ...], rivals: list[Rival]
+) -> tuple[Rival, tuple[str, ...]]:
+    """A change of the machine in place of one of a sensor that is not told from it."""
+    if not isinstance(rival.ranked.variant.original, SensorEffect):
+        return rival, aliases
+    for other in rivals:
+        own = other.ranked.variant.original
+        if other.label in aliases and not isinstance(own, SensorEffect):
+            return other, (rival.label, *(x for x in aliases if x != other.label))
+    return rival, aliases
 
 
 def _terms(rival: Rival) -> float:

@@ -17,10 +17,11 @@ from spiral.engine.filter.setup import smoothed
 from spiral.engine.filter.task import Task, linearised
 from spiral.engine.fit import fit
 from spiral.engine.growth import Stage, layouts_for
+from spiral.engine.likelihood.fit import Estimate
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import predicted
 from spiral.engine.study import Point
-from spiral.inference.compare import settling, stated_ratio, with_test
+from spiral.inference.compare import settling, with_test
 from spiral.inference.evidence.assembly import (
     Assembly,
     columns,
@@ -34,12 +35,14 @@ from spiral.inference.evidence.judge import FreeRun, run_free
 from spiral.inference.likelihood.fitting import LikelihoodFit, colour, settled_values
 from spiral.inference.problem import Progress
 from spiral.types.model import Model
-from spiral.types.record import Array
+from spiral.types.record import Array, Record
 from spiral.types.run import Comparison
 
 _STEPS = 8  # of least squares that refine a start
 _PERIODS = 3  # of the slowest mode that tell where a record begins
 _STILL = 1e-6  # share of the fastest rate under which a mode does not move
+_TOLD = 0.5  # standard error of the logarithm of a size up to which it is told
+_COUNTS = 0.005  # share from which what acts at random counts
 _SHORTEST = 16  # samples of a settling part
 
 
@@ -62,6 +65,7 @@ def compared_by_likelihood(
     errors = run.errors(names)
     white = colour(assembly, found) if estimate.finite else None
     problem = assembly.problem
+    sizes, times = acting(estimate)
     return state, Comparison(
         model=model,
         fit_error=_mean(e.relative for e in own.errors(names).values()),
@@ -74,15 +78,19 @@ def compared_by_likelihood(
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
         notes=tuple(n for r in problem.records for n in r.notes),
-        noise_ratio=stated_ratio(problem.records),
+        noise_ratio=_stated(problem.records, state.noise),
         innovation_chi2=estimate.chi2 if estimate.finite else np.inf,
         unseen=unseen,
+        random=sizes,
+        random_times=times,
     )
 
 
 def _settling(other: Assembly, task: Task) -> float:
-    """Seconds of each test record that tell where it begins: those asked for, else a tenth of the
-    shortest, or three periods of the model's slowest mode where that is more, up to a third.
+    """Seconds of each test record that tell where it begins.
+
+    Those asked for, else a tenth of the shortest record, or three periods of the model's slowest
+    mode where that is more, up to a third.
     """
     asked = settling(other)
     if other.problem.settle is not None:
@@ -94,6 +102,27 @@ def _settling(other: Assembly, task: Task) -> float:
     slowest = 2 * np.pi / float(sizes.min()) if len(sizes) else 0.0
     shortest = min(r.samples * r.dt for r in other.problem.test)
     return float(max(asked, min(_PERIODS * slowest, shortest / 3)))
+
+
+def acting(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
+    """What acts at random beside white noise, and its times: sizes that matter and are told."""
+    noise, errors = estimate.noise, estimate.noise_errors
+    task = estimate.prepared[0][0]
+    channels, length = task.compiled.traced.channels, task.series.dt * task.series.samples
+    spread = dict(zip(channels, np.std(task.series.y, axis=0), strict=True))
+    sizes, times = {}, {}
+    for term in noise.terms:
+        size = noise.values[term.size]
+        if term.kind == "white" or not errors.get(term.size, np.inf) < _TOLD:
+            continue
+        if term.kind == "drift":
+            size *= np.sqrt(length)
+        share = size / spread[term.where] if term.where in spread else size
+        if share >= _COUNTS:
+            sizes[term.size] = float(share)
+            if term.time:
+                times[term.size] = float(noise.values[term.time])
+    return sizes, times
 
 
 def nuisances(assembly: Assembly, state: FitState, model: Model) -> tuple[str, ...]:
@@ -181,6 +210,18 @@ def _floor(noise: NoiseModel | None, names: Sequence[str], run: FreeRun) -> floa
     ]
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.mean(np.array(sizes) / run.deviations()))
+
+
+def _stated(records: Sequence[Record], noise: NoiseModel | None) -> float | None:
+    """Fitted white noise over what the records declare, rms over channels; nothing if none do."""
+    assert noise is not None
+    ratios = [
+        noise.values[f"white.{name}"] / declared
+        for r in records
+        for name, declared in r.noise.items()
+        if declared
+    ]
+    return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
 
 
 def _mean(values) -> float:

@@ -9,9 +9,9 @@ import numpy as np
 
 from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.task import compiled_for, linearised, task_with
-from spiral.engine.likelihood.fit import Estimate, Masks, maximise
+from spiral.engine.likelihood.fit import Estimate, maximise
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
-from spiral.engine.likelihood.predict import Prepared, predicted
+from spiral.engine.likelihood.predict import Masks, Prepared, predicted
 from spiral.engine.series import Series, prepare
 from spiral.engine.statistics import Whiteness, whiteness
 from spiral.inference.evidence.assembly import Assembly, Variant, columns, compiled_with
@@ -22,6 +22,7 @@ from spiral.inference.unknown.holding import variant_of
 from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
+_SMALL = 0.05  # level of a random force that is a small one
 _ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
 _MOST_SUBSTEPS = 32
 
@@ -114,7 +115,7 @@ def _variant(assembly: Assembly, label: str) -> Variant:
 def with_variants(assembly: Assembly, more: Sequence[Variant]) -> Assembly:
     """A study compiled with further variants, its records as they are."""
     known = {v.label for v in assembly.variants}
-    new = tuple(v for v in more if v.label not in known)
+    new = tuple({v.label: v for v in more if v.label not in known}.values())
     if not new:
         return assembly
     steps = assembly.study.series[0].substeps
@@ -165,6 +166,13 @@ def with_estimate(state: FitState, estimate: Estimate) -> FitState:
     for row, (task, _) in zip(values, estimate.prepared, strict=True):
         row[: len(task.keys)] = task.values
     return replace(state, values=values, noise=estimate.noise)
+
+
+def explains(found: LikelihoodFit) -> bool:
+    """Whether no more than a small random force acts beside the model."""
+    noise = found.estimate.noise
+    kinds = ("force", "gust")
+    return all(noise.values[t.size] <= _SMALL for t in noise.terms if t.kind in kinds)
 
 
 def settled_values(found: LikelihoodFit) -> FitState:

@@ -20,7 +20,7 @@ from spiral.engine.filter.noise import groups
 from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.task import Task, task_with
 from spiral.engine.likelihood.fit import Estimate, maximise
-from spiral.engine.likelihood.noise import NoiseModel, Term, limits
+from spiral.engine.likelihood.noise import Kind, NoiseModel, Term, limits
 from spiral.engine.likelihood.predict import Prepared
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import doubts, liveliest
@@ -119,7 +119,7 @@ def rungs(task: Task, noise: NoiseModel) -> Iterator[Rung]:
     white = {c: max(noise.values[f"white.{c}"], limits(task, f"white.{c}")[0]) for c in channels}
     spread = dict(zip(channels, np.std(task.series.y, axis=0), strict=True))
     if not noise.has("coloured") and not noise.has("band"):
-        kinds = (("coloured", 4.0), ("band", 1.0))
+        kinds: tuple[tuple[Kind, float], ...] = (("coloured", 4.0), ("band", 1.0))
         for kind, steps in kinds:
             terms = tuple(Term(kind, c) for c in channels)
             sizes = {t.size: float(white[t.where]) for t in terms}

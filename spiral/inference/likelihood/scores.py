@@ -20,11 +20,12 @@ import numpy as np
 from spiral.engine.filter.task import Task
 from spiral.engine.leastsquares import triangle
 from spiral.engine.likelihood.noise import NoiseModel
-from spiral.engine.likelihood.predict import Prediction, predicted
+from spiral.engine.likelihood.own_states import own_of, own_states_along
+from spiral.engine.likelihood.predict import Masks, Prediction, predicted
 from spiral.engine.score import tabulate
 from spiral.engine.sensitivities import Reduction
 from spiral.inference.evidence.assembly import Assembly, Variant, columns
-from spiral.inference.evidence.fit_state import FitState, Masks
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import (
     Group,
     Ranking,
@@ -33,23 +34,16 @@ from spiral.inference.evidence.scoring import (
     rank,
     scored,
 )
+from spiral.inference.evidence.spectrum import STEP, frequencies, others_of, peaks, spectral
 from spiral.inference.likelihood.fitting import LikelihoodFit, moving
-from spiral.inference.strategies.resolved import frequencies, others_of, peaks, spectral
 from spiral.inference.unknown.holding import variant_of
-from spiral.physics.signatures import (
-    Along,
-    Own,
-    amplitude_names,
-    own_of,
-    own_states_along,
-    signatures,
-)
+from spiral.physics.signatures import Along, Own, amplitude_names, signatures
 from spiral.types.effect import Effect
 from spiral.types.record import Array
 
 _CHUNK = 1024  # samples whose signatures are in memory at a time
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
-_FINE = 1.1 ** np.linspace(-0.9, 0.9, 13)  # refinement of a peak
+_FINE = STEP ** np.linspace(-0.9, 0.9, 13)  # refinement of a peak
 
 
 @dataclass(frozen=True)
@@ -146,8 +140,9 @@ def _own_states(along: Along, dt: float, groups: Sequence[Group]) -> dict[str, O
         names = [k.rsplit(".", 1)[1] for k in variants[0].shapes]
         shapes = {n: np.array([v.shapes[f"{v.label}.{n}"] for v in variants]) for n in names}
         states = own_states_along(along, dt, variants[0].original, shapes)
+        axes = len(along.system.place(variants[0].original).axes)
         for copy, variant in enumerate(variants):
-            found[variant.label] = own_of(variant.original, states, copy)
+            found[variant.label] = own_of(variant.original, axes, states[copy])
     return found
 
 
@@ -266,7 +261,8 @@ def _reduced(
     """Whitened misses and slopes as one reduced pass, with its Gram blocks."""
     rows, grams, cost, samples = [], [], 0.0, 0
     for r, (part, own) in enumerate(zip(parts, carried, strict=True)):
-        mask = np.ones(len(part.misses), dtype=bool) if masks[r] is None else masks[r]
+        chosen = None if masks is None else masks[r]
+        mask = np.ones(len(part.misses), dtype=bool) if chosen is None else chosen
         weight = part.weight[..., None]
         whole = np.concatenate(
             [part.slopes * weight, own * weight, part.whitened[..., None]], axis=2

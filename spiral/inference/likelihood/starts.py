@@ -21,10 +21,16 @@ from spiral.engine.likelihood.noise import first_noise
 from spiral.inference.compare import last_stage
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, all_samples, stage_lengths
-from spiral.inference.likelihood.fitting import LEVEL, LikelihoodFit, finer, refitted, subjects
+from spiral.inference.likelihood.fitting import (
+    LEVEL,
+    LikelihoodFit,
+    explains,
+    finer,
+    refitted,
+    subjects,
+)
 from spiral.inference.problem import Progress
 
-_SMALL = 0.05  # level of a random force that is a small one
 _HEAT = 8  # scoring steps of each start
 _WINDOWS = 2  # window lengths of a start from windows
 
@@ -37,7 +43,7 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
         found = refitted(assembly, begin, noise, steps=_HEAT, rough=True)
         if best is None or found.height > best.height:
             best = found
-        if best.estimate.converged and _explains(best):
+        if best.estimate.converged and explains(best):
             break
     assert best is not None
     progress("most likely values of the model as it is")
@@ -75,9 +81,3 @@ def _from_windows(assembly: Assembly, state: FitState) -> FitState | None:
     if not np.all(np.isfinite(values)):
         return None
     return replace(state, values=values)
-
-
-def _explains(found: LikelihoodFit) -> bool:
-    """Whether no more than a small random force acts beside the model."""
-    noise = found.estimate.noise
-    return all(noise.values[t.size] <= _SMALL for t in noise.terms if t.kind == "force")

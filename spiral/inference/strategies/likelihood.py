@@ -21,12 +21,12 @@ from spiral.inference.compare import refined
 from spiral.inference.evidence.assembly import Assembly, compiled_with, offers
 from spiral.inference.evidence.fit_state import FitState, begin, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
-from spiral.inference.identifiability.parameters import entangled
 from spiral.inference.likelihood.candidates import (
     Rival,
     alike,
     in_study,
     judged,
+    machine_first,
     race,
     response_change,
 )
@@ -39,6 +39,7 @@ from spiral.inference.likelihood.fitting import (
     refitted,
     with_variants,
 )
+from spiral.inference.likelihood.identify import untold
 from spiral.inference.likelihood.ladder import climbed_ladder, pruned
 from spiral.inference.likelihood.scores import ranking
 from spiral.inference.likelihood.starts import best_fit, on_finer_steps
@@ -63,18 +64,16 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
     bare = compiled_with(problem, (), 1)
     state = replace(begin(bare, problem.model.labels), corrected=False)
     bare = refined(bare, state)
-    tangle = entangled(bare, state)
     found = best_fit(bare, state, progress)
     found = climbed_ladder(bare, found, progress)
     found = finished(bare, found, progress)
     settled = _settled(bare, found, progress)
     variants, left_out, _ = offers(replace(problem, model=settled.comparison.model))
     assembly = replace(bare, offered=tuple(variants), left_out=left_out)
-    groups = () if tangle is None else tangle.groups
+    groups = untold(found)
     return Begun(
-        assembly, settled.standing, settled.comparison, settled.details,
-        refused=tangle is not None, groups=groups,
-    )  # fmt: skip
+        assembly, settled.standing, settled.comparison, settled.details, bool(groups), groups
+    )
 
 
 def _settled(
@@ -103,11 +102,11 @@ def _propose(
     rejected: dict[str, str] = {}
     level = spent(assembly.problem.settings.level, number) / _ASKED
     for place, rival in enumerate(rivals[:_ASKED]):
-        reason = _refused(assembly, base, rival, judge, level)
+        reason = _refused(wide, base, rival, judge, level)
         if reason:
             rejected[rival.label] = reason
             continue
-        aliases = alike(assembly, rivals[place:])
+        rival, aliases = machine_first(rival, alike(rivals[place:]), rivals)
         progress(f"most likely values with {rival.label}")
         settled = _with(assembly, wide, rival, progress)
         worse = [c for c in changes(comparison.unseen, settled.comparison.unseen)
@@ -153,8 +152,8 @@ def _refused(
     found = judged(assembly, base, rival, judge)
     if not found.passes(level):
         return (
-            f"not confirmed on the blocks that did not select (p = {found.p_value:.2g}, log-likelihood "
-            f"{found.predicted:+.3g} as it was fitted)"
+            f"not confirmed on the blocks that did not select (p = {found.p_value:.2g}, "
+            f"log-likelihood {found.predicted:+.3g} as it was fitted)"
         )
     return ""
 

@@ -16,7 +16,6 @@ not: it grows with the square of the frequency, and hid resonances above that of
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -25,7 +24,6 @@ import numpy as np
 from spiral.engine.growth import Stage, first_starts
 from spiral.engine.score import tabulate
 from spiral.engine.sensitivities import reduce, residuals
-from spiral.engine.series import Series
 from spiral.engine.statistics import paired_errors, whiteness
 from spiral.engine.study import Point
 from spiral.inference.evidence.admission import Admitted
@@ -33,18 +31,16 @@ from spiral.inference.evidence.assembly import Assembly, Variant, columns
 from spiral.inference.evidence.fit_state import FitState, Masks, grown, stage_lengths
 from spiral.inference.evidence.judge import held_out
 from spiral.inference.evidence.scoring import group_of, scored, tested_keys
+from spiral.inference.evidence.spectrum import STEP, frequencies, others_of, peaks, spectral
 from spiral.inference.problem import Progress
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried, held_variants, reassembled, variant_of
 from spiral.types.effect import Effect, SensorEffect
-from spiral.types.parameter import Parameter
 from spiral.types.record import Array
 
 _MOST_OF_IT = 0.7  # share of the rest beyond noise from which an effect without memory explains it
 VALUES = 3  # peaks whose frequencies are tried
-_STEP = 1.1  # ratio of neighbouring frequencies of the spectrum
 _FINE = np.linspace(-0.9, 0.9, 13)  # refinement of a peak, in steps
-_LOWEST, _HIGHEST = 4.0, 0.1  # band: periods in the record; share of the sample rate
 
 
 def remembered(
@@ -168,36 +164,6 @@ def scanned(
     return tuple(_scan(_Scan.of(assembly, standing, stage, e), band) for e in effects)
 
 
-def frequencies(series: Series) -> Array:
-    """Frequencies of the spectrum, Hz: from four periods in the record to a tenth of its rate."""
-    low, high = _LOWEST / (series.samples * series.dt), _HIGHEST / series.dt
-    count = max(int(np.ceil(np.log(high / low) / np.log(_STEP))), 1) + 1
-    return np.geomspace(low, high, count)
-
-
-def _shapes(effect: Effect) -> list[Parameter]:
-    return [p for p in effect.parameters if p.role == "shape"]
-
-
-def _others(parameter: Parameter) -> tuple[float, ...]:
-    return parameter.grid or (parameter.start or 1.0,)
-
-
-def spectral(effect: Effect, frequency: float) -> dict[str, float]:
-    """The shapes that a frequency stands for: itself in Hz, 1 / (2 pi f) in s."""
-    late = float(1.0 / (2 * np.pi * frequency))
-    hertz = float(frequency)
-    return {p.name: late if p.unit == "s" else hertz for p in _shapes(effect) if p.spectrum}
-
-
-def others_of(effect: Effect) -> tuple[dict[str, float], list[dict[str, float]]]:
-    """Shapes that are no frequency: their middle values, and all values to try."""
-    shapes = [p for p in _shapes(effect) if not p.spectrum]
-    usual = {p.name: _others(p)[len(_others(p)) // 2] for p in shapes}
-    grids = itertools.product(*(_others(p) for p in shapes))
-    return usual, [dict(zip(usual, values, strict=True)) for values in grids]
-
-
 @dataclass(frozen=True)
 class _Scan:
     """One effect's copies compiled beside a standing model, to be scored along its fit."""
@@ -263,17 +229,10 @@ def _scan(scan: _Scan, band: Array) -> Scanned:
     share = scan.shares([{**usual, **spectral(effect, f)} for f in band])
     chosen = []
     for peak in peaks(share)[:VALUES]:
-        near = band[peak] * _STEP**_FINE
+        near = band[peak] * STEP**_FINE
         best = near[np.argmax(scan.shares([{**usual, **spectral(effect, f)} for f in near]))]
         trials = [{**o, **spectral(effect, best)} for o in others]
         chosen.append(trials[int(np.argmax(scan.shares(trials)))])
     searched = max(len(band) // len(chosen), 1)
     variants = tuple(variant_of(effect, str(i + 1), c, searched) for i, c in enumerate(chosen))
     return Scanned(effect, band, share, variants)
-
-
-def peaks(share: Array) -> list[int]:
-    """Positions of the local maxima, the largest first; the ends count."""
-    padded = np.concatenate([[-np.inf], share, [-np.inf]])
-    at = np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))
-    return [int(i) for i in at[np.argsort(-share[at], kind="stable")]]

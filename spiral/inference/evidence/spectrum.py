@@ -1,0 +1,52 @@
+"""Frequencies at which effects with states of their own are tried, and their other shapes."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from spiral.engine.series import Series
+from spiral.types.effect import Effect
+from spiral.types.parameter import Parameter
+from spiral.types.record import Array
+
+STEP = 1.1  # ratio of neighbouring frequencies of the spectrum
+_LOWEST, _HIGHEST = 4.0, 0.1  # band: periods in the record; share of the sample rate
+
+
+def frequencies(series: Series) -> Array:
+    """Frequencies of the spectrum, Hz: from four periods in the record to a tenth of its rate."""
+    low, high = _LOWEST / (series.samples * series.dt), _HIGHEST / series.dt
+    count = max(int(np.ceil(np.log(high / low) / np.log(STEP))), 1) + 1
+    return np.geomspace(low, high, count)
+
+
+def _shapes(effect: Effect) -> list[Parameter]:
+    return [p for p in effect.parameters if p.role == "shape"]
+
+
+def _others(parameter: Parameter) -> tuple[float, ...]:
+    return parameter.grid or (parameter.start or 1.0,)
+
+
+def spectral(effect: Effect, frequency: float) -> dict[str, float]:
+    """The shapes that a frequency stands for: itself in Hz, 1 / (2 pi f) in s."""
+    late = float(1.0 / (2 * np.pi * frequency))
+    hertz = float(frequency)
+    return {p.name: late if p.unit == "s" else hertz for p in _shapes(effect) if p.spectrum}
+
+
+def others_of(effect: Effect) -> tuple[dict[str, float], list[dict[str, float]]]:
+    """Shapes that are no frequency: their middle values, and all values to try."""
+    shapes = [p for p in _shapes(effect) if not p.spectrum]
+    usual = {p.name: _others(p)[len(_others(p)) // 2] for p in shapes}
+    grids = itertools.product(*(_others(p) for p in shapes))
+    return usual, [dict(zip(usual, values, strict=True)) for values in grids]
+
+
+def peaks(share: Array) -> list[int]:
+    """Positions of the local maxima, the largest first; the ends count."""
+    padded = np.concatenate([[-np.inf], share, [-np.inf]])
+    at = np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))
+    return [int(i) for i in at[np.argsort(-share[at], kind="stable")]]
