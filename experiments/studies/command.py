@@ -129,7 +129,7 @@ def _parsed(bench: Bench, words: list[str] | None) -> argparse.Namespace:
     run.add_argument("--systems", type=_list, help="NAME,NAME; all when left out")
     run.add_argument("--cases", type=_list, help="NAME,NAME; all when left out")
     run.add_argument("--strategy", help="the default one when left out")
-    run.add_argument("--limit", type=float, default=300.0, help="wall seconds of a study")
+    run.add_argument("--limit", type=float, default=300.0, help="processor seconds of a study")
     run.add_argument("--jobs", type=int, default=1, help="processes")
     score = verbs.add_parser("score", help="the scoreboard of what is there")
     for verb in (run, score):

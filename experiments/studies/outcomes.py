@@ -74,6 +74,9 @@ def told(run: Run) -> Row:
         "before": seed.test_error,
         "after": last.test_error,
         "floor": last.noise_floor,
+        "fit": last.fit_error,
+        "rmse": [c.rmse for c in last.channels.values()],
+        "final": list(run.missing),
     }
 
 
