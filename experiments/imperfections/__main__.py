@@ -13,4 +13,4 @@ from experiments.imperfections.bench import BENCH
 from experiments.studies.command import main
 
 if __name__ == "__main__":
-    main(BENCH)
+    main(BENCH, __doc__ or "")

@@ -73,4 +73,4 @@ def score(rows: list[Row], details: bool) -> str:
     return "\n\n".join(parts)
 
 
-BENCH = Bench("imperfections", "", entries, study, definition, score)
+BENCH = Bench("imperfections", entries, study, definition, score)

@@ -34,4 +34,4 @@ def score(rows: list[Row], details: bool) -> str:
     return "\n\n".join(part for part in (board(rows, details), measured.absent()) if part)
 
 
-BENCH = Bench("zoo", "", entries, study, definition, score)
+BENCH = Bench("zoo", entries, study, definition, score)
