@@ -2,7 +2,9 @@
 
 import time
 from functools import partial
+from types import SimpleNamespace
 
+from experiments.studies.outcomes import named
 from experiments.studies.pieces import Job, finish, kept
 from experiments.studies.scoreboard import board
 
@@ -59,3 +61,26 @@ def test_the_report_half_shows_rates_but_no_case():
     assert "crane" not in told
     assert "crane" in board([row("report", "hidden")], details=True)
     assert "crane" in board([row("tune", "hidden")])
+
+
+def admitted(*names, aliases=()):
+    return SimpleNamespace(
+        admitted=names, aliases={names[0]: aliases} if names else {}, suggestions=()
+    )
+
+
+def test_the_imperfection_may_come_before_what_is_hidden():
+    run = SimpleNamespace(rounds=[admitted(), admitted("delay"), admitted("cubic_stiffness")])
+    assert not named(run, ("cubic_stiffness",))["first"]
+    found = named(run, ("cubic_stiffness",), also=("delay",))
+    assert found["first"]
+    assert found["invented"] == []
+
+
+def test_an_alias_group_counts_as_what_it_holds():
+    run = SimpleNamespace(rounds=[admitted(), admitted("lag", aliases=("hidden_mode", "delay"))])
+    found = named(run, ("hidden_mode",))
+    assert found["first"]
+    assert not found["alone"]
+    assert named(run, ())["invented"] == ["lag"]
+    assert named(run, (), also=("delay",))["invented"] == []
