@@ -26,7 +26,7 @@ class Bench:
 
     Parameters
     ----------
-    name, about : of the experiment; its folder of results is ``runs/NAME``.
+    name : of the experiment; its folder of results is ``runs/NAME``.
     entries : system -> (half, cases); a half of its own (``measured``), or empty for both halves.
     study : (system, case, seed, strategy) -> what came of it; run in a process of its own.
     definition : system -> the version of what makes its records and its question.
@@ -34,7 +34,6 @@ class Bench:
     """
 
     name: str
-    about: str
     entries: Callable[[], Mapping[str, tuple[str, tuple[str, ...]]]]
     study: Callable[[str, str, int, str | None], Row]
     definition: Callable[[str], str]
@@ -47,14 +46,18 @@ class Bench:
         return (*HALVES, *others)
 
 
-def main(bench: Bench, words: list[str] | None = None) -> str:
-    """Run or score; returns the scoreboard."""
-    given = _parsed(bench, words)
+def main(bench: Bench, about: str, words: list[str] | None = None) -> str:
+    """Run or score; returns the scoreboard. ``about`` is what ``--help`` says."""
+    given = _parsed(bench, about, words)
     file = Path(given.out or f"runs/{bench.name}") / "rows.jsonl"
     if given.verb == "run":
         finish(jobs_of(bench, given), file, given.limit, given.jobs)
-    rows = chosen(kept(file), given.code)
-    rows = [r for r in rows if given.half in ("all", r["key"]["half"])]
+    rows = [
+        r
+        for r in chosen(kept(file), given.code)
+        if r["key"]["strategy"] == (given.strategy or DEFAULT)
+        and given.half in ("all", r["key"]["half"])
+    ]
     board = bench.score(rows, given.details)
     print(board)
     if given.markdown:
@@ -118,24 +121,24 @@ def _commit() -> str:
     return asked.stdout.strip()
 
 
-def _parsed(bench: Bench, words: list[str] | None) -> argparse.Namespace:
-    about = argparse.RawDescriptionHelpFormatter
+def _parsed(bench: Bench, about: str, words: list[str] | None) -> argparse.Namespace:
+    plain = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(
-        f"python -m experiments.{bench.name}", description=bench.about, formatter_class=about
+        f"python -m experiments.{bench.name}", description=about, formatter_class=plain
     )
     verbs = parser.add_subparsers(dest="verb", required=True)
     run = verbs.add_parser("run", help="do what is left of the studies, then score")
     run.add_argument("--seeds", type=int, default=3, help="of each case")
     run.add_argument("--systems", type=_list, help="NAME,NAME; all when left out")
     run.add_argument("--cases", type=_list, help="NAME,NAME; all when left out")
-    run.add_argument("--strategy", help="the default one when left out")
-    run.add_argument("--limit", type=float, default=300.0, help="wall seconds of a study")
+    run.add_argument("--limit", type=float, default=300.0, help="processor seconds of a study")
     run.add_argument("--jobs", type=int, default=1, help="processes")
     score = verbs.add_parser("score", help="the scoreboard of what is there")
     for verb in (run, score):
         verb.add_argument(
             "--half", choices=(*bench.halves, "all"), default="tune", help="which part"
         )
+        verb.add_argument("--strategy", help="the default one when left out")
         verb.add_argument("--out", help="folder of the rows")
         verb.add_argument("--code", help="version of the code; the last one when left out")
         verb.add_argument("--markdown", help="file for the scoreboard")

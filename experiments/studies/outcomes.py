@@ -20,11 +20,12 @@ def named(run: Run, hidden: Sequence[str], also: Sequence[str] = ()) -> Row:
     """Ranks of what is hidden, counting alias groups, and what else was admitted.
 
     ``hidden`` are labels of which any is right; ``also`` are labels that are no invention either:
-    the imperfection of the record, where the catalog has one.
+    the imperfection of the record, where the catalog has one. It may come before what is hidden.
     """
     right, found = set(hidden), groups(run)
     ranked = run.rounds[0].suggestions[:TOP]
-    first = bool(found) and bool(right & found[0][1])
+    before = [group for _, group in found if group & right or not group & set(also)]
+    first = bool(before) and bool(right & before[0])
     top = first or any(right & {s.effect, *s.aliases} for s in ranked)
     return {
         "first": first,
@@ -74,6 +75,9 @@ def told(run: Run) -> Row:
         "before": seed.test_error,
         "after": last.test_error,
         "floor": last.noise_floor,
+        "fit": last.fit_error,
+        "rmse": [c.rmse for c in last.channels.values()],
+        "final": list(run.missing),
     }
 
 

@@ -1,4 +1,4 @@
-"""Studies in pieces: each in a process of its own with a wall limit, a JSON line as it ends.
+"""Studies in pieces: each in a process of its own with a time limit, a JSON line as it ends.
 
 A line is kept under what tells studies apart (system, case, seed, strategy) and under the version
 of the code and of the case that made it: the same command takes up what is there and does the rest.
@@ -6,10 +6,12 @@ of the code and of the case that made it: the same command takes up what is ther
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import multiprocessing
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,6 +22,9 @@ from typing import Any
 
 Row = dict[str, Any]
 _THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA")
+_PATIENCE = (
+    4.0  # wall seconds for each processor second that a study may take: others work here too
+)
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,10 @@ def of(rows: Sequence[Row], jobs: Sequence[Job]) -> list[Row]:
 
 
 def finish(jobs: Sequence[Job], file: Path, limit: float, workers: int) -> list[Row]:
-    """Rows of all jobs; those that are there are taken, the others computed and added."""
+    """Rows of all jobs; those that are there are taken, the others computed and added.
+
+    ``limit`` : processor seconds of a study, and a quarter of its wall seconds.
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     have = {row["job"] for row in kept(file)}
     left = [j for j in jobs if j.name not in have]
@@ -124,14 +132,15 @@ def _performed(jobs: Sequence[Job], limit: float, workers: int) -> Iterator[Row]
 
 def _started(context: Any, job: Job, limit: float) -> _Running:
     answer, their_end = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(job.work, their_end), daemon=True)
+    process = context.Process(target=_work, args=(job.work, their_end, limit), daemon=True)
     process.start()
     their_end.close()
-    return _Running(job, process, answer, time.monotonic() + limit)
+    return _Running(job, process, answer, time.monotonic() + _PATIENCE * limit)
 
 
-def _work(work: Callable[[], Row], answer: Connection) -> None:
+def _work(work: Callable[[], Row], answer: Connection, limit: float) -> None:
     """In the process of a study: its row, or how it failed, goes back."""
+    _limited(limit)
     wall, clock = time.monotonic(), time.process_time()
     try:
         row = {"outcome": "done", **work()}
@@ -141,17 +150,32 @@ def _work(work: Callable[[], Row], answer: Connection) -> None:
     answer.send({**row, "wall": time.monotonic() - wall})
 
 
+def _limited(seconds: float) -> None:
+    """The system ends this process after so many processor seconds; where it can (not Windows)."""
+    with contextlib.suppress(ImportError):
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_CPU)
+        resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), most))
+
+
 def _ended(one: _Running, limit: float) -> Row:
     if one.answer.poll():
         try:
             row = one.answer.recv()
         except EOFError:
             one.process.join(10)
-            row = {"outcome": "failed", "error": f"died, exit code {one.process.exitcode}"}
+            row = _died(one.process.exitcode, limit)
     else:
         one.process.kill()
-        row = {"outcome": "timeout", "wall": limit}
+        row = {"outcome": "timeout", "error": f"over {_PATIENCE * limit:g} s of wall time"}
     one.process.join(10)
     one.answer.close()
     job = one.job
     return {"job": job.name, "key": dict(job.key), "made_of": dict(job.made_of), **row}
+
+
+def _died(code: int | None, limit: float) -> Row:
+    if code == -signal.SIGXCPU:
+        return {"outcome": "timeout", "error": f"over {limit:g} processor seconds"}
+    return {"outcome": "failed", "error": f"died, exit code {code}"}

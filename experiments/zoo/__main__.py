@@ -13,4 +13,4 @@ from experiments.studies.command import main
 from experiments.zoo.bench import BENCH
 
 if __name__ == "__main__":
-    main(BENCH)
+    main(BENCH, __doc__ or "")

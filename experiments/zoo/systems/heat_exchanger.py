@@ -110,7 +110,10 @@ class FlowTransfer(FlowEffect):
 
 
 class HeatExchanger(System):
-    """Hot stream, wall and cold stream, each in two cells (Kakac, Liu, Heat Exchangers, ch. 2)."""
+    """h_i' = flow + transfer, s_i' = transfer, c_i' = flow + transfer for the cells i = 1, 2.
+
+    Hot stream, wall and cold stream in counterflow (Kakac, Liu, Heat Exchangers, ch. 2).
+    """
 
     states = tuple(State(n, "K") for n in _STATES)
     observed = ("hot_2", "cold_1")

@@ -89,8 +89,23 @@ def _push(x, driven, first, half):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _transition(f, phi, driven, tracked, half, whole):
-    """The (N, N) transition of (x, theta, z) from the slopes (n, n + theta + q) of the flow."""
+def _forget(x, phi, first, later):
+    """z <- Phi z."""
+    k = phi.shape[0]
+    for i in range(k):
+        later[i] = 0.0
+        for j in range(k):
+            later[i] += phi[i, j] * x[first + j]
+    for i in range(k):
+        x[first + i] = later[i]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _transition(f, x, phi, driven, tracked, half, scratch, whole):
+    """The (N, N) transition of (x, theta, z) from the slopes (n, n + theta + q) of the flow.
+
+    Beside it z <- Phi z.
+    """
     n, k = f.shape[0], phi.shape[0]
     first = n + tracked
     whole[:] = 0.0
@@ -107,6 +122,7 @@ def _transition(f, phi, driven, tracked, half, whole):
     for i in range(k):
         for j in range(k):
             whole[first + i, first + j] = phi[i, j]
+    _forget(x, phi, first, scratch)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
@@ -198,18 +214,6 @@ def _unit(f):
         f[i, i] = 1.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _forget(x, phi, first, later):
-    """z <- Phi z."""
-    k = phi.shape[0]
-    for i in range(k):
-        later[i] = 0.0
-        for j in range(k):
-            later[i] += phi[i, j] * x[first + j]
-    for i in range(k):
-        x[first + i] = later[i]
-
-
 @nb.njit(
     types.int64(
         MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F2, _F1, _I1, types.int64, _F2, types.int64,
@@ -272,8 +276,7 @@ def predict_record(
             step_with_slopes(rate, x, values, both, inputs, (k * substeps + sub) * 2,
                              dt / substeps, EXACT, f, vectors, a, b, work)  # fmt: skip
         _push(x, driven, first, half)
-        _forget(x, phi, first, scratch[0])
-        _transition(f, phi, driven, tracked, half, whole)
+        _transition(f, x, phi, driven, tracked, half, scratch[0], whole)
         if transitions.shape[0] > 0:
             transitions[k] = whole
         if width:
