@@ -42,8 +42,10 @@ def short_form(unit: str) -> str:
 
 
 def _parse(unit: str) -> Any:
+    """A unit; where a port has none, its place in a relative unit is empty: ``()/()``."""
     import pint
 
+    unit = unit.replace("()", "(dimensionless)")
     try:
         return registry().Unit(unit.replace("^", "**").replace("1*", "") or "")
     except (pint.UndefinedUnitError, pint.errors.DefinitionSyntaxError, ValueError, TypeError):

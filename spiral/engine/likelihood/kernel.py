@@ -247,16 +247,15 @@ def predict_record(
     Samples done before a number became infinite.
     """
     samples, m = y.shape
-    size, width, k_noise = x.shape[0], slopes.shape[2], phi.shape[0]
-    n = size - tracked - k_noise
-    first, half = n + tracked, 0.5 * dt
+    size, width = x.shape[0], slopes.shape[2]
+    n = size - tracked - phi.shape[0]
+    first, half, followed = n + tracked, 0.5 * dt, both[:tracked]
     f, work = np.zeros((n, n + tracked + width)), np.zeros((3, n, n + tracked + width))
     vectors, a, b = np.zeros((3, n)), np.zeros((n, n)), np.zeros((n, values.shape[0]))
     h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
     c, scratch = np.zeros((m, size)), np.zeros((4, size))
     whole, big = np.zeros((size, size)), np.zeros((size, size))
-    s, out = np.zeros((size, width)), np.zeros((size, width))
-    followed = both[:tracked]
+    s, out, k = np.zeros((size, width)), np.zeros((size, width)), 0
     for k in range(samples):
         hold(values, followed, x[:first])
         output(x[:n], inputs[k * 2 * substeps], values, h, cx, cv)
@@ -265,9 +264,7 @@ def predict_record(
                          slopes[k], k, gains):  # fmt: skip
             return k
         _keep(k, c, x, rows, means)
-        if not _sound(x, p):
-            return k
-        if k == samples - 1:
+        if k == samples - 1 or not _sound(x, p):
             break
         _unit(f)
         hold(values, followed, x[:first])
@@ -282,7 +279,7 @@ def predict_record(
         if width:
             _carry(whole, f, tracked, s, out)
         propagate(p, whole, q, big)
-    return samples
+    return k + 1 if _sound(x, p) else k
 
 
 @nb.njit(

@@ -52,7 +52,7 @@ def _rescored(
     if not gain > ranked.score.gain:
         return ranked
     table, shapes = evidence.table, len(found.variant.tuned)
-    q = ranked.score.rank + shapes
+    q = max(ranked.score.rank + shapes, 1)
     dof, rest = max(table.dof - q, 1), max(table.rest - gain, 1e-300)
     statistic = (gain / q) / (rest / dof)
     after = residuals(assembly.study, found.stage.layouts, found.stage.fitted.point)

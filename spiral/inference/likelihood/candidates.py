@@ -132,21 +132,26 @@ def _refit(
 
     ``far``: from a share of its bounds; else from zero, where the first step finds its size.
     """
+    wider = added(assembly, base.state, ranked, far)
+    fit = _fitted(assembly, wider, base.estimate.noise, masks, steps)
+    return _rival(base, ranked, fit)
+
+
+def added(assembly: Assembly, state: FitState, ranked: Ranked, far: bool = False) -> FitState:
+    """A state with a candidate: from zero, or ``far`` from there."""
     variant = ranked.variant
-    values = stepped(assembly, base.state.values, variant, ranked.score.step)
+    values = stepped(assembly, state.values, variant, ranked.score.step)
     for key in tested_keys(assembly, variant) if far else ():
         position = assembly.study.index(key)
         known = assembly.study.compiled.traced.parameters[position]
         values = values.copy()
         values[:, position] = _FAR * (known.upper or 1.0)
-    wider = replace(
-        base.state,
-        labels=(*base.state.labels, variant.label),
+    return replace(
+        state,
+        labels=(*state.labels, variant.label),
         values=values,
-        held=(*base.state.held, *ranked.held),
+        held=(*state.held, *ranked.held),
     )
-    fit = _fitted(assembly, wider, base.estimate.noise, masks, steps)
-    return _rival(base, ranked, fit)
 
 
 def _further(

@@ -6,8 +6,8 @@
 3. the first again with process noise ten times smaller and ten times larger to begin with.
 
 Each is taken a few steps, and the most likely one to its maximum. The next is tried only while the
-best so far does not explain the records: its fit did not converge, or it needs a random force that
-is no small one.
+best so far does not explain the records (its fit did not converge, or it needs a random force that
+is no small one) and no two of them agree.
 """
 
 from __future__ import annotations
@@ -27,11 +27,13 @@ from spiral.inference.likelihood.fitting import (
     explains,
     finer,
     refitted,
+    samples_of,
     subjects,
 )
 from spiral.inference.problem import Progress
 
 _HEAT = 8  # scoring steps of each start
+_SAME = 0.02  # log-likelihood a reading up to which two starts have led to one place
 _WINDOWS = 2  # window lengths of a start from windows
 
 
@@ -41,9 +43,12 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
     for begin, level in _starts(assembly, state, progress):
         noise = first_noise(subjects(assembly, begin)[0][0], level)
         found = refitted(assembly, begin, noise, steps=_HEAT, rough=True)
+        agrees = best is not None and abs(found.height - best.height) < _SAME * samples_of(
+            found.estimate.prepared
+        )
         if best is None or found.height > best.height:
             best = found
-        if best.estimate.converged and explains(best):
+        if agrees or (best.estimate.converged and explains(best)):
             break
     assert best is not None
     progress("most likely values of the model as it is")

@@ -10,8 +10,8 @@ the model is not near its noise.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from spiral.inference.evidence.fit_state import FitState, begin, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
 from spiral.inference.likelihood.candidates import (
     Rival,
+    added,
     alike,
     in_study,
     judged,
@@ -43,7 +44,7 @@ from spiral.inference.likelihood.identify import untold
 from spiral.inference.likelihood.ladder import climbed_ladder, pruned
 from spiral.inference.likelihood.scores import ranking
 from spiral.inference.likelihood.starts import best_fit, on_finer_steps
-from spiral.inference.problem import Problem, Progress
+from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
 from spiral.inference.suggest import by_evidence
 from spiral.inference.unknown.holding import carried
@@ -87,6 +88,18 @@ def _settled(
     return Settled(state, comparison, retired, details)
 
 
+@dataclass(frozen=True)
+class Scored:
+    """What a round found: candidates by their score, and those refitted.
+
+    ``settled`` is the study with what is admitted, if anything is.
+    """
+
+    ranking: Ranking
+    rivals: tuple[Rival, ...]
+    settled: Settled | None = None
+
+
 def _propose(
     assembly: Assembly, state: FitState, comparison: Comparison, number: int, progress: Progress
 ) -> Step:
@@ -106,22 +119,25 @@ def _propose(
         if reason:
             rejected[rival.label] = reason
             continue
-        rival, aliases = machine_first(rival, alike(rivals[place:]), rivals)
-        progress(f"most likely values with {rival.label}")
-        settled = _with(assembly, wide, rival, progress)
+        chosen, aliases = machine_first(rival, alike(rivals[place:]), rivals)
+        progress(f"most likely values with {chosen.label}")
+        found = carried(chosen.fit.state, wide, with_variants(assembly, [chosen.ranked.variant]))
+        settled = _with(assembly, found, chosen.ranked, progress)
         worse = [c for c in changes(comparison.unseen, settled.comparison.unseen)
                  if c.judged == "worse"]  # fmt: skip
         if worse:
-            rejected[rival.label] = _said(worse[0])
+            rejected[chosen.label] = _said(worse[0])
             continue
-        effect = rival.ranked.variant.original
+        effect = chosen.ranked.variant.original
         return Step(
-            _suggestions(rivals, ranked, effect.label, aliases), rejected, (effect.label,),
-            {effect.label: aliases}, meaning=effect.meaning(), found=settled,
+            _suggestions(rivals, ranked, effect.label, aliases)[:_LISTED], rejected,
+            (effect.label,), {effect.label: aliases}, meaning=effect.meaning(),
+            found=Scored(ranked, tuple(rivals), settled),
         )  # fmt: skip
     near = near_noise(comparison, assembly.problem.settings)
     stopped: Stopped = "whiteness" if near else "no_candidate"
-    return Step(_suggestions(rivals, ranked, "", ()), rejected, stopped=stopped)
+    return Step(_suggestions(rivals, ranked, "", ())[:_LISTED], rejected, stopped=stopped,
+                found=Scored(ranked, tuple(rivals)))  # fmt: skip
 
 
 def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
@@ -165,18 +181,20 @@ def _said(change: Any) -> str:
     )
 
 
-def _with(assembly: Assembly, wide: Assembly, rival: Rival, progress: Progress) -> Settled:
-    """The model with a rival, fitted to all samples; noise and effects not wanted any more go.
+def _with(assembly: Assembly, state: FitState, ranked: Ranked, progress: Progress) -> Settled:
+    """The model with a candidate, fitted to all samples; noise and effects not wanted any more go.
 
-    It is compiled without the other rivals.
+    Parameters
+    ----------
+    assembly : the study without the candidate. state : with it, in the study compiled with it.
     """
-    own = with_variants(assembly, [rival.ranked.variant])
-    found = refitted(own, carried(rival.fit.state, wide, own), rough=True)
+    own = with_variants(assembly, [ranked.variant])
+    found = refitted(own, state, rough=True)
     found = on_finer_steps(own, found)
     found = pruned(own, found, progress)
     found = climbed_ladder(own, found, progress)
     found = finished(own, found, progress)
-    found, gone = _without_superfluous(own, found, rival.ranked.variant.label)
+    found, gone = _without_superfluous(own, found, ranked.variant.label)
     return _settled(own, found, progress, gone)
 
 
@@ -208,11 +226,34 @@ def _dropped(assembly: Assembly, state: FitState, label: str) -> FitState:
 
 
 def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
-    return step.found
+    return step.found.settled
+
+
+def _ranked(step: Step) -> tuple[Suggestion, ...]:
+    scored: Scored = step.found
+    label = next(iter(step.admitted), "")
+    return _suggestions(scored.rivals, scored.ranking, label, step.aliases.get(label, ()))
+
+
+def _choose(assembly: Assembly, state: FitState, step: Step, label: str) -> Step:
+    """Another candidate in place of the proposal; no gate is asked."""
+    scored: Scored = step.found
+    assembly = held(assembly, state)
+    ranked = next(r for r in scored.ranking.ranked if r.variant.original.label == label)
+    own = with_variants(assembly, [ranked.variant])
+    wider = added(own, carried(state, assembly, own), ranked)
+    settled = _with(assembly, wider, ranked, silent)
+    effect = ranked.variant.original
+    group = set(step.admitted) | {x for v in step.aliases.values() for x in v}
+    aliases = tuple(sorted(group - {label})) if label in group else ()
+    return replace(
+        step, suggestions=_ranked(step)[:_LISTED], admitted=(label,), aliases={label: aliases},
+        meaning=effect.meaning(), found=replace(scored, settled=settled),
+    )  # fmt: skip
 
 
 def _suggestions(
-    rivals: list[Rival], found: Ranking, label: str, aliases: tuple[str, ...]
+    rivals: Sequence[Rival], found: Ranking, label: str, aliases: tuple[str, ...]
 ) -> tuple[Suggestion, ...]:
     """The admitted one, then what was refitted by its worth, then others by their score."""
     listed = {s.effect: s for s in by_evidence(found, None, ())}
@@ -220,7 +261,7 @@ def _suggestions(
     known = {s.effect for s in refitted_}
     named = [*refitted_, *(s for s in listed.values() if s.effect not in known)]
     named = [replace(s, aliases=aliases) if s.effect == label else s for s in named]
-    return tuple(sorted(named, key=lambda s: s.effect != label)[:_LISTED])
+    return tuple(sorted(named, key=lambda s: s.effect != label))
 
 
 def _as_suggestion(rival: Rival, listed: Mapping[str, Suggestion]) -> Suggestion:
@@ -237,4 +278,4 @@ def _as_suggestion(rival: Rival, listed: Mapping[str, Suggestion]) -> Suggestion
     )  # fmt: skip
 
 
-LIKELIHOOD = Strategy("likelihood", _begin, _propose, _settle)
+LIKELIHOOD = Strategy("likelihood", _begin, _propose, _settle, _ranked, _choose)

@@ -1,0 +1,275 @@
+"""The likelihood of one-step predictions: against dense Gaussians, differences and simulation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.stats import multivariate_normal
+from spiral_plugins.effects.dissipative import CoulombFriction
+from spiral_plugins.effects.memory import HiddenMode
+from spiral_plugins.effects.restoring import CubicStiffness
+from spiral_plugins.effects.sensors import Gain
+from spiral_plugins.systems.oscillator import Oscillator
+
+from spiral.engine.filter.setup import prepared
+from spiral.engine.filter.task import linearised, prepare_task
+from spiral.engine.likelihood.fit import maximise
+from spiral.engine.likelihood.noise import NoiseModel, Term, first_noise, matrices
+from spiral.engine.likelihood.own_states import own_of, own_states_along
+from spiral.engine.likelihood.predict import log_likelihood, predicted
+from spiral.inference.likelihood.ladder import climbed_ladder
+from spiral.inference.likelihood.scores import motion_of
+from spiral.inference.simulate import simulate
+from spiral.physics.signatures import Along, signatures
+from spiral.types.model import seed_model
+
+TRUTH = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 0.8}
+RATE = 200.0
+KEYS = tuple(TRUTH)
+
+
+def record_of(seed, samples=1500, noise=0.05, effects=(), values=None):
+    """An oscillator of 3.2 Hz swept from 1 to 7 Hz, with white noise that nobody declares."""
+    model = seed_model(Oscillator(), effects, values={**TRUTH, **(values or {})})
+    time = np.arange(samples) / RATE
+    force = 30 * np.sin(2 * np.pi * (1 + 3 * time / time[-1]) * time)
+    return simulate(model, time, {"force": force}, noise, np.random.default_rng(seed))
+
+
+def task_of(record, effects=(), values=None, substeps=4):
+    model = seed_model(Oscillator(), effects, values={**TRUTH, **(values or {})})
+    return prepared(prepare_task(model, record, substeps=substeps, every=True), ())
+
+
+TERMS = {
+    "white": (),
+    "coloured": ((Term("coloured", "x"),), {"coloured.x": 0.02, "coloured.time": 0.03}),
+    "band": ((Term("band", "x"),), {"band.x": 0.02, "band.time": 0.02}),
+    "drift": ((Term("drift", "x"),), {"drift.x": 0.05}),
+    "gust": ((Term("gust", "observed"),), {"gust.observed": 0.3, "gust.time": 0.1}),
+}
+
+
+@pytest.mark.parametrize("kind", TERMS)
+def test_it_is_that_of_the_joint_gaussian_of_all_readings(kind):
+    """A linear machine's readings are jointly Gaussian: mean and covariance written out densely."""
+    record = record_of(0, samples=64)
+    task, settings = task_of(record, substeps=16)
+    noise = first_noise(task, 0.2)
+    if TERMS[kind]:
+        noise = noise.added(*TERMS[kind])
+    parts = matrices(task, settings, noise)
+    n, dt = len(task.states), task.series.dt
+    flow = expm(linearised(task.compiled, task.values, np.zeros(task.inputs.shape[1])) * dt)
+    size = len(parts.q)
+    f = np.zeros((size, size))
+    f[:n, :n], f[n:, n:] = flow, parts.phi
+    f[:n, n:] = 0.5 * dt * (flow @ parts.driven + parts.driven)
+    c = np.concatenate([[[1.0, 0.0]], parts.seen], axis=1)[0]
+    p, joint, count = parts.p, np.zeros((64, 64)), 64
+    for i in range(count):
+        cross = p @ c
+        for j in range(i, count):
+            joint[i, j] = joint[j, i] = c @ cross
+            cross = f @ cross
+        p = f @ p @ f.T + parts.q
+    joint += np.eye(count) * parts.r[0]
+    mean = states_alone(task, settings)[:, 0]
+    expected = multivariate_normal(mean, joint).logpdf(task.series.y[:, 0])
+    found = log_likelihood((predicted(task, settings, noise),))
+    assert found == pytest.approx(expected, abs=2e-3)
+
+
+def states_alone(task, settings):
+    """The model's motion from the filter's first mean, without measurements."""
+    from spiral.engine.kernel import trajectories
+
+    series = task.series
+    states, readings = np.empty((series.samples, len(task.states))), np.empty_like(series.y)
+    trajectories(
+        task.compiled.rate_value, task.compiled.output_value, settings.start[None, :].copy(),
+        np.zeros(1, dtype=np.int64), np.array([series.samples]), task.values[None, :].copy(),
+        task.inputs, series.substeps, series.dt, states, readings,
+    )  # fmt: skip
+    return states
+
+
+def test_a_missing_reading_takes_no_part():
+    record = record_of(1, samples=200)
+    task, settings = task_of(record)
+    noise = first_noise(task, 0.1)
+    y = task.series.y.copy()
+    y[80:95] = np.nan
+    gap = replace(task, series=replace(task.series, y=y))
+    part = predicted(gap, settings, noise, KEYS)
+    assert part.whole
+    assert np.all(part.spreads[80:95] == 0)
+    assert np.all(part.columns[80:95] == 0)
+    assert np.isfinite(log_likelihood((part,)))
+    before = predicted(task, settings, noise)
+    np.testing.assert_allclose(part.misses[:80], before.misses[:80])
+
+
+def test_slopes_with_held_gains_are_those_of_differences_where_the_model_is_right():
+    record = record_of(2, noise=1e-4)
+    task, settings = task_of(record)
+    noise = first_noise(task, 1e-4)
+    part = predicted(task, settings, noise, KEYS)
+    for j, key in enumerate(KEYS):
+        step = 1e-5 * TRUTH[key]
+        ends = [
+            predicted(task.with_values({key: TRUTH[key] + s}), settings, noise).misses
+            for s in (-step, step)
+        ]
+        expected = (ends[0] - ends[1]) / (2 * step)
+        size = np.abs(expected[50:]).max()
+        np.testing.assert_allclose(part.slopes[50:, :, j], expected[50:], atol=0.03 * size)
+
+
+@pytest.mark.parametrize("effect", [CubicStiffness(), Gain()])
+def test_signatures_are_the_slopes_of_the_compiled_effect(effect):
+    """What an absent effect adds to rates and readings, against its column of the Jacobians."""
+    record = record_of(3, samples=300)
+    task, settings = task_of(record, (effect,), {k: 0.0 for k, _ in amplitudes(effect)})
+    part = predicted(task, settings, first_noise(task, 0.1), keep=True)
+    along = along_of(task, part)
+    rates, readings = signatures(along, effect, {})
+    (key, _), *_ = amplitudes(effect)
+    at = task.keys.index(key)
+    n, p = len(task.states), len(task.keys)
+    for k in range(0, 300, 50):
+        b, d = np.zeros((n, p)), np.zeros((1, p))
+        x, u = part.means[k, :n].copy(), along.inputs[k].copy()
+        task.compiled.rate(x, u, task.values, np.empty(n), np.zeros((n, n)), b)
+        task.compiled.output(x, u, task.values, np.empty(1), np.zeros((1, n)), d)
+        np.testing.assert_allclose(rates[k, :, 0], b[:, at], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(readings[k, :, 0], d[:, at], rtol=1e-9, atol=1e-12)
+
+
+def amplitudes(effect):
+    port = Oscillator().place(effect)
+    known = {p.name for p in effect.amplitudes()}
+    return [(k, p) for k, p in effect.keys(port) if p.name in known]
+
+
+def along_of(task, part):
+    class Bare:
+        problem = type("Problem", (), {"model": task.model})
+
+    return motion_of(Bare, task, part)
+
+
+def test_own_states_follow_the_motion_as_the_compiled_effect_has_them():
+    """A resonance driven by x = sin: its steady state is the transfer function's."""
+    dt, count = 1e-3, 8000
+    time = dt * np.arange(count)
+    turn, natural, ratio = 2 * np.pi * 2.0, 2 * np.pi * 5.0, 0.1
+    states = np.column_stack([np.sin(turn * time), turn * np.cos(turn * time)])
+    inputs = np.column_stack([np.zeros(count), time])
+    along = Along(Oscillator(), states, inputs, np.zeros((count, 2)), states[:, :1], {"mass": 1.0})
+    effect = HiddenMode()
+    shapes = {"natural_frequency": np.array([5.0, 7.0]), "damping_ratio": np.full(2, ratio)}
+    found = own_of(effect, 1, own_states_along(along, dt, effect, shapes)[0])
+    s = 1j * turn
+    through = (2 * ratio * natural * s + natural**2) / (s**2 + 2 * ratio * natural * s + natural**2)
+    expected = np.imag(through * np.exp(s * time))
+    np.testing.assert_allclose(found["displacement"][0][-1000:], expected[-1000:], atol=1e-5)
+
+
+def test_estimates_scatter_as_their_standard_errors_say():
+    """Pooled squared t of 40 records is 1; the size of the noise is told."""
+    squares, sizes = [], []
+    for seed in range(40):
+        record = record_of(seed, samples=1000)
+        task, settings = task_of(record, values={"linear_stiffness.stiffness": 440.0})
+        found = maximise(((task, settings),), KEYS, first_noise(task, 0.1))
+        assert found.converged
+        squares += [((found.values[k] - TRUTH[k]) / found.errors[k]) ** 2 for k in KEYS]
+        sizes.append(found.noise.values["white.x"] / (0.05 * np.std(record.truth["x"])))
+    assert 0.7 < np.mean(squares) < 1.35
+    assert abs(np.mean(sizes) - 1) < 0.01
+
+
+def test_estimates_bear_a_random_force():
+    """With a real random force the standard errors stay honest, and its size is told."""
+    squares, levels = [], []
+    for seed in range(20):
+        record = shaken(seed, 0.05)
+        task, settings = task_of(record)
+        found = maximise(((task, settings),), KEYS, first_noise(task, 0.1))
+        squares += [((found.values[k] - TRUTH[k]) / found.errors[k]) ** 2 for k in KEYS]
+        levels.append(found.noise.values["force.observed"])
+    assert 0.6 < np.mean(squares) < 1.6
+    assert np.median(levels) == pytest.approx(0.05, rel=0.3)
+
+
+def shaken(seed, level):
+    from spiral.engine.filter.stochastic import disturbed
+
+    task, _ = task_of(record_of(seed, samples=1500, noise=0.0))
+    return disturbed(task, {"observed": level}, 0.02, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("kind", ["white", "coloured", "drift"])
+def test_the_ladder_takes_up_the_noise_that_is_there(kind):
+    record = record_of(5, samples=3000, noise=0.02)
+    rng = np.random.default_rng(5)
+    spread = np.std(record.channels["x"])
+    clean = record.channels["x"]
+    if kind == "coloured":
+        clean = clean + relaxed(rng, len(clean), 0.95) * 0.05 * spread
+    if kind == "drift":
+        clean = clean + np.cumsum(rng.normal(size=len(clean))) * 0.005 * spread
+    found = laddered(replace(record, channels={"x": clean}, noise={}))
+    kinds = {t.kind for t in found.terms} - {"white", "force"}
+    assert kinds == (set() if kind == "white" else {kind})
+
+
+def relaxed(rng, count, keep):
+    steps = rng.normal(size=count) * np.sqrt(1 - keep**2)
+    found = np.empty(count)
+    found[0] = rng.normal()
+    for k in range(1, count):
+        found[k] = keep * found[k - 1] + steps[k]
+    return found
+
+
+def laddered(record) -> NoiseModel:
+    from spiral.inference.evidence.assembly import compiled_with
+    from spiral.inference.evidence.fit_state import FitState, first_row
+    from spiral.inference.likelihood.fitting import refitted
+    from spiral.inference.problem import Problem, silent
+
+    model = seed_model(Oscillator(), values=TRUTH)
+    assembly = compiled_with(Problem(model, (record,), ()), (), 4)
+    state = FitState(model.labels, first_row(assembly), corrected=False)
+    return climbed_ladder(assembly, refitted(assembly, state), silent).estimate.noise
+
+
+def test_a_hidden_friction_is_named_and_measured():
+    """The whole loop: the effect, its size within its error, white noise left."""
+    import spiral
+
+    truth = {"coulomb_friction.level": 1.5, "coulomb_friction.width": 0.02}
+    records = [record_of(s, 1500, 0.02, (CoulombFriction(),), truth) for s in (7, 8)]
+    run = spiral.discover(
+        replace(records[0], noise={}), "oscillator", test=replace(records[1], noise={}),
+        values=TRUTH, strategy="likelihood",
+    )  # fmt: skip
+    assert run.missing == ("coulomb_friction",)
+    level = run.model.estimates()["coulomb_friction"]["level"]
+    assert abs(level.estimate - 1.5) < 3 * level.se
+    assert run.rounds[-1].comparison.random == {}
+    assert run.rounds[-1].comparison.test_error < 1.1 * run.rounds[-1].comparison.noise_floor
+
+
+def test_nothing_is_named_where_nothing_is_missing():
+    import spiral
+
+    records = [replace(record_of(s, 1200, 0.02), noise={}) for s in (9, 10)]
+    run = spiral.discover(
+        records[0], "oscillator", test=records[1], values=TRUTH, strategy="likelihood"
+    )
+    assert run.verdict == "nothing_missing"
+    assert "white noise" in run.summary
