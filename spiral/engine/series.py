@@ -38,7 +38,8 @@ class Series:
     """Arrays of one record.
 
     ``y`` (samples, channels), ``sigma`` (channels,), ``inputs`` ((samples - 1) * 2 * substeps + 1,
-    input columns) on the half-step grid of the integrator, ``dt`` in s.
+    input columns) on the half-step grid of the integrator, ``dt`` in s; ``held`` are columns whose
+    value stays from one sample to the next.
     """
 
     record: Record
@@ -48,6 +49,7 @@ class Series:
     dt: float
     substeps: int
     splines: Splines
+    held: tuple[int, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -74,6 +76,18 @@ class Series:
     def _smoothed(self) -> dict[int, tuple[Array, ...]]:
         return {}
 
+    def stages(self, grid: Array) -> Array:
+        """(3 * steps, columns): inputs at the start, middle and end of every integration step.
+
+        On the half-step grid a step shares its end with the start of the next, where a held value
+        jumps; here each step has its own.
+        """
+        found = np.empty((3 * (len(grid) // 2), grid.shape[1]))
+        found[0::3], found[1::3], found[2::3] = grid[:-1:2], grid[1::2], grid[2::2]
+        for column in self.held:
+            found[0::3, column] = found[2::3, column] = grid[1::2, column]
+        return found
+
     def weight(self, mask: Array | None) -> Array:
         """(samples, channels): 1/sigma where the mask holds, else 0."""
         weight = np.broadcast_to(1.0 / self.sigma, self.y.shape).copy()
@@ -99,6 +113,9 @@ def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) ->
         dt=record.dt,
         substeps=substeps,
         splines=splines(record, substeps, knot if wanted else 0.0),
+        held=tuple(
+            i for i, known in enumerate(system.inputs) if known.interpolation == "zero_order"
+        ),
     )
 
 

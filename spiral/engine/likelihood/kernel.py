@@ -216,13 +216,14 @@ def _unit(f):
 
 @nb.njit(
     types.int64(
-        MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F2, _F1, _I1, types.int64, _F2, types.int64,
+        MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F2, _F1, _I1, types.int64, _F2, _F2, types.int64,
         types.float64, _F2, _F1, _F2, _F2, _F2, _F2, _F2, _F2, _F3, _F2, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def predict_record(
-    rate, output, x, p, values, both, tracked, inputs, substeps, dt, y, r, q, phi, seen, driven,
+    rate, output, x, p, values, both, tracked, inputs, stages, substeps, dt, y, r, q, phi, seen,
+    driven,
     misses, spreads, slopes, means, transitions, gains, rows,
 ):  # fmt: skip
     """One-step predictions of a record.
@@ -233,7 +234,8 @@ def predict_record(
     x : (N,) mean of (states, tracked parameters, noise states) before the first sample; p : (N, N)
         its covariance; both are overwritten. values : (parameters,).
     both : indices of the ``tracked`` parameters, then of those differentiated (width).
-    inputs : on the half-step grid; substeps : Runge-Kutta steps per sample; dt : s.
+    inputs : on the half-step grid; stages : of every Runge-Kutta step (``Series.stages``);
+    substeps : steps per sample; dt : s.
     y : (samples, channels), NaN where missing; r : (channels,) variance of the white noise.
     q : (N, N) covariance that a sample adds; phi (k, k), seen (channels, k), driven (n, k) : Phi,
         H and G of the noise states.
@@ -270,7 +272,7 @@ def predict_record(
         hold(values, followed, x[:first])
         _push(x, driven, first, half)
         for sub in range(substeps):
-            step_with_slopes(rate, x, values, both, inputs, (k * substeps + sub) * 2,
+            step_with_slopes(rate, x, values, both, stages, (k * substeps + sub) * 3,
                              dt / substeps, EXACT, f, vectors, a, b, work)  # fmt: skip
         _push(x, driven, first, half)
         _transition(f, x, phi, driven, tracked, half, scratch[0], whole)

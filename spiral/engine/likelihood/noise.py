@@ -28,6 +28,9 @@ from spiral.types.record import Array
 
 Kind = Literal["white", "coloured", "band", "drift", "force", "gust"]
 
+EXTRA: tuple[Kind, ...] = ("coloured", "band", "drift", "gust")
+"""Kinds beyond white noise and a white force."""
+
 _LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a level
 _LEVEL = 1e-5  # least level of a force
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record

@@ -100,10 +100,11 @@ def predicted(
         np.zeros((kept, size)), np.zeros((more, size, size)), np.zeros((more, m, size)),
         np.zeros((more, m, size)),
     )  # fmt: skip
+    grid, series = task.inputs, task.series
     done = predict_record(
         compiled.rate, compiled.output, np.concatenate([first, np.zeros(size - len(first))]),
-        parts.p, task.values.copy(), both, len(tracked), task.inputs, task.series.substeps,
-        task.series.dt, np.ascontiguousarray(task.series.y), parts.r, parts.q, parts.phi,
+        parts.p, task.values.copy(), both, len(tracked), grid, series.stages(grid),
+        series.substeps, series.dt, np.ascontiguousarray(series.y), parts.r, parts.q, parts.phi,
         parts.seen, parts.driven, *arrays,
     )  # fmt: skip
     return Prediction(*arrays, int(done))

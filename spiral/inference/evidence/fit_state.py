@@ -35,7 +35,8 @@ class FitState:
     ``shortest`` the shortest windows of later fits: those on which an effect was found from afar,
     or one with own states, which short windows would begin anew too often. ``free_from`` is the
     longest windows on which shapes were set free. ``noise`` is what acts at random, and
-    ``substeps`` the integration steps per sample, where the evidence is a likelihood.
+    ``substeps`` the integration steps per sample, where the evidence is a likelihood; ``starts``
+    (states,) where each record begins, as all of it tells.
     """
 
     labels: tuple[str, ...]
@@ -47,6 +48,7 @@ class FitState:
     free_from: int = 0
     noise: NoiseModel | None = None
     substeps: int = 1
+    starts: tuple[Array, ...] | None = None
 
     def keys(self, assembly: Assembly) -> tuple[str, ...]:
         """Parameters that a fit of this standing moves."""

@@ -57,8 +57,8 @@ class Disturbed:
     tracked: tuple[str, ...]
 
 
-Forecaster = Callable[[Task, int, int], tuple[Array, Array]]
-"""(task, first sample, samples ahead) -> what predictions miss, as ``forecast`` gives it."""
+Forecaster = Callable[[int, Task, int, int], tuple[Array, Array]]
+"""(record, task, first sample, samples ahead) -> what predictions miss, as from ``forecast``."""
 
 
 def unseen(
@@ -76,7 +76,7 @@ def unseen(
     """
     disturbed = process_noise(fitted, model, labels, values)
 
-    def forecaster(task: Task, first: int, steps: int) -> tuple[Array, Array]:
+    def forecaster(record: int, task: Task, first: int, steps: int) -> tuple[Array, Array]:
         return forecast(task, disturbed, first, steps)
 
     return at_horizons(test, model, run, forecaster)
@@ -91,7 +91,7 @@ def at_horizons(
     for r, series in enumerate(test.study.series):
         first, steps = run.settled[r], round(seconds / series.dt)
         task = task_for(test, model, run.values[r], series.record, series.substeps)
-        one, ahead = forecaster(task, first, steps)
+        one, ahead = forecaster(r, task, first, steps)
         misses["one_sample"].append(one)
         misses["ahead"].append(ahead)
         misses["free_run"].append((run.predicted[r] - run.measured[r])[first:])

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from spiral.engine.likelihood.fit import maximise
-from spiral.engine.likelihood.noise import NoiseModel
+from spiral.engine.likelihood.noise import EXTRA, NoiseModel
 from spiral.engine.likelihood.predict import Masks, log_likelihood
 from spiral.engine.score import Score
 from spiral.inference.evidence.admission import TOLD, stepped
@@ -41,7 +41,7 @@ from spiral.types.record import Array
 _RIVALS = 8  # candidates refitted
 _HEAT, _RACE = 3, 12  # scoring steps for all rivals, and for those that keep up
 _FAR, _FAR_ONES = 0.1, 3  # share of its bound that an amplitude starts from; shapes tried so
-_KEEP = 0.5  # share of the best gain from which a rival keeps up
+_KEEP, _PROMISED = 0.3, 0.7  # share of the best gain, and of its score, that keeps up
 _CHUNK = 1024  # samples whose signatures are in memory at a time
 _ODDS = 100.0  # ratio of likelihoods under which two candidates are not told apart
 
@@ -85,8 +85,10 @@ def race(
     runners = [r for r in runners if r.fit.estimate.finite]
     if not runners:
         return wide, []
-    best = max(r.worth for r in runners)
-    near = [r for r in runners if r.worth >= _KEEP * best or r.worth >= best - 20.0]
+    best = max(runners, key=lambda r: r.worth)
+    promised = _PROMISED * best.ranked.score.gain
+    near = [r for r in runners
+            if r.worth >= _KEEP * best.worth or r.ranked.score.gain >= promised]  # fmt: skip
     done = []
     for runner in near:
         progress(f"refitting with {runner.label}")
@@ -160,6 +162,10 @@ def _further(
     """A rival's fit taken on, its shapes set free where the record tells them."""
     fit = _fitted(assembly, rival.fit.state, rival.fit.estimate.noise, masks, steps)
     fit = fit if fit.height >= rival.fit.height else rival.fit
+    plain = fit.estimate.noise.without(*EXTRA)
+    if len(plain.terms) < len(fit.estimate.noise.terms):
+        less = _fitted(assembly, rival.fit.state, plain, masks, steps)
+        fit = less if less.height >= fit.height else fit
     tuned = rival.ranked.variant.tuned
     if tuned:
         freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *tuned))))

@@ -30,10 +30,21 @@ from spiral.inference.evidence.assembly import (
     with_records,
 )
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.horizons import ahead_of, at_horizons, doubts, task_for
+from spiral.inference.evidence.horizons import (
+    Forecaster,
+    ahead_of,
+    at_horizons,
+    doubts,
+    task_for,
+)
 from spiral.inference.evidence.judge import FreeRun, run_free
-from spiral.inference.likelihood.fitting import LikelihoodFit, colour, settled_values
-from spiral.inference.problem import Progress
+from spiral.inference.likelihood.fitting import (
+    LikelihoodFit,
+    colour,
+    force_levels,
+    settled_values,
+)
+from spiral.inference.problem import Problem, Progress
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison
@@ -54,13 +65,13 @@ def compared_by_likelihood(
     state = settled_values(found) if estimate.finite else found.state
     model = to_model(assembly, state.labels, state.values, estimate.errors, state.freed, state.held)
     progress("free run on the test record")
-    own = _runs(assembly, state, model, None)
+    own, _ = _runs(assembly, state, model, None)
     names = model.system.observed
     run, unseen = own, ()
     other = with_test(assembly, state.values)
     if other is not None:
-        run = _runs(other, state, model, _settling(other, estimate.prepared[0][0]))
-        forecaster = _forecaster(state, nuisances(assembly, state, model))
+        run, starts = _runs(other, state, model, _settling(other, estimate.prepared[0][0]))
+        forecaster = _forecaster(state, nuisances(assembly, state, model), starts)
         unseen = at_horizons(other, model, run, forecaster)
     errors = run.errors(names)
     white = colour(assembly, found) if estimate.finite else None
@@ -71,7 +82,7 @@ def compared_by_likelihood(
         fit_error=_mean(e.relative for e in own.errors(names).values()),
         test_error=_mean(e.relative for e in errors.values()),
         channels=errors,
-        noise_floor=_floor(state.noise, names, run),
+        noise_floor=_floor(state.noise, names, run, problem),
         chi2_per_dof=estimate.chi2 if estimate.finite else np.inf,
         whiteness_p=0.0 if white is None else white.p,
         whiteness_effect=np.inf if white is None else white.effect,
@@ -131,8 +142,13 @@ def nuisances(assembly: Assembly, state: FitState, model: Model) -> tuple[str, .
     return tuple(k for k in nuisance_keys(assembly, state.labels) if k in known)
 
 
-def _runs(assembly: Assembly, state: FitState, model: Model, settle: float | None) -> FreeRun:
-    """Free runs over the records of a study; ``settle`` seconds tell where each begins."""
+def _runs(
+    assembly: Assembly, state: FitState, model: Model, settle: float | None
+) -> tuple[FreeRun, tuple[Array, ...]]:
+    """Free runs over the records of a study, and the states (1, n) that they begin with.
+
+    ``settle`` seconds tell where each begins.
+    """
     series = assembly.study.series
     settled = tuple(
         0 if settle is None else min(max(round(settle / s.dt), _SHORTEST), s.samples // 2)
@@ -155,7 +171,7 @@ def _runs(assembly: Assembly, state: FitState, model: Model, settle: float | Non
         for place, key in enumerate(nuisances(assembly, state, model)):
             values[r, task.keys.index(key)] = means[-1, len(task.states) + place]
     stage = _refined(heads, state, Point(values, tuple(starts)))
-    return run_free(assembly, stage, settled)
+    return run_free(assembly, stage, settled), stage.fitted.point.starts
 
 
 def _smoothed(
@@ -165,9 +181,7 @@ def _smoothed(
 
     Where nothing is known of the record yet its phase origin is looked for all around.
     """
-    levels = None
-    if noise is not None:
-        levels = {t.where: noise.values[t.size] for t in noise.terms if t.kind == "force"}
+    levels = None if noise is None else force_levels(noise)
     given = {} if anywhere else doubts(tracked)
     return smoothed(task, levels, tracked, given)
 
@@ -184,13 +198,15 @@ def _refined(heads: Assembly, state: FitState, point: Point) -> Stage:
     return Stage(whole, layouts, found if found.cost <= begun.cost else begun)
 
 
-def _forecaster(state: FitState, tracked: tuple[str, ...]):
-    """Forecasts of a filter with the noise of a fit."""
+def _forecaster(state: FitState, tracked: tuple[str, ...], starts: tuple[Array, ...]) -> Forecaster:
+    """Forecasts of a filter with the noise of a fit, begun as free runs are."""
     noise = state.noise
     assert noise is not None
 
-    def forecast(task: Task, first: int, steps: int) -> tuple[Array, Array]:
+    def forecast(record: int, task: Task, first: int, steps: int) -> tuple[Array, Array]:
         task, settings = filter_prepared(task, tracked, doubts(tracked))
+        if np.all(np.isfinite(starts[record])):
+            settings = replace(settings, start=starts[record][0].copy())
         run = predicted(task, settings, noise, keep=True)
         if not run.whole:
             lost = np.full((task.series.samples - first, task.series.y.shape[1]), np.inf)
@@ -200,14 +216,22 @@ def _forecaster(state: FitState, tracked: tuple[str, ...]):
     return forecast
 
 
-def _floor(noise: NoiseModel | None, names: Sequence[str], run: FreeRun) -> float:
-    """Measurement noise over the deviation of each channel, mean over channels."""
+def _floor(noise: NoiseModel | None, names: Sequence[str], run: FreeRun, problem: Problem) -> float:
+    """Measurement noise over the deviation of each channel, mean over channels.
+
+    It is the fitted one, times what the judging records show without a model over what the fitted
+    ones show, where that is more than one: a sensor may be noisier there.
+    """
     assert noise is not None
     kinds = ("white", "coloured", "band")
-    sizes = [
-        np.sqrt(sum(noise.values.get(f"{kind}.{name}", 0.0) ** 2 for kind in kinds))
-        for name in names
-    ]
+    sizes = []
+    for name in names:
+        fitted = sum(noise.values.get(f"{kind}.{name}", 0.0) ** 2 for kind in kinds)
+        there, here = (
+            np.mean([r.sigma()[name] ** 2 for r in records])
+            for records in (problem.test or problem.records, problem.records)
+        )
+        sizes.append(np.sqrt(fitted * max(float(there / here), 1.0)))
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.mean(np.array(sizes) / run.deviations()))
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.task import compiled_for, linearised, task_with
+from spiral.engine.filter.setup import smoothed
+from spiral.engine.filter.task import Task, compiled_for, linearised, task_with
 from spiral.engine.likelihood.fit import Estimate, maximise
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import Masks, Prepared, predicted
@@ -23,6 +24,7 @@ from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
 _SMALL = 0.05  # level of a random force that is a small one
+_HEAD = 2048  # samples that tell where a record begins
 _ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
 _MOST_SUBSTEPS = 32
 
@@ -75,12 +77,16 @@ def subjects(assembly: Assembly, state: FitState) -> Prepared:
     compiled = compiled_for(traced)
     rows = np.ascontiguousarray(state.values[:, : len(traced.keys)])
     known = doubts(followed) if state.noise is not None else {}
+    begins = state.starts or (None,) * len(rows)
     return tuple(
         filter_prepared(
-            task_with(model, compiled, row.copy(), series.record, series=series), followed, known
+            task_with(model, compiled, row.copy(), series.record, start, series=series),
+            followed, known,
         )
-        for row, series in zip(rows, on_steps(assembly, state.substeps), strict=True)
-    )
+        for row, start, series in zip(
+            rows, begins, on_steps(assembly, state.substeps), strict=True
+        )
+    )  # fmt: skip
 
 
 def on_steps(assembly: Assembly, substeps: int) -> tuple[Series, ...]:
@@ -173,6 +179,44 @@ def explains(found: LikelihoodFit) -> bool:
     noise = found.estimate.noise
     kinds = ("force", "gust")
     return all(noise.values[t.size] <= _SMALL for t in noise.terms if t.kind in kinds)
+
+
+def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
+    """The fit again with each record begun where all of it says.
+
+    A hidden state far from the mean that it was first given (zero) would cost likelihood until the
+    record has told it, and a filter of a machine that is not linear is misled by it for longer.
+    """
+    if not found.estimate.finite:
+        return found
+    starts, far = [], False
+    for task, settings in found.estimate.prepared:
+        head = replace(task, series=_head(task.series), inputs=_head_inputs(task))
+        levels = force_levels(found.estimate.noise)
+        known = doubts(settings.tracked)
+        start = smoothed(head, levels, settings.tracked, known)[0][: len(task.states)]
+        spread = np.sqrt(np.diag(settings.covariance))
+        far = far or bool(np.any(np.abs(start - settings.start) > spread))
+        starts.append(start)
+    if not far:
+        return found
+    again = refitted(assembly, replace(found.state, starts=tuple(starts)), rough=True)
+    return again if again.height > found.height else found
+
+
+def _head(series: Series) -> Series:
+    samples = min(series.samples, _HEAD)
+    return replace(series, y=np.ascontiguousarray(series.y[:samples]))
+
+
+def _head_inputs(task: Task) -> Array:
+    samples = min(task.series.samples, _HEAD)
+    return np.ascontiguousarray(task.inputs[: (samples - 1) * 2 * task.series.substeps + 1])
+
+
+def force_levels(noise: NoiseModel) -> dict[str, float]:
+    """Levels of the random forces by group."""
+    return {t.where: noise.values[t.size] for t in noise.terms if t.kind == "force"}
 
 
 def settled_values(found: LikelihoodFit) -> FitState:

@@ -27,6 +27,7 @@ from spiral.inference.likelihood.fitting import (
     explains,
     finer,
     refitted,
+    restarted,
     samples_of,
     subjects,
 )
@@ -52,7 +53,8 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
             break
     assert best is not None
     progress("most likely values of the model as it is")
-    return on_finer_steps(assembly, refitted(assembly, best.state, rough=True))
+    found = on_finer_steps(assembly, refitted(assembly, best.state, rough=True))
+    return restarted(assembly, found)
 
 
 def on_finer_steps(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:

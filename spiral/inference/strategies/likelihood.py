@@ -38,6 +38,7 @@ from spiral.inference.likelihood.fitting import (
     held,
     polished,
     refitted,
+    restarted,
     with_variants,
 )
 from spiral.inference.likelihood.identify import untold
@@ -190,7 +191,7 @@ def _with(assembly: Assembly, state: FitState, ranked: Ranked, progress: Progres
     """
     own = with_variants(assembly, [ranked.variant])
     found = refitted(own, state, rough=True)
-    found = on_finer_steps(own, found)
+    found = restarted(own, on_finer_steps(own, found))
     found = pruned(own, found, progress)
     found = climbed_ladder(own, found, progress)
     found = finished(own, found, progress)

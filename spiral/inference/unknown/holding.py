@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from spiral.inference.compare import substeps_for
 from spiral.inference.evidence.admission import Admitted
 from spiral.inference.evidence.assembly import Assembly, Variant, assemble, first_row, with_steps
 from spiral.inference.evidence.fit_state import FitState
 from spiral.types.effect import Effect
+from spiral.types.record import Array
 
 
 def holding(assembly: Assembly, standing: FitState) -> Assembly:
@@ -78,7 +81,20 @@ def carried(standing: FitState, old: Assembly, new: Assembly) -> FitState:
         if key in new.study.keys:
             values[:, new.study.index(key)] = standing.values[:, i]
     values[:, len(new.study.keys) :] = standing.values[:, tail:]
-    return replace(standing, values=values)
+    return replace(standing, values=values, starts=_starts(standing, old, new))
+
+
+def _starts(standing: FitState, old: Assembly, new: Assembly) -> tuple[Array, ...] | None:
+    """Where records begin, in another study's order of states; new ones at zero."""
+    if standing.starts is None:
+        return None
+    before, after = old.study.compiled.traced.states, new.study.compiled.traced.states
+    places = [(i, before.index(n)) for i, n in enumerate(after) if n in before]
+    found = tuple(np.zeros(len(after)) for _ in standing.starts)
+    for mine, theirs in zip(found, standing.starts, strict=True):
+        for i, j in places:
+            mine[i] = theirs[j]
+    return found
 
 
 def moved(admitted: Admitted, old: Assembly, new: Assembly) -> Admitted:
