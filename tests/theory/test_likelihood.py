@@ -178,16 +178,16 @@ def test_own_states_follow_the_motion_as_the_compiled_effect_has_them():
 
 
 def test_estimates_scatter_as_their_standard_errors_say():
-    """Pooled squared t of 40 records is 1; the size of the noise is told."""
+    """Pooled squared t of 24 records is near 1; the size of the noise is told."""
     squares, sizes = [], []
-    for seed in range(40):
+    for seed in range(24):
         record = record_of(seed, samples=1000)
         task, settings = task_of(record, values={"linear_stiffness.stiffness": 440.0})
         found = maximise(((task, settings),), KEYS, first_noise(task, 0.1))
         assert found.converged
         squares += [((found.values[k] - TRUTH[k]) / found.errors[k]) ** 2 for k in KEYS]
         sizes.append(found.noise.values["white.x"] / (0.05 * np.std(record.truth["x"])))
-    assert 0.7 < np.mean(squares) < 1.35
+    assert 0.6 < np.mean(squares) < 1.5
     assert abs(np.mean(sizes) - 1) < 0.01
 
 
