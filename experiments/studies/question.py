@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from experiments.studies.outcomes import Row, coefficient, inside, named, told
-from spiral.io.registry import Registry
-from spiral.types.effect import Effect, ForceEffect
-from spiral.types.errors import ConfigError
 from spiral.types.model import Model, seed_model
-from spiral.types.placement import check_effect
 from spiral.types.record import Record
 from spiral.types.system import System
-from spiral.types.units import units_fit
 
 
 @dataclass(frozen=True)
@@ -58,22 +53,6 @@ class Question:
             "inside": inside(run, {k: v for k, v in self.truth.items() if k not in own}),
             "seconds": seconds,
         }
-
-
-def everywhere(registry: Registry, system: System) -> tuple[Effect, ...]:
-    """The whole catalog wherever applicable: what fits the first port, and forces at the others."""
-    plugins = [e.plugin for e in registry.entries if e.kind == "effect"]
-    forces = [p for p in plugins if issubclass(p, ForceEffect) and not p.bare]
-    placed = [replace(kind(), port=port.name) for port in system.ports[1:] for kind in forces]
-    return (*registry.candidates(system), *(e for e in placed if _fits(system, e)))
-
-
-def _fits(system: System, effect: Effect) -> bool:
-    try:
-        check_effect(system, effect)
-    except ConfigError:
-        return False
-    return units_fit(system, effect)
 
 
 def misjudged(

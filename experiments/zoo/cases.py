@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.studies.pieces import version
-from experiments.studies.question import Question, everywhere, misjudged, model_of
+from experiments.studies.question import Question, misjudged, model_of
 from experiments.studies.trajectory import trajectory
 from experiments.zoo.machine import Machine
 from experiments.zoo.truth import MACHINES
@@ -112,7 +112,9 @@ def question(name: str, case: str, seed: int) -> Question:
             "values": {**known.values, **wrong},
             "free": machine.free,
             "candidates": [
-                e for e in everywhere(registry(), system) if e.label not in known.labels
+                e
+                for e in registry().candidates(system, everywhere=True)
+                if e.label not in known.labels
             ],
             "plugins": registry(),
         },

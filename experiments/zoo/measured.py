@@ -16,7 +16,7 @@ from typing import Any
 
 from experiments.studies.outcomes import Row, named, told
 from experiments.studies.pieces import version
-from experiments.studies.question import Question, everywhere
+from experiments.studies.question import Question
 from spiral.io.registry import Registry, load_registry
 from spiral.types.record import Record
 from spiral.types.system import System
@@ -62,7 +62,9 @@ class Measured:
         """Read, discover, and what came of it."""
         system = registry().make("system", self.system, dict(self.fields))
         seeded = {e.label for e in system.seed}
-        candidates = [e for e in everywhere(registry(), system) if e.label not in seeded]
+        candidates = [
+            e for e in registry().candidates(system, everywhere=True) if e.label not in seeded
+        ]
         choices = {
             "values": dict(self.values), "free": self.free, "candidates": candidates,
             "plugins": registry(),

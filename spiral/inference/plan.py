@@ -27,7 +27,7 @@ from spiral.types.errors import ConfigError, SpiralError, did_you_mean
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model
 from spiral.types.record import Record
-from spiral.types.showing import Shown, Summary
+from spiral.types.showing import Readable, Summary
 
 ENOUGH = 0.95  # probability with which a proposed test must separate
 
@@ -87,7 +87,7 @@ class Outlook:
 
 
 @dataclass(frozen=True, repr=False)
-class Plan(Shown):
+class Plan(Readable):
     """Planned tests, best first, beside what the record at hand tells.
 
     ``suffices``: how many answer the question; the first is the shortest of them. ``model`` is the

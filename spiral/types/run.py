@@ -9,7 +9,7 @@ from typing import Any, Literal
 from spiral.types.formatting import number, percent, probability
 from spiral.types.horizon import Change, Horizon
 from spiral.types.model import Estimate, Model
-from spiral.types.showing import Shown, Summary
+from spiral.types.showing import Readable, Summary
 
 Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unknown_structure"]
 """What a study says of its seed: an effect is missing and named; nothing is missing; the record
@@ -33,7 +33,7 @@ class ChannelError:
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison(Shown):
+class Comparison(Readable):
     """A fitted model against measurements it was fitted on and against those it was not.
 
     ``fit_error`` and ``test_error`` are relative free-run errors, mean over channels;
@@ -166,7 +166,7 @@ class Where:
 
 
 @dataclass(frozen=True, repr=False)
-class Diagnosis(Shown):
+class Diagnosis(Readable):
     """What is missing, where it shows, and what to do.
 
     ``not_separable`` are candidates that effects of the model take over on this record, in part or

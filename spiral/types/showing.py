@@ -37,7 +37,7 @@ class Summary:
         return [i for i in range(len(self.head)) if any(row[i] for row in self.rows)]
 
 
-class Shown(ABC):
+class Readable(ABC):
     """A result that prints a short text, and is a table in a notebook."""
 
     @abstractmethod

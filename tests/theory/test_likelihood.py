@@ -15,7 +15,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral.engine.filter.setup import prepared
 from spiral.engine.filter.task import linearised, prepare_task
 from spiral.engine.likelihood.fit import maximise
-from spiral.engine.likelihood.noise import NoiseModel, Term, first_noise, matrices
+from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, matrices
 from spiral.engine.likelihood.own_states import own_of, own_states_along
 from spiral.engine.likelihood.predict import log_likelihood, predicted
 from spiral.inference.likelihood.ladder import climbed_ladder
@@ -44,10 +44,10 @@ def task_of(record, effects=(), values=None, substeps=4):
 
 TERMS = {
     "white": (),
-    "coloured": ((Term("coloured", "x"),), {"coloured.x": 0.02, "coloured.time": 0.03}),
-    "band": ((Term("band", "x"),), {"band.x": 0.02, "band.time": 0.02}),
-    "drift": ((Term("drift", "x"),), {"drift.x": 0.05}),
-    "gust": ((Term("gust", "observed"),), {"gust.observed": 0.3, "gust.time": 0.1}),
+    "coloured": ((NoiseTerm("coloured", "x"),), {"coloured.x": 0.02, "coloured.time": 0.03}),
+    "band": ((NoiseTerm("band", "x"),), {"band.x": 0.02, "band.time": 0.02}),
+    "drift": ((NoiseTerm("drift", "x"),), {"drift.x": 0.05}),
+    "gust": ((NoiseTerm("gust", "observed"),), {"gust.observed": 0.3, "gust.time": 0.1}),
 }
 
 

@@ -225,7 +225,7 @@ def _measure(x, p, y, r, h, cx, cv, tracked, c, v, s, gain, cp, w):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _sound(x, p):
+def sound(x, p):
     """Whether mean and covariance are finite numbers of a sane size."""
     for i in range(x.shape[0]):
         if not (np.isfinite(x[i]) and abs(x[i]) < _LARGEST and np.isfinite(p[i, i])):
@@ -244,8 +244,8 @@ def hold(values, tracked, x):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _reset(f):
-    """F = I."""
+def reset(f):
+    """F = I, or [I | 0] where it is wider."""
     f[:] = 0.0
     for i in range(f.shape[0]):
         f[i, i] = 1.0
@@ -305,7 +305,7 @@ def extended(
             covariances[k], gains[k], slopes[k] = p, gain, c
         if k == samples - 1:
             break
-        _reset(f)
+        reset(f)
         hold(values, tracked, x)
         for sub in range(substeps):
             step_with_slopes(rate, x, values, tracked, inputs, (k * substeps + sub) * 2,
@@ -313,6 +313,6 @@ def extended(
         if covariances.shape[0] > 0:
             transitions[k] = f
         propagate(p, f, q, big)
-        if not _sound(x, p):
+        if not sound(x, p):
             return likelihood, k + 1
     return likelihood, samples

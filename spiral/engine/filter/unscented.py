@@ -12,7 +12,7 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.engine.filter.kernel import _FAST, _sound, factor_in_place, hold, solve_in_place
+from spiral.engine.filter.kernel import _FAST, factor_in_place, hold, solve_in_place, sound
 from spiral.engine.kernel import VALUE_FUNCTION, runge_kutta
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
@@ -148,6 +148,6 @@ def unscented(
         for i in range(size):
             for a in range(size):
                 p[i, a] += q[i, a]
-        if not _sound(x, p):
+        if not sound(x, p):
             return likelihood, k + 1
     return likelihood, samples

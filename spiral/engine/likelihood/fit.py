@@ -45,7 +45,7 @@ _DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Maximum:
     """Where the likelihood is highest.
 
     ``parts`` are the predictions there with their slopes by ``keys``; ``solved`` the last scoring
@@ -106,7 +106,7 @@ def maximise(
     steps: int = 40,
     tune: bool = True,
     rough: bool = False,
-) -> Estimate:
+) -> Maximum:
     """The most likely values of parameters that all records share, and of the noise.
 
     Parameters
@@ -122,7 +122,7 @@ def maximise(
     enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
     parts = all_predicted([(prepared, noise)], keys)[0]
     height = log_likelihood(parts, masks)
-    at = Estimate(prepared, noise, keys, height, parts, None, False, 0)
+    at = Maximum(prepared, noise, keys, height, parts, None, False, 0)
     damping, exact = _DAMPING, False
     for number in range(steps):
         if not at.finite:
@@ -153,7 +153,7 @@ class _Search:
     masks: Masks
     tune: bool
 
-    def slopes(self, at: Estimate, exact: bool) -> tuple[list[Array], Beside]:
+    def slopes(self, at: Maximum, exact: bool) -> tuple[list[Array], Beside]:
         """Slopes of the whitened misses by parameters (sign turned), and by sizes of the noise.
 
         ``exact``: by differences; else as the predictions have them, with the filter's gains held.
@@ -184,7 +184,7 @@ class _Search:
                     mine[:, :, j] = (old.misses - new.misses) * old.weight / h
         return columns, beside
 
-    def rows(self, at: Estimate, columns: list[Array], beside: Beside) -> tuple[Array, int]:
+    def rows(self, at: Maximum, columns: list[Array], beside: Beside) -> tuple[Array, int]:
         """The scoring regression as a triangle."""
         blocks = []
         for r, part in enumerate(at.parts):
@@ -194,8 +194,8 @@ class _Search:
         return triangle(blocks)
 
     def climb(
-        self, at: Estimate, rows: tuple[Array, int], beside: Beside, damping: float
-    ) -> tuple[Estimate | None, float, Fit, float]:
+        self, at: Maximum, rows: tuple[Array, int], beside: Beside, damping: float
+    ) -> tuple[Maximum | None, float, Fit, float]:
         """The first damped step that rises, the damping to go on with, and the gain promised."""
         names = (*self.keys, *beside)
         upper, count = rows
@@ -208,13 +208,13 @@ class _Search:
             parts = all_predicted([trial], self.keys)[0]
             height = log_likelihood(parts, self.masks)
             if height > at.log_likelihood:
-                better = Estimate(*trial, self.keys, height, parts, None, False, 0)
+                better = Maximum(*trial, self.keys, height, parts, None, False, 0)
                 return better, max(damping * _EASE, 1e-9), solved, promised
             damping = max(damping, 1e-6) * _STRAIN
         return None, damping, solved, promised
 
     def _moved(
-        self, at: Estimate, names: tuple[str, ...], step: Array, kept: Array
+        self, at: Maximum, names: tuple[str, ...], step: Array, kept: Array
     ) -> tuple[Prepared, NoiseModel]:
         task = at.prepared[0][0]
         values, sizes = {}, {}

@@ -22,14 +22,12 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.engine.filter.kernel import EXACT, hold, propagate, step_with_slopes
+from spiral.engine.filter.kernel import EXACT, hold, propagate, reset, sound, step_with_slopes
 from spiral.engine.kernel import MODEL_FUNCTION, VALUE_FUNCTION
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
 _FAST = {"contract", "reassoc"}
-_LARGEST = 1e12
-_LOG_2_PI = float(np.log(2.0 * np.pi))
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
@@ -141,17 +139,6 @@ def _carry(whole, f, tracked, s, out):
     s[:] = out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _sound(x, p):
-    """Whether mean and covariance are finite numbers of a sane size."""
-    for i in range(x.shape[0]):
-        if not (np.isfinite(x[i]) and abs(x[i]) < _LARGEST):
-            return False
-        if not (np.isfinite(p[i, i]) and p[i, i] >= 0.0):
-            return False
-    return True
-
-
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def _rows(cx, cv, both, tracked, seen, x, y, h, c, misses):
     """Rows c of all channels by (x, theta, z), and y less what the mean predicts."""
@@ -206,14 +193,6 @@ def _keep(k, c, x, rows, means):
         means[k] = x
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _unit(f):
-    """F = [I | 0]."""
-    f[:] = 0.0
-    for i in range(f.shape[0]):
-        f[i, i] = 1.0
-
-
 @nb.njit(
     types.int64(
         MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F2, _F1, _I1, types.int64, _F2, _F2, types.int64,
@@ -266,9 +245,9 @@ def predict_record(
                          slopes[k], k, gains):  # fmt: skip
             return k
         _keep(k, c, x, rows, means)
-        if k == samples - 1 or not _sound(x, p):
+        if k == samples - 1 or not sound(x, p):
             break
-        _unit(f)
+        reset(f)
         hold(values, followed, x[:first])
         _push(x, driven, first, half)
         for sub in range(substeps):
@@ -281,7 +260,7 @@ def predict_record(
         if width:
             _carry(whole, f, tracked, s, out)
         propagate(p, whole, q, big)
-    return k + 1 if _sound(x, p) else k
+    return k + 1 if sound(x, p) else k
 
 
 @nb.njit(

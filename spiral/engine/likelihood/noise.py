@@ -37,7 +37,7 @@ _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
 
 
 @dataclass(frozen=True)
-class Term:
+class NoiseTerm:
     """One kind of randomness; ``where`` is a channel or a group of states."""
 
     kind: Kind
@@ -63,7 +63,7 @@ class Term:
 class NoiseModel:
     """Terms with their sizes and times by name."""
 
-    terms: tuple[Term, ...]
+    terms: tuple[NoiseTerm, ...]
     values: Mapping[str, float]
 
     @property
@@ -80,7 +80,7 @@ class NoiseModel:
         """The same terms with other sizes."""
         return replace(self, values={**self.values, **values})
 
-    def added(self, terms: tuple[Term, ...], values: Mapping[str, float]) -> NoiseModel:
+    def added(self, terms: tuple[NoiseTerm, ...], values: Mapping[str, float]) -> NoiseModel:
         """With further terms."""
         return NoiseModel((*self.terms, *terms), {**self.values, **values})
 
@@ -100,7 +100,10 @@ def first_noise(task: Task, level: float, sizes: Array | None = None) -> NoiseMo
     """
     channels = task.compiled.traced.channels
     white = task.series.sigma if sizes is None else sizes
-    terms = (*(Term("white", c) for c in channels), *(Term("force", g) for g in groups(task)))
+    terms = (
+        *(NoiseTerm("white", c) for c in channels),
+        *(NoiseTerm("force", g) for g in groups(task)),
+    )
     values = {f"white.{c}": float(s) for c, s in zip(channels, white, strict=True)}
     return NoiseModel(terms, values | {f"force.{g}": level for g in groups(task)})
 
@@ -171,7 +174,7 @@ class _Block:
     state: int = -1
 
 
-def _blocks(task: Task, term: Term, values: Mapping[str, float]) -> list[_Block]:
+def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_Block]:
     if not term.states:
         return []
     dt, size = task.series.dt, values[term.size]

@@ -105,7 +105,7 @@ def block_for(residual: tuple[Array, ...]) -> int:
 
 def absent(assembly: Assembly, standing: FitState) -> list[Variant]:
     """Variants of the candidates that are not active."""
-    present = _labels(assembly, standing)
+    present = present_labels(assembly, standing)
     return [v for v in assembly.variants if v.original.label not in present]
 
 
@@ -172,7 +172,7 @@ def _best(table: ScoreTable, variants: list[Ranked]) -> Ranked:
     return replace(variants[best], tests=tests * variants[best].tests)
 
 
-def _labels(assembly: Assembly, standing: FitState) -> set[str]:
+def present_labels(assembly: Assembly, standing: FitState) -> set[str]:
     """Real names of the candidates that are active."""
     return {v.original.label for v in assembly.variants if v.label in standing.labels}
 

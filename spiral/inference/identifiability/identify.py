@@ -29,7 +29,7 @@ from spiral.types.errors import ConfigError
 from spiral.types.formatting import number
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
-from spiral.types.showing import Shown, Summary
+from spiral.types.showing import Readable, Summary
 
 _STANDS_OUT = 3.0  # noise standard deviations by which an unseen direction would have to show
 _STEADY = 0.02  # relative variation of speed under which it counts as constant
@@ -37,7 +37,7 @@ _SETTLED = 4  # samples left out at each end of a planned test, where slopes are
 
 
 @dataclass(frozen=True, repr=False)
-class Identification(Shown):
+class Identification(Readable):
     """What a record can tell before any fit.
 
     Parameters

@@ -134,7 +134,7 @@ def _groups(
         shares = right[kept].T @ (along / singular[kept][:, None])
         tied = {_owner(owners[i]) for i in np.flatnonzero(np.max(np.abs(shares), axis=1) > 0.1)}
         links.append({variant.original.label, *tied})
-    return _components(links)
+    return components(links)
 
 
 def _owner(key: str) -> str:
@@ -142,7 +142,7 @@ def _owner(key: str) -> str:
     return "unbalance" if name == "phase_origin" else owner
 
 
-def _components(links: list[set[str]]) -> tuple[tuple[str, ...], ...]:
+def components(links: list[set[str]]) -> tuple[tuple[str, ...], ...]:
     """Connected components of overlapping sets."""
     merged: list[set[str]] = []
     for link in links:

@@ -16,21 +16,19 @@ import numpy as np
 from scipy import stats
 
 from spiral.engine.likelihood.fit import maximise
-from spiral.engine.likelihood.noise import EXTRA, NoiseModel
+from spiral.engine.likelihood.noise import EXTRA
 from spiral.engine.likelihood.predict import Masks, log_likelihood
 from spiral.engine.score import Score
 from spiral.inference.evidence.admission import TOLD, stepped
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState, two_sided
-from spiral.inference.evidence.scoring import Ranked, tested_keys
+from spiral.inference.evidence.scoring import Ranked, present_labels, tested_keys
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     bounds_of,
     explains,
-    moving,
+    refitted,
     samples_of,
-    subjects,
-    with_estimate,
     with_variants,
 )
 from spiral.inference.problem import Progress
@@ -42,7 +40,6 @@ _RIVALS = 8  # candidates refitted
 _HEAT, _RACE = 3, 12  # scoring steps for all rivals, and for those that keep up
 _FAR, _FAR_ONES = 0.1, 3  # share of its bound that an amplitude starts from; shapes tried so
 _KEEP, _PROMISED = 0.3, 0.7  # share of the best gain, and of its score, that keeps up
-_CHUNK = 1024  # samples whose signatures are in memory at a time
 _ODDS = 100.0  # ratio of likelihoods under which two candidates are not told apart
 
 
@@ -102,7 +99,7 @@ def from_afar(assembly: Assembly, state: FitState, found: list[Ranked]) -> list[
     What a rim lets over, or a limit cuts off, is unseen from there. Of each effect a few shapes
     over its grid are tried.
     """
-    present = {v.original.label for v in assembly.variants if v.label in state.labels}
+    present = present_labels(assembly, state)
     known = {r.variant.label: r for r in found}
     none = Score((0,), np.zeros(1), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     grids: dict[str, list[Variant]] = {}
@@ -135,7 +132,7 @@ def _refit(
     ``far``: from a share of its bounds; else from zero, where the first step finds its size.
     """
     wider = added(assembly, base.state, ranked, far)
-    fit = _fitted(assembly, wider, base.estimate.noise, masks, steps)
+    fit = refitted(assembly, wider, base.estimate.noise, masks, steps, rough=True)
     return _rival(base, ranked, fit)
 
 
@@ -160,16 +157,16 @@ def _further(
     assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks, steps: int
 ) -> Rival:
     """A rival's fit taken on, its shapes set free where the record tells them."""
-    fit = _fitted(assembly, rival.fit.state, rival.fit.estimate.noise, masks, steps)
+    fit = refitted(assembly, rival.fit.state, rival.fit.estimate.noise, masks, steps, rough=True)
     fit = fit if fit.height >= rival.fit.height else rival.fit
     plain = fit.estimate.noise.without(*EXTRA)
     if len(plain.terms) < len(fit.estimate.noise.terms):
-        less = _fitted(assembly, rival.fit.state, plain, masks, steps)
+        less = refitted(assembly, rival.fit.state, plain, masks, steps, rough=True)
         fit = less if less.height >= fit.height else fit
     tuned = rival.ranked.variant.tuned
     if tuned:
         freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *tuned))))
-        loose = _fitted(assembly, freer, fit.estimate.noise, masks, steps)
+        loose = refitted(assembly, freer, fit.estimate.noise, masks, steps, rough=True)
         if loose.estimate.finite and told(loose, tuned):
             fit = loose
     return _rival(base, rival.ranked, fit)
@@ -179,15 +176,6 @@ def told(fit: LikelihoodFit, keys: tuple[str, ...]) -> bool:
     """Whether a fit leaves these parameters a relative error of a half at most."""
     values, errors = fit.estimate.values, fit.estimate.errors
     return all(errors.get(k, np.inf) <= TOLD * abs(values.get(k, 0.0)) for k in keys)
-
-
-def _fitted(
-    assembly: Assembly, state: FitState, noise: NoiseModel, masks: Masks, steps: int
-) -> LikelihoodFit:
-    keys = moving(assembly, state)
-    prepared = subjects(assembly, state)
-    estimate = maximise(prepared, keys, noise, bounds_of(assembly, keys), masks, steps, rough=True)
-    return LikelihoodFit(with_estimate(state, estimate), estimate)
 
 
 def _rival(base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit) -> Rival:

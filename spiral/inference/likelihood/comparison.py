@@ -17,7 +17,7 @@ from spiral.engine.filter.setup import smoothed
 from spiral.engine.filter.task import Task, linearised
 from spiral.engine.fit import fit
 from spiral.engine.growth import Stage, layouts_for
-from spiral.engine.likelihood.fit import Estimate
+from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import predicted
 from spiral.engine.study import Point
@@ -115,7 +115,7 @@ def _settling(other: Assembly, task: Task) -> float:
     return float(max(asked, min(_PERIODS * slowest, shortest / 3)))
 
 
-def acting(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
+def acting(estimate: Maximum) -> tuple[dict[str, float], dict[str, float]]:
     """What acts at random beside white noise, and its times: sizes that matter and are told."""
     noise, errors = estimate.noise, estimate.noise_errors
     task = estimate.prepared[0][0]
@@ -162,13 +162,13 @@ def _runs(
         )
         heads = with_records(assembly, parts, series[0].substeps)
     rows = state.values if settle is None else np.repeat(state.values[:1], len(series), axis=0)
-    starts = []
-    values = rows.copy()
+    starts, values = [], rows.copy()
+    followed = nuisances(assembly, state, model)
     for r, head in enumerate(heads.study.series):
         task = task_for(heads, model, rows[r], head.record, head.substeps)
-        means = _smoothed(task, state.noise, nuisances(assembly, state, model), settle is not None)
+        means = _smoothed(task, state.noise, followed, settle is not None)
         starts.append(means[0][None, : len(task.states)].copy())
-        for place, key in enumerate(nuisances(assembly, state, model)):
+        for place, key in enumerate(followed):
             values[r, task.keys.index(key)] = means[-1, len(task.states) + place]
     stage = _refined(heads, state, Point(values, tuple(starts)))
     return run_free(assembly, stage, settled), stage.fitted.point.starts

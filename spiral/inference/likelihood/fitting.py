@@ -10,7 +10,7 @@ import numpy as np
 from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.setup import smoothed
 from spiral.engine.filter.task import Task, compiled_for, linearised, task_with
-from spiral.engine.likelihood.fit import Estimate, maximise
+from spiral.engine.likelihood.fit import Maximum, maximise
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import Masks, Prepared, predicted
 from spiral.engine.series import Series, prepare
@@ -34,7 +34,7 @@ class LikelihoodFit:
     """A state of a study with its most likely values, and the estimate that has them."""
 
     state: FitState
-    estimate: Estimate
+    estimate: Maximum
 
     @property
     def height(self) -> float:
@@ -42,12 +42,16 @@ class LikelihoodFit:
         return self.estimate.log_likelihood
 
 
-def polished(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
-    """A rough fit taken on to its very maximum."""
-    estimate = maximise(
-        found.estimate.prepared, found.estimate.keys, found.estimate.noise,
-        bounds_of(assembly, found.estimate.keys),
-    )  # fmt: skip
+def taken_on(
+    assembly: Assembly, found: LikelihoodFit, noise: NoiseModel | None = None, rough: bool = False
+) -> LikelihoodFit:
+    """A fit taken on from where it is, with its own noise or another, to its very maximum.
+
+    ``rough`` as in ``maximise``.
+    """
+    at = found.estimate
+    bounds = bounds_of(assembly, at.keys)
+    estimate = maximise(at.prepared, at.keys, noise or at.noise, bounds, rough=rough)
     return LikelihoodFit(with_estimate(found.state, estimate), estimate)
 
 
@@ -166,7 +170,7 @@ def refitted(
     return LikelihoodFit(with_estimate(state, estimate), estimate)
 
 
-def with_estimate(state: FitState, estimate: Estimate) -> FitState:
+def with_estimate(state: FitState, estimate: Maximum) -> FitState:
     """The state with an estimate's values and noise."""
     values = state.values.copy()
     for row, (task, _) in zip(values, estimate.prepared, strict=True):

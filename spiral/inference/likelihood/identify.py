@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from spiral.inference.identifiability.parameters import components
 from spiral.inference.likelihood.fitting import LikelihoodFit
 
 _WHOLE = 1.0  # relative standard error of a combination from which it is not told
@@ -37,14 +38,4 @@ def untold(found: LikelihoodFit) -> tuple[tuple[str, ...], ...]:
         owners = {k.rsplit(".", 1)[0] for k, p in zip(keys, part, strict=True) if p}
         if len(owners) > 1 and np.all(scaled[told][part] > 1.0):
             groups.append(owners)
-    return merged(groups)
-
-
-def merged(groups: list[set[str]]) -> tuple[tuple[str, ...], ...]:
-    """Groups that share a member as one."""
-    found: list[set[str]] = []
-    for group in groups:
-        touching = [f for f in found if f & group]
-        found = [f for f in found if not f & group]
-        found.append(group.union(*touching))
-    return tuple(tuple(sorted(f)) for f in found)
+    return components(groups)

@@ -6,7 +6,7 @@ behind a low-pass, a sensor that drifts, a force with a correlation time. A term
     2 (log L_1 - log L_0) > q log N + 2 log(1 / alpha)
 
 q its sizes and times, N the readings (Schwarz's criterion, with odds of 1 / alpha to one); the best
-is taken first, until none is worth its price. Then terms whose size has fallen to nothing go.
+is taken first, until none is worth its price. Later, terms that are no longer worth theirs go.
 """
 
 from __future__ import annotations
@@ -19,57 +19,51 @@ import numpy as np
 from spiral.engine.filter.noise import groups
 from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.task import Task, task_with
-from spiral.engine.likelihood.fit import Estimate, maximise
-from spiral.engine.likelihood.noise import Kind, NoiseModel, Term, limits
+from spiral.engine.likelihood.fit import Maximum, maximise
+from spiral.engine.likelihood.noise import Kind, NoiseModel, NoiseTerm, limits
 from spiral.engine.likelihood.predict import Prepared
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import doubts, liveliest
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
-    bounds_of,
     colour,
     samples_of,
-    with_estimate,
+    taken_on,
 )
 from spiral.inference.problem import Progress
 
 _ODDS = 100.0  # to one, for which a term is kept
 _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of the one that is kept
 _ROUNDS = 2
-_NOTHING = 3.0  # times its least size under which a term is nothing
 
 
 @dataclass(frozen=True)
 class Rung:
     """Terms that come together, with sizes to start from."""
 
-    terms: tuple[Term, ...]
+    terms: tuple[NoiseTerm, ...]
     values: dict[str, float]
 
 
-def climbed_ladder(
-    assembly: Assembly, found: LikelihoodFit, progress: Progress, force: bool = False
-) -> LikelihoodFit:
+def climbed_ladder(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
     """The fit with the noise that its record wants, parameters and sizes refitted together.
 
-    Nothing is tried where the misses are white, unless ``force``.
+    Nothing is tried where the misses are white.
     """
     if not found.estimate.finite:
         return found
     for _ in range(_ROUNDS):
-        if colour(assembly, found).p >= assembly.problem.settings.whiteness_level and not force:
+        if colour(assembly, found).p >= assembly.problem.settings.whiteness_level:
             break
         progress("trying what may act at random")
         best = _best(found.estimate)
         if best is None:
             break
-        keys = found.estimate.keys
-        estimate = maximise(best.prepared, keys, best.noise, bounds_of(assembly, keys), rough=True)
-        found = LikelihoodFit(with_estimate(found.state, estimate), estimate)
+        found = taken_on(assembly, found, best.noise, rough=True)
     return found
 
 
-def _best(at: Estimate) -> Estimate | None:
+def _best(at: Maximum) -> Maximum | None:
     """The noise with one term more that is worth most beyond its price; none where none is.
 
     Terms are looked at on the part of the first record that moves most; what comes first there is
@@ -93,7 +87,7 @@ def _best(at: Estimate) -> Estimate | None:
     return chosen if worth > 0 else None
 
 
-def _part(at: Estimate) -> Prepared:
+def _part(at: Maximum) -> Prepared:
     """The liveliest stretch of the records, at the values of an estimate."""
     r, start, stop = liveliest([task.series for task, _ in at.prepared])
     task, settings = at.prepared[r]
@@ -121,17 +115,17 @@ def rungs(task: Task, noise: NoiseModel) -> Iterator[Rung]:
     if not noise.has("coloured") and not noise.has("band"):
         kinds: tuple[tuple[Kind, float], ...] = (("coloured", 4.0), ("band", 1.0))
         for kind, steps in kinds:
-            terms = tuple(Term(kind, c) for c in channels)
+            terms = tuple(NoiseTerm(kind, c) for c in channels)
             sizes = {t.size: float(white[t.where]) for t in terms}
             yield Rung(terms, sizes | {f"{kind}.time": steps * dt})
     for c in channels:
-        term = Term("drift", c)
+        term = NoiseTerm("drift", c)
         if term in noise.terms:
             continue
         length = float(np.sqrt(dt * task.series.samples))
         yield Rung((term,), {term.size: 0.1 * float(spread[c]) / length})
     if not noise.has("gust"):
-        terms = tuple(Term("gust", g) for g in groups(task))
+        terms = tuple(NoiseTerm("gust", g) for g in groups(task))
         for share in (0.003, 0.03):
             time = max(share * dt * task.series.samples, 3 * dt)
             yield Rung(terms, {t.size: 0.05 for t in terms} | {"gust.time": time})
@@ -147,10 +141,8 @@ def pruned(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Like
             continue
         progress("asking whether less acts at random")
         less = noise.without(kind)
-        keys = found.estimate.keys
-        trial = maximise(found.estimate.prepared, keys, less, bounds_of(assembly, keys), rough=True)
-        price = _price(noise, less, samples_of(trial.prepared))
-        if trial.log_likelihood > found.height - price - np.log(_ODDS):
-            found = LikelihoodFit(with_estimate(found.state, trial), trial)
-            noise = less
+        trial = taken_on(assembly, found, less, rough=True)
+        price = _price(noise, less, samples_of(trial.estimate.prepared))
+        if trial.height > found.height - price - np.log(_ODDS):
+            found, noise = trial, less
     return found

@@ -25,12 +25,12 @@ from spiral.engine.likelihood.predict import Masks, Prediction, predicted
 from spiral.engine.score import tabulate
 from spiral.engine.sensitivities import Reduction
 from spiral.inference.evidence.assembly import Assembly, Variant, columns
-from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import (
     Group,
     Ranking,
     block_for,
     owners_of,
+    present_labels,
     rank,
     scored,
 )
@@ -69,7 +69,7 @@ def ranking(
     passage = _passage(assembly, fit, noise, masks)
     if passage is None:
         return None
-    present = _present(assembly, fit.state)
+    present = present_labels(assembly, fit.state)
     offered = [v for v in assembly.offered if v.original.label not in present]
     for effect in (e for e in assembly.later if e.label not in present):
         offered += resonances(passage, effect)
@@ -147,10 +147,6 @@ def _own_states(along: Along, dt: float, groups: Sequence[Group]) -> dict[str, O
 
 
 # --- slopes --------------------------------------------------------------------------------------
-
-
-def _present(assembly: Assembly, state: FitState) -> set[str]:
-    return {v.original.label for v in assembly.variants if v.label in state.labels}
 
 
 def _group(assembly: Assembly, variant: Variant, records: int) -> Group:

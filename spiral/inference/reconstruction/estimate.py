@@ -30,7 +30,7 @@ from spiral.physics.trace import own_states
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model, pretty_unit
 from spiral.types.record import Array, Record
-from spiral.types.showing import Shown, Summary
+from spiral.types.showing import Readable, Summary
 
 SKIPPED = 1.0  # s at the start that are not scored
 BAND = 1.959964  # half a 95 % band, in standard deviations
@@ -95,7 +95,7 @@ class Reconstructed:
 
 
 @dataclass(frozen=True, repr=False)
-class Estimation(Shown):
+class Estimation(Readable):
     """States of one or several records of one machine, scored together."""
 
     observer: str

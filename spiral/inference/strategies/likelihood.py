@@ -4,8 +4,7 @@
     admission, where no horizon on unseen data grows worse -> refit, noise and effects that are
     no longer wanted let go.
 
-Windows (``strategy=shooting``) are a start, and the proposers where the scores find nothing though
-the model is not near its noise.
+Windows (``strategy=shooting``) are one of the starts.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 from spiral.engine.statistics import spent
 from spiral.inference.compare import refined
 from spiral.inference.evidence.assembly import Assembly, compiled_with, offers
-from spiral.inference.evidence.fit_state import FitState, begin, half_masks
+from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
 from spiral.inference.likelihood.candidates import (
     Rival,
@@ -36,9 +35,9 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     colour,
     held,
-    polished,
     refitted,
     restarted,
+    taken_on,
     with_variants,
 )
 from spiral.inference.likelihood.identify import untold
@@ -47,10 +46,11 @@ from spiral.inference.likelihood.scores import ranking
 from spiral.inference.likelihood.starts import best_fit, on_finer_steps
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.strategies.retire import let_go
 from spiral.inference.suggest import by_evidence
 from spiral.inference.unknown.holding import carried
 from spiral.inference.verdict import near_noise
-from spiral.types.horizon import changes
+from spiral.types.horizon import Change, changes
 from spiral.types.run import Comparison, Stopped, Suggestion
 
 _LAST = 1e-6  # whiteness from which a model may be the last
@@ -146,7 +146,7 @@ def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Li
     if not found.estimate.finite or colour(assembly, found).p < _LAST:
         return found
     progress("polishing the fit")
-    return polished(assembly, found)
+    return taken_on(assembly, found)
 
 
 def _promising(found: Ranking) -> list[Ranked]:
@@ -155,7 +155,7 @@ def _promising(found: Ranking) -> list[Ranked]:
 
 
 def _refused(
-    assembly: Assembly, base: LikelihoodFit, rival: Rival, judge: Any, level: float
+    assembly: Assembly, base: LikelihoodFit, rival: Rival, judge: Masks, level: float
 ) -> str:
     settings = assembly.problem.settings
     if not rival.worth > 0:
@@ -175,7 +175,7 @@ def _refused(
     return ""
 
 
-def _said(change: Any) -> str:
+def _said(change: Change) -> str:
     return (
         f"the error on unseen data grows ({change.horizon}: {100 * change.before:.3g} -> "
         f"{100 * change.after:.3g} %)"
@@ -211,19 +211,12 @@ def _without_superfluous(
         values, errors = found.estimate.values, found.estimate.errors
         if any(abs(values.get(k, 0.0)) > 3 * errors.get(k, np.inf) for k in keys):
             continue
-        fewer = _dropped(assembly, found.state, label)
-        trial = refitted(assembly, fewer)
+        trial = refitted(assembly, let_go(assembly, found.state, (label,)))
         price = 0.5 * len(keys) * np.log(sum(p.misses.size for p in trial.estimate.parts))
         if trial.height > found.height - price:
             found = trial
             gone.append(assembly.variant(label).original.label)
     return found, tuple(gone)
-
-
-def _dropped(assembly: Assembly, state: FitState, label: str) -> FitState:
-    from spiral.inference.strategies.retire import let_go
-
-    return let_go(assembly, state, (label,))
 
 
 def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
