@@ -61,7 +61,7 @@ app: setup ## Open the page: see where the model fails, click Add, watch the err
 .PHONY: warm
 warm: setup
 	@echo "test: compiled kernels"
-	@$(BIN)/python -c 'import spiral.engine.kernel, spiral.engine.filter.kernel, spiral.engine.filter.smoother'
+	@$(BIN)/python -c 'import spiral.engine.kernel, spiral.engine.filter.kernel, spiral.engine.filter.smoother, spiral.engine.likelihood.kernel'
 
 test: warm ## Run the tests (without the slow ones)
 	@echo "test: pytest with $(WORKERS) workers, slow tests left out"

@@ -66,7 +66,7 @@ def passes() -> list[tuple[str, float, str]]:
     from spiral.engine.growth import first_starts, layouts_for
     from spiral.engine.sensitivities import reduce, residuals
     from spiral.engine.study import ParameterColumns, Point
-    from spiral.inference.compare import prepared
+    from spiral.inference.evidence.comparison import prepared
     from spiral.inference.evidence.fit_state import grown, half_masks
     from spiral.inference.evidence.scoring import score_stage
 

@@ -31,7 +31,7 @@ def measured(samples: int) -> dict[str, float]:
     from spiral_plugins.systems.planar_rotor import PlanarRotor
 
     from spiral.engine.threads import one_blas_thread
-    from spiral.inference.compare import judged, prepared
+    from spiral.inference.evidence.comparison import judged, prepared
     from spiral.inference.evidence.fit_state import grown, half_masks
     from spiral.inference.evidence.scoring import score_stage
     from spiral.inference.problem import Problem

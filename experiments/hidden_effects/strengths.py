@@ -14,8 +14,8 @@ import numpy as np
 from experiments.hidden_effects.cases import ROTOR, SWING, Case, Scene, record_of, truth_of
 from spiral.engine.growth import layouts_for
 from spiral.engine.study import Point
-from spiral.inference.compare import refined
 from spiral.inference.evidence.assembly import assemble, first_row
+from spiral.inference.evidence.comparison import refined
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.identifiability.information import View
 from spiral.inference.problem import Problem

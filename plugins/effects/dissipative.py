@@ -82,6 +82,7 @@ class Gyroscopic(ForceEffect):
     axes = 2
     inputs = ("speed",)
     parameters = (Parameter("coefficient", "force/velocity*s"),)
+    leaves = ("cross_damping", "speed_stiffness")  # of a tilt that nobody measures
 
     def force(self, at, u, p):
         """-g W (y', -x')."""

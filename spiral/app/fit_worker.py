@@ -16,9 +16,9 @@ from typing import Any
 
 from spiral.app.study import turn_place
 from spiral.engine.threads import one_blas_thread
-from spiral.inference.compare import chi2_on
 from spiral.inference.discover import Checkpoint
 from spiral.inference.evidence.assembly import Assembly, first_row
+from spiral.inference.evidence.comparison import chi2_on
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.rounds import (
     candidates,
@@ -156,7 +156,7 @@ class FitWorker:
 
     def _open(self, order: Order) -> None:
         """Read the records and compile, unless this study is at hand."""
-        from spiral.io.config import build_problem, compose, options
+        from spiral.io.config import build_problem, compose
         from spiral.io.custom import bound
         from spiral.io.registry import load_registry
         from spiral.types.errors import ConfigError
@@ -174,12 +174,12 @@ class FitWorker:
         self.registry = load_registry(order.get("plugins"))
         config = compose(overrides, self.registry)
         self.registry = bound(config, self.registry)
-        given = options(config).strategy
-        if given != "shooting":
-            raise ConfigError(f"strategy={given} on the page", "strategy=shooting",
-                              "spiral discover")  # fmt: skip
         self.problem = build_problem(config, self.registry)
         self.strategy = strategy_for(self.problem)
+        if self.strategy.choose is None:
+            raise ConfigError(f"strategy={self.strategy.name} on the page",
+                              "a strategy that can admit what a person chooses",
+                              "leave strategy out, or use `spiral discover`")  # fmt: skip
         self.tell("records", {"records": finite(described(self.problem))})
         self.ident, self.overrides = order["study"], overrides
 

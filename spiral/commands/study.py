@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from spiral.io.request import OK, REFUSED, Outcome, Request
@@ -98,9 +99,9 @@ def compare(study: Command) -> Outcome:
     comparison = compare(problem, study.tell)
     result = {**comparison.as_dict(), "records": described(problem)}
     result["run_id"] = study.save(result, comparison.model, problem)
-    if not comparison.converged:
-        result["error"] = _not_converged(comparison)
-    code = OK if comparison.converged else REFUSED
+    if error := _not_a_fit(comparison):
+        result["error"] = error
+    code = REFUSED if error else OK
     return Outcome(code, result, study.parts(problem, comparison=comparison))
 
 
@@ -143,10 +144,10 @@ def add(study: Command) -> Outcome:
         "model": estimates_dict(run.model),
         "run_id": run.run_id,
     }
-    if not after.converged:
-        result["error"] = _not_converged(after)
+    if error := _not_a_fit(after):
+        result["error"] = error
     parts = study.parts(problem, before=before, after=after, run=run)
-    return Outcome(OK if after.converged else REFUSED, result, parts)
+    return Outcome(REFUSED if error else OK, result, parts)
 
 
 def _refusal(verdict: str, advice: str) -> dict[str, str]:
@@ -161,9 +162,14 @@ def _refusal(verdict: str, advice: str) -> dict[str, str]:
     return {"given": given, "expected": expected, "try": advice}
 
 
-def _not_converged(comparison: Comparison) -> dict[str, str]:
+def _not_a_fit(comparison: Comparison) -> dict[str, str]:
+    """Why a comparison has no fit to stand on; empty where it has."""
+    if comparison.converged and isfinite(comparison.fit_error):
+        return {}
+    where = "" if comparison.random is not None else f" on windows of {comparison.horizon} samples"
+    given = "a model whose free run leaves all bounds"
     return {
-        "given": f"a fit that does not converge on windows of {comparison.horizon} samples",
+        "given": given if comparison.converged else f"a fit that does not converge{where}",
         "expected": "a model near enough to follow the record",
         "try": "spiral diagnose with the same overrides, or first values: values='{NAME: VALUE}'",
     }

@@ -12,19 +12,8 @@ import numba as nb
 import numpy as np
 from numba import types
 
-MODEL_FUNCTION = types.FunctionType(
-    types.void(
-        types.float64[::1],
-        types.float64[::1],
-        types.float64[::1],
-        types.float64[::1],
-        types.float64[:, ::1],
-        types.float64[:, ::1],
-    )
-)
-VALUE_FUNCTION = types.FunctionType(
-    types.void(types.float64[::1], types.float64[::1], types.float64[::1], types.float64[::1])
-)
+from spiral.physics.compile import MODEL_FUNCTION, VALUE_FUNCTION
+
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
 

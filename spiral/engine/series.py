@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -39,7 +40,8 @@ class Series:
 
     ``y`` (samples, channels), ``sigma`` (channels,), ``inputs`` ((samples - 1) * 2 * substeps + 1,
     input columns) on the half-step grid of the integrator, ``dt`` in s; ``held`` are columns whose
-    value stays from one sample to the next.
+    value stays from one sample to the next. ``seen`` (samples, channels) is False where a reading
+    is no measurement (``y`` is bridged there), or nothing where all are.
     """
 
     record: Record
@@ -50,6 +52,7 @@ class Series:
     substeps: int
     splines: Splines
     held: tuple[int, ...] = ()
+    seen: Array | None = None
 
     @property
     def samples(self) -> int:
@@ -93,6 +96,8 @@ class Series:
         weight = np.broadcast_to(1.0 / self.sigma, self.y.shape).copy()
         if mask is not None:
             weight[~mask] = 0.0
+        if self.seen is not None:
+            weight[~self.seen] = 0.0
         return weight
 
 
@@ -107,7 +112,7 @@ def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) ->
     sigma = record.sigma()
     return Series(
         record=record,
-        y=np.column_stack([record.channels[c] for c in system.observed]),
+        y=np.column_stack([record.reading(c) for c in system.observed]),
         sigma=np.array([sigma[c] for c in system.observed]),
         inputs=half_step_inputs(system, record, substeps),
         dt=record.dt,
@@ -116,7 +121,17 @@ def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) ->
         held=tuple(
             i for i, known in enumerate(system.inputs) if known.interpolation == "zero_order"
         ),
+        seen=seen_readings(record, system.observed),
     )
+
+
+def seen_readings(record: Record, channels: Sequence[str]) -> Array | None:
+    """(samples, channels) False where a reading is no measurement; nothing where all are."""
+    gone = [record.gone(c) for c in channels]
+    if all(g is None for g in gone):
+        return None
+    none = np.zeros(record.samples, dtype=bool)
+    return ~np.column_stack([none if g is None else g for g in gone])
 
 
 def splines(record: Record, substeps: int, knot: float) -> Splines:

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from spiral.engine.growth import Stage
 from spiral.engine.threads import one_blas_thread
-from spiral.inference.compare import judged, last_stage, prepared, test_run
 from spiral.inference.evidence.admission import admit
 from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.comparison import judged, last_stage, prepared, test_run
 from spiral.inference.evidence.fit_state import FitState, all_samples, half_masks
 from spiral.inference.evidence.judge import whole
 from spiral.inference.identifiability.parameters import entangled
@@ -22,7 +23,7 @@ from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried
 from spiral.inference.verdict import advice_for, seed_verdict, verdict_sentence
 from spiral.inference.where.regions import where
-from spiral.types.run import Diagnosis, Round, Stopped, Suggestion
+from spiral.types.run import Comparison, Diagnosis, Round, Stopped, Suggestion
 
 _TRIED = 3  # suggestions whose test error is worked out
 
@@ -46,20 +47,7 @@ def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
     comparison = judged(assembly, standing, stage, progress)
     first = Round(0, (), {}, {}, (), comparison, 0.0)
     if tangle is not None:
-        advice = advice_for(
-            "not_identifiable", "not_identifiable", [first], tangle.groups, problem.settings
-        )
-        groups = tuple(Suggestion(g[0], "", g[1:], 1.0, 0.0, 1.0, 0.0) for g in tangle.groups)
-        return Diagnosis(
-            "not_identifiable",
-            comparison,
-            groups,
-            where(assembly, stage),
-            advice,
-            stage.length,
-            left_out=assembly.left_out,
-            summary=verdict_sentence("not_identifiable", comparison, problem.settings),
-        )
+        return _tangled(assembly, comparison, tangle.groups, stage)
     masks = half_masks(assembly)
     proposal = propose(assembly, standing, masks, 1, progress)
     white = comparison.whiteness_p >= problem.settings.whiteness_level
@@ -72,25 +60,44 @@ def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
 def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Diagnosis:
     """The verdict of a first round of a strategy; what it would admit is tried out."""
     begun = strategy.begin(problem, progress)
-    comparison, standing = begun.comparison, begun.standing
-    step = strategy.propose(begun.assembly, standing, comparison, 1, progress)
+    comparison, standing, settings = begun.comparison, begun.standing, problem.settings
     first = Round(0, (), {}, {}, (), comparison, 0.0)
-    settings = problem.settings
+    if begun.refused:
+        stage = whole(begun.assembly, standing.labels, standing.values)
+        return _tangled(begun.assembly, comparison, begun.groups, stage)
+    step = strategy.propose(begun.assembly, standing, comparison, 1, progress)
+    shape = step.details.get("unknown")
+    first = replace(first, details={} if shape is None else {"unknown": shape})
     verdict = seed_verdict(first, step.stopped, settings, bool(step.admitted))
     suggestions = () if verdict == "nothing_missing" else step.suggestions
-    if step.admitted:
+    if step.admitted and shape is None:
         after = strategy.settle(begun.assembly, step, progress).comparison.test_error
         best, *others = step.suggestions
         best = replace(best, test_error_before=comparison.test_error, test_error_after=after)
         suggestions = (best, *others)
     stage = whole(begun.assembly, standing.labels, standing.values)
     advice = advice_for(verdict, step.stopped, [first], (), settings)
-    if step.admitted:
+    if step.admitted and shape is None:
         advice = _advice(next(iter(suggestions)))
     return Diagnosis(
         verdict, comparison, suggestions, where(begun.assembly, stage), advice, stage.length,
-        step.stopped == "diverged", left_out=begun.assembly.left_out,
+        step.stopped == "diverged", unknown=shape, left_out=begun.assembly.left_out,
         summary=verdict_sentence(verdict, comparison, settings),
+    )  # fmt: skip
+
+
+def _tangled(
+    assembly: Assembly, comparison: Comparison, groups: tuple[tuple[str, ...], ...], stage: Stage
+) -> Diagnosis:
+    """The refusal of a record that cannot tell the model's own effects apart."""
+    settings = assembly.problem.settings
+    first = Round(0, (), {}, {}, (), comparison, 0.0)
+    advice = advice_for("not_identifiable", "not_identifiable", [first], groups, settings)
+    alike = tuple(Suggestion(g[0], "", g[1:], 1.0, 0.0, 1.0, 0.0) for g in groups)
+    return Diagnosis(
+        "not_identifiable", comparison, alike, where(assembly, stage), advice, stage.length,
+        left_out=assembly.left_out,
+        summary=verdict_sentence("not_identifiable", comparison, settings),
     )  # fmt: skip
 
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 from spiral.engine.growth import Stage
 from spiral.engine.threads import one_blas_thread
-from spiral.inference.compare import judged, last_stage, prepared
 from spiral.inference.evidence.admission import with_effects
 from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.comparison import judged, last_stage, prepared
 from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.rounds import (
@@ -22,7 +22,7 @@ from spiral.inference.rounds import (
     strategy_for,
     turned,
 )
-from spiral.inference.strategies.base import Strategy
+from spiral.inference.strategies.base import Settled, Strategy
 from spiral.inference.strategies.resolved import widened
 from spiral.inference.unknown.holding import carried, having, holding
 from spiral.types.effect import Effect
@@ -101,22 +101,15 @@ def add(
 ) -> tuple[Comparison, Comparison, Run]:
     """Fit the model, then the model plus the effects, on all samples; before and after."""
     clock = time.perf_counter()
-    assembly, before_standing = prepared(problem, effects)
-    masks = all_samples(assembly)
-    progress("fitting before")
-    stage = last_stage(assembly, before_standing, masks)
-    before_standing = replace(before_standing, values=stage.fitted.point.values)
-    before = judged(assembly, before_standing, stage, progress)
-    rounds = [Round(0, (), {}, {}, (), before, time.perf_counter() - clock)]
-    clock = time.perf_counter()
-    assembly, standing = _with_all(assembly, before_standing, stage, effects, progress)
-    progress("fitting after")
-    stage = last_stage(assembly, standing, masks)
-    standing = replace(standing, values=stage.fitted.point.values)
-    after = judged(assembly, standing, stage, progress)
+    if strategy_for(problem).admit is None:
+        before, after, spent = _added_on_windows(problem, effects, progress)
+    else:
+        before, after, spent = _added(strategy_for(problem), problem, effects, progress)
+    rounds = [Round(0, (), {}, {}, (), before, spent)]
     labels = tuple(e.label for e in effects)
     meaning = "; ".join(e.meaning() for e in effects)
-    rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock, meaning=meaning,
+    rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock - spent,
+                        meaning=meaning,
                         changes=changes(before.unseen, after.unseen)))  # fmt: skip
     run = Run(
         "effect_missing",
@@ -126,6 +119,38 @@ def add(
         "The effects were added by hand.",
     )
     return before, after, run
+
+
+Added = tuple[Comparison, Comparison, float]
+"""The comparisons before and after, and the seconds that the first took."""
+
+
+def _added(
+    strategy: Strategy, problem: Problem, effects: tuple[Effect, ...], progress: Progress
+) -> Added:
+    assert strategy.admit is not None
+    clock = time.perf_counter()
+    begun = strategy.begin(replace(problem, candidates=effects), progress)
+    settled, spent = Settled(begun.standing, begun.comparison), time.perf_counter() - clock
+    for effect in effects:
+        settled = strategy.admit(begun.assembly, settled.standing, effect.label, progress)
+    return begun.comparison, settled.comparison, spent
+
+
+def _added_on_windows(problem: Problem, effects: tuple[Effect, ...], progress: Progress) -> Added:
+    clock = time.perf_counter()
+    assembly, before_standing = prepared(problem, effects)
+    masks = all_samples(assembly)
+    progress("fitting before")
+    stage = last_stage(assembly, before_standing, masks)
+    before_standing = replace(before_standing, values=stage.fitted.point.values)
+    before = judged(assembly, before_standing, stage, progress)
+    spent = time.perf_counter() - clock
+    assembly, standing = _with_all(assembly, before_standing, stage, effects, progress)
+    progress("fitting after")
+    stage = last_stage(assembly, standing, masks)
+    standing = replace(standing, values=stage.fitted.point.values)
+    return before, judged(assembly, standing, stage, progress), spent
 
 
 def _with_all(

@@ -15,9 +15,9 @@ import numpy as np
 from spiral.engine.growth import layouts_for
 from spiral.engine.study import Layouts, Point
 from spiral.engine.threads import one_blas_thread
-from spiral.inference.compare import last_stage, prepared, refined
 from spiral.inference.evidence.admission import with_effects
 from spiral.inference.evidence.assembly import Assembly, assemble, first_row, to_model, with_records
+from spiral.inference.evidence.comparison import last_stage, prepared, refined
 from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.evidence.judge import whole
 from spiral.inference.identifiability.information import Pair, View, separation

@@ -40,6 +40,8 @@ class Settings:
         explain what a model leaves: evidence relies on a noise model that is right within this.
     random_limit : share of the machine's own rates up to which a force that acts at random is an
         answer; beyond it the model lacks something.
+    noise_limit : share of a channel's deviation up to which coloured noise of its sensor is an
+        answer; beyond it the noise stands in for the machine.
     least_t : |estimate| over standard error under which an effect is not called missing.
     learned : whether ``discover`` admits a learned curve where no candidate explains what is left.
     phase_knot : seconds between knots of the smooth phase correction that a fitted record gets
@@ -54,6 +56,7 @@ class Settings:
     lags: int = 40
     chi2_limit: float = 2.0
     random_limit: float = 0.2
+    noise_limit: float = 0.5
     least_t: float = 3.0
     share: float = 0.1
     miss: float = 0.05

@@ -26,6 +26,8 @@ from spiral.types.formatting import number, percent
 from spiral.types.model import Model
 from spiral.types.run import Comparison, Round, Stopped, Verdict
 
+_AT_FLOOR = 1.2  # times the noise floor: within what is known of it
+
 _VERDICTS = {
     "effect_missing": "An effect is missing.",
     "nothing_missing": "Nothing is missing",
@@ -38,9 +40,17 @@ _VERDICTS = {
 
 
 def white(found: Comparison, settings: Settings) -> bool:
-    """Whether what is left is white, or so nearly that its colour is smaller than any effect."""
-    harmless = found.whiteness_effect <= settings.smallest**2
-    return found.whiteness_p >= settings.whiteness_level or harmless
+    """Whether what is left is white, or its colour harmless.
+
+    It is where it is smaller than any effect, or where it belongs to a sensor whose noise is not
+    white: no random force acts, and the free run is as near to the record as that noise lets it.
+    """
+    small = found.whiteness_effect <= settings.smallest**2
+    if found.whiteness_p >= settings.whiteness_level or small:
+        return True
+    coloured = any(k.split(".")[0] in ("coloured", "band") for k in found.random or {})
+    at_floor = found.test_error <= _AT_FLOOR * found.noise_floor
+    return coloured and at_floor and not random_forces(found)
 
 
 def chi2_of(found: Comparison) -> float:
@@ -68,10 +78,13 @@ def noise_factor(found: Comparison, settings: Settings) -> float:
 
 def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
     """Why a model is not near its noise, one phrase with its figure for each reason."""
-    factor, limit = noise_factor(found, settings), settings.chi2_limit
+    limit = settings.chi2_limit
+    factor = 1.0 if found.random is not None else noise_factor(found, settings)
+    floor = float(np.hypot(factor * found.noise_floor, _drifting(found)))
     reasons = []
     if not found.converged:
-        reasons.append(f"the fit did not converge on windows of {found.horizon} samples")
+        where = "" if found.random is not None else f" on windows of {found.horizon} samples"
+        reasons.append(f"the fit did not converge{where}")
     if not chi2_of(found) <= limit * factor**2:
         reasons.append(f"chi2 per degree of freedom is {number(chi2_of(found))}, noise is 1")
     if not white(found, settings):
@@ -83,12 +96,22 @@ def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
         reasons.append(
             f"beside it a random force of {share} of the machine's own would have to act"
         )
+    for name, share in (found.random or {}).items():
+        kind, _, where = name.partition(".")
+        if kind in ("coloured", "band") and share > settings.noise_limit:
+            reasons.append(f"the noise of {where} would be {percent(share)} of what it shows")
     modelled = found.innovation_chi2 is None or found.random is not None
     free = modelled and not forces  # else process noise moves what runs freely
-    if free and not found.test_error**2 <= limit * (factor * found.noise_floor) ** 2:
-        floor = percent(factor * found.noise_floor)
-        reasons.append(f"the test error is {percent(found.test_error)} where noise makes {floor}")
+    if free and not found.test_error**2 <= limit * floor**2:
+        made = percent(floor)
+        reasons.append(f"the test error is {percent(found.test_error)} where noise makes {made}")
     return tuple(reasons)
+
+
+def _drifting(found: Comparison) -> float:
+    """What drifting sensors add to the error of a free run: rms of their shares over channels."""
+    shares = [v for k, v in (found.random or {}).items() if k.startswith("drift.")]
+    return float(np.sqrt(sum(v**2 for v in shares) / max(len(found.channels), 1)))
 
 
 def random_forces(found: Comparison) -> dict[str, float]:
@@ -116,6 +139,12 @@ def random_sentence(found: Comparison) -> str:
                 f"the noise of sensor {where} is not white: {percent(share)} of its motion{lasting}"
             )
     text = "; ".join(said)
+    return text[:1].upper() + text[1:] + "." if text else ""
+
+
+def spoilt_sentence(found: Comparison) -> str:
+    """What of the readings is no measurement; empty where all are."""
+    text = "; ".join(found.spoilt)
     return text[:1].upper() + text[1:] + "." if text else ""
 
 
@@ -206,16 +235,17 @@ def verdict_sentence(verdict: Verdict, found: Comparison, settings: Settings) ->
     words = _VERDICTS[verdict]
     if words.endswith("."):
         return words
-    random = random_sentence(found)
+    random = " ".join(filter(None, (random_sentence(found), spoilt_sentence(found))))
     if verdict == "nothing_missing":
-        return f"{words}: {_figures(found)}.{' ' + random if random else ''}"
+        return f"{words}: {_figures(found, settings)}.{' ' + random if random else ''}"
     reasons = shortfalls(found, settings)
     if len(reasons) == 1 and not found.test_error <= found.fit_error and _fits(found, settings):
         return (
             f"The model explains what it was fitted to, but not the test record: {reasons[0]}. "
             "Another machine or setting, or motions that the fitted record does not hold?"
         )
-    return f"{words}: {'; '.join(reasons)}." if reasons else f"{words}."
+    told = f"{words}: {'; '.join(reasons)}." if reasons else f"{words}."
+    return f"{told} {random}".strip()
 
 
 def _fits(found: Comparison, settings: Settings) -> bool:
@@ -223,11 +253,12 @@ def _fits(found: Comparison, settings: Settings) -> bool:
     return chi2_of(found) <= settings.chi2_limit and white(found, settings)
 
 
-def _figures(found: Comparison) -> str:
+def _figures(found: Comparison, settings: Settings) -> str:
     floor = percent(found.noise_floor)
     error = f"the test error is {percent(found.test_error)} (noise floor {floor})"
     if found.random is not None:
-        return f"what is left is white noise, and {error}"
+        kind = "white noise" if found.whiteness_p >= settings.whiteness_level else "noise"
+        return f"what is left is {kind}, and {error}"
     return (
         f"chi2 per degree of freedom is {number(chi2_of(found), 3)}, what is left is white, "
         f"and {error}"
@@ -253,7 +284,7 @@ def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, setting
     if reasons := shortfalls(last, settings):
         more = "More is missing" if last.converged else "Whether more is missing cannot be told"
         said.append(f"{more}: {'; '.join(reasons)}.")
-    return " ".join([*said, random_sentence(last)]).strip()
+    return " ".join(filter(None, [*said, random_sentence(last), spoilt_sentence(last)]))
 
 
 def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:

@@ -138,12 +138,20 @@ def _converter(registry: Registry) -> Converter:
     """Frozen dataclasses to JSON and back; models by their plugins' names, arrays as lists."""
     import numpy as np
     from cattrs import Converter
+    from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, override
 
     from spiral.types.model import Model
+    from spiral.types.run import Comparison
 
     converter = Converter()
     converter.register_unstructure_hook(Model, model_data)
     converter.register_structure_hook(Model, lambda data, _: model_from(data, registry))
     converter.register_unstructure_hook(np.ndarray, lambda a: a.tolist())
     converter.register_structure_hook(np.ndarray, lambda data, _: np.asarray(data, dtype=float))
+    none = override(omit=True)
+    for hook, made in (
+        (converter.register_unstructure_hook, make_dict_unstructure_fn),
+        (converter.register_structure_hook, make_dict_structure_fn),
+    ):
+        hook(Comparison, made(Comparison, converter, traces=none))
     return converter

@@ -42,7 +42,7 @@ _TEST_SEED_FIELDS = ("name", "settle")
 class Options:
     """The top-level values of a configuration, typed."""
 
-    strategy: str = "shooting"
+    strategy: str = question.USUAL_STRATEGY
     effect: Any = None
     seed: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from spiral.engine.filter.task import linearised
 from spiral.engine.growth import Stage, grow, lengths_for
 from spiral.engine.sensitivities import residuals
 from spiral.engine.threads import one_blas_thread
-from spiral.inference.compare import refined, test_run
 from spiral.inference.evidence.assembly import (
     Assembly,
     assemble,
@@ -29,6 +28,7 @@ from spiral.inference.evidence.assembly import (
     placed,
     to_model,
 )
+from spiral.inference.evidence.comparison import refined, test_run
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.judge import run_free
 from spiral.inference.problem import Problem, Progress, silent
@@ -39,9 +39,7 @@ from spiral.io.storage import own_file
 from spiral.types.errors import InputError
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
-
-if TYPE_CHECKING:
-    from spiral.types.run import Comparison
+from spiral.types.run import Comparison, Traces
 
 FILE = "curves.npz"
 SEED, FINAL = "seed", "final"
@@ -124,7 +122,7 @@ def gather(
         stage = _settled(
             narrow, comparison.model.labels, comparison.model, values, comparison.horizon
         )
-        about[name] = _free_curves(kept, narrow, comparison.model.labels, stage, name)
+        about[name] = _free_curves(kept, narrow, comparison, comparison.model.labels, stage, name)
         about[name] |= _where_curves(kept, narrow, stage, name, wide)
         if name == final:
             about["modes"] = _modes(kept, narrow, stage)
@@ -142,7 +140,8 @@ def free_curves(
     kept: dict[str, Array] = {}
     values = placed(assembly, standing.labels, standing.values, comparison.model)
     stage = _settled(assembly, standing.labels, comparison.model, values, comparison.horizon)
-    about: dict[str, Any] = {name: _free_curves(kept, assembly, standing.labels, stage, name)}
+    labels = standing.labels
+    about: dict[str, Any] = {name: _free_curves(kept, assembly, comparison, labels, stage, name)}
     about["modes"] = _modes(kept, assembly, stage)
     return _whole(kept, about, assembly.problem, comparison.model, equation=False)
 
@@ -216,24 +215,32 @@ def _settled(
 
 
 def _free_curves(
-    kept: dict[str, Array], assembly: Assembly, labels: tuple[str, ...], stage: Stage, name: str
-) -> dict[str, Any]:
-    """Free runs and residuals of one model."""
+    kept: dict[str, Array], assembly: Assembly, comparison: Comparison, labels: tuple[str, ...],
+    stage: Stage, name: str,
+) -> dict[str, Any]:  # fmt: skip
+    """Free runs and residuals of one model: those that were compared, where they are at hand."""
+    found = comparison.traces or _traced(assembly, labels, stage)
+    for number in range(min(len(found.fitted), _RECORDS)):
+        kept[f"{number}.{name}.free"] = found.fitted[number].astype(np.float32)
+        kept[f"{number}.{name}.left"] = found.left[number].astype(np.float32)
+    shown = min(len(found.fitted), _RECORDS)
+    about: dict[str, Any] = {"horizon": int(stage.length)}
+    if found.test:
+        about["settled"] = int(found.settled)
+    for number, predicted in enumerate(found.test[:_RECORDS]):
+        kept[f"{shown + number}.{name}.free"] = predicted.astype(np.float32)
+    return about
+
+
+def _traced(assembly: Assembly, labels: tuple[str, ...], stage: Stage) -> Traces:
+    """Free runs and residuals of a model whose windows were fitted."""
     study = assembly.study
     free = run_free(assembly, stage, (0,) * len(study.series))
     left = residuals(study, stage.layouts, stage.fitted.point)
-    for number in range(min(len(study.series), _RECORDS)):
-        kept[f"{number}.{name}.free"] = free.predicted[number].astype(np.float32)
-        kept[f"{number}.{name}.left"] = left[number].astype(np.float32)
-    values = stage.fitted.point.values
-    run = test_run(assembly, labels, values)
-    shown = min(len(study.series), _RECORDS)
-    about: dict[str, Any] = {"horizon": int(stage.length)}
-    if run is not None:
-        about["settled"] = int(run.settled[0])
-        for number, predicted in enumerate(run.predicted[:_RECORDS]):
-            kept[f"{shown + number}.{name}.free"] = predicted.astype(np.float32)
-    return about
+    run = test_run(assembly, labels, stage.fitted.point.values)
+    if run is None:
+        return Traces(free.predicted, (), 0, left)
+    return Traces(free.predicted, run.predicted, run.settled[0], left)
 
 
 def _where_curves(

@@ -20,7 +20,8 @@ from spiral.types.model import Model
 from spiral.types.placement import check_effect
 from spiral.types.record import Record, split_off_test
 
-STRATEGIES = ("shooting", "paper", "innovation", "likelihood")
+STRATEGIES = ("likelihood", "shooting", "innovation", "paper")
+USUAL_STRATEGY = STRATEGIES[0]
 USED_BY = {
     "gate": ("paper", "innovation"),
     "learner": ("paper",),
@@ -112,7 +113,7 @@ def put(
     settle: float | None = None,
     candidates: Sequence[str | Effect] | None = None,
     settings: Settings | None = None,
-    strategy: str = "shooting",
+    strategy: str = USUAL_STRATEGY,
     parts: Mapping[str, Any] | None = None,
     gates: Mapping[str, Any] | None = None,
     paper: Mapping[str, Any] | None = None,

@@ -1,39 +1,35 @@
-"""Traced physics to compiled functions, cached on disk by the hash of their equations.
-
-The generated module holds, with their Jacobians and without,
+"""Traced physics to machine code.
 
     rate(x, u, p, f, A, B)      f = x', A = f_x, B = f_p        rate_value(x, u, p, f)
     output(x, u, p, y, C, D)    y = h,  C = h_x, D = h_p        output_value(x, u, p, y)
 
-with common subexpressions shared. It is written atomically under the user's cache folder, so
-processes started together do not disturb each other. Its name is the hash of f and h, from which
-all else follows, so that a known model is not differentiated again; its first line is the hash of
-the rest, so that a damaged file is written anew.
+LLVM, through the library that Numba brings, is given the expressions with their exact derivatives
+(``emit``), and Numba's loops are given the addresses. A model takes some tenths of a second, so
+that nothing is kept on disk, where it would be a program that anyone could have written.
 """
 
 from __future__ import annotations
 
-import atexit
-import hashlib
-import importlib.util
-import os
-import shutil
-import stat
-import sys
-import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import numba as nb
 import sympy as sp
-from sympy.printing.pycode import PythonCodePrinter
+from llvmlite import binding, ir
+from numba import types
+from numba.core.registry import cpu_target
 
+from spiral.physics.emit import Emitter
 from spiral.physics.trace import Traced
 from spiral.types.cache import kept
 
-_VERSION = "3"  # raise when the generated code's form changes
+_INDEX = ir.IntType(64)
+_VECTOR, _MATRIX = types.float64[::1], types.float64[:, ::1]
+MODEL_FUNCTION = types.FunctionType(
+    types.void(_VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _MATRIX)
+)
+VALUE_FUNCTION = types.FunctionType(types.void(_VECTOR, _VECTOR, _VECTOR, _VECTOR))
 
 
 @dataclass(frozen=True)
@@ -47,197 +43,126 @@ class Compiled:
     output_value: Any
 
 
-class _Printer(PythonCodePrinter):
-    """Plain Python with ``math`` functions, powers of integers as products.
+class ModelFunction(types.WrapperAddressProtocol):
+    """Machine code of one equation, for Numba's loops and for a call from Python."""
 
-    A negative power is a quotient: of zero it is infinite, which a fit takes as a step too far,
-    where Numba's power of zero raises whatever its error model.
-    """
+    def __init__(self, kind: types.FunctionType, engine: Any, name: str) -> None:
+        self._kind, self._engine = kind, engine  # the code lives as long as its engine
+        self._address = engine.get_function_address(name)
 
-    def _print_Pow(self, expr: Any, rational: bool = False) -> str:  # noqa: N802
-        base, exponent = expr.args
-        if exponent.is_Integer and int(exponent) < 0:
-            return f"(1.0/{self.parenthesize(base**-exponent, 1000)})"
-        if exponent.is_Integer and 2 <= int(exponent) <= 4:
-            inner = self.parenthesize(base, 1000)
-            return "(" + "*".join([inner] * int(exponent)) + ")"
-        return super()._print_Pow(expr, rational=rational)
+    def __wrapper_address__(self) -> int:
+        return self._address
 
+    def signature(self) -> Any:
+        """As Numba writes it."""
+        return self._kind.signature
 
-def cache_folder() -> Path:
-    """Where compiled models are kept (``SPIRAL_CACHE``, else the user's cache folder)."""
-    given = os.environ.get("SPIRAL_CACHE")
-    root = Path(given) if given else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    return root / "spiral" / "models"
+    def __call__(self, *arrays: Any) -> None:
+        """Evaluated at contiguous arrays; the last ones are written."""
+        caller = _with_slopes if self._kind is MODEL_FUNCTION else _value
+        caller(self, *arrays)
 
 
-def compile_model(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled:
-    """Compile, or load from the cache.
-
-    ``by`` names the parameters that derivatives are wanted for; all where left out. The columns of
-    the others in B and D are not written: faster for a filter that tracks few parameters.
-    """
-    module = _load(traced, by)
-    return Compiled(traced, module.rate, module.output, module.rate_value, module.output_value)
+@nb.njit(
+    types.void(MODEL_FUNCTION, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _MATRIX), cache=True
+)
+def _with_slopes(function, x, u, p, f, a, b):
+    function(x, u, p, f, a, b)
 
 
-def generate(traced: Traced, by: tuple[str, ...] | None = None) -> str:
-    """Source of the module for a traced model; ``by`` as in ``compile_model``."""
-    unwanted = [] if by is None else [j for j, k in enumerate(traced.keys) if k not in by]
-    rate_p, output_p = (_without(m, unwanted) for m in (traced.rate_p, traced.output_p))
-    header = (
-        f'"""Generated by spiral, form {_VERSION}."""\n'
-        "import math\n"
-        "from numba import njit, float64, void\n\n"
-        "SIGNATURE = void(float64[::1], float64[::1], float64[::1], float64[::1],"
-        " float64[:, ::1], float64[:, ::1])\n"
-        "VALUE = void(float64[::1], float64[::1], float64[::1], float64[::1])\n\n"
-    )
-    rate = _function("rate", traced, traced.rate, traced.rate_x, rate_p)
-    output = _function("output", traced, traced.output, traced.output_x, output_p)
-    values = [
-        _function(f"{name}_value", traced, expressions, None, None)
-        for name, expressions in (("rate", traced.rate), ("output", traced.output))
-    ]
-    return "\n\n".join([header + rate, output, *values])
-
-
-def _without(matrix: sp.Matrix, columns: list[int]) -> sp.Matrix:
-    """The matrix with some columns zero."""
-    kept = matrix.as_mutable()
-    for j in columns:
-        kept[:, j] = sp.zeros(matrix.rows, 1)
-    return kept
-
-
-def _function(name: str, traced: Traced, value: tuple[sp.Expr, ...], by_x: Any, by_p: Any) -> str:
-    targets: list[tuple[str, sp.Expr]] = [(f"f[{i}]", e) for i, e in enumerate(value)]
-    for letter, matrix in (("A", by_x), ("B", by_p)):
-        if matrix is None:
-            continue
-        targets += [
-            (f"{letter}[{i}, {j}]", matrix[i, j])
-            for i in range(matrix.rows)
-            for j in range(matrix.cols)
-            if matrix[i, j] != 0
-        ]
-    shared, reduced = sp.cse([e for _, e in targets], sp.numbered_symbols("s"), order="none")
-    printer = _Printer({"fully_qualified_modules": True})
-    used = set().union(*(e.free_symbols for _, e in targets)) if targets else set()
-    given = ("VALUE", "x, u, p, f") if by_x is None else ("SIGNATURE", "x, u, p, f, A, B")
-    lines = [
-        f"@njit({given[0]}, cache=True, nogil=True, error_model='numpy')",
-        f"def {name}({given[1]}):",
-    ]
-    for letter, group in (("x", traced.x), ("u", traced.u), ("p", traced.p)):
-        lines += [f"    {s} = {letter}[{i}]" for i, s in enumerate(group) if s in used]
-    lines += [f"    {symbol} = {printer.doprint(e)}" for symbol, e in shared]
-    lines += [f"    {t} = {printer.doprint(e)}" for (t, _), e in zip(targets, reduced, strict=True)]
-    return "\n".join(lines)
-
-
-def _load(traced: Traced, by: tuple[str, ...] | None) -> ModuleType:
-    name = f"spiral_model_{_digest(traced, by)}"
-    if name in sys.modules:
-        return sys.modules[name]
-    path = _kept(name) or _written(name, generate(traced, by))
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # before loading: numba's cache looks the module up by name
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
+@nb.njit(types.void(VALUE_FUNCTION, _VECTOR, _VECTOR, _VECTOR, _VECTOR), cache=True)
+def _value(function, x, u, p, f):
+    function(x, u, p, f)
 
 
 @kept(128)
-def _words(traced: Traced) -> tuple[str, ...]:
-    groups = (traced.x, traced.u, traced.p, traced.rate, traced.output)
-    return tuple(sp.srepr(e) for group in groups for e in (*group, 0))
+def compile_model(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled:
+    """The model's functions; those of the last models are kept for this process.
 
+    ``by`` names the parameters that derivatives are wanted for; all where left out. The columns of
+    the others in B and D are not written: faster for a filter that tracks few parameters.
 
-def _digest(traced: Traced, by: tuple[str, ...] | None) -> str:
-    """Of everything that the generated code depends on."""
-    words = [_VERSION, sp.__version__, *_words(traced)]
-    if by is not None:
-        words += [str(k in by) for k in traced.keys]
-    return hashlib.sha256("\n".join(words).encode()).hexdigest()[:24]
-
-
-def _folders() -> tuple[tuple[Path, int], ...]:
-    """Where compiled models may be kept, with the rights that others must not have there.
-
-    What lies there is run. The temporary folder is everybody's: another user may have made ours.
+    Raises
+    ------
+    TypeError : a function that has no machine code.
     """
-    shared = Path(tempfile.gettempdir()) / f"spiral-{os.getuid()}"
-    return (cache_folder(), stat.S_IWOTH), (shared, stat.S_IRWXG | stat.S_IRWXO)
+    wanted = traced.keys if by is None else by
+    module = ir.Module("model")
+    for name, values in (("rate", traced.rate), ("output", traced.output)):
+        _write(module, name, traced, values, [j for j, k in enumerate(traced.keys) if k in wanted])
+        _write(module, f"{name}_value", traced, values, None)
+    engine = _engine(module)
+    return Compiled(
+        traced,
+        *(ModelFunction(MODEL_FUNCTION, engine, name) for name in ("rate", "output")),
+        *(ModelFunction(VALUE_FUNCTION, engine, f"{name}_value") for name in ("rate", "output")),
+    )
 
 
-def _of_this_user(folder: Path, forbidden: int) -> bool:
-    """Whether a folder is there and no link, this user's, and gives others no such right."""
-    try:
-        found = os.lstat(folder)
-    except OSError:
-        return False
-    mine = found.st_uid == os.getuid()
-    return stat.S_ISDIR(found.st_mode) and mine and not found.st_mode & forbidden
+def _write(
+    module: ir.Module,
+    name: str,
+    traced: Traced,
+    values: Sequence[sp.Expr],
+    columns: Sequence[int] | None,
+) -> None:
+    """A function of the module; with Jacobians by all states and these parameters, or without."""
+    kind = VALUE_FUNCTION if columns is None else MODEL_FUNCTION
+    pointer = cpu_target.target_context.get_value_type(kind.ftype)
+    function = ir.Function(module, pointer.pointee, name)
+    builder = ir.IRBuilder(function.append_basic_block())
+    data = [builder.extract_value(a, 4) for a in function.args]
+    used = set().union(*(sp.sympify(e).free_symbols for e in values)) if values else set()
+    given = {
+        symbol: builder.load(_at(builder, array, place))
+        for array, group in zip(data[:3], (traced.x, traced.u, traced.p), strict=True)
+        for place, symbol in enumerate(group)
+        if symbol in used
+    }
+    n = len(traced.x)
+    active: dict[sp.Symbol, int] = {}
+    if columns is not None:
+        active = {s: i for i, s in enumerate(traced.x)} | {traced.p[j]: n + j for j in columns}
+    emitter = Emitter(builder, given, active)
+    for i, expression in enumerate(values):
+        node = emitter.node(sp.sympify(expression))
+        builder.store(node.value, _at(builder, data[3], i))
+        for key, slope in node.slopes.items():
+            array, column = (4, key) if key < n else (5, key - n)
+            builder.store(slope, _entry(builder, function.args[array], i, column))
+    builder.ret(ir.Constant(pointer.pointee.return_type, None))
 
 
-@lru_cache(maxsize=1)
-def _own_folder() -> Path:
-    """A new folder that only this user can enter, removed when the process ends."""
-    folder = Path(tempfile.mkdtemp(prefix="spiral-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return folder
+def _at(builder: ir.IRBuilder, data: Any, place: int) -> Any:
+    return builder.gep(data, [ir.Constant(_INDEX, place)])
 
 
-def _seal(source: str) -> str:
-    return f"# {hashlib.sha256(source.encode()).hexdigest()}\n"
+def _entry(builder: ir.IRBuilder, matrix: Any, row: int, column: int) -> Any:
+    """An entry of a matrix, which may have more columns than the model has parameters."""
+    width = builder.extract_value(matrix, [5, 1])
+    place = builder.add(builder.mul(width, ir.Constant(_INDEX, row)), ir.Constant(_INDEX, column))
+    return builder.gep(builder.extract_value(matrix, 4), [place])
 
 
-def _kept(name: str) -> Path | None:
-    """The module's file where an earlier study of this user wrote it, whole."""
-    for folder, forbidden in _folders():
-        if not _of_this_user(folder, forbidden):
-            continue
-        try:
-            first, rest = (folder / f"{name}.py").read_text().split("\n", 1)
-        except (OSError, ValueError):
-            continue
-        if f"{first}\n" == _seal(rest):
-            return folder / f"{name}.py"
-    return None
+def _machine() -> Any:
+    """The machine at hand; every engine takes one over."""
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    return binding.Target.from_default_triple().create_target_machine(
+        cpu=binding.get_host_cpu_name(),
+        features=binding.get_host_cpu_features().flatten(),
+        opt=2,
+        jit=True,
+    )
 
 
-def _written(name: str, source: str) -> Path:
-    """The module's file, written to a temporary name first and moved into place.
-
-    Where no folder serves, one of this process alone does.
-    """
-    for folder, forbidden in _folders():
-        try:
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if _of_this_user(folder, forbidden):
-                return _written_into(folder, name, source)
-        except OSError:
-            continue
-    try:
-        return _written_into(_own_folder(), name, source)
-    except OSError as error:
-        raise OSError("no folder for compiled models could be written; set SPIRAL_CACHE") from error
-
-
-def _written_into(folder: Path, name: str, source: str) -> Path:
-    handle, temporary = tempfile.mkstemp(dir=folder, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "w") as file:
-            file.write(_seal(source) + source)
-        os.replace(temporary, folder / f"{name}.py")
-    except OSError:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    return folder / f"{name}.py"
+def _engine(module: ir.Module) -> Any:
+    """The module's machine code."""
+    machine = _machine()
+    parsed = binding.parse_assembly(str(module))
+    options = binding.create_pipeline_tuning_options(speed_level=2)
+    passes = binding.create_pass_builder(machine, options)
+    passes.getModulePassManager().run(parsed, passes)
+    engine = binding.create_mcjit_compiler(parsed, machine)
+    engine.finalize_object()
+    return engine

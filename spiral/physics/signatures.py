@@ -11,14 +11,14 @@ effect's own equation is evaluated along the states as arrays; nothing is compil
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import sympy as sp
 
-from spiral.physics.trace import input_columns, trace
+from spiral.physics.trace import asked, input_columns, trace
 from spiral.types.cache import kept
 from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
 from spiral.types.placement import check_effect
@@ -37,7 +37,7 @@ class Along:
 
     ``states`` (samples, n) of the system alone, ``inputs`` (samples, input columns), ``rates``
     (samples, n) and ``readings`` (samples, channels) of the model as it is, ``values`` of the
-    system's parameters by name.
+    system's parameters by name; ``known`` keeps what all effects of a place share.
     """
 
     system: System
@@ -46,13 +46,20 @@ class Along:
     rates: Array
     readings: Array
     values: Mapping[str, float]
+    known: dict[str, Any] = field(default_factory=dict, compare=False)
 
     def part(self, where: slice) -> Along:
         """A stretch of it."""
         return replace(
             self, states=self.states[where], inputs=self.inputs[where], rates=self.rates[where],
-            readings=self.readings[where],
+            readings=self.readings[where], known={},
         )  # fmt: skip
+
+    def once(self, name: str, made: Callable[[], Any]) -> Any:
+        """What a function makes, at its first call."""
+        if name not in self.known:
+            self.known[name] = made()
+        return self.known[name]
 
     @property
     def parameters(self) -> list[float]:
@@ -95,11 +102,12 @@ def signatures(
         )
         y = list(along.readings.T)
         for j, p in enumerate(units):
-            told = effect.reading(y, at, u, p)
+            told = asked(effect, "reading", effect.reading, y, at, u, p)
             readings[:, :, j] = _columns(told, count) - along.readings
         return rates, readings
-    pushed = _pushed(system)(*along.states.T, *along.inputs.T, *along.parameters)
-    gain = _matrix(pushed, count)
+    gain = along.once("pushed", lambda: _matrix(
+        _pushed(system)(*along.states.T, *along.inputs.T, *along.parameters), count
+    ))  # fmt: skip
     hidden = SimpleNamespace(**(own or {}))
     for j, p in enumerate(units):
         pushes = _injected(along, effect, port, u, p, hidden)
@@ -110,11 +118,8 @@ def signatures(
 def at_port_along(along: Along, port: Port) -> tuple[Array, Array]:
     """(samples, axes) positions and velocities of a port; a flow's place moves at its own rate."""
     if isinstance(along.system, MechanicalSystem):
-        count = len(along.states)
-        position, velocity, _ = _geometry(along.system, port.name)(
-            *along.states.T, *along.parameters
-        )
-        return _columns(position, count), _columns(velocity, count)
+        position, velocity, _ = along.once(port.name, lambda: _moved(along, port))
+        return position, velocity
     place = _place(along.system, port.name)(*along.states.T, *along.parameters)
     position = _columns(place, len(along.states))
     return position, np.gradient(position, axis=0)
@@ -132,21 +137,28 @@ def _injected(
     system, count = along.system, len(along.states)
     names = [i.name for i in system.injections]
     if isinstance(effect, ForceEffect):
-        position, velocity, jacobian = _geometry(system, port.name)(
-            *along.states.T, *along.parameters
-        )
-        at = At(tuple(_columns(position, count).T), tuple(_columns(velocity, count).T), own)
-        force = _columns(effect.force(at, u, p), count)
-        return np.einsum("tai,ta->ti", _matrix(jacobian, count), force)
+        position, velocity, jacobian = along.once(port.name, lambda: _moved(along, port))
+        at = At(tuple(position.T), tuple(velocity.T), own)
+        force = _columns(asked(effect, "force", effect.force, at, u, p), count)
+        return np.einsum("tai,ta->ti", jacobian, force)
     assert isinstance(effect, FlowEffect)
     x = SimpleNamespace(
         **{s.name: along.states[:, i] for i, s in enumerate(system.states)}, own=own
     )
-    flows = effect.flow(x, u, p)
+    flows = asked(effect, "flow", effect.flow, x, u, p)
     found = np.zeros((count, len(names)))
     for name, value in flows.items():
         found[:, names.index(name)] = value
     return found
+
+
+def _moved(along: Along, port: Port) -> tuple[Array, Array, Array]:
+    """(samples, axes) positions and velocities of a port, and its Jacobian by the coordinates."""
+    count = len(along.states)
+    position, velocity, jacobian = _geometry(along.system, port.name)(
+        *along.states.T, *along.parameters
+    )
+    return _columns(position, count), _columns(velocity, count), _matrix(jacobian, count)
 
 
 def _unit_amplitudes(

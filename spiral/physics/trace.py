@@ -115,7 +115,7 @@ def trace(
     placed = [_place(system, effect, x, p, states, symbols) for effect in effects]
     seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
     injected = _inject(system, placed, seen, x)
-    rates = _asked(system, "rate", system.rate, x, u, p, injected)
+    rates = asked(system, "rate", system.rate, x, u, p, injected)
     placed = [_with_rates(system, item, rates) for item in placed]
     for item, view in zip(placed, seen, strict=True):
         rates.update(_own_rates(item, view))
@@ -138,8 +138,8 @@ def trace(
     )
 
 
-def _asked(owner: Effect | System, what: str, function: Callable[..., Any], *given: Any) -> Any:
-    """What a plugin's equation gives for symbols; its own failure names it and the line."""
+def asked(owner: Effect | System, what: str, function: Callable[..., Any], *given: Any) -> Any:
+    """What a plugin's equation gives for symbols or arrays; its failure names it and the line."""
     try:
         return function(*given)
     except SpiralError:
@@ -233,7 +233,7 @@ def _inject(
     for item, u in zip(placed, seen, strict=True):
         effect = item.effect
         if isinstance(effect, ForceEffect):
-            force = _asked(effect, "force", effect.force, item.at, u, item.p)
+            force = asked(effect, "force", effect.force, item.at, u, item.p)
             _check_length(effect, "force", force, item.port)
             assert item.jacobian is not None
             generalised = item.jacobian.T * sp.Matrix(force)
@@ -241,7 +241,7 @@ def _inject(
                 total[name] += value
         elif isinstance(effect, FlowEffect):
             levels = _with_own(x, item.at)
-            for name, value in _asked(effect, "flow", effect.flow, levels, u, item.p).items():
+            for name, value in asked(effect, "flow", effect.flow, levels, u, item.p).items():
                 if name not in total:
                     raise PluginError(
                         f"effect {effect.label!r} with a flow into {name!r}",
@@ -269,7 +269,7 @@ def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
     effect = item.effect
     if not effect.states:
         return {}
-    given = _asked(effect, "rate", effect.rate, item.at, u, item.p)
+    given = asked(effect, "rate", effect.rate, item.at, u, item.p)
     rates: dict[str, Any] = {}
     for state in effect.states:
         if state.name not in given:
@@ -303,7 +303,7 @@ def _readings(
             effect = item.effect
             kind = replace(effect, variant="").label if effect.variant else ""
             before, last = (before if kind and kind == last else y), kind
-            told = list(_asked(effect, "reading", effect.reading, before, item.at, u, item.p))
+            told = list(asked(effect, "reading", effect.reading, before, item.at, u, item.p))
             if len(told) != len(system.observed):
                 raise PluginError(
                     f"reading of effect {item.effect.label!r} with {len(told)} values",

@@ -21,6 +21,8 @@ class Effect(Plugin):
     axes : how many axes its port must have; ``None`` takes any number.
     inputs : inputs it reads from ``u`` (``speed``, ``phase``).
     channels : states that the system must have, by name; none where any system will do.
+    leaves : names of effects that it leaves beyond leading order where it acts through hidden
+        coordinates: what is then found of them is its own next order.
     bare : a monomial of a library without a physical name; no candidate unless it is asked for.
 
     Fields
@@ -35,6 +37,7 @@ class Effect(Plugin):
     axes: ClassVar[int | None] = None
     inputs: ClassVar[tuple[str, ...]] = ()
     channels: ClassVar[tuple[str, ...]] = ()
+    leaves: ClassVar[tuple[str, ...]] = ()
     bare: ClassVar[bool] = False
 
     port: str = ""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spiral.types.errors import InputError, did_you_mean
+from spiral.types.spoilt import Spoilt, bridged, spoilt_readings
 
 if TYPE_CHECKING:
     from spiral.types.system import System
@@ -33,7 +34,8 @@ class Record:
     noise : declared standard deviation per channel; a channel left out is estimated.
     truth : states known from simulation, hidden ones included; never used by a fit.
     measured : inputs that were measured rather than derived (``phase`` from ``speed``).
-    notes : what a reader should know (clipping, conversions), in words.
+    notes : what a reader should know (conversions), in words.
+    spoilt : readings that are no measurement, by channel; ``make_record`` finds them.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Record:
     truth: Mapping[str, Array] = field(default_factory=dict)
     measured: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    spoilt: Mapping[str, tuple[Spoilt, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         length = f"{self.samples} samples, {self.samples * self.dt:.4g} s at {1 / self.dt:.4g} Hz"
@@ -79,13 +82,29 @@ class Record:
             channels={k: v[cut] for k, v in self.channels.items()},
             inputs={k: v[cut] for k, v in self.inputs.items()},
             truth={k: v[cut] for k, v in self.truth.items()},
+            spoilt={k: tuple(s.part(cut) for s in v) for k, v in self.spoilt.items()},
         )
+
+    def gone(self, channel: str) -> Array | None:
+        """(samples,) True where a channel's reading is no measurement; nothing where all are."""
+        found = [s.where for s in self.spoilt.get(channel, ()) if s.where.any()]
+        return np.logical_or.reduce(found) if found else None
+
+    @property
+    def spoilt_words(self) -> tuple[str, ...]:
+        """What of the readings is no measurement, in words."""
+        return tuple(s.told(k) for k, some in self.spoilt.items() for s in some if s.where.any())
+
+    def reading(self, channel: str) -> Array:
+        """A channel with straight lines where its readings are no measurement."""
+        gone = self.gone(channel)
+        return self.channels[channel] if gone is None else bridged(self.channels[channel], gone)
 
     def sigma(self) -> dict[str, float]:
         """Noise of every channel: declared, or estimated without a model."""
         return {
-            name: float(self.noise.get(name) or estimate_noise(values))
-            for name, values in self.channels.items()
+            name: float(self.noise.get(name) or estimate_noise(self.reading(name)))
+            for name in self.channels
         }
 
 
@@ -114,7 +133,10 @@ def make_record(
     for kind, group in (("channel", given), ("input", known)):
         for key, values in group.items():
             check_values(name, kind, key, values, len(time))
-    extra = tuple(clipping(k, v) for k, v in given.items())
+    spoilt = {k: spoilt_readings(v, known.values()) for k, v in given.items()}
+    extra = [s.told(k) for k, some in spoilt.items() for s in some]
+    clipped = {k for k, some in spoilt.items() if any(s.kind == "clipped" for s in some)}
+    extra += [clipping(k, v) for k, v in given.items() if k not in clipped]
     measured = tuple(known)
     known = _derived(system, time, known)
     step = (time[-1] - time[0]) / (len(time) - 1)
@@ -127,6 +149,7 @@ def make_record(
         truth=dict(truth or {}),
         measured=measured,
         notes=(*notes, *(note for note in extra if note)),
+        spoilt={k: some for k, some in spoilt.items() if some},
     )
 
 

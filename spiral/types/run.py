@@ -9,6 +9,7 @@ from typing import Any, Literal
 from spiral.types.formatting import number, percent, probability
 from spiral.types.horizon import Change, Horizon
 from spiral.types.model import Estimate, Model
+from spiral.types.record import Array
 from spiral.types.showing import Readable, Summary
 
 Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unknown_structure"]
@@ -32,6 +33,20 @@ class ChannelError:
         return {"rmse": self.rmse, "relative": self.relative}
 
 
+@dataclass(frozen=True, eq=False)
+class Traces:
+    """What a comparison looked at: arrays (samples, channels) for each record.
+
+    ``fitted`` and ``test`` are free runs, those over test records scored from sample ``settled``
+    on; ``left`` is what is left of the fitted records, over its standard deviation.
+    """
+
+    fitted: tuple[Array, ...]
+    test: tuple[Array, ...]
+    settled: int
+    left: tuple[Array, ...]
+
+
 @dataclass(frozen=True, repr=False)
 class Comparison(Readable):
     """A fitted model against measurements it was fitted on and against those it was not.
@@ -47,7 +62,8 @@ class Comparison(Readable):
     random beside white noise of the sensors (``engine.likelihood.noise``), with its size: of a
     force its share of the rate that it acts on, of a reading its share of the channel's deviation;
     nothing where no such model was fitted; ``random_times`` its correlation time in s, where it
-    has one.
+    has one; ``spoilt`` says in words which readings are no measurement. ``traces`` are what the
+    errors were computed from, while the program that did is running; no file keeps them.
     """
 
     model: Model
@@ -66,6 +82,8 @@ class Comparison(Readable):
     unseen: tuple[Horizon, ...] = ()
     random: Mapping[str, float] | None = None
     random_times: Mapping[str, float] = field(default_factory=dict)
+    spoilt: tuple[str, ...] = ()
+    traces: Traces | None = field(default=None, compare=False, repr=False)
 
     def _shown(self) -> Summary:
         errors = (self.fit_error, self.test_error, self.noise_floor)
@@ -86,6 +104,7 @@ class Comparison(Readable):
             "innovation_chi2": self.innovation_chi2,
             "random": None if self.random is None else dict(self.random),
             "random_times": dict(self.random_times),
+            "spoilt": list(self.spoilt),
             "channels": {k: v.as_dict() for k, v in self.channels.items()},
             "chi2_per_dof": self.chi2_per_dof,
             "whiteness_p": self.whiteness_p,

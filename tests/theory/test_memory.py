@@ -14,9 +14,9 @@ from experiments.hidden_effects.cases import record_of
 from experiments.hidden_effects.strengths import SCENES
 from spiral.engine.growth import first_starts, layouts_for
 from spiral.engine.start import balance, first_values
-from spiral.inference.compare import last_stage, prepared
 from spiral.inference.discover import add, discover
 from spiral.inference.evidence.assembly import assemble, first_row
+from spiral.inference.evidence.comparison import last_stage, prepared
 from spiral.inference.evidence.fit_state import begin, half_masks
 from spiral.inference.evidence.spectrum import peaks
 from spiral.inference.problem import Problem, Settings

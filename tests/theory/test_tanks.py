@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 from spiral.engine.windows import fair_block, halves
-from spiral.inference.compare import prepared
 from spiral.inference.evidence.admission import admit
+from spiral.inference.evidence.comparison import prepared
 from spiral.inference.evidence.farstart import from_afar
 from spiral.inference.evidence.fit_state import all_samples, grown
 from spiral.inference.evidence.scoring import score_stage

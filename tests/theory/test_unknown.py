@@ -9,9 +9,9 @@ from scipy.interpolate import CubicSpline
 from spiral_plugins.systems.oscillator import Oscillator
 
 from experiments.unknown_physics.cases import CASES, coverage, problem
-from spiral.inference.compare import prepared
 from spiral.inference.diagnose import diagnose
 from spiral.inference.discover import add, discover
+from spiral.inference.evidence.comparison import prepared
 from spiral.inference.unknown.forcecurve import beside
 from spiral.inference.unknown.shape import _fresh
 from spiral.physics.learned import COUNT, KNOTS, basis

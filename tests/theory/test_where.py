@@ -11,7 +11,7 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.inference.compare import last_stage, prepared
+from spiral.inference.evidence.comparison import last_stage, prepared
 from spiral.inference.evidence.fit_state import all_samples
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate

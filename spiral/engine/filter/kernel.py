@@ -14,7 +14,8 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.engine.kernel import MODEL_FUNCTION, slope_of
+from spiral.engine.kernel import slope_of
+from spiral.physics.compile import MODEL_FUNCTION
 
 EXACT, SECOND_ORDER = 0, 1
 

@@ -16,7 +16,7 @@ import numpy as np
 from numba import types
 
 from spiral.engine.filter.kernel import _FAST, EXACT, hold, step_with_slopes
-from spiral.engine.kernel import MODEL_FUNCTION
+from spiral.physics.compile import MODEL_FUNCTION
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]

@@ -6,7 +6,8 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.engine.kernel import VALUE_FUNCTION, runge_kutta
+from spiral.engine.kernel import runge_kutta
+from spiral.physics.compile import VALUE_FUNCTION
 
 _F1, _F2 = types.float64[::1], types.float64[:, ::1]
 

@@ -13,7 +13,8 @@ import numpy as np
 from numba import types
 
 from spiral.engine.filter.kernel import _FAST, factor_in_place, hold, solve_in_place, sound
-from spiral.engine.kernel import VALUE_FUNCTION, runge_kutta
+from spiral.engine.kernel import runge_kutta
+from spiral.physics.compile import VALUE_FUNCTION
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]

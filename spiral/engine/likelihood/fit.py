@@ -7,8 +7,9 @@ scoring step solves
     |e - X dp + w da|^2 + |(e^2 - 1) / 2^(1/2) - l da / 2^(1/2)|^2 -> min
 
 whose normal equations are the likelihood's slope and its expected information. Steps are damped
-(Levenberg and Marquardt) until the likelihood rises. The first steps take X from the filter with
-its gains held, which is one pass; once these promise more than they keep, X is by differences.
+(Levenberg and Marquardt) until the likelihood rises. A pass of the filter has X with its gains
+held. What is missing there, and the slopes by sizes, are by differences, one pass each; both change
+slowly and are kept from step to step (``Kept``), until a step promises more than it keeps.
 
 A model that lacks something starts with much process noise, and with it the filter follows the
 record however wrong the model is; as parameters find their values the noise falls, and predictions
@@ -18,7 +19,7 @@ are judged ever more by the model.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,8 +41,40 @@ _ENOUGH = 0.02  # log-likelihood that is not worth another step
 ROUGH = 5e-4  # log-likelihood for each reading
 _FLOOR = 1.01  # times its least value up to which a size stays there
 _MOVE = 1e-3  # standard deviations that whitened misses move in a difference
-_TRUE = 0.5  # share of the promised gain from which slopes with held gains are good enough
+_TRUE = 0.5  # share of the promised gain from which slopes are good enough
+_WELL = 0.75  # share of it from which damping falls twice as fast
+_STALE = 2.0  # of the logarithm of a size, that one moves by before slopes by sizes are made anew
+_FRESH = 0.2  # of the same, up to which they count as made here
 _DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
+
+
+Beside = Mapping[str, tuple[tuple[Array, Array], ...]]
+"""By size of the noise, for every record: slopes of e and of log s by its logarithm."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Slopes by differences that are used again.
+
+    ``beyond`` by parameter and record: slopes of the whitened misses less those with held gains;
+    ``sizes`` by size of the noise, made where the sizes were ``at``.
+    """
+
+    beyond: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
+    sizes: Beside = field(default_factory=dict)
+    at: Mapping[str, float] = field(default_factory=dict)
+
+    def fits(self, parts: Sequence[Prediction]) -> bool:
+        """Whether they are of such records."""
+        shapes = [p.misses.shape for p in parts]
+        each = (*self.beyond.values(), *([m for m, _ in b] for b in self.sizes.values()))
+        return all([x.shape for x in one] == shapes for one in each)
+
+    def stale(self, noise: NoiseModel, names: Sequence[str], moved: float) -> bool:
+        """Whether a size is not there, or the logarithm of one has moved by so much."""
+        return any(
+            n not in self.sizes or abs(np.log(noise.values[n] / self.at[n])) > moved for n in names
+        )
 
 
 @dataclass(frozen=True)
@@ -50,7 +83,8 @@ class Maximum:
 
     ``parts`` are the predictions there with their slopes by ``keys``; ``solved`` the last scoring
     regression, whose inverse is that of the information; ``converged`` whether no step was worth
-    more; ``steps`` how many were taken; ``sizes`` of the noise that the regression has.
+    more; ``steps`` how many were taken; ``sizes`` of the noise that the regression has; ``kept``
+    slopes that a further search may begin with.
     """
 
     prepared: Prepared
@@ -62,6 +96,7 @@ class Maximum:
     converged: bool
     steps: int
     sizes: tuple[str, ...] = ()
+    kept: Kept = field(default_factory=Kept)
 
     @property
     def finite(self) -> bool:
@@ -106,6 +141,8 @@ def maximise(
     steps: int = 40,
     tune: bool = True,
     rough: bool = False,
+    kept: Kept | None = None,
+    differences: bool = True,
 ) -> Maximum:
     """The most likely values of parameters that all records share, and of the noise.
 
@@ -117,31 +154,63 @@ def maximise(
     tune : whether the noise moves too.
     rough : ends where a step is worth less than ``ROUGH`` a reading. A model that lacks something
         creeps along a valley of the likelihood long after that.
+    kept : slopes of another search over these records, to begin with.
+    differences : whether slopes by differences are made anew where steps keep less than they
+        promise; without, a first look is cheap.
     """
     search = _Search(keys, bounds or {}, masks, tune)
     enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
     parts = all_predicted([(prepared, noise)], keys)[0]
     height = log_likelihood(parts, masks)
-    at = Maximum(prepared, noise, keys, height, parts, None, False, 0)
-    damping, exact = _DAMPING, False
+    kept = kept if kept is not None and kept.fits(parts) else Kept()
+    at = Maximum(prepared, noise, keys, height, parts, None, False, 0, kept=kept)
+    damping, held = _DAMPING, not (keys and differences)  # held: slopes are not made anew
+    fresh = held
     for number in range(steps):
         if not at.finite:
             break
-        columns, beside = search.slopes(at, exact)
-        rows = search.rows(at, columns, beside)
-        better, damping, solved, promised = search.climb(at, rows, beside, damping)
+        at = search.with_sizes(at)
+        found = search.climb(at, damping)
+        better, damping = found.better, found.damping
         gain = 0.0 if better is None else better.log_likelihood - at.log_likelihood
-        at = replace(at if better is None else better, solved=solved, steps=number + 1)
-        at = replace(at, sizes=tuple(beside))
-        if gain < enough and (exact or not keys or (rough and promised < enough)):
+        at = replace(
+            at if better is None else better,
+            solved=found.solved, steps=number + 1, sizes=search.sizes(at),
+        )  # fmt: skip
+        kept_promise = gain >= _TRUE * found.promised
+        if gain < enough and (found.best < enough or (fresh and (rough or not kept_promise))):
             return replace(at, converged=True)
-        if not exact and (gain < enough or gain < _TRUE * promised):
-            exact, damping = bool(keys), _DAMPING
+        if kept_promise:
+            fresh = held
+        elif not fresh:
+            at, fresh = search.with_differences(at), True
     return at
 
 
-Beside = Mapping[str, tuple[tuple[Array, Array], ...]]
-"""By size of the noise, for every record: slopes of e and of log s by its logarithm."""
+def informed(at: Maximum) -> Maximum:
+    """An estimate with its slopes by differences made where it stands: its standard errors.
+
+    On the way there slopes are kept from other places, which is good enough for a direction.
+    """
+    if not at.finite:
+        return at
+    search = _Search(at.keys, {}, None, True)
+    at = search.with_differences(at)
+    return replace(at, solved=solve_triangle(*search.rows(at)), sizes=search.sizes(at))
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A damped step: where it leads, if it rises, and the damping to go on with.
+
+    ``promised`` its gain by the regression, ``best`` that of the step without damping.
+    """
+
+    better: Maximum | None
+    damping: float
+    solved: Fit
+    promised: float
+    best: float
 
 
 @dataclass(frozen=True)
@@ -153,65 +222,86 @@ class _Search:
     masks: Masks
     tune: bool
 
-    def slopes(self, at: Maximum, exact: bool) -> tuple[list[Array], Beside]:
-        """Slopes of the whitened misses by parameters (sign turned), and by sizes of the noise.
-
-        ``exact``: by differences; else as the predictions have them, with the filter's gains held.
-        Sizes at their least value stay there.
-        """
+    def sizes(self, at: Maximum) -> tuple[str, ...]:
+        """The sizes that move: those at their least value stay there."""
         task = at.prepared[0][0]
-        sizes = [
-            n for n in (at.noise.names if self.tune else ())
-            if at.noise.values[n] > _FLOOR * limits(task, n)[0]
-        ]  # fmt: skip
-        held = [p.columns for p in at.parts]
-        widths = _widths(held) if exact else {}
-        moved: list[tuple[Prepared, NoiseModel]] = [
-            (at.prepared, at.noise.with_values({n: at.noise.values[n] * np.exp(_DIFFERENCE)}))
-            for n in sizes
-        ]
-        moved += [(_shifted(at.prepared, self.keys[j], h), at.noise) for j, h in widths.items()]
-        others = all_predicted(moved)
-        beside = {
+        names = at.noise.names if self.tune else ()
+        return tuple(n for n in names if at.noise.values[n] > _FLOOR * limits(task, n)[0])
+
+    def with_sizes(self, at: Maximum, moved: float = _STALE) -> Maximum:
+        """With slopes by sizes of the noise, where those kept are not there or stale."""
+        names = self.sizes(at)
+        if not at.kept.stale(at.noise, names, moved):
+            return at
+        others = all_predicted(
+            [(at.prepared, at.noise.with_values({n: at.noise.values[n] * np.exp(_DIFFERENCE)}))
+             for n in names]
+        )  # fmt: skip
+        found = {
             n: tuple(_change(a, b) for a, b in zip(at.parts, other, strict=True))
-            for n, other in zip(sizes, others, strict=False)
+            for n, other in zip(names, others, strict=True)
             if log_likelihood(other) > RUNAWAY
         }
-        columns = [c.copy() for c in held]
-        for (j, h), other in zip(widths.items(), others[len(sizes) :], strict=True):
-            if log_likelihood(other) > RUNAWAY:
-                for mine, old, new in zip(columns, at.parts, other, strict=True):
-                    mine[:, :, j] = (old.misses - new.misses) * old.weight / h
-        return columns, beside
+        found |= {n: tuple(_none(p) for p in at.parts) for n in names if n not in found}
+        return replace(at, kept=replace(at.kept, sizes=found, at=dict(at.noise.values)))
 
-    def rows(self, at: Maximum, columns: list[Array], beside: Beside) -> tuple[Array, int]:
+    def with_differences(self, at: Maximum) -> Maximum:
+        """With all slopes by differences, as they are here."""
+        at = self.with_sizes(at, _FRESH)
+        held = [p.columns for p in at.parts]
+        widths = _widths(held)
+        others = all_predicted(
+            [(_shifted(at.prepared, self.keys[j], h), at.noise) for j, h in widths.items()]
+        )
+        beyond = {}
+        for (j, h), other in zip(widths.items(), others, strict=True):
+            if log_likelihood(other) > RUNAWAY:
+                beyond[self.keys[j]] = tuple(
+                    (old.misses - new.misses) * old.weight / h - mine[:, :, j]
+                    for mine, old, new in zip(held, at.parts, other, strict=True)
+                )
+        return replace(at, kept=replace(at.kept, beyond=beyond))
+
+    def columns(self, at: Maximum) -> list[Array]:
+        """Slopes of the whitened misses by parameters (sign turned), for every record."""
+        found = [p.columns.copy() for p in at.parts]
+        for j, key in enumerate(self.keys):
+            for mine, more in zip(found, at.kept.beyond.get(key, ()), strict=False):
+                mine[:, :, j] += more
+        return found
+
+    def rows(self, at: Maximum) -> tuple[Array, int]:
         """The scoring regression as a triangle."""
         blocks = []
+        names, columns = self.sizes(at), self.columns(at)
         for r, part in enumerate(at.parts):
             chosen = None if self.masks is None else self.masks[r]
             mask = slice(None) if chosen is None else chosen
-            blocks += _regression(part, columns[r], [b[r] for b in beside.values()], mask)
+            beside = [at.kept.sizes[n][r] for n in names]
+            blocks += _regression(part, columns[r], beside, mask)
         return triangle(blocks)
 
-    def climb(
-        self, at: Maximum, rows: tuple[Array, int], beside: Beside, damping: float
-    ) -> tuple[Maximum | None, float, Fit, float]:
-        """The first damped step that rises, the damping to go on with, and the gain promised."""
-        names = (*self.keys, *beside)
-        upper, count = rows
+    def climb(self, at: Maximum, damping: float) -> _Step:
+        """The first damped step that rises."""
+        names = (*self.keys, *self.sizes(at))
+        upper, count = self.rows(at)
         solved = solve_triangle(upper, count)
-        sizes = np.linalg.norm(upper[:, :-1], axis=0)
-        promised = 0.5 * (float(np.sum(upper[:, -1] ** 2)) - solved.rss)
+        norms = np.linalg.norm(upper[:, :-1], axis=0)
+        before = float(np.sum(upper[:, -1] ** 2))
+        best = 0.5 * (before - solved.rss)
+        promised = 0.0
         for _ in range(_TRIES):
-            step = _damped(upper, sizes, damping)
+            step = _damped(upper, norms, damping)
+            promised = 0.5 * (before - float(np.sum((upper[:, :-1] @ step - upper[:, -1]) ** 2)))
             trial = self._moved(at, names, step, solved.kept)
             parts = all_predicted([trial], self.keys)[0]
             height = log_likelihood(parts, self.masks)
             if height > at.log_likelihood:
-                better = Maximum(*trial, self.keys, height, parts, None, False, 0)
-                return better, max(damping * _EASE, 1e-9), solved, promised
+                better = Maximum(*trial, self.keys, height, parts, None, False, 0, kept=at.kept)
+                easier = _EASE if height - at.log_likelihood < _WELL * promised else _EASE**2
+                return _Step(better, max(damping * easier, 1e-9), solved, promised, best)
             damping = max(damping, 1e-6) * _STRAIN
-        return None, damping, solved, promised
+        return _Step(None, damping, solved, promised, best)
 
     def _moved(
         self, at: Maximum, names: tuple[str, ...], step: Array, kept: Array
@@ -252,6 +342,11 @@ def _change(part: Prediction, other: Prediction) -> tuple[Array, Array]:
     grown = np.log(other.spreads, where=seen, out=np.zeros_like(part.spreads))
     grown -= np.log(part.spreads, where=seen, out=np.zeros_like(part.spreads))
     return miss, grown / _DIFFERENCE
+
+
+def _none(part: Prediction) -> tuple[Array, Array]:
+    """Slopes by a size whose difference ran away: it does not move."""
+    return np.zeros_like(part.misses), np.zeros_like(part.misses)
 
 
 def _regression(

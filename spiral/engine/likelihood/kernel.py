@@ -23,7 +23,7 @@ import numpy as np
 from numba import types
 
 from spiral.engine.filter.kernel import EXACT, hold, propagate, reset, sound, step_with_slopes
-from spiral.engine.kernel import MODEL_FUNCTION, VALUE_FUNCTION
+from spiral.physics.compile import MODEL_FUNCTION, VALUE_FUNCTION
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
@@ -348,3 +348,14 @@ def drive_own(rate, motion, between, inputs, values, dt, states):
                     total[i] += (2.0 if stage == 1 or stage == 2 else 1.0) * f[i]
             for i in range(n):
                 states[copy, k + 1, i] = states[copy, k, i] + dt / 6.0 * total[i]
+
+
+@nb.njit(
+    types.void(VALUE_FUNCTION, VALUE_FUNCTION, _F2, _F2, _F1, _F2, _F2),
+    cache=True, nogil=True, error_model="numpy",
+)  # fmt: skip
+def evaluate_along(rate, output, states, inputs, values, rates, readings):
+    """Rates (samples, n) and readings (samples, channels) of a model along its states, out."""
+    for k in range(states.shape[0]):
+        rate(states[k], inputs[k], values, rates[k])
+        output(states[k], inputs[k], values, readings[k])

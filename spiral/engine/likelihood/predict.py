@@ -15,9 +15,10 @@ from functools import cached_property
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, tracked_indices
-from spiral.engine.filter.task import Task, compiled_for
+from spiral.engine.filter.task import Task
 from spiral.engine.likelihood.noise import NoiseModel, matrices
 from spiral.engine.threads import THREADS
+from spiral.physics.compile import compile_model
 from spiral.types.record import Array
 
 Prepared = tuple[tuple[Task, FilterSettings], ...]
@@ -84,12 +85,10 @@ def predicted(
     """One record, with slopes by ``keys``; ``keep`` the means, ``carry`` what signatures need."""
     from spiral.engine.likelihood.kernel import predict_record
 
-    known = dict(task.model.pairs)
     tracked = tracked_indices(task, settings.tracked)
     both = np.concatenate([tracked, tracked_indices(task, tuple(keys))]).astype(np.int64)
     names = (*settings.tracked, *keys)
-    own = all(k in known and known[k].scope == "record" for k in names)
-    compiled = task.compiled if own else compiled_for(task.compiled.traced)
+    compiled = compile_model(task.compiled.traced, names)
     parts = matrices(task, settings, noise)
     samples, m = task.series.y.shape
     size, kept = len(parts.q), samples if keep or carry else 0
@@ -101,10 +100,11 @@ def predicted(
         np.zeros((more, m, size)),
     )  # fmt: skip
     grid, series = task.inputs, task.series
+    y = series.y if series.seen is None else np.where(series.seen, series.y, np.nan)
     done = predict_record(
         compiled.rate, compiled.output, np.concatenate([first, np.zeros(size - len(first))]),
         parts.p, task.values.copy(), both, len(tracked), grid, series.stages(grid),
-        series.substeps, series.dt, np.ascontiguousarray(series.y), parts.r, parts.q, parts.phi,
+        series.substeps, series.dt, np.ascontiguousarray(y), parts.r, parts.q, parts.phi,
         parts.seen, parts.driven, *arrays,
     )  # fmt: skip
     return Prediction(*arrays, int(done))

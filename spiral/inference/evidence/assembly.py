@@ -19,7 +19,7 @@ from spiral.engine.study import ORIGIN, CompiledStudy, ParameterColumns, columns
 from spiral.inference.evidence.lines import strongest_line
 from spiral.inference.evidence.scales import extremes, scale, spread_out, usable, visited
 from spiral.inference.problem import Problem
-from spiral.physics.compile import compile_model
+from spiral.physics.compile import Compiled, compile_model
 from spiral.physics.rest import check_rest, finite_along, undefined_along
 from spiral.physics.trace import trace
 from spiral.types.effect import Effect
@@ -57,8 +57,9 @@ class Assembly:
     """One compiled study with what it was made from.
 
     ``left_out`` are candidates that these records cannot be asked about, and why; ``regression``
-    is what ``strategy=paper`` keeps with it: differentiated samples and equations. ``offered`` are
-    variants of candidates that are not compiled: they are scored by their signatures.
+    is what ``strategy=paper`` keeps with it: differentiated samples and equations. A ``bare`` study
+    compiles only what its state holds; the variants ``offered`` beside it are scored by their
+    signatures.
     """
 
     problem: Problem
@@ -67,6 +68,7 @@ class Assembly:
     regression: Any = None
     left_out: Mapping[str, str] = field(default_factory=dict)
     offered: tuple[Variant, ...] = ()
+    bare: bool = False
 
     @property
     def later(self) -> tuple[Effect, ...]:
@@ -119,6 +121,13 @@ def offers(
 
 def compiled_with(problem: Problem, variants: Sequence[Variant], substeps: int) -> Assembly:
     """One compiled study of the problem's model and these variants."""
+    compiled, knot = compiled_of(problem, variants), problem.settings.phase_knot
+    series = tuple(prepare(problem.model.system, r, substeps, knot) for r in problem.records)
+    return Assembly(problem, CompiledStudy(compiled, series), tuple(variants))
+
+
+def compiled_of(problem: Problem, variants: Sequence[Variant]) -> Compiled:
+    """The problem's model and these variants, compiled."""
     model = problem.model
     effects = [*model.effects]
     shifts = [0.0] * len(effects)
@@ -130,9 +139,18 @@ def compiled_with(problem: Problem, variants: Sequence[Variant], substeps: int) 
             shifts.append(np.pi / 2)
     compiled = compile_model(trace(model.system, tuple(effects), tuple(shifts)))
     check_rest(compiled, model.system, (*model.effects, *problem.candidates))
-    knot = problem.settings.phase_knot
-    series = tuple(prepare(model.system, r, substeps, knot) for r in problem.records)
-    return Assembly(problem, CompiledStudy(compiled, series), tuple(variants))
+    return compiled
+
+
+def check_candidates(problem: Problem) -> None:
+    """Trace and evaluate at rest what will not be compiled before it is admitted.
+
+    Raises
+    ------
+    PluginError : a candidate that fails, or that is no number at rest.
+    """
+    model, effects = problem.model, (*problem.model.effects, *problem.candidates)
+    check_rest(compile_model(trace(model.system, effects)), model.system, effects)
 
 
 def _undefined(assembly: Assembly, states: Sequence[Array]) -> tuple[str, ...]:

@@ -92,9 +92,11 @@ def at_horizons(
         first, steps = run.settled[r], round(seconds / series.dt)
         task = task_for(test, model, run.values[r], series.record, series.substeps)
         one, ahead = forecaster(r, task, first, steps)
-        misses["one_sample"].append(one)
+        misses["one_sample"].append(_told(one, series, first))
         misses["ahead"].append(ahead)
-        misses["free_run"].append((run.predicted[r] - run.measured[r])[first:])
+        misses["free_run"].append(
+            _told((run.predicted[r] - run.measured[r])[first:], series, first)
+        )
     dt = test.study.series[0].dt
     reach = {"one_sample": dt, "ahead": seconds, "free_run": None}
     scale, names = run.deviations(), model.system.observed
@@ -108,6 +110,14 @@ def at_horizons(
         for name, found in misses.items()
         if name != "ahead" or seconds > dt
     )
+
+
+def _told(misses: Array, series: Series, first: int) -> Array:
+    """Misses from a sample on: zero where nothing was measured, the others larger by as much."""
+    if series.seen is None:
+        return misses
+    seen = series.seen[first:]
+    return np.where(seen, misses, 0.0) / np.sqrt(np.maximum(seen.mean(axis=0), 1e-9))
 
 
 def process_noise(

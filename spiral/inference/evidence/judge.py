@@ -35,21 +35,23 @@ _ORIGINS = 8  # phase origins tried for a record whose own is not known
 class FreeRun:
     """A prediction that never looked at the channels after its settling time.
 
-    Arrays (samples, channels) for each record; ``settled`` is the first sample scored.
+    Arrays (samples, channels) for each record; ``settled`` is the first sample scored; ``seen``
+    is False where a reading is no measurement, or nothing where all are.
     """
 
     predicted: tuple[Array, ...]
     measured: tuple[Array, ...]
     settled: tuple[int, ...]
     values: Array
+    seen: tuple[Array | None, ...] = ()
 
     def errors(self, names: tuple[str, ...]) -> dict[str, ChannelError]:
         """Error of each channel over all records, relative to its standard deviation."""
         found = {}
         for j, (name, spread) in enumerate(zip(names, self.deviations(), strict=True)):
-            miss = np.concatenate([(p - m)[s:, j] for p, m, s in zip(*self._parts(), strict=True)])
+            miss = np.concatenate([m[:, j] for m in self.misses()])
             with np.errstate(over="ignore", invalid="ignore"):
-                rmse = float(np.sqrt(np.mean(miss**2)))
+                rmse = float(np.sqrt(np.nanmean(miss**2))) if np.isfinite(miss).any() else np.inf
             rmse = rmse if np.isfinite(rmse) else np.inf
             found[name] = ChannelError(rmse, rmse / float(spread) if spread > 0 else np.inf)
         return found
@@ -60,8 +62,15 @@ class FreeRun:
         about = np.concatenate([part - part.mean(axis=0) for part in parts])
         return np.sqrt(np.mean(about**2, axis=0))
 
-    def _parts(self) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[int, ...]]:
-        return self.predicted, self.measured, self.settled
+    def misses(self) -> tuple[Array, ...]:
+        """(samples, channels) predicted less measured, of what is scored; NaN where nothing is."""
+        seen = self.seen or (None,) * len(self.predicted)
+        parts = zip(self.predicted, self.measured, self.settled, seen, strict=True)
+        return tuple(
+            (np.nan_to_num(p, nan=np.inf) - m)[s:] if k is None
+            else np.where(k, np.nan_to_num(p, nan=np.inf) - m, np.nan)[s:]
+            for p, m, s, k in parts
+        )  # fmt: skip
 
 
 def held_out(
@@ -156,4 +165,7 @@ def run_free(assembly: Assembly, stage: Stage, settled: tuple[int, ...]) -> Free
         run_windows(study, r, cut(s.samples, s.samples), point)[1]
         for r, s in enumerate(study.series)
     )
-    return FreeRun(predicted, tuple(s.y for s in study.series), settled, point.values)
+    return FreeRun(
+        predicted, tuple(s.y for s in study.series), settled, point.values,
+        tuple(s.seen for s in study.series),
+    )  # fmt: skip

@@ -29,17 +29,17 @@ from spiral.inference.likelihood.fitting import (
     explains,
     refitted,
     samples_of,
-    with_variants,
 )
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.holding import carried as carried_to
+from spiral.inference.unknown.holding import with_variants
 from spiral.types.effect import SensorEffect
-from spiral.types.record import Array
 
 _RIVALS = 8  # candidates refitted
-_HEAT, _RACE = 3, 12  # scoring steps for all rivals, and for those that keep up
+_HEAT, _RACE = 3, 12  # scoring steps for all rivals, at most, and for those that keep up
 _FAR, _FAR_ONES = 0.1, 3  # share of its bound that an amplitude starts from; shapes tried so
-_KEEP, _PROMISED = 0.3, 0.7  # share of the best gain, and of its score, that keeps up
+_KEEP, _PROMISED = 0.3, 0.7  # share of the best gain, and of its score, that keeps up at first
+_NEAR = 0.6  # share of the best gain that keeps up to the end
 _ODDS = 100.0  # ratio of likelihoods under which two candidates are not told apart
 
 
@@ -47,9 +47,11 @@ _ODDS = 100.0  # ratio of likelihoods under which two candidates are not told ap
 class Rival:
     """A candidate refitted on the blocks that select.
 
-    ``gain`` in log-likelihood over the model as it is; ``worth`` the same less Schwarz's price.
+    ``gain`` in log-likelihood over the model as it is; ``worth`` the same less Schwarz's price. The
+    fit is in terms of a study of its own, the model with this candidate.
     """
 
+    assembly: Assembly
     ranked: Ranked
     fit: LikelihoodFit
     gain: float
@@ -63,34 +65,25 @@ class Rival:
 
 def race(
     assembly: Assembly, base: LikelihoodFit, found: list[Ranked], masks: Masks, progress: Progress
-) -> tuple[Assembly, list[Rival]]:
-    """Candidates refitted on the blocks that select, best first; those that fell behind are out.
-
-    They are in terms of a study that has them all.
-    """
+) -> list[Rival]:
+    """Candidates refitted on the blocks that select, best first; those that fell behind are out."""
     far = [] if explains(base) else from_afar(assembly, base.state, found)
-    chosen = [*found[:_RIVALS], *far]
-    if not chosen:
-        return assembly, []
-    progress(f"compiling {len(chosen)} candidates")
-    wide = with_variants(assembly, [r.variant for r in chosen])
-    start = in_study(base, assembly, wide)
     runners = []
-    for ranked in chosen:
+    for ranked in [*found[:_RIVALS], *far]:
         progress(f"refitting with {ranked.variant.original.label}")
-        runners.append(_refit(wide, start, ranked, masks, _HEAT, ranked in far))
+        runners.append(_refit(assembly, base, ranked, masks, ranked in far))
     runners = [r for r in runners if r.fit.estimate.finite]
     if not runners:
-        return wide, []
-    best = max(runners, key=lambda r: r.worth)
-    promised = _PROMISED * best.ranked.score.gain
-    near = [r for r in runners
-            if r.worth >= _KEEP * best.worth or r.ranked.score.gain >= promised]  # fmt: skip
-    done = []
+        return []
+    promised = _PROMISED * max(runners, key=lambda r: r.worth).ranked.score.gain
+    least = _KEEP * max(r.worth for r in runners)
+    near = [r for r in runners if r.worth >= least or r.ranked.score.gain >= promised]
     for runner in near:
         progress(f"refitting with {runner.label}")
-        done.append(_further(wide, start, runner, masks, _RACE))
-    return wide, sorted(done, key=lambda r: -r.worth)
+    again = [_freed(base, _further(base, r, masks, _HEAT), masks) for r in near]
+    least = _NEAR * max(r.worth for r in again)
+    last = [_further(base, r, masks, _RACE) for r in again if r.worth >= least]
+    return sorted(last, key=lambda r: -r.worth)
 
 
 def from_afar(assembly: Assembly, state: FitState, found: list[Ranked]) -> list[Ranked]:
@@ -114,26 +107,18 @@ def from_afar(assembly: Assembly, state: FitState, found: list[Ranked]) -> list[
     return [known.get(v.label, Ranked(v, (0,), none, 0.0, v.searched)) for v in chosen]
 
 
-def in_study(fit: LikelihoodFit, old: Assembly, new: Assembly) -> LikelihoodFit:
-    """A fit's state in another study's order; its estimate stays in the old one's."""
-    return replace(fit, state=carried_to(fit.state, old, new))
-
-
 def _refit(
-    assembly: Assembly,
-    base: LikelihoodFit,
-    ranked: Ranked,
-    masks: Masks,
-    steps: int,
-    far: bool = False,
+    assembly: Assembly, base: LikelihoodFit, ranked: Ranked, masks: Masks, far: bool
 ) -> Rival:
     """A candidate added to the model as it is, a few steps from where that stands.
 
     ``far``: from a share of its bounds; else from zero, where the first step finds its size.
     """
-    wider = added(assembly, base.state, ranked, far)
-    fit = refitted(assembly, wider, base.estimate.noise, masks, steps, rough=True)
-    return _rival(base, ranked, fit)
+    own = with_variants(assembly, [ranked.variant])
+    wider = added(own, carried_to(base.state, assembly, own), ranked, far)
+    at = base.estimate
+    fit = refitted(own, wider, at.noise, masks, _HEAT, True, at.kept, differences=False)
+    return _rival(own, base, ranked, fit)
 
 
 def added(assembly: Assembly, state: FitState, ranked: Ranked, far: bool = False) -> FitState:
@@ -153,23 +138,30 @@ def added(assembly: Assembly, state: FitState, ranked: Ranked, far: bool = False
     )
 
 
-def _further(
-    assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks, steps: int
-) -> Rival:
-    """A rival's fit taken on, its shapes set free where the record tells them."""
-    fit = refitted(assembly, rival.fit.state, rival.fit.estimate.noise, masks, steps, rough=True)
-    fit = fit if fit.height >= rival.fit.height else rival.fit
-    plain = fit.estimate.noise.without(*EXTRA)
-    if len(plain.terms) < len(fit.estimate.noise.terms):
-        less = refitted(assembly, rival.fit.state, plain, masks, steps, rough=True)
-        fit = less if less.height >= fit.height else fit
-    tuned = rival.ranked.variant.tuned
-    if tuned:
-        freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *tuned))))
-        loose = refitted(assembly, freer, fit.estimate.noise, masks, steps, rough=True)
-        if loose.estimate.finite and told(loose, tuned):
-            fit = loose
-    return _rival(base, rival.ranked, fit)
+def _further(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Rival:
+    """A rival's fit taken on, with less at random where the record is as likely so."""
+    own, fit = rival.assembly, rival.fit
+    noise, plain = fit.estimate.noise, fit.estimate.noise.without(*EXTRA)
+    for trial in (plain, noise) if len(plain.terms) < len(noise.terms) else (noise,):
+        kept = fit.estimate.kept
+        found = refitted(own, fit.state, trial, masks, steps, rough=True, kept=kept)
+        if found.height >= fit.height:
+            fit = found
+            break
+    return _rival(own, base, rival.ranked, fit)
+
+
+def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
+    """A rival with its shapes set free, where the record tells them."""
+    tuned, own, fit = rival.ranked.variant.tuned, rival.assembly, rival.fit
+    if not tuned:
+        return rival
+    freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *tuned))))
+    at = fit.estimate
+    loose = refitted(own, freer, at.noise, masks, _RACE, rough=True, kept=at.kept)
+    if not (loose.estimate.finite and told(loose, tuned)):
+        return rival
+    return _rival(own, base, rival.ranked, loose)
 
 
 def told(fit: LikelihoodFit, keys: tuple[str, ...]) -> bool:
@@ -178,10 +170,10 @@ def told(fit: LikelihoodFit, keys: tuple[str, ...]) -> bool:
     return all(errors.get(k, np.inf) <= TOLD * abs(values.get(k, 0.0)) for k in keys)
 
 
-def _rival(base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit) -> Rival:
+def _rival(assembly: Assembly, base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit) -> Rival:
     gain = fit.height - base.height
     price = 0.5 * len(ranked.columns) * float(np.log(samples_of(fit.estimate.prepared)))
-    return Rival(ranked, fit, gain, gain - price)
+    return Rival(assembly, ranked, fit, gain, gain - price)
 
 
 @dataclass(frozen=True)
@@ -219,7 +211,7 @@ def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) 
     theirs = log_likelihood(rival.fit.estimate.parts, masks)
     ours = log_likelihood(base.estimate.parts, masks)
     before = max(_most_likely(assembly, base, masks), ours)
-    after = max(_most_likely(assembly, rival.fit, masks), theirs)
+    after = max(_most_likely(rival.assembly, rival.fit, masks), theirs)
     freed = set(rival.fit.state.freed) - set(base.state.freed)
     terms = len(rival.ranked.columns) + len(freed)
     searched = rival.ranked.variant.searched if freed else 1
@@ -230,7 +222,8 @@ def _most_likely(assembly: Assembly, fit: LikelihoodFit, masks: Masks) -> float:
     """The highest log-likelihood of a model on some blocks."""
     keys = fit.estimate.keys
     bounds = bounds_of(assembly, keys)
-    found = maximise(fit.estimate.prepared, keys, fit.estimate.noise, bounds, masks, _RACE)
+    at = fit.estimate
+    found = maximise(at.prepared, keys, at.noise, bounds, masks, _RACE, kept=at.kept)
     return found.log_likelihood
 
 
@@ -260,13 +253,3 @@ def machine_first(
 
 def _terms(rival: Rival) -> float:
     return 0.5 * len(rival.ranked.columns) * float(np.log(samples_of(rival.fit.estimate.prepared)))
-
-
-def response_change(base: LikelihoodFit, rival: Rival) -> Array:
-    """Root mean square of the change of each prediction, in standard deviations of the misses."""
-    before = np.concatenate([p.misses for p in base.estimate.parts])
-    after = np.concatenate([p.misses for p in rival.fit.estimate.parts])
-    spread = np.concatenate([np.sqrt(p.spreads) for p in base.estimate.parts])
-    seen = spread > 0
-    change = np.where(seen, (after - before) / np.where(seen, spread, 1.0), 0.0)
-    return np.sqrt(np.mean(change**2, axis=0))

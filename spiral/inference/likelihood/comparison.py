@@ -21,7 +21,6 @@ from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import predicted
 from spiral.engine.study import Point
-from spiral.inference.compare import settling, with_test
 from spiral.inference.evidence.assembly import (
     Assembly,
     columns,
@@ -29,6 +28,7 @@ from spiral.inference.evidence.assembly import (
     to_model,
     with_records,
 )
+from spiral.inference.evidence.comparison import settling, with_test
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import (
     Forecaster,
@@ -42,16 +42,19 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     colour,
     force_levels,
+    innovations,
     settled_values,
 )
 from spiral.inference.problem import Problem, Progress
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
-from spiral.types.run import Comparison
+from spiral.types.run import Comparison, Traces
 
 _STEPS = 8  # of least squares that refine a start
 _PERIODS = 3  # of the slowest mode that tell where a record begins
 _STILL = 1e-6  # share of the fastest rate under which a mode does not move
+_AGREE = 1.25  # ratio within which two estimates of the noise agree
+_SENSORS = ("white", "coloured", "band")  # noise that a sensor has all the time
 _TOLD = 0.5  # standard error of the logarithm of a size up to which it is told
 _COUNTS = 0.005  # share from which what acts at random counts
 _SHORTEST = 16  # samples of a settling part
@@ -85,15 +88,22 @@ def compared_by_likelihood(
         noise_floor=_floor(state.noise, names, run, problem),
         chi2_per_dof=estimate.chi2 if estimate.finite else np.inf,
         whiteness_p=0.0 if white is None else white.p,
-        whiteness_effect=np.inf if white is None else white.effect,
+        whiteness_effect=np.inf if white is None else white.effect * _weight(estimate),
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
         notes=tuple(n for r in problem.records for n in r.notes),
+        spoilt=tuple(n for r in problem.records for n in r.spoilt_words),
         noise_ratio=_stated(problem.records, state.noise),
         innovation_chi2=estimate.chi2 if estimate.finite else np.inf,
         unseen=unseen,
         random=sizes,
         random_times=times,
+        traces=Traces(
+            own.predicted,
+            () if other is None else run.predicted,
+            run.settled[0],
+            innovations(found),
+        ),
     )
 
 
@@ -220,18 +230,19 @@ def _floor(noise: NoiseModel | None, names: Sequence[str], run: FreeRun, problem
     """Measurement noise over the deviation of each channel, mean over channels.
 
     It is the fitted one, times what the judging records show without a model over what the fitted
-    ones show, where that is more than one: a sensor may be noisier there.
+    ones show, where that is more than one (a sensor may be noisier there) and where what is shown
+    without a model is the fitted noise, so that it can be relied on.
     """
     assert noise is not None
-    kinds = ("white", "coloured", "band")
     sizes = []
     for name in names:
-        fitted = sum(noise.values.get(f"{kind}.{name}", 0.0) ** 2 for kind in kinds)
+        fitted = sum(noise.values.get(f"{kind}.{name}", 0.0) ** 2 for kind in _SENSORS)
         there, here = (
             np.mean([r.sigma()[name] ** 2 for r in records])
             for records in (problem.test or problem.records, problem.records)
         )
-        sizes.append(np.sqrt(fitted * max(float(there / here), 1.0)))
+        reliable = 1 / _AGREE**2 <= here / fitted <= _AGREE**2 if fitted > 0 else False
+        sizes.append(np.sqrt(fitted * max(float(there / here), 1.0) if reliable else fitted))
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.mean(np.array(sizes) / run.deviations()))
 
@@ -246,6 +257,21 @@ def _stated(records: Sequence[Record], noise: NoiseModel | None) -> float | None
         if declared
     ]
     return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
+
+
+def _weight(estimate: Maximum) -> float:
+    """Variance of the misses over that of the sensors' noise, mean over channels, at most 1.
+
+    Coloured noise that its own past predicts leaves small misses: what is left of its colour in
+    them is a share of these, and as much smaller a share of the noise.
+    """
+    task, noise = estimate.prepared[0][0], estimate.noise
+    shares = []
+    for j, name in enumerate(task.compiled.traced.channels):
+        misses = np.concatenate([p.misses[:, j] for p in estimate.parts])
+        size = sum(noise.values.get(f"{k}.{name}", 0.0) ** 2 for k in _SENSORS)
+        shares.append(float(np.mean(misses**2)) / size if size > 0 else 1.0)
+    return min(_mean(shares), 1.0)
 
 
 def _mean(values) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,16 +9,15 @@ import numpy as np
 from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.setup import smoothed
 from spiral.engine.filter.task import Task, compiled_for, linearised, task_with
-from spiral.engine.likelihood.fit import Maximum, maximise
+from spiral.engine.likelihood.fit import Kept, Maximum, maximise
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import Masks, Prepared, predicted
 from spiral.engine.series import Series, prepare
 from spiral.engine.statistics import Whiteness, whiteness
-from spiral.inference.evidence.assembly import Assembly, Variant, columns, compiled_with
+from spiral.inference.evidence.assembly import Assembly, columns
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import doubts
 from spiral.inference.evidence.scales import spread_out
-from spiral.inference.unknown.holding import variant_of
 from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
@@ -51,7 +49,7 @@ def taken_on(
     """
     at = found.estimate
     bounds = bounds_of(assembly, at.keys)
-    estimate = maximise(at.prepared, at.keys, noise or at.noise, bounds, rough=rough)
+    estimate = maximise(at.prepared, at.keys, noise or at.noise, bounds, rough=rough, kept=at.kept)
     return LikelihoodFit(with_estimate(found.state, estimate), estimate)
 
 
@@ -101,38 +99,6 @@ def on_steps(assembly: Assembly, substeps: int) -> tuple[Series, ...]:
     return tuple(prepare(assembly.problem.model.system, s.record, substeps) for s in series)
 
 
-def held(assembly: Assembly, state: FitState) -> Assembly:
-    """The study compiled with all effects of a state; the same where it has them.
-
-    The state's values are in its order.
-    """
-    known = {*assembly.problem.model.labels, *(v.label for v in assembly.variants)}
-    return with_variants(
-        assembly, [_variant(assembly, x) for x in state.labels if x not in known]
-    )  # fmt: skip
-
-
-def _variant(assembly: Assembly, label: str) -> Variant:
-    """A variant by its label, of those offered or of an effect with states of its own."""
-    for variant in assembly.offered:
-        if variant.label == label:
-            return variant
-    name, _, tag = label.partition("#")
-    effect = next(e for e in assembly.later if e.label == name)
-    return variant_of(effect, tag, {})
-
-
-def with_variants(assembly: Assembly, more: Sequence[Variant]) -> Assembly:
-    """A study compiled with further variants, its records as they are."""
-    known = {v.label for v in assembly.variants}
-    new = tuple({v.label: v for v in more if v.label not in known}.values())
-    if not new:
-        return assembly
-    steps = assembly.study.series[0].substeps
-    made = compiled_with(assembly.problem, (*assembly.variants, *new), steps)
-    return replace(made, left_out=assembly.left_out, offered=assembly.offered)
-
-
 def finer(found: LikelihoodFit) -> int:
     """Integration steps per sample that the motion asks for: |eigenvalue| dt of 0.3 along it."""
     fastest = 0.0
@@ -153,6 +119,8 @@ def refitted(
     masks: Masks = None,
     steps: int = 40,
     rough: bool = False,
+    kept: Kept | None = None,
+    differences: bool = True,
 ) -> LikelihoodFit:
     """The most likely values of a state's parameters and of its noise.
 
@@ -160,13 +128,17 @@ def refitted(
     ----------
     noise : to start from; left out, the state's own, or white noise as the record has it with
         much process noise.
-    masks : samples of each record that count. steps : at most so many; ``rough`` as in
-        ``maximise``.
+    masks : samples of each record that count. steps : at most so many; ``rough``, ``kept``
+        and ``differences`` as in ``maximise``.
     """
     prepared = subjects(assembly, state)
     noise = noise or state.noise or first_noise(prepared[0][0], LEVEL)
     keys = moving(assembly, state)
-    estimate = maximise(prepared, keys, noise, bounds_of(assembly, keys), masks, steps, rough=rough)
+    bounds = bounds_of(assembly, keys)
+    estimate = maximise(
+        prepared, keys, noise, bounds, masks, steps,
+        rough=rough, kept=kept, differences=differences,
+    )  # fmt: skip
     return LikelihoodFit(with_estimate(state, estimate), estimate)
 
 
@@ -204,13 +176,15 @@ def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
         starts.append(start)
     if not far:
         return found
-    again = refitted(assembly, replace(found.state, starts=tuple(starts)), rough=True)
+    kept = found.estimate.kept
+    again = refitted(assembly, replace(found.state, starts=tuple(starts)), rough=True, kept=kept)
     return again if again.height > found.height else found
 
 
 def _head(series: Series) -> Series:
     samples = min(series.samples, _HEAD)
-    return replace(series, y=np.ascontiguousarray(series.y[:samples]))
+    seen = None if series.seen is None else series.seen[:samples]
+    return replace(series, y=np.ascontiguousarray(series.y[:samples]), seen=seen)
 
 
 def _head_inputs(task: Task) -> Array:

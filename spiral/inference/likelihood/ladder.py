@@ -35,6 +35,7 @@ from spiral.inference.problem import Progress
 _ODDS = 100.0  # to one, for which a term is kept
 _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of the one that is kept
 _ROUNDS = 2
+_LEAST = 1.5  # times its least value from which a random force is one
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,25 @@ def _part(at: Maximum) -> Prepared:
         task.model, task.compiled, task.values.copy(), record, substeps=task.series.substeps
     )
     return (filter_prepared(short, settings.tracked, doubts(settings.tracked)),)
+
+
+def quieted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
+    """The fit without random forces that are not worth their price.
+
+    Of a machine that nothing disturbs half the records would have some by chance, and standard
+    errors that are too large with it.
+    """
+    noise, task = found.estimate.noise, found.estimate.prepared[0][0]
+    least = {
+        t.size: limits(task, t.size)[0]
+        for t in noise.terms
+        if t.kind == "force" and noise.values[t.size] > _LEAST * limits(task, t.size)[0]
+    }
+    if not found.estimate.finite or not least:
+        return found
+    trial = taken_on(assembly, found, noise.with_values(least), rough=True)
+    price = 0.5 * len(least) * float(np.log(samples_of(trial.estimate.prepared)))
+    return trial if trial.height > found.height - price else found
 
 
 def _price(noise: NoiseModel, before: NoiseModel, count: int) -> float:

@@ -41,7 +41,7 @@ from spiral.physics.signatures import Along, Own, amplitude_names, signatures
 from spiral.types.effect import Effect
 from spiral.types.record import Array
 
-_CHUNK = 1024  # samples whose signatures are in memory at a time
+_ROOM = 4_000_000  # numbers of signatures that are in memory at a time
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
 _FINE = STEP ** np.linspace(-0.9, 0.9, 13)  # refinement of a peak
 
@@ -189,8 +189,9 @@ def _carried(passage: Passage, record: int, groups: Sequence[Group]) -> Array:
     width, n = sum(len(g.keys) for g in groups), len(task.states)
     found = np.zeros((samples, m, width))
     slopes = np.zeros((part.means.shape[1], width))
-    for first in range(0, samples, _CHUNK):
-        last = min(first + _CHUNK, samples)
+    chunk = max(_ROOM // max((n + m) * width, 1), 256)
+    for first in range(0, samples, chunk):
+        last = min(first + chunk, samples)
         where = slice(first, min(last + 1, samples))
         pushes, readings = _columns(along.part(where), groups, owns, where, record, width)
         whole = np.zeros((last - first + 1, n, width))
@@ -204,15 +205,17 @@ def _carried(passage: Passage, record: int, groups: Sequence[Group]) -> Array:
 
 def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
     """The filtered motion of a record: states of the system, rates and readings of the model."""
+    from spiral.engine.likelihood.kernel import evaluate_along
+
     system = assembly.problem.model.system
     n, count = len(system.states), len(task.states)
     inputs = task.inputs[:: 2 * task.series.substeps]
     rates, readings = np.empty((len(part.means), count)), np.empty_like(task.series.y)
     rows = np.ascontiguousarray(part.means[:, :count])
-    for k, x in enumerate(rows):
-        u = np.ascontiguousarray(inputs[k])
-        task.compiled.rate_value(x, u, task.values, rates[k])
-        task.compiled.output_value(x, u, task.values, readings[k])
+    evaluate_along(
+        task.compiled.rate_value, task.compiled.output_value, rows, np.ascontiguousarray(inputs),
+        task.values, rates, readings,
+    )  # fmt: skip
     known = dict(zip(task.keys, map(float, task.values), strict=True))
     values = {p.name: known[f"system.{p.name}"] for p in system.parameters}
     return Along(system, rows[:, :n], inputs, rates[:, :n], readings, values)

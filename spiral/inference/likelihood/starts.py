@@ -3,7 +3,8 @@
 1. the values given, or the balance of forces through the measured motion (``fit_state.begin``);
 2. a fit on windows of 64 and 256 samples, which bears values that are far off where the motion is
    measured;
-3. the first again with process noise ten times smaller and ten times larger to begin with.
+3. the first again with process noise ten times smaller and ten times larger to begin with;
+4. where what is left is not white, the best so far with all of that taken for sensor noise.
 
 Each is taken a few steps, and the most likely one to its maximum. The next is tried only while the
 best so far does not explain the records (its fit did not converge, or it needs a random force that
@@ -17,13 +18,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.likelihood.noise import first_noise
-from spiral.inference.compare import last_stage
+from spiral.engine.likelihood.noise import NoiseModel, first_noise
+from spiral.engine.likelihood.predict import all_predicted
 from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import FitState, all_samples, stage_lengths
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     LikelihoodFit,
+    colour,
     explains,
     finer,
     refitted,
@@ -31,11 +34,13 @@ from spiral.inference.likelihood.fitting import (
     samples_of,
     subjects,
 )
+from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.problem import Progress
 
 _HEAT = 8  # scoring steps of each start
 _SAME = 0.02  # log-likelihood a reading up to which two starts have led to one place
 _WINDOWS = 2  # window lengths of a start from windows
+_QUIET = 1e-3  # level of a random force that does next to nothing
 
 
 def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> LikelihoodFit:
@@ -55,6 +60,36 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
     progress("most likely values of the model as it is")
     found = on_finer_steps(assembly, refitted(assembly, best.state, rough=True))
     return restarted(assembly, found)
+
+
+def rebalanced(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
+    """The fit begun again with all that it misses taken for sensor noise, if that is better.
+
+    Noise of a sensor and a random force on what it measures look alike over few samples: a fit may
+    end where one of them does the work of the other, and what is left is then not white. Noise that
+    is not white looks like motion, so the ladder is climbed from there as well.
+    """
+    if not found.estimate.finite or _white(assembly, found):
+        return found
+    progress("starting again with sensor noise alone")
+    again = refitted(assembly, found.state, _sensors_alone(found), rough=True)
+    if not _white(assembly, again):
+        again = climbed_ladder(assembly, again, progress)
+    return again if again.height > found.height else found
+
+
+def _sensors_alone(found: LikelihoodFit) -> NoiseModel:
+    """Noise of the sensors as large as what the model misses where no reading corrects it much."""
+    prepared = found.estimate.prepared
+    deaf = first_noise(prepared[0][0], _QUIET, prepared[0][0].series.y.std(axis=0))
+    parts = all_predicted([(prepared, deaf)])[0]
+    misses = np.concatenate([p.misses for p in (parts if all(p.whole for p in parts)
+                                                else found.estimate.parts)])  # fmt: skip
+    return first_noise(prepared[0][0], _QUIET, np.sqrt(np.mean(misses**2, axis=0)))
+
+
+def _white(assembly: Assembly, found: LikelihoodFit) -> bool:
+    return colour(assembly, found).p >= assembly.problem.settings.whiteness_level
 
 
 def on_finer_steps(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:

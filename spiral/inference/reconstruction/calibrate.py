@@ -36,7 +36,6 @@ from spiral.engine.growth import Stage, carried_starts, layouts_for
 from spiral.engine.sensitivities import reduce
 from spiral.engine.study import ParameterColumns, Point
 from spiral.engine.threads import one_blas_thread
-from spiral.inference.compare import last_stage, prepared, standard_errors
 from spiral.inference.evidence.admission import TOLD
 from spiral.inference.evidence.assembly import (
     ORIGIN,
@@ -46,6 +45,7 @@ from spiral.inference.evidence.assembly import (
     unknown_keys,
     with_steps,
 )
+from spiral.inference.evidence.comparison import last_stage, prepared, standard_errors
 from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.model import Model

@@ -10,9 +10,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.assembly import Assembly, effects_of
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.problem import Problem, Progress
+from spiral.types.effect import Effect
 from spiral.types.run import Comparison, Stopped, Suggestion
 
 
@@ -70,7 +71,8 @@ class Strategy:
     refits with it.
 
     Where any candidate may be admitted by hand, ``ranked(step)`` lists all that a step scored, and
-    ``choose(assembly, standing, step, label)`` puts one in place of its own proposal.
+    ``choose(assembly, standing, step, label)`` puts one in place of its own proposal;
+    ``admit(assembly, standing, label, progress)`` refits with one that nothing was asked about.
     """
 
     name: str
@@ -79,3 +81,10 @@ class Strategy:
     settle: Callable[[Assembly, Step, Progress], Settled]
     ranked: Callable[[Step], tuple[Suggestion, ...]] | None = None
     choose: Callable[[Assembly, FitState, Step, str], Step] | None = None
+    admit: Callable[[Assembly, FitState, str, Progress], Settled] | None = None
+
+
+def second_order(effect: Effect, assembly: Assembly, state: FitState) -> bool:
+    """Whether an effect is what one that the state holds leaves beyond leading order."""
+    held = effects_of(assembly, state.labels)
+    return any(effect.plugin_name() in e.leaves for e in held)

@@ -21,9 +21,9 @@ from spiral.engine.filter.task import compiled_for, task_with
 from spiral.engine.filter.whitened import Whitened
 from spiral.engine.gate import Judgement, Trial, through
 from spiral.engine.statistics import whiteness
-from spiral.inference.compare import compared, prepared, refined
 from spiral.inference.evidence.admission import stepped
 from spiral.inference.evidence.assembly import Assembly, Variant, columns, to_model
+from spiral.inference.evidence.comparison import compared, prepared, refined
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import tested_keys
 from spiral.inference.problem import Problem, Progress

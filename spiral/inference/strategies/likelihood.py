@@ -15,42 +15,41 @@ from typing import Any
 
 import numpy as np
 
+from spiral.engine.likelihood.fit import informed
 from spiral.engine.statistics import spent
-from spiral.inference.compare import refined
-from spiral.inference.evidence.assembly import Assembly, compiled_with, offers
+from spiral.inference.evidence.assembly import Assembly, check_candidates, compiled_with, offers
+from spiral.inference.evidence.comparison import refined
 from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
 from spiral.inference.likelihood.candidates import (
     Rival,
     added,
     alike,
-    in_study,
     judged,
     machine_first,
     race,
-    response_change,
 )
 from spiral.inference.likelihood.comparison import compared_by_likelihood
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     colour,
-    held,
     refitted,
     restarted,
     taken_on,
-    with_variants,
 )
 from spiral.inference.likelihood.identify import untold
-from spiral.inference.likelihood.ladder import climbed_ladder, pruned
+from spiral.inference.likelihood.ladder import climbed_ladder, pruned, quieted
 from spiral.inference.likelihood.scores import ranking
-from spiral.inference.likelihood.starts import best_fit, on_finer_steps
-from spiral.inference.problem import Problem, Progress, silent
-from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.likelihood.starts import best_fit, on_finer_steps, rebalanced
+from spiral.inference.problem import Problem, Progress, Settings, silent
+from spiral.inference.strategies.base import Begun, Settled, Step, Strategy, second_order
 from spiral.inference.strategies.retire import let_go
 from spiral.inference.suggest import by_evidence
-from spiral.inference.unknown.holding import carried
+from spiral.inference.unknown.holding import carried, emptied, having, with_variants
+from spiral.inference.unknown.shape import applies, unknown_shape
 from spiral.inference.verdict import near_noise
-from spiral.types.horizon import Change, changes
+from spiral.types.errors import ConfigError
+from spiral.types.horizon import changes
 from spiral.types.run import Comparison, Stopped, Suggestion
 
 _LAST = 1e-6  # whiteness from which a model may be the last
@@ -63,15 +62,16 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
     progress("compiling the model")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
     problem = replace(problem, settings=settings)
+    check_candidates(problem)
     bare = compiled_with(problem, (), 1)
     state = replace(begin(bare, problem.model.labels), corrected=False)
     bare = refined(bare, state)
     found = best_fit(bare, state, progress)
-    found = climbed_ladder(bare, found, progress)
+    found = rebalanced(bare, climbed_ladder(bare, found, progress), progress)
     found = finished(bare, found, progress)
     settled = _settled(bare, found, progress)
     variants, left_out, _ = offers(replace(problem, model=settled.comparison.model))
-    assembly = replace(bare, offered=tuple(variants), left_out=left_out)
+    assembly = replace(bare, offered=tuple(variants), left_out=left_out, bare=True)
     groups = untold(found)
     return Begun(
         assembly, settled.standing, settled.comparison, settled.details, bool(groups), groups
@@ -82,6 +82,7 @@ def _settled(
     assembly: Assembly, found: LikelihoodFit, progress: Progress, retired: tuple[str, ...] = ()
 ) -> Settled:
     """A fit on all samples as the state of the study, compared with the test records."""
+    found = replace(found, estimate=informed(found.estimate))
     state, comparison = compared_by_likelihood(assembly, found, progress)
     details: dict[str, Any] = {"noise": dict(found.estimate.noise.values)}
     if found.estimate.finite:
@@ -104,41 +105,67 @@ class Scored:
 def _propose(
     assembly: Assembly, state: FitState, comparison: Comparison, number: int, progress: Progress
 ) -> Step:
-    assembly = held(assembly, state)
+    assembly = having(assembly, state.labels)
     select, judge = half_masks(assembly)
     progress("scoring candidates by one-step predictions")
     base = refitted(assembly, state, masks=select, steps=_WARM, rough=True)
     ranked = ranking(assembly, base, base.estimate.noise, select)
     if ranked is None:
         return Step((), {}, stopped="diverged")
-    wide, rivals = race(assembly, base, _promising(ranked), select, progress)
-    base = in_study(base, assembly, wide)
+    rivals = race(assembly, base, _promising(ranked), select, progress)
     rejected: dict[str, str] = {}
     level = spent(assembly.problem.settings.level, number) / _ASKED
     for place, rival in enumerate(rivals[:_ASKED]):
-        reason = _refused(wide, base, rival, judge, level)
+        reason = _refused(assembly, base, rival, judge, level)
         if reason:
             rejected[rival.label] = reason
             continue
         chosen, aliases = machine_first(rival, alike(rivals[place:]), rivals)
         progress(f"most likely values with {chosen.label}")
-        found = carried(chosen.fit.state, wide, with_variants(assembly, [chosen.ranked.variant]))
-        settled = _with(assembly, found, chosen.ranked, progress)
-        worse = [c for c in changes(comparison.unseen, settled.comparison.unseen)
-                 if c.judged == "worse"]  # fmt: skip
-        if worse:
-            rejected[chosen.label] = _said(worse[0])
+        settled = _with(chosen.assembly, chosen.fit.state, chosen.ranked.variant.label, progress)
+        reason = _unhelpful(comparison, settled.comparison, assembly.problem.settings)
+        if reason:
+            rejected[chosen.label] = reason
             continue
         effect = chosen.ranked.variant.original
         return Step(
             _suggestions(rivals, ranked, effect.label, aliases)[:_LISTED], rejected,
-            (effect.label,), {effect.label: aliases}, meaning=effect.meaning(),
-            found=Scored(ranked, tuple(rivals), settled),
+            (effect.label,), {effect.label: aliases}, second_order(effect, assembly, state),
+            effect.meaning(), found=Scored(ranked, tuple(rivals), settled),
         )  # fmt: skip
     near = near_noise(comparison, assembly.problem.settings)
     stopped: Stopped = "whiteness" if near else "no_candidate"
-    return Step(_suggestions(rivals, ranked, "", ())[:_LISTED], rejected, stopped=stopped,
+    step = Step(_suggestions(rivals, ranked, "", ())[:_LISTED], rejected, stopped=stopped,
                 found=Scored(ranked, tuple(rivals)))  # fmt: skip
+    return step if near else _with_curve(assembly, state, step, number, progress)
+
+
+def _with_curve(
+    assembly: Assembly, state: FitState, step: Step, number: int, progress: Progress
+) -> Step:
+    """The step with the curve of what no candidate explains, where there is one.
+
+    It is found on windows (``spiral.inference.unknown``), and admitted where the settings say so.
+    """
+    if not applies(assembly):
+        return step
+    found = unknown_shape(assembly, state, half_masks(assembly), number, progress)
+    if found is None:
+        return step
+    details = {**step.details, "unknown": found.shape.as_dict()}
+    admitted = found.proposal.admitted
+    if not assembly.problem.settings.learned or admitted is None:
+        return replace(step, details=details)
+    variant = admitted.variant
+    own = having(assembly, admitted.standing.labels)
+    wider = replace(carried(admitted.standing, found.assembly, own), noise=None, corrected=False)
+    progress(f"most likely values with {variant.original.label}")
+    settled = _with(own, wider, variant.label, progress)
+    gone = (*settled.retired, *found.proposal.dropped)
+    return replace(
+        step, admitted=(variant.original.label,), meaning=variant.original.meaning(),
+        details=details, found=replace(step.found, settled=replace(settled, retired=gone)),
+    )  # fmt: skip
 
 
 def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
@@ -146,7 +173,7 @@ def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Li
     if not found.estimate.finite or colour(assembly, found).p < _LAST:
         return found
     progress("polishing the fit")
-    return taken_on(assembly, found)
+    return taken_on(assembly, quieted(assembly, found))
 
 
 def _promising(found: Ranking) -> list[Ranked]:
@@ -157,15 +184,8 @@ def _promising(found: Ranking) -> list[Ranked]:
 def _refused(
     assembly: Assembly, base: LikelihoodFit, rival: Rival, judge: Masks, level: float
 ) -> str:
-    settings = assembly.problem.settings
     if not rival.worth > 0:
         return "refitted, it does not make the record more likely than its price"
-    size = float(np.max(response_change(base, rival)))
-    if size < settings.smallest * 0.1:
-        return (
-            f"significant, but too small to matter: it changes the prediction by {size:.3f} noise "
-            f"standard deviations (least {settings.smallest:g})"
-        )
     found = judged(assembly, base, rival, judge)
     if not found.passes(level):
         return (
@@ -175,28 +195,48 @@ def _refused(
     return ""
 
 
-def _said(change: Change) -> str:
+def _unhelpful(before: Comparison, after: Comparison, settings: Settings) -> str:
+    """Why an effect does no good to what is predicted; empty where it does.
+
+    The squared error that it takes away, over what is left, is a size in standard deviations of
+    the noise; the largest over the horizons and the free run of the fitted records counts.
+    """
+    judged_ = changes(before.unseen, after.unseen)
+    for change in judged_:
+        if change.judged == "worse":
+            return (
+                f"the error on unseen data grows ({change.horizon}: {100 * change.before:.3g} -> "
+                f"{100 * change.after:.3g} %)"
+            )
+    pairs = [(before.fit_error, after.fit_error), *((c.before, c.after) for c in judged_)]
+    sizes = [np.sqrt(max((b / a) ** 2 - 1, 0.0)) if a > 0 else np.inf for b, a in pairs]
+    size = float(max(x if np.isfinite(x) else np.inf for x in sizes))
+    if size >= settings.smallest:
+        return ""
     return (
-        f"the error on unseen data grows ({change.horizon}: {100 * change.before:.3g} -> "
-        f"{100 * change.after:.3g} %)"
+        f"significant, but too small to matter: at no horizon does it take away more than "
+        f"{size:.2g} of what is left (least {settings.smallest:g})"
     )
 
 
-def _with(assembly: Assembly, state: FitState, ranked: Ranked, progress: Progress) -> Settled:
+def _with(own: Assembly, state: FitState, label: str, progress: Progress) -> Settled:
     """The model with a candidate, fitted to all samples; noise and effects not wanted any more go.
 
     Parameters
     ----------
-    assembly : the study without the candidate. state : with it, in the study compiled with it.
+    own : the study with the candidate. state : in its terms. label : the candidate's, compiled.
     """
-    own = with_variants(assembly, [ranked.variant])
     found = refitted(own, state, rough=True)
     found = restarted(own, on_finer_steps(own, found))
     found = pruned(own, found, progress)
-    found = climbed_ladder(own, found, progress)
+    found = rebalanced(own, climbed_ladder(own, found, progress), progress)
     found = finished(own, found, progress)
-    found, gone = _without_superfluous(own, found, ranked.variant.label)
-    return _settled(own, found, progress, gone)
+    found, gone = _without_superfluous(own, found, label)
+    settled = _settled(own, found, progress, gone)
+    if not gone:
+        return settled
+    final = having(emptied(own), settled.standing.labels)
+    return replace(settled, standing=carried(settled.standing, own, final))
 
 
 def _without_superfluous(
@@ -232,18 +272,43 @@ def _ranked(step: Step) -> tuple[Suggestion, ...]:
 def _choose(assembly: Assembly, state: FitState, step: Step, label: str) -> Step:
     """Another candidate in place of the proposal; no gate is asked."""
     scored: Scored = step.found
-    assembly = held(assembly, state)
-    ranked = next(r for r in scored.ranking.ranked if r.variant.original.label == label)
-    own = with_variants(assembly, [ranked.variant])
-    wider = added(own, carried(state, assembly, own), ranked)
-    settled = _with(assembly, wider, ranked, silent)
-    effect = ranked.variant.original
+    assembly = having(assembly, state.labels)
+    settled = _by_hand(assembly, state, _of(scored.ranking, label), silent)
+    effect = next(v.original for v in assembly.offered if v.original.label == label)
     group = set(step.admitted) | {x for v in step.aliases.values() for x in v}
     aliases = tuple(sorted(group - {label})) if label in group else ()
     return replace(
         step, suggestions=_ranked(step)[:_LISTED], admitted=(label,), aliases={label: aliases},
-        meaning=effect.meaning(), found=replace(scored, settled=settled),
+        second_order=second_order(effect, assembly, state), meaning=effect.meaning(),
+        found=replace(scored, settled=settled),
     )  # fmt: skip
+
+
+def _admit(assembly: Assembly, state: FitState, label: str, progress: Progress) -> Settled:
+    """An effect admitted by its name, with the shapes that the record prefers."""
+    assembly = having(assembly, state.labels)
+    base = refitted(assembly, state, steps=_WARM, rough=True)
+    progress(f"refitting with {label}")
+    found = ranking(assembly, base, base.estimate.noise, None)
+    if found is None:
+        raise ConfigError(f"add {label}", "a model whose fit does not diverge",
+                          "check units and signs of the channels")  # fmt: skip
+    return _by_hand(assembly, state, _of(found, label), progress)
+
+
+def _of(found: Ranking, label: str) -> Ranked:
+    """The best variant of an effect among those ranked."""
+    for ranked in found.ranked:
+        if ranked.variant.original.label == label:
+            return ranked
+    raise ConfigError(f"add {label}", "an effect that these records can be asked about",
+                      "it is no number along them, or nothing moves at its port")  # fmt: skip
+
+
+def _by_hand(assembly: Assembly, state: FitState, ranked: Ranked, progress: Progress) -> Settled:
+    own = with_variants(assembly, [ranked.variant])
+    wider = added(own, carried(state, assembly, own), ranked)
+    return _with(own, wider, ranked.variant.label, progress)
 
 
 def _suggestions(
@@ -272,4 +337,4 @@ def _as_suggestion(rival: Rival, listed: Mapping[str, Suggestion]) -> Suggestion
     )  # fmt: skip
 
 
-LIKELIHOOD = Strategy("likelihood", _begin, _propose, _settle, _ranked, _choose)
+LIKELIHOOD = Strategy("likelihood", _begin, _propose, _settle, _ranked, _choose, _admit)

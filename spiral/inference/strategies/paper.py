@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.gate import Judgement, Trial, through
-from spiral.inference.compare import compared, refined
 from spiral.inference.evidence.assembly import Assembly, assemble, first_row, to_model
+from spiral.inference.evidence.comparison import compared, refined
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.paper.halton import (
     Regressor,

@@ -13,9 +13,9 @@ from scipy import stats
 
 from spiral.engine.growth import Stage
 from spiral.engine.statistics import paired_errors
-from spiral.inference.compare import fitted_model
 from spiral.inference.evidence.admission import Admitted, admit, refit
 from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.comparison import fitted_model
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.judge import held_out
 from spiral.inference.evidence.scoring import tested_keys

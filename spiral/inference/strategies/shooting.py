@@ -11,23 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from spiral.inference.compare import judged, last_stage, prepared
 from spiral.inference.evidence.admission import Admitted, admit
 from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.comparison import judged, last_stage, prepared
 from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
 from spiral.inference.evidence.scoring import tested_keys
 from spiral.inference.identifiability.parameters import entangled
 from spiral.inference.problem import Problem, Progress
-from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.strategies.base import Begun, Settled, Step, Strategy, second_order
 from spiral.inference.strategies.resolved import remembered
 from spiral.inference.strategies.retire import let_go, simplest, superfluous
 from spiral.inference.suggest import Proposal, by_evidence, propose
 from spiral.inference.unknown.holding import carried, having, holding, moved
 from spiral.inference.unknown.shape import Found, applies, unknown_shape
 from spiral.types.run import Comparison, Stopped, Suggestion
-
-SECOND_ORDER = ("cross_damping", "speed_stiffness")
-"""Effects that a hidden tilt leaves beyond leading order (design, fact 3)."""
 
 
 def _begin(problem: Problem, progress: Progress) -> Begun:
@@ -54,14 +51,14 @@ def _propose(
     proposal = remembered(assembly, standing, proposal, white, masks, number, progress)
     proposal = simplest(assembly, standing, proposal, masks[1])
     if proposal.admitted is not None:
-        return _step(standing, _in_place(begun, proposal.wide or assembly, proposal))
+        return _step(standing, assembly, _in_place(begun, proposal.wide or assembly, proposal))
     stopped = _why_stopped(proposal, comparison, level)
     details = _details(proposal)
     found = curve_of(assembly, standing, proposal, comparison, number, progress)
     if found is not None:
         details["unknown"] = found.shape.as_dict()
     if found is not None and assembly.problem.settings.learned:
-        step = _step(standing, _in_place(begun, found.assembly, found.proposal))
+        step = _step(standing, assembly, _in_place(begun, found.assembly, found.proposal))
         return replace(step, details={**step.details, **details})
     return Step(
         proposal.suggestions, proposal.rejected, stopped=stopped, details=details, found=proposal
@@ -113,16 +110,15 @@ def _in_place(begun: Assembly, place: Assembly, proposal: Proposal) -> Proposal:
     return replace(proposal, admitted=moved(admitted, place, final))
 
 
-def _step(standing: FitState, proposal: Proposal) -> Step:
+def _step(standing: FitState, place: Assembly, proposal: Proposal) -> Step:
     assert proposal.admitted is not None
     effect = proposal.admitted.variant.original
-    mediated = any(x.split("#")[0] == "gyroscopic" for x in standing.labels)
     return Step(
         proposal.suggestions,
         proposal.rejected,
         admitted=(effect.label,),
         aliases={effect.label: proposal.aliases},
-        second_order=mediated and effect.plugin_name() in SECOND_ORDER,
+        second_order=second_order(effect, place, standing),
         meaning=effect.meaning(),
         details=_details(proposal),
         found=proposal,
@@ -150,7 +146,7 @@ def _choose(assembly: Assembly, standing: FitState, step: Step, label: str) -> S
     others = (*step.admitted, *proposal.aliases)
     aliases = tuple(o for o in others if o != label) if label in others else ()
     chosen = replace(proposal, admitted=admitted, aliases=aliases)
-    return _step(standing, _in_place(begun, study, chosen))
+    return _step(standing, study, _in_place(begun, study, chosen))
 
 
 def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:

@@ -15,9 +15,9 @@ import numpy as np
 
 from spiral.engine.fit import covariance
 from spiral.engine.growth import Stage
-from spiral.inference.compare import last_stage
 from spiral.inference.evidence.admission import Admitted
 from spiral.inference.evidence.assembly import Assembly, columns
+from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.unknown.curvepath import Course, Path, courses
 from spiral.physics.learned import Learned, LearnedFlow, LearnedForce, spacing

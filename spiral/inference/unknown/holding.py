@@ -7,13 +7,21 @@ admission are carried to another by the names of their parameters.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from spiral.inference.compare import substeps_for
 from spiral.inference.evidence.admission import Admitted
-from spiral.inference.evidence.assembly import Assembly, Variant, assemble, first_row, with_steps
+from spiral.inference.evidence.assembly import (
+    Assembly,
+    Variant,
+    assemble,
+    compiled_of,
+    first_row,
+    with_steps,
+)
+from spiral.inference.evidence.comparison import substeps_for
 from spiral.inference.evidence.fit_state import FitState
 from spiral.types.effect import Effect
 from spiral.types.record import Array
@@ -22,13 +30,13 @@ from spiral.types.record import Array
 def holding(assembly: Assembly, standing: FitState) -> Assembly:
     """A study that has all effects of a standing, late ones too; the same where it has them.
 
-    The standing's values are in its order. Where an effect brings fast states its steps are finer.
+    The standing's values are in its order. Its steps are as fine as the standing wants them, or an
+    effect that brings fast states.
     """
     made = having(assembly, standing.labels)
-    if not len(made.study.own):
-        return made
-    now = made.study.series[0].substeps
-    substeps = substeps_for(made, standing.values[0])
+    now, substeps = made.study.series[0].substeps, standing.substeps
+    if len(made.study.own):
+        substeps = max(substeps, substeps_for(made, standing.values[0]))
     if substeps <= now:
         return made
     return with_steps(made, substeps)
@@ -40,9 +48,38 @@ def having(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
     names = {x.split("#")[0] for x in labels if x not in known}
     if not names:
         return assembly
+    if assembly.bare:
+        return with_variants(assembly, [_variant(assembly, x) for x in labels if x not in known])
     more = tuple(e for e in assembly.problem.dictionary if e.label in names)
     candidates = (*assembly.problem.candidates, *more)
     return reassembled(assembly, candidates, held_variants(assembly, labels))
+
+
+def _variant(assembly: Assembly, label: str) -> Variant:
+    """A variant by its label, of those offered or of an effect that is called for later."""
+    for variant in assembly.offered:
+        if variant.label == label:
+            return variant
+    name, _, tag = label.partition("#")
+    effects = (*assembly.later, *assembly.problem.dictionary)
+    return variant_of(next(e for e in effects if e.label == name), tag, {})
+
+
+def with_variants(assembly: Assembly, more: Sequence[Variant]) -> Assembly:
+    """A study compiled with further variants, its records as they are."""
+    known = {v.label for v in assembly.variants}
+    new = tuple({v.label: v for v in more if v.label not in known}.values())
+    if not new:
+        return assembly
+    variants = (*assembly.variants, *new)
+    study = replace(assembly.study, compiled=compiled_of(assembly.problem, variants))
+    return replace(assembly, study=study, variants=variants)
+
+
+def emptied(assembly: Assembly) -> Assembly:
+    """A bare study with none of its variants compiled."""
+    study = replace(assembly.study, compiled=compiled_of(assembly.problem, ()))
+    return replace(assembly, study=study, variants=())
 
 
 def held_variants(assembly: Assembly, labels: tuple[str, ...]) -> tuple[Variant, ...]:

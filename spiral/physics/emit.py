@@ -1,0 +1,291 @@
+"""Expressions and their exact derivatives as LLVM instructions, by forward differentiation.
+
+Every node of an expression becomes one value, however often it occurs, and beside it the slopes by
+those symbols that it depends on: d(ab) = a db + b da, d g(a) = g'(a) da, and so on. A slope that is
+zero by the structure of the expression is not there at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sympy as sp
+from llvmlite import ir
+
+DOUBLE = ir.DoubleType()
+_INTRINSIC = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log"}
+_LIBRARY = {
+    sp.tan: "tan", sp.tanh: "tanh", sp.sinh: "sinh", sp.cosh: "cosh", sp.asin: "asin",
+    sp.acos: "acos", sp.atan: "atan", sp.asinh: "asinh", sp.acosh: "acosh", sp.atanh: "atanh",
+    sp.erf: "erf", sp.floor: "floor", sp.ceiling: "ceil",
+}  # fmt: skip
+_ORDERED = {sp.Gt: ">", sp.Ge: ">=", sp.Lt: "<", sp.Le: "<=", sp.Eq: "==", sp.Ne: "!="}
+
+
+@dataclass(frozen=True)
+class Node:
+    """A value, and its slopes by the number of the variable; none that is zero everywhere."""
+
+    value: Any
+    slopes: Mapping[int, Any]
+
+
+class Emitter:
+    """Writes expressions into a block, with their slopes by some symbols.
+
+    Parameters
+    ----------
+    builder : where instructions go.
+    symbols : the value of every symbol.
+    active : the number of each symbol that slopes are wanted for.
+    """
+
+    def __init__(
+        self,
+        builder: ir.IRBuilder,
+        symbols: Mapping[sp.Symbol, Any],
+        active: Mapping[sp.Symbol, int],
+    ) -> None:
+        self._builder = builder
+        self._nodes: dict[sp.Basic, Node] = {}
+        self._conditions: dict[sp.Basic, Any] = {}
+        one = _number(1.0)
+        for symbol, value in symbols.items():
+            own = {active[symbol]: one} if symbol in active else {}
+            self._nodes[symbol] = Node(value, own)
+
+    def node(self, expression: sp.Basic) -> Node:
+        """The value of an expression and its slopes.
+
+        Raises
+        ------
+        TypeError : a function that has no machine code here.
+        """
+        known = self._nodes.get(expression)
+        if known is None:
+            known = self._nodes[expression] = self._new(expression)
+        return known
+
+    def _new(self, e: Any) -> Node:
+        if e.is_Number or e.is_NumberSymbol:
+            return Node(_number(float(e)), {})
+        if e.is_Add:
+            return self._sum([self.node(a) for a in e.args])
+        if e.is_Mul:
+            return self._product(e.args)
+        if e.is_Pow:
+            return self._power(*e.args)
+        if isinstance(e, sp.Piecewise):
+            return self._piecewise(e.args)
+        if isinstance(e, sp.Max | sp.Min):
+            return self._extreme(e)
+        if len(e.args) == 1:
+            return self._elementary(e.func, self.node(e.args[0]))
+        if isinstance(e, sp.atan2):
+            return self._angle(*(self.node(a) for a in e.args))
+        raise _unknown(e.func)
+
+    # --- values --------------------------------------------------------------------------------
+
+    def _call(self, name: str, *values: Any) -> Any:
+        """A function of the mathematics library."""
+        if name in (*_INTRINSIC.values(), "pow", "fabs", "sqrt"):
+            function = self._builder.module.declare_intrinsic(f"llvm.{name}", [DOUBLE])
+        else:
+            kind = ir.FunctionType(DOUBLE, [DOUBLE] * len(values))
+            module = self._builder.module
+            function = module.globals.get(name) or ir.Function(module, kind, name)
+        return self._builder.call(function, values)
+
+    def _times(self, a: Any, b: Any) -> Any:
+        if _is(a, 1.0):
+            return b
+        if _is(b, 1.0):
+            return a
+        return self._builder.fneg(b) if _is(a, -1.0) else self._builder.fmul(a, b)
+
+    def _over(self, a: Any, b: Any) -> Any:
+        return self._builder.fdiv(a, b)
+
+    def _less(self, a: Any, b: Any) -> Any:
+        return self._builder.fsub(a, b)
+
+    def _combined(self, *parts: tuple[Any, Node]) -> dict[int, Any]:
+        """Slopes of sum_i w_i n_i, the weights held."""
+        slopes: dict[int, Any] = {}
+        for weight, node in parts:
+            for key, slope in node.slopes.items():
+                term = self._times(weight, slope)
+                slopes[key] = self._builder.fadd(slopes[key], term) if key in slopes else term
+        return slopes
+
+    # --- rules ---------------------------------------------------------------------------------
+
+    def _sum(self, nodes: Sequence[Node]) -> Node:
+        value = nodes[0].value
+        for node in nodes[1:]:
+            value = self._builder.fadd(value, node.value)
+        return Node(value, self._combined(*((_number(1.0), n) for n in nodes)))
+
+    def _product(self, factors: Sequence[sp.Basic]) -> Node:
+        node = self.node(factors[0])
+        for factor in factors[1:]:
+            other = self.node(factor)
+            slopes = self._combined((other.value, node), (node.value, other))
+            node = Node(self._times(node.value, other.value), slopes)
+        return node
+
+    def _power(self, base: sp.Basic, exponent: Any) -> Node:
+        """Powers of small integers are products, negative powers quotients."""
+        node = self.node(base)
+        if exponent.is_Integer and int(exponent) < 0:
+            return self._inverse(self.node(base ** (-exponent)))
+        if exponent.is_Integer and int(exponent) <= 4:
+            return self._product([base] * int(exponent))
+        if exponent == sp.S.Half:
+            value = self._call("sqrt", node.value)
+            return Node(value, self._combined((self._over(_number(0.5), value), node)))
+        if base == sp.E:
+            return self._elementary(sp.exp, self.node(exponent))
+        power = self.node(exponent)
+        value = self._call("pow", node.value, power.value)
+        parts = []
+        if node.slopes:
+            less = self.node(exponent - 1)
+            below = self._call("pow", node.value, less.value)
+            parts.append((self._times(power.value, below), node))
+        if power.slopes:
+            parts.append((self._times(value, self._call("log", node.value)), power))
+        return Node(value, self._combined(*parts))
+
+    def _inverse(self, node: Node) -> Node:
+        value = self._over(_number(1.0), node.value)
+        weight = self._builder.fneg(self._times(value, value)) if node.slopes else value
+        return Node(value, self._combined((weight, node)))
+
+    def _piecewise(self, pieces: Sequence[Any]) -> Node:
+        """The first piece whose condition holds, of all that are there; NaN where none does."""
+        found = Node(_number(float("nan")), {})
+        for expression, condition in reversed(pieces):
+            node = self.node(expression)
+            if condition == sp.true:
+                found = node
+                continue
+            found = self._select(self._condition(condition), node, found)
+        return found
+
+    def _select(self, holds: Any, yes: Node, no: Node) -> Node:
+        zero = _number(0.0)
+        slopes = {
+            k: self._builder.select(holds, yes.slopes.get(k, zero), no.slopes.get(k, zero))
+            for k in dict.fromkeys((*yes.slopes, *no.slopes))
+        }
+        return Node(self._builder.select(holds, yes.value, no.value), slopes)
+
+    def _extreme(self, e: Any) -> Node:
+        sign = ">=" if isinstance(e, sp.Max) else "<="
+        node = self.node(e.args[0])
+        for other in map(self.node, e.args[1:]):
+            holds = self._builder.fcmp_ordered(sign, node.value, other.value)
+            node = self._select(holds, node, other)
+        return node
+
+    def _angle(self, y: Node, x: Node) -> Node:
+        squares = self._builder.fadd(self._times(y.value, y.value), self._times(x.value, x.value))
+        by_y = self._over(x.value, squares)
+        by_x = self._over(self._builder.fneg(y.value), squares)
+        return Node(self._call("atan2", y.value, x.value), self._combined((by_y, y), (by_x, x)))
+
+    def _condition(self, c: Any) -> Any:
+        known = self._conditions.get(c)
+        if known is None:
+            known = self._conditions[c] = self._new_condition(c)
+        return known
+
+    def _new_condition(self, c: Any) -> Any:
+        if c in (sp.true, sp.false):
+            return ir.Constant(ir.IntType(1), int(c == sp.true))
+        if type(c) in _ORDERED:
+            left, right = (self.node(a).value for a in c.args)
+            if isinstance(c, sp.Ne):
+                return self._builder.fcmp_unordered("!=", left, right)
+            return self._builder.fcmp_ordered(_ORDERED[type(c)], left, right)
+        if isinstance(c, sp.Not):
+            return self._builder.not_(self._condition(c.args[0]))
+        join = {sp.And: self._builder.and_, sp.Or: self._builder.or_}.get(type(c))
+        if join is None:
+            raise _unknown(type(c))
+        value = self._condition(c.args[0])
+        for other in c.args[1:]:
+            value = join(value, self._condition(other))
+        return value
+
+    def _elementary(self, function: Any, inner: Node) -> Node:
+        """g(a), and g'(a) da where a varies."""
+        x = inner.value
+        if function is sp.Abs:
+            value = self._call("fabs", x)
+        elif function is sp.sign:
+            return Node(self._sign(x), {})
+        elif function in _INTRINSIC:
+            value = self._call(_INTRINSIC[function], x)
+        elif function in _LIBRARY:
+            value = self._call(_LIBRARY[function], x)
+        else:
+            raise _unknown(function)
+        if not inner.slopes or function in (sp.floor, sp.ceiling):
+            return Node(value, {})
+        return Node(value, self._combined((self._slope(function, x, value), inner)))
+
+    def _sign(self, x: Any) -> Any:
+        zero = _number(0.0)
+        above = self._builder.select(self._builder.fcmp_ordered(">", x, zero), _number(1.0), zero)
+        return self._builder.select(self._builder.fcmp_ordered("<", x, zero), _number(-1.0), above)
+
+    def _slope(self, function: Any, x: Any, value: Any) -> Any:
+        """g'(x), where ``value`` is g(x)."""
+        b, one = self._builder, _number(1.0)
+        rules: dict[Any, Callable[[], Any]] = {
+            sp.Abs: lambda: self._sign(x),
+            sp.sin: lambda: self._call("cos", x),
+            sp.cos: lambda: b.fneg(self._call("sin", x)),
+            sp.exp: lambda: value,
+            sp.log: lambda: self._over(one, x),
+            sp.tan: lambda: b.fadd(one, self._times(value, value)),
+            sp.tanh: lambda: self._less(one, self._times(value, value)),
+            sp.sinh: lambda: self._call("cosh", x),
+            sp.cosh: lambda: self._call("sinh", x),
+            sp.asin: lambda: self._over(one, self._root(one, x, -1)),
+            sp.acos: lambda: b.fneg(self._over(one, self._root(one, x, -1))),
+            sp.atan: lambda: self._over(one, b.fadd(one, self._times(x, x))),
+            sp.asinh: lambda: self._over(one, self._root(one, x, 1)),
+            sp.acosh: lambda: self._over(one, b.fneg(self._root(one, x, 0))),
+            sp.atanh: lambda: self._over(one, self._less(one, self._times(x, x))),
+            sp.erf: lambda: self._times(
+                _number(1.1283791670955126),  # 2 / sqrt(pi)
+                self._call("exp", b.fneg(self._times(x, x))),
+            ),
+        }
+        return rules[function]()
+
+    def _root(self, one: Any, x: Any, sign: int) -> Any:
+        """sqrt(1 + x^2) or sqrt(1 - x^2); -sqrt(x^2 - 1) for sign 0."""
+        square, b = self._times(x, x), self._builder
+        if sign == 0:
+            return b.fneg(self._call("sqrt", b.fsub(square, one)))
+        return self._call("sqrt", (b.fadd if sign > 0 else b.fsub)(one, square))
+
+
+def _number(value: float) -> ir.Constant:
+    return ir.Constant(DOUBLE, value)
+
+
+def _is(value: Any, number: float) -> bool:
+    return isinstance(value, ir.Constant) and value.constant == number
+
+
+def _unknown(function: Any) -> TypeError:
+    name = getattr(function, "__name__", str(function))
+    return TypeError(f"{name} has no machine code; write it with the functions of spiral.math")

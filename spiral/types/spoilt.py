@@ -1,0 +1,162 @@
+"""Readings that are no measurement: spikes, values held through a dropout, clipped extremes.
+
+They are told from the signal alone, and only where nothing else can look alike:
+
+    spike    r_k = y_k - (4 (y_{k-1} + y_{k+1}) - (y_{k-2} + y_{k+2})) / 6 is above 12 robust
+             standard deviations of all r, and with y_k on that cubic the two readings on each side
+             are within 4: a step, a kink or a burst is not mended by one; no input moves so there
+    held     a run of readings that equal the one before exactly, three at least
+    clipped  readings that equal the largest or smallest exactly
+
+The last two need a signal that hardly ever repeats a value by itself: a coarse converter does, and
+so does a record without noise; of these nothing is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Array = np.ndarray
+
+_ROBUST, _OUT = 1.4826, 12.0  # median to standard deviation; how many of these stand out
+_AGREE = 4.0  # how many of these the neighbours may be off once one reading is mended
+_MOST = 0.05  # share of spikes beyond which they are the signal itself
+_REPEATS = 0.002  # share of repeated values from which a signal repeats them by itself
+_MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how it moves
+_RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
+_GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are noise
+
+
+@dataclass(frozen=True)
+class Spoilt:
+    """Readings of one channel that are no measurement; ``where`` (samples,) is True there."""
+
+    kind: Literal["spike", "held", "clipped"]
+    where: Array
+
+    def told(self, channel: str) -> str:
+        """In words."""
+        count, share = int(self.where.sum()), float(self.where.mean())
+        many = f"{count} reading{'s' if count > 1 else ''} ({100 * share:.2g} %)"
+        what = {
+            "spike": "stand out from their neighbours like spikes (outliers)",
+            "held": "repeat the one before exactly, as in a dropout",
+            "clipped": "rest at an extreme: the sensor clips (saturates)",
+        }[self.kind]
+        return f"sensor {channel}: {many} {what}; they are left out"
+
+    def part(self, cut: slice) -> Spoilt:
+        """A stretch of it."""
+        return Spoilt(self.kind, self.where[cut])
+
+
+def spoilt_readings(values: Array, inputs: Iterable[Array] = ()) -> tuple[Spoilt, ...]:
+    """What of a channel is no measurement.
+
+    Parameters
+    ----------
+    values : (samples,). inputs : (samples,) each, which may move a reading as a spike does.
+    """
+    found = []
+    same = np.diff(values) == 0
+    runs = _in_runs(same)
+    steady = float(np.mean(same & ~runs)) > _REPEATS or not _noisy(values[1:][~same])
+    if not steady:
+        clipped = _clipped(values)
+        held = np.concatenate([[False], runs]) & ~clipped
+        found = [s for s in (Spoilt("clipped", clipped), Spoilt("held", held))
+                 if s.where.mean() <= _MOST_STILL]  # fmt: skip
+    gone = np.logical_or.reduce([s.where for s in found]) if found else np.zeros(0, dtype=bool)
+    spikes = _spikes(bridged(values, gone) if found else values)
+    for given in inputs:
+        moved = _moves(given)
+        spikes &= ~np.convolve(moved, np.ones(5), "same").astype(bool)
+    if 0 < spikes.sum() <= _MOST * len(values):
+        found.append(Spoilt("spike", spikes))
+    return tuple(s for s in found if s.where.any())
+
+
+def bridged(values: Array, gone: Array) -> Array:
+    """The channel with straight lines where readings are gone."""
+    if not gone.any() or gone.all():
+        return values
+    at = np.arange(len(values))
+    return np.where(gone, np.interp(at, at[~gone], values[~gone]), values)
+
+
+def _in_runs(same: Array) -> Array:
+    """Where a repeated value belongs to a run of at least ``_RUN``."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    found = np.zeros(len(same), dtype=bool)
+    for first, last in edges.reshape(-1, 2):
+        if last - first >= _RUN:
+            found[first:last] = True
+    return found
+
+
+def _noisy(values: Array) -> bool:
+    """Whether high differences grow as those of noise do (13.6 times from the 4th to the 8th).
+
+    Those of a signal that is sampled well enough to be seen shrink.
+    """
+    if len(values) < 16:
+        return False
+    fourth, eighth = (float(np.median(np.abs(np.diff(values, k)))) for k in (4, 8))
+    return eighth > _GROWTH * fourth
+
+
+def _clipped(values: Array) -> Array:
+    found = np.zeros(len(values), dtype=bool)
+    for extreme in (values.max(), values.min()):
+        at = values == extreme
+        if at.sum() >= _TIES and np.any(at[1:] & at[:-1]):
+            found |= at
+    return found
+
+
+def _spikes(values: Array) -> Array:
+    """Readings without which those around them agree; the farthest off are mended first."""
+    found = np.zeros(len(values), dtype=bool)
+    if len(values) < 16:
+        return found
+    y, off = values.copy(), _off(values)
+    scale = _ROBUST * float(np.median(np.abs(off[2:-2])))
+    last = np.ones(1)
+    while last.any() and found.sum() <= _MOST * len(y):
+        off = _off(y)
+        last = np.zeros(len(y), dtype=bool)
+        for k in np.flatnonzero((np.abs(off) > _OUT * scale) & ~found):
+            near = slice(max(k - 2, 0), k + 3)
+            if np.abs(off[k]) < np.abs(off[near]).max():
+                continue  # a stronger one beside it goes first
+            around = slice(max(k - 4, 0), k + 5)
+            mended = y[around].copy()
+            mended[k - around.start] -= off[k]
+            left = np.abs(_off(mended)[np.r_[-2, -1, 1, 2] + k - around.start])
+            # another spike four readings on leaves one neighbour off
+            if np.sum(left > _AGREE * scale) <= 1 and np.median(left) <= _AGREE * scale:
+                last[k] = True
+        y[last] -= off[last]
+        found |= last
+    return found
+
+
+def _off(values: Array) -> Array:
+    """r, how far a reading is from a cubic through two neighbours on each side; 0 at the ends."""
+    found = np.zeros(len(values))
+    inner = 4 * (values[1:-3] + values[3:-1]) - (values[:-4] + values[4:])
+    found[2:-2] = values[2:-2] - inner / 6
+    return found
+
+
+def _moves(values: Array) -> Array:
+    """Where an input jumps: a second difference far above its usual ones."""
+    second = np.abs(np.diff(values, 2))
+    usual = float(np.median(second))
+    found = np.zeros(len(values), dtype=bool)
+    found[1:-1] = second > _OUT * usual + 1e-9 * float(np.ptp(values))
+    return found

@@ -1,0 +1,119 @@
+"""Readings that are no measurement: found where they are, nowhere else, and harmless then."""
+
+import numpy as np
+import pytest
+from spiral_plugins.effects.restoring import CubicStiffness
+from spiral_plugins.systems.oscillator import Oscillator
+
+import spiral
+from spiral.inference.simulate import simulate
+from spiral.types.model import seed_model
+from spiral.types.record import make_record
+from spiral.types.spoilt import bridged, spoilt_readings
+
+N = 4000
+TIME = 0.01 * np.arange(N)
+MOTION = np.sin(2 * np.pi * TIME) * np.exp(-0.01 * TIME) + 0.3 * np.sin(2 * np.pi * 3.1 * TIME)
+
+
+def noisy(seed, level=0.02):
+    return MOTION + level * MOTION.std() * np.random.default_rng(seed).normal(size=N)
+
+
+def kinds(values, inputs=()):
+    return {s.kind: s.where for s in spoilt_readings(values, inputs)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_spikes_are_found_where_they_are(seed):
+    rng = np.random.default_rng(seed)
+    values, at = noisy(seed), np.arange(7, N, 97)
+    values[at] += 5 * MOTION.std() * rng.choice([-1, 1], len(at))
+    found = np.flatnonzero(kinds(values)["spike"])
+    assert set(found) <= set(at)
+    assert len(found) >= 0.9 * len(at)
+
+
+def test_runs_of_one_value_are_held_and_extremes_are_clipped():
+    values = noisy(0)
+    held = np.zeros(N, dtype=bool)
+    for start in (500, 1200, 3100):
+        values[start : start + 5] = values[start - 1]
+        held[start : start + 5] = True
+    np.testing.assert_array_equal(kinds(values)["held"], held)
+    most = 0.8 * np.abs(MOTION).max()
+    clipped = np.clip(noisy(1), -most, most)
+    np.testing.assert_array_equal(kinds(clipped)["clipped"], np.abs(clipped) == most)
+
+
+def _harmless():
+    rng = np.random.default_rng(5)
+    square, step = np.sign(np.sin(TIME)), np.ptp(MOTION)
+    quiet = 0.02 * MOTION.std()
+    return {
+        "nothing": MOTION,
+        "noise": noisy(0),
+        "rest before": np.concatenate([np.zeros(500), MOTION]),
+        "8 bit": np.round(noisy(0) / (step / 256)) * (step / 256),
+        "12 bit": np.round(noisy(0) / (step / 4096)) * (step / 4096),
+        "square": square + quiet * rng.normal(size=N),
+        "square, no noise": square,
+        "triangle": np.abs(TIME % 1 - 0.5),
+        "saw": TIME % 1 + quiet * rng.normal(size=N),
+        "white": rng.normal(size=N),
+        "random walk": np.cumsum(rng.normal(size=N)),
+        "uniform": rng.uniform(size=N),
+        "stick-slip": np.sign(np.sin(TIME)) * np.maximum(np.abs(np.sin(TIME)) - 0.5, 0),
+    }
+
+
+@pytest.mark.parametrize("name", _harmless())
+def test_other_signals_have_none(name):
+    assert not kinds(_harmless()[name])
+
+
+def test_white_noise_is_hardly_ever_called_a_spike():
+    """12 robust standard deviations off, and neighbours that agree: none in 400 000 readings."""
+    rng = np.random.default_rng(6)
+    assert sum(len(kinds(MOTION + 0.1 * rng.normal(size=N))) for _ in range(100)) == 0
+
+
+def test_a_reading_that_an_input_moves_is_no_spike():
+    values, blow = noisy(2), np.zeros(N)
+    values[1000] += 5.0
+    assert "spike" in kinds(values)
+    blow[1000] = 3.0
+    assert "spike" not in kinds(values, [blow])
+
+
+def test_gone_readings_are_bridged_by_straight_lines():
+    gone = np.array([False, True, True, False, False, True])
+    np.testing.assert_allclose(
+        bridged(np.array([0.0, 9.0, 9.0, 3.0, 4.0, 9.0]), gone), [0, 1, 2, 3, 4, 4]
+    )
+
+
+TRUTH = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 0.8,
+         "cubic_stiffness.stiffness": 2e3}  # fmt: skip
+
+
+def test_the_missing_spring_is_found_beside_spikes_and_dropouts():
+    """1 % of spikes and ten dropouts: named, left out, and the coefficient within 3 errors."""
+    rng = np.random.default_rng(3)
+    model = seed_model(Oscillator(), (CubicStiffness(),), values=TRUTH)
+    time = np.arange(3000) / 200.0
+    force = 30 * np.sin(2 * np.pi * (1 + 3 * time / time[-1]) * time)
+    clean = simulate(model, time, {"force": force}, 0.02, rng)
+    x = clean.channels["x"].copy()
+    at = np.arange(11, 3000, 101)
+    x[at] += 5 * x.std() * rng.choice([-1, 1], len(at))
+    for start in range(250, 3000, 303):
+        x[start : start + 5] = x[start - 1]
+    record = make_record(Oscillator(), "spoilt", time, {"x": x}, {"force": force})
+    run = spiral.discover(record, "oscillator", candidates=["cubic_stiffness", "quadratic_damping"])
+    assert run.rounds[1].admitted == ("cubic_stiffness",)
+    assert "like spikes" in run.summary
+    assert "dropout" in run.summary
+    found = run.model.estimates()["cubic_stiffness"]["stiffness"]
+    assert abs(found.estimate - 2e3) < 3 * found.se
+    assert run.rounds[-1].comparison.fit_error < 0.03  # 0.024 without any of them
