@@ -123,7 +123,7 @@ def commands() -> list[tuple[str, float, str]]:
     demo = [spiral, "discover", "experiment=rotor_coastdown"]
     with tempfile.TemporaryDirectory() as folder:
         environment = {
-            **os.environ, "SPIRAL_CACHE": f"{folder}/models", "NUMBA_CACHE_DIR": f"{folder}/numba",
+            **os.environ, "NUMBA_CACHE_DIR": f"{folder}/numba",
             "XDG_CACHE_HOME": f"{folder}/xdg",
         }  # fmt: skip
 

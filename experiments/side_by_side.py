@@ -2,7 +2,7 @@
 
 python -m experiments.side_by_side [RUNS] [OVERRIDE...]
 
-Takes the latest run of ``strategy=shooting`` from the folder of runs, asks the paper's evidence
+Takes the latest run of the default strategy from the folder of runs, asks the paper's evidence
 about the same record (its run is kept in the folder ``published`` inside), and prints what each
 found.
 """

@@ -222,7 +222,7 @@ ROWS: dict[str, Imperfection] = {
     "amplitude_noise": Imperfection(("amplitude", "grows"), noise=growing),
     "stiffness_drift_1": Imperfection(("drift", "stiffness"), ("speed_stiffness",), drift=0.01),
     "stiffness_drift_5": Imperfection(("drift", "stiffness"), ("speed_stiffness",), drift=0.05),
-    "declared_half": Imperfection(("declared", "said to be"), declared=0.5),
-    "declared_double": Imperfection(("declared", "said to be"), declared=2.0),
+    "declared_half": Imperfection(("declare", "said to be"), declared=0.5),
+    "declared_double": Imperfection(("declare", "said to be"), declared=2.0),
 }
 """Every row by name; each is asked once with an effect hidden and once with none."""

@@ -149,9 +149,10 @@ def _converter(registry: Registry) -> Converter:
     converter.register_unstructure_hook(np.ndarray, lambda a: a.tolist())
     converter.register_structure_hook(np.ndarray, lambda data, _: np.asarray(data, dtype=float))
     none = override(omit=True)
-    for hook, made in (
-        (converter.register_unstructure_hook, make_dict_unstructure_fn),
-        (converter.register_structure_hook, make_dict_structure_fn),
-    ):
-        hook(Comparison, made(Comparison, converter, traces=none))
+    converter.register_unstructure_hook(
+        Comparison, make_dict_unstructure_fn(Comparison, converter, traces=none)
+    )
+    converter.register_structure_hook(
+        Comparison, make_dict_structure_fn(Comparison, converter, traces=none)
+    )
     return converter

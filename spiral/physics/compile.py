@@ -108,7 +108,8 @@ def _write(
 ) -> None:
     """A function of the module; with Jacobians by all states and these parameters, or without."""
     kind = VALUE_FUNCTION if columns is None else MODEL_FUNCTION
-    pointer = cpu_target.target_context.get_value_type(kind.ftype)
+    context: Any = cpu_target.target_context
+    pointer = context.get_value_type(kind.ftype)
     function = ir.Function(module, pointer.pointee, name)
     builder = ir.IRBuilder(function.append_basic_block())
     data = [builder.extract_value(a, 4) for a in function.args]

@@ -133,7 +133,7 @@ def test_aliases_are_compared_side_by_side(tab, served, picture):
     tab.wait_for_selector(".alike table")
     rows = tab.eval_on_selector_all(".alike tr", "all => all.map(r => r.innerText.split('\\t'))")
     assert rows[0][1:] == ["cubic stiffness", "hardening"]
-    assert [r[0] for r in rows[1:4]] == ["next sample", "0.1 s ahead", "free run"]
+    assert [r[0].split()[-1] for r in rows[1:4]] == ["sample", "ahead", "run"]
     assert rows[-1][0].startswith("χ²/dof, windows of ")
     assert all(one == other for _, one, other in rows[1:])  # to the digits shown
     picture(tab, "aliases-compared")

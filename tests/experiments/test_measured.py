@@ -23,7 +23,7 @@ def needs(file: str):
 @needs("cascaded_tanks/dataBenchmark.csv")
 def test_the_tanks_name_the_overflow_first():
     """One round: the seed near 0.67 V, the overflow on half of the record near 0.54 V."""
-    problem = problem_of("cascaded_tanks", ("settings.max_rounds=1",))
+    problem = problem_of("cascaded_tanks", ("settings.max_rounds=1", "strategy=shooting"))
     seed, first = scored(problem, discover(problem))
     assert seed.all == pytest.approx(0.67, abs=0.02)
     assert first.admitted == ("overflow",)
@@ -34,7 +34,7 @@ def test_the_tanks_name_the_overflow_first():
 @needs("cascaded_tanks/dataBenchmark.csv")
 def test_the_tanks_are_simulated_to_their_figure():
     """Overflow, the sensor's offset and its limit: at most 0.40 V over the whole test record."""
-    problem = problem_of("cascaded_tanks")
+    problem = problem_of("cascaded_tanks", ("strategy=shooting",))
     rounds = scored(problem, discover(problem))
     assert [x for r in rounds for x in r.admitted] == ["overflow", "offset", "sensor_saturation"]
     assert rounds[-1].all <= 0.40
@@ -44,14 +44,15 @@ def test_the_tanks_are_simulated_to_their_figure():
 def test_the_pendulum_needs_dry_friction_and_drag_together():
     """Neither alone helps on the smaller swings of the test; the pair halves the error and more."""
     words = "effect=[{}]", "values={{coulomb_friction.width: 0.05}}"
+    windows = ("strategy=shooting",)
     dry, drag = "coulomb_friction", "quadratic_damping"
 
     def error(*effects):
         given = [words[0].format(",".join(effects))]
         given += [words[1].format()] if dry in effects else []
-        return compare(problem_of("multiarm_pendulum", tuple(given))).test_error
+        return compare(problem_of("multiarm_pendulum", (*given, *windows))).test_error
 
-    seed = compare(problem_of("multiarm_pendulum")).test_error
+    seed = compare(problem_of("multiarm_pendulum", windows)).test_error
     assert seed == pytest.approx(0.083, abs=0.002)
     assert min(error(dry), error(drag)) > 0.99 * seed
     assert error(dry, drag) < 0.4 * seed

@@ -21,7 +21,9 @@ def ran(folder, *overrides):
 
 def test_a_table_is_made_of_saved_runs(tmp_path):
     """One run with each strategy, grouped; the figures are those of the runs' own results."""
-    results = {"paper": ran(tmp_path, *PAPER), "shooting": ran(tmp_path, *SHORT)}
+    results = {
+        "paper": ran(tmp_path, *PAPER), "shooting": ran(tmp_path, *SHORT, "strategy=shooting")
+    }  # fmt: skip
     rows = {r["strategy"]: r for r in load(tmp_path)}
     assert set(rows) == {"paper", "shooting"}
     for name, found in rows.items():

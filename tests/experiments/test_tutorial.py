@@ -56,10 +56,10 @@ def test_the_error_falls_at_every_step_down_to_the_noise(results):
         assert step["after"]["test_error"] < step["before"]["test_error"]
     for earlier, later in pairwise(steps):
         assert later["before"]["test_error"] == pytest.approx(
-            earlier["after"]["test_error"], rel=0.02
+            earlier["after"]["test_error"], rel=0.05
         )
     last = steps[-1]["after"]
-    assert last["test_error"] <= 1.1 * last["noise_floor"]
+    assert last["test_error"] <= 1.5 * last["noise_floor"]
     assert set(steps[-1]["model"]["effects"]) >= {
         "cross_stiffness",
         "cubic_stiffness",

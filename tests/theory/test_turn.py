@@ -56,7 +56,7 @@ def test_all_candidates_are_listed_and_no_other_can_be_added(study):
     _, strategy, assembly, at, step = study
     listed = [s.effect for s in candidates(strategy, step)]
     assert sorted(listed) == ["cross_stiffness", "cubic_stiffness", "gyroscopic"]
-    assert listed[0] == step.admitted[0]
+    assert step.admitted[0] in listed
     with pytest.raises(ConfigError, match="cubic_stifness"):
         chosen(strategy, assembly, at, step, "cubic_stifness")
 
@@ -111,12 +111,9 @@ def test_candidates_side_by_side_are_judged_on_windows_of_one_length(study, tmp_
 def test_the_order_is_that_of_its_first_figure_whatever_is_proposed(study):
     _, strategy, _, _, step = study
     found = candidates(strategy, step)
-    if strategy.name == "likelihood":  # those refitted come first, by what refits say
-        tried = {r.label for r in step.found.rivals}
-        found = [s for s in found if s.effect in tried]
-        assert [s.net for s in found] == sorted((s.net for s in found), reverse=True)
-        return
     assert [s.net for s in found] == sorted((s.net for s in found), reverse=True)
+    if strategy.name == "likelihood":
+        return
     assert all(s.net < s.explains for s in found)  # every parameter has its price
     proposal = step.found
     last = next(r for r in proposal.evidence.ranked if r.variant.original.label == found[-1].effect)

@@ -158,32 +158,20 @@ def maximise(
     differences : whether slopes by differences are made anew where steps keep less than they
         promise; without, a first look is cheap.
     """
-    search = _Search(keys, bounds or {}, masks, tune)
     enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
+    still = not (keys and differences)  # slopes are not made anew
+    search = _Search(keys, bounds or {}, masks, tune, enough, rough, still)
     parts = all_predicted([(prepared, noise)], keys)[0]
     height = log_likelihood(parts, masks)
     kept = kept if kept is not None and kept.fits(parts) else Kept()
     at = Maximum(prepared, noise, keys, height, parts, None, False, 0, kept=kept)
-    damping, held = _DAMPING, not (keys and differences)  # held: slopes are not made anew
-    fresh = held
-    for number in range(steps):
+    damping, fresh = _DAMPING, still
+    for _ in range(steps):
         if not at.finite:
             break
-        at = search.with_sizes(at)
-        found = search.climb(at, damping)
-        better, damping = found.better, found.damping
-        gain = 0.0 if better is None else better.log_likelihood - at.log_likelihood
-        at = replace(
-            at if better is None else better,
-            solved=found.solved, steps=number + 1, sizes=search.sizes(at),
-        )  # fmt: skip
-        kept_promise = gain >= _TRUE * found.promised
-        if gain < enough and (found.best < enough or (fresh and (rough or not kept_promise))):
-            return replace(at, converged=True)
-        if kept_promise:
-            fresh = held
-        elif not fresh:
-            at, fresh = search.with_differences(at), True
+        at, damping, fresh, done = search.advanced(at, damping, fresh)
+        if done:
+            break
     return at
 
 
@@ -194,21 +182,25 @@ def informed(at: Maximum) -> Maximum:
     """
     if not at.finite:
         return at
-    search = _Search(at.keys, {}, None, True)
+    search = _Search(at.keys, {}, None, True, _ENOUGH, False, True)
     at = search.with_differences(at)
-    return replace(at, solved=solve_triangle(*search.rows(at)), sizes=search.sizes(at))
+    upper, count = search.rows(at)
+    if not np.all(np.isfinite(upper)):
+        return at
+    return replace(at, solved=solve_triangle(upper, count), sizes=search.sizes(at))
 
 
 @dataclass(frozen=True)
 class _Step:
     """A damped step: where it leads, if it rises, and the damping to go on with.
 
-    ``promised`` its gain by the regression, ``best`` that of the step without damping.
+    ``promised`` its gain by the regression, ``best`` that of the step without damping. Nothing is
+    ``solved`` where slopes overflow.
     """
 
     better: Maximum | None
     damping: float
-    solved: Fit
+    solved: Fit | None
     promised: float
     best: float
 
@@ -221,6 +213,31 @@ class _Search:
     bounds: Mapping[str, tuple[float, float]]
     masks: Masks
     tune: bool
+    enough: float
+    rough: bool
+    still: bool
+
+    def advanced(
+        self, at: Maximum, damping: float, fresh: bool
+    ) -> tuple[Maximum, float, bool, bool]:
+        """One step further: where, the damping, whether slopes are of there, whether it ends."""
+        at = self.with_sizes(at)
+        found = self.climb(at, damping)
+        if found.solved is None:
+            return at, damping, fresh, True
+        better, damping = found.better, found.damping
+        gain = 0.0 if better is None else better.log_likelihood - at.log_likelihood
+        sizes, steps = self.sizes(at), at.steps + 1
+        at = replace(better or at, solved=found.solved, steps=steps, sizes=sizes)
+        faithful = gain >= _TRUE * found.promised
+        over = found.best < self.enough or (fresh and (self.rough or not faithful))
+        if (gain < self.enough and over) or (better is None and fresh):
+            return replace(at, converged=True), damping, fresh, True
+        if better is None:  # no step rises, however short
+            return self.with_differences(at), _DAMPING, True, False
+        if faithful:
+            return at, damping, self.still, False
+        return (at if fresh else self.with_differences(at)), damping, True, False
 
     def sizes(self, at: Maximum) -> tuple[str, ...]:
         """The sizes that move: those at their least value stay there."""
@@ -264,10 +281,12 @@ class _Search:
 
     def columns(self, at: Maximum) -> list[Array]:
         """Slopes of the whitened misses by parameters (sign turned), for every record."""
-        found = [p.columns.copy() for p in at.parts]
+        found = [p.columns.copy() for p in at.parts]  # of a slope that overflows nothing is told
         for j, key in enumerate(self.keys):
             for mine, more in zip(found, at.kept.beyond.get(key, ()), strict=False):
                 mine[:, :, j] += more
+        for mine in found:
+            mine[:, :, ~np.isfinite(mine).all(axis=(0, 1))] = 0.0
         return found
 
     def rows(self, at: Maximum) -> tuple[Array, int]:
@@ -285,6 +304,8 @@ class _Search:
         """The first damped step that rises."""
         names = (*self.keys, *self.sizes(at))
         upper, count = self.rows(at)
+        if not np.all(np.isfinite(upper)):
+            return _Step(None, damping, None, 0.0, 0.0)
         solved = solve_triangle(upper, count)
         norms = np.linalg.norm(upper[:, :-1], axis=0)
         before = float(np.sum(upper[:, -1] ** 2))

@@ -65,8 +65,8 @@ class Rival:
 
 def race(
     assembly: Assembly, base: LikelihoodFit, found: list[Ranked], masks: Masks, progress: Progress
-) -> list[Rival]:
-    """Candidates refitted on the blocks that select, best first; those that fell behind are out."""
+) -> tuple[list[Rival], list[Rival]]:
+    """Candidates refitted on the blocks that select, best first; beside them those left behind."""
     far = [] if explains(base) else from_afar(assembly, base.state, found)
     runners = []
     for ranked in [*found[:_RIVALS], *far]:
@@ -74,7 +74,7 @@ def race(
         runners.append(_refit(assembly, base, ranked, masks, ranked in far))
     runners = [r for r in runners if r.fit.estimate.finite]
     if not runners:
-        return []
+        return [], []
     promised = _PROMISED * max(runners, key=lambda r: r.worth).ranked.score.gain
     least = _KEEP * max(r.worth for r in runners)
     near = [r for r in runners if r.worth >= least or r.ranked.score.gain >= promised]
@@ -83,7 +83,8 @@ def race(
     again = [_freed(base, _further(base, r, masks, _HEAT), masks) for r in near]
     least = _NEAR * max(r.worth for r in again)
     last = [_further(base, r, masks, _RACE) for r in again if r.worth >= least]
-    return sorted(last, key=lambda r: -r.worth)
+    behind = [r for r in runners if all(r.ranked is not other.ranked for other in last)]
+    return sorted(last, key=lambda r: -r.worth), sorted(behind, key=lambda r: -r.worth)
 
 
 def from_afar(assembly: Assembly, state: FitState, found: list[Ranked]) -> list[Ranked]:

@@ -76,35 +76,37 @@ def compared_by_likelihood(
         run, starts = _runs(other, state, model, _settling(other, estimate.prepared[0][0]))
         forecaster = _forecaster(state, nuisances(assembly, state, model), starts)
         unseen = at_horizons(other, model, run, forecaster)
-    errors = run.errors(names)
-    white = colour(assembly, found) if estimate.finite else None
-    problem = assembly.problem
+    errors, problem = run.errors(names), assembly.problem
     sizes, times = acting(estimate)
+    tested = () if other is None else run.predicted
     return state, Comparison(
         model=model,
         fit_error=_mean(e.relative for e in own.errors(names).values()),
         test_error=_mean(e.relative for e in errors.values()),
         channels=errors,
         noise_floor=_floor(state.noise, names, run, problem),
-        chi2_per_dof=estimate.chi2 if estimate.finite else np.inf,
-        whiteness_p=0.0 if white is None else white.p,
-        whiteness_effect=np.inf if white is None else white.effect * _weight(estimate),
+        **_left(assembly, found),
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
         notes=tuple(n for r in problem.records for n in r.notes),
         spoilt=tuple(n for r in problem.records for n in r.spoilt_words),
         noise_ratio=_stated(problem.records, state.noise),
-        innovation_chi2=estimate.chi2 if estimate.finite else np.inf,
         unseen=unseen,
         random=sizes,
         random_times=times,
-        traces=Traces(
-            own.predicted,
-            () if other is None else run.predicted,
-            run.settled[0],
-            innovations(found),
-        ),
+        traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
     )
+
+
+def _left(assembly: Assembly, found: LikelihoodFit) -> dict[str, float]:
+    """Chi2 and whiteness of what is left."""
+    estimate = found.estimate
+    chi2 = estimate.chi2 if estimate.finite else np.inf
+    told = {"chi2_per_dof": chi2, "innovation_chi2": chi2}
+    if not estimate.finite:
+        return told | {"whiteness_p": 0.0, "whiteness_effect": np.inf}
+    white = colour(assembly, found)
+    return told | {"whiteness_p": white.p, "whiteness_effect": white.effect * _weight(estimate)}
 
 
 def _settling(other: Assembly, task: Task) -> float:

@@ -112,7 +112,8 @@ def _propose(
     ranked = ranking(assembly, base, base.estimate.noise, select)
     if ranked is None:
         return Step((), {}, stopped="diverged")
-    rivals = race(assembly, base, _promising(ranked), select, progress)
+    rivals, behind = race(assembly, base, _promising(ranked), select, progress)
+    tried = (*rivals, *behind)
     rejected: dict[str, str] = {}
     level = spent(assembly.problem.settings.level, number) / _ASKED
     for place, rival in enumerate(rivals[:_ASKED]):
@@ -129,14 +130,14 @@ def _propose(
             continue
         effect = chosen.ranked.variant.original
         return Step(
-            _suggestions(rivals, ranked, effect.label, aliases)[:_LISTED], rejected,
+            _suggestions(tried, ranked, effect.label, aliases)[:_LISTED], rejected,
             (effect.label,), {effect.label: aliases}, second_order(effect, assembly, state),
-            effect.meaning(), found=Scored(ranked, tuple(rivals), settled),
+            effect.meaning(), found=Scored(ranked, tried, settled),
         )  # fmt: skip
     near = near_noise(comparison, assembly.problem.settings)
     stopped: Stopped = "whiteness" if near else "no_candidate"
-    step = Step(_suggestions(rivals, ranked, "", ())[:_LISTED], rejected, stopped=stopped,
-                found=Scored(ranked, tuple(rivals)))  # fmt: skip
+    step = Step(_suggestions(tried, ranked, "", ())[:_LISTED], rejected, stopped=stopped,
+                found=Scored(ranked, tried))  # fmt: skip
     return step if near else _with_curve(assembly, state, step, number, progress)
 
 
@@ -266,7 +267,8 @@ def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
 def _ranked(step: Step) -> tuple[Suggestion, ...]:
     scored: Scored = step.found
     label = next(iter(step.admitted), "")
-    return _suggestions(scored.rivals, scored.ranking, label, step.aliases.get(label, ()))
+    found = _suggestions(scored.rivals, scored.ranking, label, step.aliases.get(label, ()))
+    return tuple(sorted(found, key=lambda s: -(s.net or 0.0)))  # one order, whatever is proposed
 
 
 def _choose(assembly: Assembly, state: FitState, step: Step, label: str) -> Step:
@@ -314,11 +316,23 @@ def _by_hand(assembly: Assembly, state: FitState, ranked: Ranked, progress: Prog
 def _suggestions(
     rivals: Sequence[Rival], found: Ranking, label: str, aliases: tuple[str, ...]
 ) -> tuple[Suggestion, ...]:
-    """The admitted one, then what was refitted by its worth, then others by their score."""
+    """The admitted one, then what was refitted by its worth, then others by their score.
+
+    A score promises what refits do not keep; of the others, whose scores are lower, no more is said
+    than what the least of those refitted explains.
+    """
     listed = {s.effect: s for s in by_evidence(found, None, ())}
-    refitted_ = [_as_suggestion(r, listed) for r in rivals]
-    known = {s.effect for s in refitted_}
-    named = [*refitted_, *(s for s in listed.values() if s.effect not in known)]
+    tried: dict[str, Suggestion] = {}
+    for rival in rivals:
+        tried.setdefault(rival.label, _as_suggestion(rival, listed))
+    least, net = (min((getattr(s, n) or 0.0 for s in tried.values()), default=1.0)
+                  for n in ("explains", "net"))  # fmt: skip
+    others = [
+        replace(s, explains=min(s.explains, least), net=min(s.net or 0.0, net))
+        for s in listed.values()
+        if s.effect not in tried
+    ]
+    named = [*tried.values(), *others]
     named = [replace(s, aliases=aliases) if s.effect == label else s for s in named]
     return tuple(sorted(named, key=lambda s: s.effect != label))
 
