@@ -87,7 +87,7 @@ class StudyView:
         ranked = turn is not None and turn.candidates is not None
         return [
             ("working", self._working, busy),
-            ("trouble", self._trouble, study.trouble),
+            ("trouble", self._trouble, (study.trouble, bool(study.turns or busy))),
             ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor)),
             (FALLING, self._falling, (tuple(t.serial for t in study.line), study.noise_floor)),
             ("missing", self._missing,
@@ -115,7 +115,11 @@ class StudyView:
         ui.linear_progress(busy.share, show_value=False, size="5px").props("instant-feedback")
 
     def _trouble(self, scene: Scene) -> None:
-        error = scene.study.trouble
+        error, begun = scene.study.trouble, scene.study.turns or scene.busy
+        if not error and not begun:  # its program ended before the first fit
+            ui.button(
+                "Fit the model as it is", on_click=lambda: self.session.start(self.ident)
+            ).props("unelevated")
         if not error:
             return
         with ui.element("div").classes("trouble").props('role="alert"'):

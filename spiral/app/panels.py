@@ -100,7 +100,7 @@ def channels(turn: Turn, units: Mapping[str, str]) -> str:
     chi2 = turn.result.get("chi2_per_dof")
     fit = "" if chi2 is None else f"χ² per degree of freedom {number(chi2, 3)}; "
     fit += (
-        f"whiteness p {probability(turn.result.get('whiteness_p'))}; windows of "
+        f"whiteness p {probability(turn.result.get('whiteness_p'))}; stretches of "
         f"{number(turn.result.get('horizon'))} samples"
     )
     return plain(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'
@@ -216,7 +216,7 @@ def contrast(rows: Sequence[Mapping[str, Any]], windows: int) -> str:
     ]
     figures += [
         ("fitted record, free run", [_shown(r["fit_error"]) for r in rows]),
-        (f"χ²/dof, windows of {windows}", [number(r["chi2_per_dof"], 3) for r in rows]),
+        (f"χ²/dof, stretches of {windows}", [number(r["chi2_per_dof"], 3) for r in rows]),
     ]
     columns = ("error on", *(words(r["effect"]) for r in rows))
     return plain(text.table(columns, [(name, *cells) for name, cells in figures], columns[1:]))

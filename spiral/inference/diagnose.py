@@ -70,15 +70,13 @@ def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Dia
     first = replace(first, details={} if shape is None else {"unknown": shape})
     verdict = seed_verdict(first, step.stopped, settings, bool(step.admitted))
     suggestions = () if verdict == "nothing_missing" else step.suggestions
+    advice = advice_for(verdict, step.stopped, [first], (), settings)
     if step.admitted and shape is None:
         after = strategy.settle(begun.assembly, step, progress).comparison.test_error
         best, *others = step.suggestions
         best = replace(best, test_error_before=comparison.test_error, test_error_after=after)
-        suggestions = (best, *others)
+        suggestions, advice = (best, *others), _advice(best)
     stage = whole(begun.assembly, standing.labels, standing.values)
-    advice = advice_for(verdict, step.stopped, [first], (), settings)
-    if step.admitted and shape is None:
-        advice = _advice(next(iter(suggestions)))
     return Diagnosis(
         verdict, comparison, suggestions, where(begun.assembly, stage), advice, stage.length,
         step.stopped == "diverged", unknown=shape, left_out=begun.assembly.left_out,

@@ -48,9 +48,8 @@ def white(found: Comparison, settings: Settings) -> bool:
     small = found.whiteness_effect <= settings.smallest**2
     if found.whiteness_p >= settings.whiteness_level or small:
         return True
-    coloured = any(k.split(".")[0] in ("coloured", "band") for k in found.random or {})
     at_floor = found.test_error <= _AT_FLOOR * found.noise_floor
-    return coloured and at_floor and not random_forces(found)
+    return bool(coloured_noise(found)) and at_floor and not random_forces(found)
 
 
 def chi2_of(found: Comparison) -> float:
@@ -96,9 +95,9 @@ def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
         reasons.append(
             f"beside it a random force of {share} of the machine's own would have to act"
         )
-    for name, share in (found.random or {}).items():
-        kind, _, where = name.partition(".")
-        if kind in ("coloured", "band") and share > settings.noise_limit:
+    for name, share in coloured_noise(found).items():
+        if share > settings.noise_limit:
+            where = name.partition(".")[2]
             reasons.append(f"the noise of {where} would be {percent(share)} of what it shows")
     modelled = found.innovation_chi2 is None or found.random is not None
     free = modelled and not forces  # else process noise moves what runs freely
@@ -110,13 +109,23 @@ def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
 
 def _drifting(found: Comparison) -> float:
     """What drifting sensors add to the error of a free run: rms of their shares over channels."""
-    shares = [v for k, v in (found.random or {}).items() if k.startswith("drift.")]
+    shares = _acting(found, "drift").values()
     return float(np.sqrt(sum(v**2 for v in shares) / max(len(found.channels), 1)))
+
+
+def _acting(found: Comparison, *kinds: str) -> dict[str, float]:
+    """What acts at random of some kinds, by name."""
+    return {k: v for k, v in (found.random or {}).items() if k.partition(".")[0] in kinds}
 
 
 def random_forces(found: Comparison) -> dict[str, float]:
     """Forces that act at random beside the model, by name, as shares of the machine's own."""
-    return {k: v for k, v in (found.random or {}).items() if k.split(".")[0] in ("force", "gust")}
+    return _acting(found, "force", "gust")
+
+
+def coloured_noise(found: Comparison) -> dict[str, float]:
+    """Noise of sensors that is not white, by name, as shares of what these show."""
+    return _acting(found, "coloured", "band")
 
 
 def random_sentence(found: Comparison) -> str:

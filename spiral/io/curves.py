@@ -333,7 +333,7 @@ def _about(part: str, record: Record) -> dict[str, Any]:
     return {
         "part": part, "name": record.name, "samples": record.samples, "dt": record.dt,
         "start": float(record.time[0]), "sigma": record.sigma(), "sha256": record.sha256,
-        "measured": list(record.measured), "notes": list(record.notes),
+        "measured": list(record.measured), "notes": list(record.remarks),
     }  # fmt: skip
 
 

@@ -351,7 +351,7 @@ def _data(record: Record) -> dict[str, Any]:
         "samples": record.samples,
         "rate": 1.0 / record.dt,
         "sha256": record.sha256,
-        "notes": list(record.notes),
+        "notes": list(record.remarks),
     }
 
 

@@ -113,7 +113,7 @@ def _write(
     function = ir.Function(module, pointer.pointee, name)
     builder = ir.IRBuilder(function.append_basic_block())
     data = [builder.extract_value(a, 4) for a in function.args]
-    used = set().union(*(sp.sympify(e).free_symbols for e in values)) if values else set()
+    used = set().union(*(e.free_symbols for e in values))
     given = {
         symbol: builder.load(_at(builder, array, place))
         for array, group in zip(data[:3], (traced.x, traced.u, traced.p), strict=True)
@@ -126,7 +126,7 @@ def _write(
         active = {s: i for i, s in enumerate(traced.x)} | {traced.p[j]: n + j for j in columns}
     emitter = Emitter(builder, given, active)
     for i, expression in enumerate(values):
-        node = emitter.node(sp.sympify(expression))
+        node = emitter.node(expression)
         builder.store(node.value, _at(builder, data[3], i))
         for key, slope in node.slopes.items():
             array, column = (4, key) if key < n else (5, key - n)

@@ -106,12 +106,6 @@ class Emitter:
             return a
         return self._builder.fneg(b) if _is(a, -1.0) else self._builder.fmul(a, b)
 
-    def _over(self, a: Any, b: Any) -> Any:
-        return self._builder.fdiv(a, b)
-
-    def _less(self, a: Any, b: Any) -> Any:
-        return self._builder.fsub(a, b)
-
     def _combined(self, *parts: tuple[Any, Node]) -> dict[int, Any]:
         """Slopes of sum_i w_i n_i, the weights held."""
         slopes: dict[int, Any] = {}
@@ -146,7 +140,7 @@ class Emitter:
             return self._product([base] * int(exponent))
         if exponent == sp.S.Half:
             value = self._call("sqrt", node.value)
-            return Node(value, self._combined((self._over(_number(0.5), value), node)))
+            return Node(value, self._combined((self._builder.fdiv(_number(0.5), value), node)))
         if base == sp.E:
             return self._elementary(sp.exp, self.node(exponent))
         power = self.node(exponent)
@@ -161,7 +155,7 @@ class Emitter:
         return Node(value, self._combined(*parts))
 
     def _inverse(self, node: Node) -> Node:
-        value = self._over(_number(1.0), node.value)
+        value = self._builder.fdiv(_number(1.0), node.value)
         weight = self._builder.fneg(self._times(value, value)) if node.slopes else value
         return Node(value, self._combined((weight, node)))
 
@@ -194,8 +188,8 @@ class Emitter:
 
     def _angle(self, y: Node, x: Node) -> Node:
         squares = self._builder.fadd(self._times(y.value, y.value), self._times(x.value, x.value))
-        by_y = self._over(x.value, squares)
-        by_x = self._over(self._builder.fneg(y.value), squares)
+        by_y = self._builder.fdiv(x.value, squares)
+        by_x = self._builder.fdiv(self._builder.fneg(y.value), squares)
         return Node(self._call("atan2", y.value, x.value), self._combined((by_y, y), (by_x, x)))
 
     def _condition(self, c: Any) -> Any:
@@ -247,35 +241,35 @@ class Emitter:
     def _slope(self, function: Any, x: Any, value: Any) -> Any:
         """g'(x), where ``value`` is g(x)."""
         b, one = self._builder, _number(1.0)
+
+        def square() -> Any:
+            return self._times(x, x)
+
+        def over_root(value: Any) -> Any:
+            return b.fdiv(one, self._call("sqrt", value))
+
         rules: dict[Any, Callable[[], Any]] = {
             sp.Abs: lambda: self._sign(x),
             sp.sin: lambda: self._call("cos", x),
             sp.cos: lambda: b.fneg(self._call("sin", x)),
             sp.exp: lambda: value,
-            sp.log: lambda: self._over(one, x),
+            sp.log: lambda: b.fdiv(one, x),
             sp.tan: lambda: b.fadd(one, self._times(value, value)),
-            sp.tanh: lambda: self._less(one, self._times(value, value)),
+            sp.tanh: lambda: b.fsub(one, self._times(value, value)),
             sp.sinh: lambda: self._call("cosh", x),
             sp.cosh: lambda: self._call("sinh", x),
-            sp.asin: lambda: self._over(one, self._root(one, x, -1)),
-            sp.acos: lambda: b.fneg(self._over(one, self._root(one, x, -1))),
-            sp.atan: lambda: self._over(one, b.fadd(one, self._times(x, x))),
-            sp.asinh: lambda: self._over(one, self._root(one, x, 1)),
-            sp.acosh: lambda: self._over(one, b.fneg(self._root(one, x, 0))),
-            sp.atanh: lambda: self._over(one, self._less(one, self._times(x, x))),
+            sp.asin: lambda: over_root(b.fsub(one, square())),
+            sp.acos: lambda: b.fneg(over_root(b.fsub(one, square()))),
+            sp.atan: lambda: b.fdiv(one, b.fadd(one, square())),
+            sp.asinh: lambda: over_root(b.fadd(one, square())),
+            sp.acosh: lambda: over_root(b.fsub(square(), one)),
+            sp.atanh: lambda: b.fdiv(one, b.fsub(one, square())),
             sp.erf: lambda: self._times(
                 _number(1.1283791670955126),  # 2 / sqrt(pi)
-                self._call("exp", b.fneg(self._times(x, x))),
+                self._call("exp", b.fneg(square())),
             ),
         }
         return rules[function]()
-
-    def _root(self, one: Any, x: Any, sign: int) -> Any:
-        """sqrt(1 + x^2) or sqrt(1 - x^2); -sqrt(x^2 - 1) for sign 0."""
-        square, b = self._times(x, x), self._builder
-        if sign == 0:
-            return b.fneg(self._call("sqrt", b.fsub(square, one)))
-        return self._call("sqrt", (b.fadd if sign > 0 else b.fsub)(one, square))
 
 
 def _number(value: float) -> ir.Constant:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spiral.types.errors import InputError, did_you_mean
-from spiral.types.spoilt import Spoilt, bridged, spoilt_readings
+from spiral.types.spoilt import Spoilt, bridged, clipping, spoilt_readings
 
 if TYPE_CHECKING:
     from spiral.types.system import System
@@ -51,7 +51,7 @@ class Record:
     def __repr__(self) -> str:
         length = f"{self.samples} samples, {self.samples * self.dt:.4g} s at {1 / self.dt:.4g} Hz"
         series = f"channels {', '.join(self.channels)}; inputs {', '.join(self.inputs) or 'none'}"
-        return "\n  ".join([f"Record {self.name}: {length}", series, *self.notes])
+        return "\n  ".join([f"Record {self.name}: {length}", series, *self.remarks])
 
     @property
     def samples(self) -> int:
@@ -95,6 +95,11 @@ class Record:
         """What of the readings is no measurement, in words."""
         return tuple(s.told(k) for k, some in self.spoilt.items() for s in some if s.where.any())
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes, and what of the readings is no measurement."""
+        return (*self.notes, *self.spoilt_words)
+
     def reading(self, channel: str) -> Array:
         """A channel with straight lines where its readings are no measurement."""
         gone = self.gone(channel)
@@ -134,9 +139,8 @@ def make_record(
         for key, values in group.items():
             check_values(name, kind, key, values, len(time))
     spoilt = {k: spoilt_readings(v, known.values()) for k, v in given.items()}
-    extra = [s.told(k) for k, some in spoilt.items() for s in some]
     clipped = {k for k, some in spoilt.items() if any(s.kind == "clipped" for s in some)}
-    extra += [clipping(k, v) for k, v in given.items() if k not in clipped]
+    extra = [clipping(k, v) for k, v in given.items() if k not in clipped]
     measured = tuple(known)
     known = _derived(system, time, known)
     step = (time[-1] - time[0]) / (len(time) - 1)
@@ -276,19 +280,6 @@ def check_values(name: str, kind: str, key: str, values: Array, samples: int) ->
             "a signal that moves",
             "check the sensor and the column's name",
         )
-
-
-def clipping(key: str, values: Array) -> str:
-    """A note where a channel rests at its extremes for many samples in a row."""
-    span = np.ptp(values)
-    share = 0.0
-    for extreme in (values.max(), values.min()):
-        at = np.abs(values - extreme) <= 1e-9 * span
-        runs = at[1:] & at[:-1]
-        share += float(np.mean(runs))
-    if share > 1e-3:
-        return f"channel {key!r} looks clipped: {share:.1%} of its samples rest at an extreme"
-    return ""
 
 
 def check_noise(noise: Mapping[str, float], channels: Mapping[str, Array]) -> dict[str, float]:

@@ -70,8 +70,8 @@ def spoilt_readings(values: Array, inputs: Iterable[Array] = ()) -> tuple[Spoilt
         held = np.concatenate([[False], runs]) & ~clipped
         found = [s for s in (Spoilt("clipped", clipped), Spoilt("held", held))
                  if s.where.mean() <= _MOST_STILL]  # fmt: skip
-    gone = np.logical_or.reduce([s.where for s in found]) if found else np.zeros(0, dtype=bool)
-    spikes = _spikes(bridged(values, gone) if found else values)
+    gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in found)])
+    spikes = _spikes(bridged(values, gone))
     for given in inputs:
         moved = _moves(given)
         spikes &= ~np.convolve(moved, np.ones(5), "same").astype(bool)
@@ -109,13 +109,26 @@ def _noisy(values: Array) -> bool:
     return eighth > _GROWTH * fourth
 
 
+def clipping(key: str, values: Array) -> str:
+    """A note where a channel rests at its extremes for many samples in a row."""
+    share = sum(float(np.mean(at[1:] & at[:-1])) for at in _at_extremes(values))
+    if share > 1e-3:
+        return f"channel {key!r} looks clipped: {share:.1%} of its samples rest at an extreme"
+    return ""
+
+
 def _clipped(values: Array) -> Array:
     found = np.zeros(len(values), dtype=bool)
-    for extreme in (values.max(), values.min()):
-        at = values == extreme
+    for at in _at_extremes(values):
         if at.sum() >= _TIES and np.any(at[1:] & at[:-1]):
             found |= at
     return found
+
+
+def _at_extremes(values: Array) -> tuple[Array, Array]:
+    """Where a channel is at its largest, and at its smallest."""
+    near = 1e-9 * np.ptp(values)
+    return np.abs(values - values.max()) <= near, np.abs(values - values.min()) <= near
 
 
 def _spikes(values: Array) -> Array:
@@ -123,8 +136,8 @@ def _spikes(values: Array) -> Array:
     found = np.zeros(len(values), dtype=bool)
     if len(values) < 16:
         return found
-    y, off = values.copy(), _off(values)
-    scale = _ROBUST * float(np.median(np.abs(off[2:-2])))
+    y = values.copy()
+    scale = _ROBUST * float(np.median(np.abs(_off(y)[2:-2])))
     last = np.ones(1)
     while last.any() and found.sum() <= _MOST * len(y):
         off = _off(y)

@@ -14,7 +14,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.engine.filter.setup import prepared
 from spiral.engine.filter.task import linearised, prepare_task
-from spiral.engine.likelihood.fit import informed, maximise
+from spiral.engine.likelihood.fit import maximise
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, matrices
 from spiral.engine.likelihood.own_states import own_of, own_states_along
 from spiral.engine.likelihood.predict import log_likelihood, predicted
@@ -29,12 +29,12 @@ RATE = 200.0
 KEYS = tuple(TRUTH)
 
 
-def record_of(seed, samples=1500, noise=0.05, effects=(), values=None, start=None):
+def record_of(seed, samples=1500, noise=0.05, effects=(), values=None):
     """An oscillator of 3.2 Hz swept from 1 to 7 Hz, with white noise that nobody declares."""
     model = seed_model(Oscillator(), effects, values={**TRUTH, **(values or {})})
     time = np.arange(samples) / RATE
     force = 30 * np.sin(2 * np.pi * (1 + 3 * time / time[-1]) * time)
-    return simulate(model, time, {"force": force}, noise, np.random.default_rng(seed), start)
+    return simulate(model, time, {"force": force}, noise, np.random.default_rng(seed))
 
 
 def task_of(record, effects=(), values=None, substeps=4):
@@ -178,24 +178,17 @@ def test_own_states_follow_the_motion_as_the_compiled_effect_has_them():
 
 
 def test_estimates_scatter_as_their_standard_errors_say():
-    """Pooled squared t of 24 records is near 1; the size of the noise is told.
-
-    They begin anywhere: a filter that expects rest, and finds it, does better than it says. In half
-    of them some random force is likely by chance, and the errors are larger for it; a study lets
-    go of such a force (``quieted``).
-    """
+    """Pooled squared t of 40 records is 1; the size of the noise is told."""
     squares, sizes = [], []
-    for seed in range(24):
-        rng = np.random.default_rng(100 + seed)
-        start = {"x": 0.2 * rng.normal(), "x_rate": 4.0 * rng.normal()}
-        record = record_of(seed, samples=1000, start=start)
+    for seed in range(40):
+        record = record_of(seed, samples=1000)
         task, settings = task_of(record, values={"linear_stiffness.stiffness": 440.0})
-        found = informed(maximise(((task, settings),), KEYS, first_noise(task, 0.1)))
+        found = maximise(((task, settings),), KEYS, first_noise(task, 0.1))
         assert found.converged
         squares += [((found.values[k] - TRUTH[k]) / found.errors[k]) ** 2 for k in KEYS]
         sizes.append(found.noise.values["white.x"] / (0.05 * np.std(record.truth["x"])))
-    assert 0.35 < np.mean(squares) < 1.5
-    assert abs(np.mean(sizes) - 1) < 0.02
+    assert 0.7 < np.mean(squares) < 1.35
+    assert abs(np.mean(sizes) - 1) < 0.01
 
 
 def test_estimates_bear_a_random_force():

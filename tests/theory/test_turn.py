@@ -43,20 +43,27 @@ def test_the_proposed_effect_by_hand_is_the_loops_own_round(study):
         assert one.comparison.model.values == other.comparison.model.values
 
 
+def better(strategy, after, before):
+    """If what the strategy fits rose: the likelihood, or the free run of the fitted record."""
+    if strategy.name == "likelihood":
+        return after.details["log_likelihood"] > before.details["log_likelihood"]
+    return after.comparison.fit_error < before.comparison.fit_error
+
+
 def test_another_than_the_proposed_effect_may_be_admitted(study):
     _, strategy, assembly, at, step = study
     others = [s.effect for s in candidates(strategy, step) if s.effect not in step.admitted]
     after = turned(strategy, assembly, at, chosen(strategy, assembly, at, step, others[0]), silent)
     assert after.rounds[-1].admitted == (others[0],)
     assert others[0] in after.rounds[-1].comparison.model.labels
-    assert after.rounds[-1].comparison.converged
+    assert better(strategy, after.rounds[-1], at.rounds[-1])
 
 
 def test_all_candidates_are_listed_and_no_other_can_be_added(study):
     _, strategy, assembly, at, step = study
     listed = [s.effect for s in candidates(strategy, step)]
     assert sorted(listed) == ["cross_stiffness", "cubic_stiffness", "gyroscopic"]
-    assert step.admitted[0] in listed
+    assert listed[0] == step.admitted[0]
     with pytest.raises(ConfigError, match="cubic_stifness"):
         chosen(strategy, assembly, at, step, "cubic_stifness")
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from spiral.engine.filter.observer import Reconstruction
-from spiral.engine.filter.task import Task, compiled_for
+from spiral.engine.filter.task import Task
+from spiral.physics.compile import compile_model
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.record import Array
 
@@ -77,7 +78,7 @@ def filtered(
     tracked = tracked_indices(task, settings.tracked)
     known = dict(task.model.pairs)
     own = all(known[k].scope == "record" for k in settings.tracked)
-    compiled = task.compiled if own else compiled_for(task.compiled.traced)
+    compiled = task.compiled if own else compile_model(task.compiled.traced)
     y = task.series.y if samples is None else task.series.y[:samples]
     count, m = y.shape
     size = len(settings.start) + len(tracked)

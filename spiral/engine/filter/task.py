@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from spiral.engine.series import Series, prepare
 from spiral.engine.start import motion
 from spiral.engine.study import CompiledStudy
 from spiral.physics.compile import Compiled, compile_model
-from spiral.physics.trace import Traced, trace
+from spiral.physics.trace import trace
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
 
@@ -33,7 +32,7 @@ _REST = 1e-12  # a state at rest: a root has no slope at zero itself
 class Task:
     """One record to be reconstructed.
 
-    ``compiled`` has derivatives for the record's own parameters only (see ``compiled_for``);
+    ``compiled`` has derivatives for the record's own parameters only (see ``compile_model``);
     ``values`` (parameters,); ``inputs`` on the half-step grid; ``start`` and ``spread`` (n,) mean
     and standard deviation before the first sample; ``centre`` and ``scales`` (n,) mean and standard
     deviation of the settled states, ``rates`` (n,) that of their rates; ``static`` the static map,
@@ -95,15 +94,9 @@ def prepare_task(
     """
     traced = trace(model.system, model.effects)
     own = tuple(k for k, p in model.pairs if p.scope == "record")
-    compiled = compiled_for(traced, None if every else own)
+    compiled = compile_model(traced, None if every else own)
     values = model.row("model", "values='{{{}: 1.0}}', or let a fit find it (calibrate=true)")
     return task_with(model, compiled, values, record, start, inputs, substeps)
-
-
-@lru_cache(maxsize=16)
-def compiled_for(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled:
-    """A model with derivatives for some parameters or all, compiled once in a process."""
-    return compile_model(traced, by)
 
 
 def with_record(task: Task, record: Record, start: Array | None = None) -> Task:

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, Pass, filtered, tracked_indices
-from spiral.engine.filter.task import Task, compiled_for
+from spiral.engine.filter.task import Task
+from spiral.physics.compile import compile_model
 from spiral.types.record import Array
 
 
@@ -48,7 +49,7 @@ def whitened(task: Task, settings: FilterSettings, keys: tuple[str, ...]) -> Whi
     both = np.concatenate([tracked, tracked_indices(task, keys)])
     slopes = np.zeros((*found.innovations.shape, len(keys)))
     if keys:
-        compiled = compiled_for(task.compiled.traced)
+        compiled = compile_model(task.compiled.traced)
         prediction_slopes(
             compiled.rate, compiled.output,
             np.concatenate([settings.start, task.values[tracked]]), task.values.copy(), both,

@@ -41,9 +41,9 @@ _ENOUGH = 0.02  # log-likelihood that is not worth another step
 ROUGH = 5e-4  # log-likelihood for each reading
 _FLOOR = 1.01  # times its least value up to which a size stays there
 _MOVE = 1e-3  # standard deviations that whitened misses move in a difference
-_TRUE = 0.5  # share of the promised gain from which slopes are good enough
+_TRUE = 0.5  # share of the promised gain, and of the gain in it, from which slopes are good enough
 _WELL = 0.75  # share of it from which damping falls twice as fast
-_STALE = 2.0  # of the logarithm of a size, that one moves by before slopes by sizes are made anew
+_STALE = 0.7  # of the logarithm of a size, that one moves by before slopes by sizes are made anew
 _FRESH = 0.2  # of the same, up to which they count as made here
 _DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
 
@@ -182,25 +182,21 @@ def informed(at: Maximum) -> Maximum:
     """
     if not at.finite:
         return at
-    search = _Search(at.keys, {}, None, True, _ENOUGH, False, True)
+    search = _Search(at.keys)
     at = search.with_differences(at)
-    upper, count = search.rows(at)
-    if not np.all(np.isfinite(upper)):
-        return at
-    return replace(at, solved=solve_triangle(upper, count), sizes=search.sizes(at))
+    return replace(at, solved=solve_triangle(*search.rows(at)), sizes=search.sizes(at))
 
 
 @dataclass(frozen=True)
 class _Step:
     """A damped step: where it leads, if it rises, and the damping to go on with.
 
-    ``promised`` its gain by the regression, ``best`` that of the step without damping. Nothing is
-    ``solved`` where slopes overflow.
+    ``promised`` its gain by the regression, ``best`` that of the step without damping.
     """
 
     better: Maximum | None
     damping: float
-    solved: Fit | None
+    solved: Fit
     promised: float
     best: float
 
@@ -210,12 +206,12 @@ class _Search:
     """What a climb moves and may not leave."""
 
     keys: tuple[str, ...]
-    bounds: Mapping[str, tuple[float, float]]
-    masks: Masks
-    tune: bool
-    enough: float
-    rough: bool
-    still: bool
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    masks: Masks = None
+    tune: bool = True
+    enough: float = _ENOUGH
+    rough: bool = False
+    still: bool = False
 
     def advanced(
         self, at: Maximum, damping: float, fresh: bool
@@ -223,15 +219,15 @@ class _Search:
         """One step further: where, the damping, whether slopes are of there, whether it ends."""
         at = self.with_sizes(at)
         found = self.climb(at, damping)
-        if found.solved is None:
-            return at, damping, fresh, True
         better, damping = found.better, found.damping
         gain = 0.0 if better is None else better.log_likelihood - at.log_likelihood
         sizes, steps = self.sizes(at), at.steps + 1
         at = replace(better or at, solved=found.solved, steps=steps, sizes=sizes)
-        faithful = gain >= _TRUE * found.promised
+        faithful = _TRUE * found.promised <= gain <= found.promised / _TRUE
         over = found.best < self.enough or (fresh and (self.rough or not faithful))
         if (gain < self.enough and over) or (better is None and fresh):
+            if at.kept.stale(at.noise, sizes, _FRESH):  # by slopes of elsewhere it is not over
+                return self.with_sizes(at, _FRESH), damping, fresh, False
             return replace(at, converged=True), damping, fresh, True
         if better is None:  # no step rises, however short
             return self.with_differences(at), _DAMPING, True, False
@@ -304,8 +300,6 @@ class _Search:
         """The first damped step that rises."""
         names = (*self.keys, *self.sizes(at))
         upper, count = self.rows(at)
-        if not np.all(np.isfinite(upper)):
-            return _Step(None, damping, None, 0.0, 0.0)
         solved = solve_triangle(upper, count)
         norms = np.linalg.norm(upper[:, :-1], axis=0)
         before = float(np.sum(upper[:, -1] ** 2))

@@ -138,7 +138,7 @@ def compared(
         whiteness_effect=white.effect,
         horizon=int(full.length),
         converged=converged,
-        notes=tuple(n for r in problem.records for n in r.notes),
+        notes=tuple(n for r in problem.records for n in r.remarks),
         spoilt=tuple(n for r in problem.records for n in r.spoilt_words),
         noise_ratio=stated_ratio(problem.records),
         unseen=() if other is None or run is None

@@ -88,15 +88,14 @@ def at_horizons(
     """Errors of a free run, and of what a filter forecasts, on the records of a study."""
     seconds = _seconds(test, run)
     misses: dict[str, list[Array]] = {"one_sample": [], "ahead": [], "free_run": []}
+    free = run.misses()
     for r, series in enumerate(test.study.series):
         first, steps = run.settled[r], round(seconds / series.dt)
         task = task_for(test, model, run.values[r], series.record, series.substeps)
         one, ahead = forecaster(r, task, first, steps)
         misses["one_sample"].append(_told(one, series, first))
         misses["ahead"].append(ahead)
-        misses["free_run"].append(
-            _told((run.predicted[r] - run.measured[r])[first:], series, first)
-        )
+        misses["free_run"].append(_told(free[r], series, first))
     dt = test.study.series[0].dt
     reach = {"one_sample": dt, "ahead": seconds, "free_run": None}
     scale, names = run.deviations(), model.system.observed

@@ -43,7 +43,7 @@ class FreeRun:
     measured: tuple[Array, ...]
     settled: tuple[int, ...]
     values: Array
-    seen: tuple[Array | None, ...] = ()
+    seen: tuple[Array | None, ...]
 
     def errors(self, names: tuple[str, ...]) -> dict[str, ChannelError]:
         """Error of each channel over all records, relative to its standard deviation."""
@@ -64,13 +64,12 @@ class FreeRun:
 
     def misses(self) -> tuple[Array, ...]:
         """(samples, channels) predicted less measured, of what is scored; NaN where nothing is."""
-        seen = self.seen or (None,) * len(self.predicted)
-        parts = zip(self.predicted, self.measured, self.settled, seen, strict=True)
-        return tuple(
-            (np.nan_to_num(p, nan=np.inf) - m)[s:] if k is None
-            else np.where(k, np.nan_to_num(p, nan=np.inf) - m, np.nan)[s:]
-            for p, m, s, k in parts
-        )  # fmt: skip
+        parts = zip(self.predicted, self.measured, self.settled, self.seen, strict=True)
+        misses = []
+        for predicted, measured, first, seen in parts:
+            left = np.nan_to_num(predicted, nan=np.inf) - measured
+            misses.append((left if seen is None else np.where(seen, left, np.nan))[first:])
+        return tuple(misses)
 
 
 def held_out(

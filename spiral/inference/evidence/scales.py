@@ -23,7 +23,7 @@ import sympy as sp
 from spiral.engine.filter.extended import filtered
 from spiral.engine.filter.noise import groups
 from spiral.engine.filter.setup import prepared, with_level
-from spiral.engine.filter.task import compiled_for, free_run, task_with
+from spiral.engine.filter.task import free_run, task_with
 from spiral.engine.series import Series, prepare
 from spiral.engine.start import motion
 from spiral.engine.study import CompiledStudy
@@ -105,7 +105,7 @@ def _inferred(model: Model, series: Series) -> Array:
     known = [model.values.get(k, p.start or 0.0) for k, p in model.pairs]
     n = len(trace(model.system, ()).states)
     with np.errstate(all="ignore"):
-        task = task_with(model, compiled_for(traced, own), np.array(known, float), series.record)
+        task = task_with(model, compile_model(traced, own), np.array(known, float), series.record)
         task, settings = prepared(task)
         noisy = with_level(task, settings, dict.fromkeys(groups(task), _LEVEL))
         passed = filtered(task, noisy)

@@ -27,8 +27,8 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     bounds_of,
     explains,
+    price,
     refitted,
-    samples_of,
 )
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.holding import carried as carried_to
@@ -173,8 +173,9 @@ def told(fit: LikelihoodFit, keys: tuple[str, ...]) -> bool:
 
 def _rival(assembly: Assembly, base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit) -> Rival:
     gain = fit.height - base.height
-    price = 0.5 * len(ranked.columns) * float(np.log(samples_of(fit.estimate.prepared)))
-    return Rival(assembly, ranked, fit, gain, gain - price)
+    return Rival(
+        assembly, ranked, fit, gain, gain - price(len(ranked.columns), fit.estimate.prepared)
+    )
 
 
 @dataclass(frozen=True)
@@ -231,11 +232,11 @@ def _most_likely(assembly: Assembly, fit: LikelihoodFit, masks: Masks) -> float:
 def alike(rivals: list[Rival]) -> tuple[str, ...]:
     """Rivals that the whole records do not tell from the first one."""
     first, *others = rivals
-    best = log_likelihood(first.fit.estimate.parts) - _terms(first)
-    near = [
-        r for r in others
-        if best - log_likelihood(r.fit.estimate.parts) + _terms(r) < np.log(_ODDS)
-    ]  # fmt: skip
+
+    def worth(rival: Rival) -> float:
+        return log_likelihood(rival.fit.estimate.parts) - (rival.gain - rival.worth)
+
+    near = [r for r in others if worth(first) - worth(r) < np.log(_ODDS)]
     return tuple(dict.fromkeys(r.label for r in near if r.label != first.label))
 
 
@@ -250,7 +251,3 @@ def machine_first(
         if other.label in aliases and not isinstance(own, SensorEffect):
             return other, (rival.label, *(x for x in aliases if x != other.label))
     return rival, aliases
-
-
-def _terms(rival: Rival) -> float:
-    return 0.5 * len(rival.ranked.columns) * float(np.log(samples_of(rival.fit.estimate.prepared)))

@@ -88,7 +88,7 @@ def compared_by_likelihood(
         **_left(assembly, found),
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
-        notes=tuple(n for r in problem.records for n in r.notes),
+        notes=tuple(n for r in problem.records for n in r.remarks),
         spoilt=tuple(n for r in problem.records for n in r.spoilt_words),
         noise_ratio=_stated(problem.records, state.noise),
         unseen=unseen,

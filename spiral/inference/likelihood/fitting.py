@@ -8,7 +8,7 @@ import numpy as np
 
 from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.setup import smoothed
-from spiral.engine.filter.task import Task, compiled_for, linearised, task_with
+from spiral.engine.filter.task import Task, linearised, task_with
 from spiral.engine.likelihood.fit import Kept, Maximum, maximise
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import Masks, Prepared, predicted
@@ -76,7 +76,7 @@ def subjects(assembly: Assembly, state: FitState) -> Prepared:
     """Every record with the state's values and integration steps."""
     model, traced = assembly.problem.model, assembly.study.compiled.traced
     followed = tracked(assembly, state)
-    compiled = compiled_for(traced)
+    compiled = assembly.study.compiled
     rows = np.ascontiguousarray(state.values[:, : len(traced.keys)])
     known = doubts(followed) if state.noise is not None else {}
     begins = state.starts or (None,) * len(rows)
@@ -217,6 +217,16 @@ def innovations(found: LikelihoodFit) -> tuple[Array, ...]:
 def colour(assembly: Assembly, found: LikelihoodFit) -> Whiteness:
     """Whether the misses are white."""
     return whiteness(innovations(found), assembly.problem.settings.lags)
+
+
+def is_white(assembly: Assembly, found: LikelihoodFit) -> bool:
+    """Whether the misses are white at the level of the settings."""
+    return colour(assembly, found).p >= assembly.problem.settings.whiteness_level
+
+
+def price(parameters: int, prepared: Prepared) -> float:
+    """What parameters cost in log-likelihood (Schwarz): q / 2 log N, N readings."""
+    return 0.5 * parameters * float(np.log(samples_of(prepared)))
 
 
 def samples_of(prepared: Prepared) -> int:

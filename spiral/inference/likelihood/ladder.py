@@ -26,8 +26,8 @@ from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import doubts, liveliest
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
-    colour,
-    samples_of,
+    is_white,
+    price,
     taken_on,
 )
 from spiral.inference.problem import Progress
@@ -54,7 +54,7 @@ def climbed_ladder(assembly: Assembly, found: LikelihoodFit, progress: Progress)
     if not found.estimate.finite:
         return found
     for _ in range(_ROUNDS):
-        if colour(assembly, found).p >= assembly.problem.settings.whiteness_level:
+        if is_white(assembly, found):
             break
         progress("trying what may act at random")
         best = _best(found.estimate)
@@ -71,20 +71,20 @@ def _best(at: Maximum) -> Maximum | None:
     judged on all.
     """
     part = _part(at)
-    task, count = part[0][0], samples_of(part)
+    task = part[0][0]
     now = maximise(part, (), at.noise, steps=_LOOK)
     looks = []
     for rung in rungs(task, now.noise):
         noise = now.noise.added(rung.terms, rung.values)
         look = maximise(part, (), noise, steps=_LOOK)
-        looks.append((look.log_likelihood - _price(noise, at.noise, count), look))
+        looks.append((look.log_likelihood - _price(noise, at.noise, part), look))
     looks = [x for x in looks if x[1].finite and x[0] > now.log_likelihood]
     if not looks:
         return None
     chosen = max(looks, key=lambda x: x[0])[1]
     chosen = maximise(at.prepared, (), chosen.noise, steps=_TUNE, rough=True)
     gain = chosen.log_likelihood - at.log_likelihood
-    worth = gain - _price(chosen.noise, at.noise, samples_of(at.prepared)) - np.log(_ODDS)
+    worth = gain - _price(chosen.noise, at.noise, at.prepared) - np.log(_ODDS)
     return chosen if worth > 0 else None
 
 
@@ -119,12 +119,12 @@ def quieted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
     if not found.estimate.finite or not least:
         return found
     trial = taken_on(assembly, found, noise.with_values(least), rough=True)
-    price = 0.5 * len(least) * float(np.log(samples_of(trial.estimate.prepared)))
-    return trial if trial.height > found.height - price else found
+    worth = price(len(least), trial.estimate.prepared)
+    return trial if trial.height > found.height - worth else found
 
 
-def _price(noise: NoiseModel, before: NoiseModel, count: int) -> float:
-    return 0.5 * (len(noise.names) - len(before.names)) * float(np.log(count))
+def _price(noise: NoiseModel, before: NoiseModel, prepared: Prepared) -> float:
+    return price(len(noise.names) - len(before.names), prepared)
 
 
 def rungs(task: Task, noise: NoiseModel) -> Iterator[Rung]:
@@ -162,7 +162,7 @@ def pruned(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Like
         progress("asking whether less acts at random")
         less = noise.without(kind)
         trial = taken_on(assembly, found, less, rough=True)
-        price = _price(noise, less, samples_of(trial.estimate.prepared))
-        if trial.height > found.height - price - np.log(_ODDS):
+        worth = _price(noise, less, trial.estimate.prepared)
+        if trial.height > found.height - worth - np.log(_ODDS):
             found, noise = trial, less
     return found

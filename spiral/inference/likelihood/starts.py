@@ -26,9 +26,9 @@ from spiral.inference.evidence.fit_state import FitState, all_samples, stage_len
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     LikelihoodFit,
-    colour,
     explains,
     finer,
+    is_white,
     refitted,
     restarted,
     samples_of,
@@ -69,11 +69,11 @@ def rebalanced(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> 
     end where one of them does the work of the other, and what is left is then not white. Noise that
     is not white looks like motion, so the ladder is climbed from there as well.
     """
-    if not found.estimate.finite or _white(assembly, found):
+    if not found.estimate.finite or is_white(assembly, found):
         return found
     progress("starting again with sensor noise alone")
     again = refitted(assembly, found.state, _sensors_alone(found), rough=True)
-    if not _white(assembly, again):
+    if not is_white(assembly, again):
         again = climbed_ladder(assembly, again, progress)
     return again if again.height > found.height else found
 
@@ -83,13 +83,9 @@ def _sensors_alone(found: LikelihoodFit) -> NoiseModel:
     prepared = found.estimate.prepared
     deaf = first_noise(prepared[0][0], _QUIET, prepared[0][0].series.y.std(axis=0))
     parts = all_predicted([(prepared, deaf)])[0]
-    misses = np.concatenate([p.misses for p in (parts if all(p.whole for p in parts)
-                                                else found.estimate.parts)])  # fmt: skip
+    seen = parts if all(p.whole for p in parts) else found.estimate.parts
+    misses = np.concatenate([p.misses for p in seen])
     return first_noise(prepared[0][0], _QUIET, np.sqrt(np.mean(misses**2, axis=0)))
-
-
-def _white(assembly: Assembly, found: LikelihoodFit) -> bool:
-    return colour(assembly, found).p >= assembly.problem.settings.whiteness_level
 
 
 def on_finer_steps(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:

@@ -17,7 +17,7 @@ import numpy as np
 
 from spiral.engine.filter.likelihood import Climbed, Prepared, climbed
 from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.task import compiled_for, task_with
+from spiral.engine.filter.task import task_with
 from spiral.engine.filter.whitened import Whitened
 from spiral.engine.gate import Judgement, Trial, through
 from spiral.engine.statistics import whiteness
@@ -28,6 +28,7 @@ from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import tested_keys
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.physics.compile import compile_model
 from spiral.types.record import Array
 from spiral.types.run import Comparison, Suggestion
 
@@ -195,7 +196,7 @@ def _prepared(assembly: Assembly, standing: FitState) -> Prepared:
     """Every record's task at the standing's values; what belongs to a record is tracked."""
     model, traced = assembly.problem.model, assembly.study.compiled.traced
     tracked = _tracked(assembly, standing)
-    narrow = compiled_for(traced, tracked)
+    narrow = compile_model(traced, tracked)
     rows = np.ascontiguousarray(standing.values[:, : len(traced.keys)])
     return tuple(
         filter_prepared(task_with(model, narrow, row.copy(), record), tracked)

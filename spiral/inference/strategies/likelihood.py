@@ -33,6 +33,7 @@ from spiral.inference.likelihood.comparison import compared_by_likelihood
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     colour,
+    price,
     refitted,
     restarted,
     taken_on,
@@ -66,9 +67,7 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
     bare = compiled_with(problem, (), 1)
     state = replace(begin(bare, problem.model.labels), corrected=False)
     bare = refined(bare, state)
-    found = best_fit(bare, state, progress)
-    found = rebalanced(bare, climbed_ladder(bare, found, progress), progress)
-    found = finished(bare, found, progress)
+    found = finished(bare, best_fit(bare, state, progress), progress)
     settled = _settled(bare, found, progress)
     variants, left_out, _ = offers(replace(problem, model=settled.comparison.model))
     assembly = replace(bare, offered=tuple(variants), left_out=left_out, bare=True)
@@ -138,19 +137,20 @@ def _propose(
     stopped: Stopped = "whiteness" if near else "no_candidate"
     step = Step(_suggestions(tried, ranked, "", ())[:_LISTED], rejected, stopped=stopped,
                 found=Scored(ranked, tried))  # fmt: skip
-    return step if near else _with_curve(assembly, state, step, number, progress)
+    return step if near else _with_curve(assembly, state, step, (select, judge), number, progress)
 
 
 def _with_curve(
-    assembly: Assembly, state: FitState, step: Step, number: int, progress: Progress
-) -> Step:
+    assembly: Assembly, state: FitState, step: Step, masks: tuple[Masks, Masks], number: int,
+    progress: Progress,
+) -> Step:  # fmt: skip
     """The step with the curve of what no candidate explains, where there is one.
 
     It is found on windows (``spiral.inference.unknown``), and admitted where the settings say so.
     """
     if not applies(assembly):
         return step
-    found = unknown_shape(assembly, state, half_masks(assembly), number, progress)
+    found = unknown_shape(assembly, state, masks, number, progress)
     if found is None:
         return step
     details = {**step.details, "unknown": found.shape.as_dict()}
@@ -170,7 +170,11 @@ def _with_curve(
 
 
 def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
-    """The fit at its very maximum, where the model may be the last: its misses are white."""
+    """The fit with the noise that its record wants.
+
+    It is at its very maximum where the model may be the last: its misses are white.
+    """
+    found = rebalanced(assembly, climbed_ladder(assembly, found, progress), progress)
     if not found.estimate.finite or colour(assembly, found).p < _LAST:
         return found
     progress("polishing the fit")
@@ -229,9 +233,7 @@ def _with(own: Assembly, state: FitState, label: str, progress: Progress) -> Set
     """
     found = refitted(own, state, rough=True)
     found = restarted(own, on_finer_steps(own, found))
-    found = pruned(own, found, progress)
-    found = rebalanced(own, climbed_ladder(own, found, progress), progress)
-    found = finished(own, found, progress)
+    found = finished(own, pruned(own, found, progress), progress)
     found, gone = _without_superfluous(own, found, label)
     settled = _settled(own, found, progress, gone)
     if not gone:
@@ -253,8 +255,7 @@ def _without_superfluous(
         if any(abs(values.get(k, 0.0)) > 3 * errors.get(k, np.inf) for k in keys):
             continue
         trial = refitted(assembly, let_go(assembly, found.state, (label,)))
-        price = 0.5 * len(keys) * np.log(sum(p.misses.size for p in trial.estimate.parts))
-        if trial.height > found.height - price:
+        if trial.height > found.height - price(len(keys), trial.estimate.prepared):
             found = trial
             gone.append(assembly.variant(label).original.label)
     return found, tuple(gone)

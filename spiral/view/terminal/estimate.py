@@ -35,7 +35,7 @@ def show(verb: str, outcome: Outcome) -> None:
         console.print(Text(f"{record.name}: {record.samples} samples, {length:.4g} s", "dim"))
     fitted = outcome.parts["calibration"]
     if fitted is not None:
-        heading(console, f"Model, fitted on windows of {fitted.horizon} samples")
+        heading(console, f"Model, fitted on stretches of {fitted.horizon} samples")
         console.print(parameter_table(fitted.model))
         if fitted.untold:
             console.print(Text(f"not told by these records: {', '.join(fitted.untold)}", "yellow"))

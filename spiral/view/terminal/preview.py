@@ -27,7 +27,7 @@ def described(problem: Problem) -> list[dict[str, Any]]:
             "samples": record.samples,
             "rate": 1 / record.dt,
             "series": _series(system, record),
-            "notes": list(record.notes),
+            "notes": list(record.remarks),
         }
         for part, records in parts
         for record in records
