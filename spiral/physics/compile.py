@@ -10,7 +10,7 @@ that nothing is kept on disk, where it would be a program that anyone could have
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,11 +20,10 @@ from llvmlite import binding, ir
 from numba import types
 from numba.core.registry import cpu_target
 
-from spiral.physics.emit import Emitter
+from spiral.physics.emit import INDEX, Emitter
 from spiral.physics.trace import Traced
 from spiral.types.cache import kept
 
-_INDEX = ir.IntType(64)
 _VECTOR, _MATRIX = types.float64[::1], types.float64[:, ::1]
 MODEL_FUNCTION = types.FunctionType(
     types.void(_VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _MATRIX)
@@ -89,9 +88,11 @@ def compile_model(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled
     wanted = traced.keys if by is None else by
     module = ir.Module("model")
     for name, values in (("rate", traced.rate), ("output", traced.output)):
-        _write(module, name, traced, values, [j for j, k in enumerate(traced.keys) if k in wanted])
-        _write(module, f"{name}_value", traced, values, None)
-    engine = _engine(module)
+        write_function(
+            module, name, traced, values, [j for j, k in enumerate(traced.keys) if k in wanted]
+        )
+        write_function(module, f"{name}_value", traced, values, None)
+    engine = engine_of(module)
     return Compiled(
         traced,
         *(ModelFunction(MODEL_FUNCTION, engine, name) for name in ("rate", "output")),
@@ -99,7 +100,37 @@ def compile_model(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled
     )
 
 
-def _write(
+def started(
+    module: ir.Module, name: str, kind: types.FunctionType
+) -> tuple[ir.IRBuilder, Sequence[Any]]:
+    """A new function of the module as Numba calls it: where its instructions go, its arguments."""
+    context: Any = cpu_target.target_context
+    function = ir.Function(module, context.get_value_type(kind.ftype).pointee, name)
+    return ir.IRBuilder(function.append_basic_block()), function.args
+
+
+def ended(builder: ir.IRBuilder) -> None:
+    """The function returns, to Numba nothing."""
+    builder.ret(ir.Constant(builder.function.ftype.return_type, None))
+
+
+def loaded(
+    builder: ir.IRBuilder, data: Any, symbols: Sequence[sp.Symbol], used: Set[sp.Basic]
+) -> dict[sp.Symbol, Any]:
+    """Those symbols of an array that are used, with their values."""
+    return {
+        symbol: builder.load(element(builder, data, place))
+        for place, symbol in enumerate(symbols)
+        if symbol in used
+    }
+
+
+def element(builder: ir.IRBuilder, data: Any, place: int) -> Any:
+    """Where an entry of an array is."""
+    return builder.gep(data, [ir.Constant(INDEX, place)])
+
+
+def write_function(
     module: ir.Module,
     name: str,
     traced: Traced,
@@ -107,19 +138,13 @@ def _write(
     columns: Sequence[int] | None,
 ) -> None:
     """A function of the module; with Jacobians by all states and these parameters, or without."""
-    kind = VALUE_FUNCTION if columns is None else MODEL_FUNCTION
-    context: Any = cpu_target.target_context
-    pointer = context.get_value_type(kind.ftype)
-    function = ir.Function(module, pointer.pointee, name)
-    builder = ir.IRBuilder(function.append_basic_block())
-    data = [builder.extract_value(a, 4) for a in function.args]
+    builder, args = started(module, name, VALUE_FUNCTION if columns is None else MODEL_FUNCTION)
+    data = [builder.extract_value(a, 4) for a in args]
     used = set().union(*(e.free_symbols for e in values))
-    given = {
-        symbol: builder.load(_at(builder, array, place))
-        for array, group in zip(data[:3], (traced.x, traced.u, traced.p), strict=True)
-        for place, symbol in enumerate(group)
-        if symbol in used
-    }
+    groups = (traced.x, traced.u, traced.p)
+    given: dict[sp.Symbol, Any] = {}
+    for array, group in zip(data[:3], groups, strict=True):
+        given |= loaded(builder, array, group, used)
     n = len(traced.x)
     active: dict[sp.Symbol, int] = {}
     if columns is not None:
@@ -127,21 +152,17 @@ def _write(
     emitter = Emitter(builder, given, active)
     for i, expression in enumerate(values):
         node = emitter.node(expression)
-        builder.store(node.value, _at(builder, data[3], i))
+        builder.store(node.value, element(builder, data[3], i))
         for key, slope in node.slopes.items():
             array, column = (4, key) if key < n else (5, key - n)
-            builder.store(slope, _entry(builder, function.args[array], i, column))
-    builder.ret(ir.Constant(pointer.pointee.return_type, None))
-
-
-def _at(builder: ir.IRBuilder, data: Any, place: int) -> Any:
-    return builder.gep(data, [ir.Constant(_INDEX, place)])
+            builder.store(slope, _entry(builder, args[array], i, column))
+    ended(builder)
 
 
 def _entry(builder: ir.IRBuilder, matrix: Any, row: int, column: int) -> Any:
     """An entry of a matrix, which may have more columns than the model has parameters."""
     width = builder.extract_value(matrix, [5, 1])
-    place = builder.add(builder.mul(width, ir.Constant(_INDEX, row)), ir.Constant(_INDEX, column))
+    place = builder.add(builder.mul(width, ir.Constant(INDEX, row)), ir.Constant(INDEX, column))
     return builder.gep(builder.extract_value(matrix, 4), [place])
 
 
@@ -157,7 +178,7 @@ def _machine() -> Any:
     )
 
 
-def _engine(module: ir.Module) -> Any:
+def engine_of(module: ir.Module) -> Any:
     """The module's machine code."""
     machine = _machine()
     parsed = binding.parse_assembly(str(module))

@@ -15,6 +15,7 @@ import sympy as sp
 from llvmlite import ir
 
 DOUBLE = ir.DoubleType()
+INDEX = ir.IntType(64)
 _INTRINSIC = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log"}
 _LIBRARY = {
     sp.tan: "tan", sp.tanh: "tanh", sp.sinh: "sinh", sp.cosh: "cosh", sp.asin: "asin",
@@ -51,7 +52,7 @@ class Emitter:
         self._builder = builder
         self._nodes: dict[sp.Basic, Node] = {}
         self._conditions: dict[sp.Basic, Any] = {}
-        one = _number(1.0)
+        one = number(1.0)
         for symbol, value in symbols.items():
             own = {active[symbol]: one} if symbol in active else {}
             self._nodes[symbol] = Node(value, own)
@@ -70,7 +71,7 @@ class Emitter:
 
     def _new(self, e: Any) -> Node:
         if e.is_Number or e.is_NumberSymbol:
-            return Node(_number(float(e)), {})
+            return Node(number(float(e)), {})
         if e.is_Add:
             return self._sum([self.node(a) for a in e.args])
         if e.is_Mul:
@@ -121,7 +122,7 @@ class Emitter:
         value = nodes[0].value
         for node in nodes[1:]:
             value = self._builder.fadd(value, node.value)
-        return Node(value, self._combined(*((_number(1.0), n) for n in nodes)))
+        return Node(value, self._combined(*((number(1.0), n) for n in nodes)))
 
     def _product(self, factors: Sequence[sp.Basic]) -> Node:
         node = self.node(factors[0])
@@ -140,7 +141,7 @@ class Emitter:
             return self._product([base] * int(exponent))
         if exponent == sp.S.Half:
             value = self._call("sqrt", node.value)
-            return Node(value, self._combined((self._builder.fdiv(_number(0.5), value), node)))
+            return Node(value, self._combined((self._builder.fdiv(number(0.5), value), node)))
         if base == sp.E:
             return self._elementary(sp.exp, self.node(exponent))
         power = self.node(exponent)
@@ -155,13 +156,13 @@ class Emitter:
         return Node(value, self._combined(*parts))
 
     def _inverse(self, node: Node) -> Node:
-        value = self._builder.fdiv(_number(1.0), node.value)
+        value = self._builder.fdiv(number(1.0), node.value)
         weight = self._builder.fneg(self._times(value, value)) if node.slopes else value
         return Node(value, self._combined((weight, node)))
 
     def _piecewise(self, pieces: Sequence[Any]) -> Node:
         """The first piece whose condition holds, of all that are there; NaN where none does."""
-        found = Node(_number(float("nan")), {})
+        found = Node(number(float("nan")), {})
         for expression, condition in reversed(pieces):
             node = self.node(expression)
             if condition == sp.true:
@@ -171,7 +172,7 @@ class Emitter:
         return found
 
     def _select(self, holds: Any, yes: Node, no: Node) -> Node:
-        zero = _number(0.0)
+        zero = number(0.0)
         slopes = {
             k: self._builder.select(holds, yes.slopes.get(k, zero), no.slopes.get(k, zero))
             for k in dict.fromkeys((*yes.slopes, *no.slopes))
@@ -234,13 +235,13 @@ class Emitter:
         return Node(value, self._combined((self._slope(function, x, value), inner)))
 
     def _sign(self, x: Any) -> Any:
-        zero = _number(0.0)
-        above = self._builder.select(self._builder.fcmp_ordered(">", x, zero), _number(1.0), zero)
-        return self._builder.select(self._builder.fcmp_ordered("<", x, zero), _number(-1.0), above)
+        zero = number(0.0)
+        above = self._builder.select(self._builder.fcmp_ordered(">", x, zero), number(1.0), zero)
+        return self._builder.select(self._builder.fcmp_ordered("<", x, zero), number(-1.0), above)
 
     def _slope(self, function: Any, x: Any, value: Any) -> Any:
         """g'(x), where ``value`` is g(x)."""
-        b, one = self._builder, _number(1.0)
+        b, one = self._builder, number(1.0)
 
         def square() -> Any:
             return self._times(x, x)
@@ -265,14 +266,15 @@ class Emitter:
             sp.acosh: lambda: over_root(b.fsub(square(), one)),
             sp.atanh: lambda: b.fdiv(one, b.fsub(one, square())),
             sp.erf: lambda: self._times(
-                _number(1.1283791670955126),  # 2 / sqrt(pi)
+                number(1.1283791670955126),  # 2 / sqrt(pi)
                 self._call("exp", b.fneg(square())),
             ),
         }
         return rules[function]()
 
 
-def _number(value: float) -> ir.Constant:
+def number(value: float) -> ir.Constant:
+    """A constant."""
     return ir.Constant(DOUBLE, value)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from spiral.engine.filter.observer import Reconstruction
 from spiral.engine.filter.task import Task
 from spiral.physics.compile import compile_model
+from spiral.physics.flow import compile_flow
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.record import Array
 
@@ -76,9 +77,10 @@ def filtered(
     from spiral.engine.filter.kernel import EXACT, SECOND_ORDER, extended
 
     tracked = tracked_indices(task, settings.tracked)
-    known = dict(task.model.pairs)
-    own = all(known[k].scope == "record" for k in settings.tracked)
-    compiled = task.compiled if own else compile_model(task.compiled.traced)
+    traced = task.compiled.traced
+    second = settings.second_order
+    compiled = compile_model(traced, settings.tracked) if second else task.compiled
+    flow = compile_flow(traced, settings.tracked)
     y = task.series.y if samples is None else task.series.y[:samples]
     count, m = y.shape
     size = len(settings.start) + len(tracked)
@@ -90,11 +92,11 @@ def filtered(
         np.empty((kept, size, m)), np.empty((kept, m, size)),
     )  # fmt: skip
     likelihood, done = extended(
-        compiled.rate, compiled.output,
+        flow.advance, compiled.rate, flow.output,
         np.concatenate([settings.start, task.values[tracked]]),
         block_diagonal(settings.covariance, settings.doubt**2),
         task.values.copy(), tracked, task.inputs, task.series.substeps, task.series.dt,
-        SECOND_ORDER if settings.second_order else EXACT, np.ascontiguousarray(y),
+        SECOND_ORDER if second else EXACT, np.ascontiguousarray(y),
         settings.noise, block_diagonal(settings.process, settings.wander), *arrays,
     )  # fmt: skip
     return Pass(*arrays, float(likelihood), int(done))

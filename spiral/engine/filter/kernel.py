@@ -16,6 +16,8 @@ from numba import types
 
 from spiral.engine.kernel import slope_of
 from spiral.physics.compile import MODEL_FUNCTION
+from spiral.physics.flow import FLOW_FUNCTION
+from spiral.physics.lanes import LANES
 
 EXACT, SECOND_ORDER = 0, 1
 
@@ -154,53 +156,32 @@ def _add_second_order(a, step, first, s):
             s[i, c] += step * first[i, c] + 0.5 * step * step * value
 
 
+@nb.njit(cache=True, nogil=True)
+def room(n, width):
+    """Slopes of n states, and the scratch of a flow with them (``spiral.physics.flow``)."""
+    columns = (width + LANES - 1) // LANES * LANES
+    return np.zeros((n, columns)), np.zeros((3, n, columns))
+
+
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _axpy(s, point, rates, out):
-    """out = S + point * rates."""
-    for i in range(s.shape[0]):
-        for c in range(s.shape[1]):
-            out[i, c] = s[i, c] + point * rates[i, c]
-
-
-@nb.njit(
-    types.void(
-        MODEL_FUNCTION, _F1, _F1, _I1, _F2, types.int64, types.float64, types.int64, _F2, _F2,
-        _F2, _F2, _F3,
-    ),
-    cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
-)  # fmt: skip
-def step_with_slopes(rate, x, p, tracked, inputs, at, step, mode, s, vectors, a, b, work):
-    """One Runge-Kutta step of x (its first n entries) and of its sensitivities S, in place.
-
-    EXACT differentiates the Runge-Kutta map itself; SECOND_ORDER takes h A + h^2 A^2 / 2 from the
-    start of the step. ``vectors`` and ``work`` are scratch.
-    """
-    n = s.shape[0]
-    slope, total, here = vectors[0], vectors[1], vectors[2]
-    trial, rates, sums = work[0], work[1], work[2]
-    total[:] = 0.0
-    slope[:] = 0.0
-    rates[:] = 0.0
-    sums[:] = 0.0
-    for stage in range(4):
-        point = step * (0.0 if stage == 0 else (1.0 if stage == 3 else 0.5))
-        gain = 2.0 if stage == 1 or stage == 2 else 1.0
+def _second_order(rate, x, p, tracked, inputs, at, substeps, step, s, a, b):
+    """Runge-Kutta steps of x; slopes of each by h A + h^2 A^2 / 2 from its start."""
+    n, vectors, rates = s.shape[0], np.zeros((2, s.shape[0])), np.zeros_like(s)
+    here, slope = vectors[0], vectors[1]
+    for sub in range(substeps):
+        rate(x[:n], inputs[at + 2 * sub], p, slope, a, b)
+        slope_of(a, b, tracked, s, rates)
+        _add_second_order(a, step, rates, s)
+        total = slope.copy()
+        for stage in range(1, 4):
+            point = step * (1.0 if stage == 3 else 0.5)
+            for i in range(n):
+                here[i] = x[i] + point * slope[i]
+            rate(here, inputs[at + 2 * sub + (stage + 1) // 2], p, slope, a, b)
+            for i in range(n):
+                total[i] += (1.0 if stage == 3 else 2.0) * slope[i]
         for i in range(n):
-            here[i] = x[i] + point * slope[i]
-        rate(here, inputs[at + (stage + 1) // 2], p, slope, a, b)
-        for i in range(n):
-            total[i] += gain * slope[i]
-        if mode == EXACT:
-            _axpy(s, point, rates, trial)
-            slope_of(a, b, tracked, trial, rates)
-            _axpy(sums, gain, rates, sums)
-        elif stage == 0:
-            slope_of(a, b, tracked, s, rates)
-            _add_second_order(a, step, rates, s)
-    for i in range(n):
-        x[i] += step / 6.0 * total[i]
-    if mode == EXACT:
-        _axpy(s, step / 6.0, sums, s)
+            x[i] += step / 6.0 * total[i]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
@@ -254,20 +235,21 @@ def reset(f):
 
 @nb.njit(
     types.Tuple((types.float64, types.int64))(
-        MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F2, _F1, _I1, _F2, types.int64, types.float64,
-        types.int64, _F2, _F1, _F2, _F2, _F2, _F2, _F3, _F3, _F3, _F3, _F3,
+        FLOW_FUNCTION, MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F2, _F1, _I1, _F2, types.int64,
+        types.float64, types.int64, _F2, _F1, _F2, _F2, _F2, _F2, _F3, _F3, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def extended(
-    rate, output, x, p, values, tracked, inputs, substeps, dt, mode, y, r, q,
+    flow, rate, output, x, p, values, tracked, inputs, substeps, dt, mode, y, r, q,
     means, variances, innovations, spreads, covariances, transitions, gains, slopes,
 ):  # fmt: skip
     """Filter one record.
 
     Parameters
     ----------
-    rate, output : model functions with Jacobians.
+    flow, rate, output : model functions with slopes by the ``tracked`` parameters; ``rate`` where
+        ``mode`` is SECOND_ORDER.
     x : (N,) mean before the first sample, tracked parameters last; p : (N, N) its covariance;
         both are overwritten. values : (parameters,); tracked : indices of those appended to x.
     inputs : on the half-step grid; substeps : Runge-Kutta steps per sample; dt : s.
@@ -284,13 +266,11 @@ def extended(
     """
     samples, m = y.shape
     size, n = x.shape[0], x.shape[0] - tracked.shape[0]
-    vectors, f = np.zeros((3, n)), np.eye(size)
-    a, b = np.zeros((n, n)), np.zeros((n, values.shape[0]))
-    work, big = np.zeros((3, n, size)), np.zeros((size, size))
-    h, c = np.zeros(m), np.zeros((m, size))
+    a, b, big = np.zeros((n, n)), np.zeros((n, values.shape[0])), np.zeros((size, size))
+    (wide, work), f = room(n, size), np.eye(size)
+    h, c, cp = np.zeros(m), np.zeros((m, size)), np.zeros((m, size))
     cx, cv = np.zeros((m, n)), np.zeros((m, values.shape[0]))
-    cp, gain, w = np.zeros((m, size)), np.zeros((size, m)), np.zeros((m, m))
-    likelihood = 0.0
+    gain, w, likelihood = np.zeros((size, m)), np.zeros((m, m)), 0.0
     for k in range(samples):
         hold(values, tracked, x)
         output(x[:n], inputs[k * 2 * substeps], values, h, cx, cv)
@@ -299,18 +279,20 @@ def extended(
         if not np.isfinite(found):
             return likelihood, k
         likelihood += found
-        means[k] = x
-        for i in range(size):
-            variances[k, i] = p[i, i]
+        means[k], variances[k] = x, np.diag(p)
         if covariances.shape[0] > 0:
             covariances[k], gains[k], slopes[k] = p, gain, c
         if k == samples - 1:
             break
-        reset(f)
         hold(values, tracked, x)
-        for sub in range(substeps):
-            step_with_slopes(rate, x, values, tracked, inputs, (k * substeps + sub) * 2,
-                             dt / substeps, mode, f[:n], vectors, a, b, work)  # fmt: skip
+        if mode == EXACT:
+            reset(wide)
+            flow(x, inputs, k * substeps * 2, 2, substeps, dt / substeps, values, wide, work)
+            f[:n] = wide[:, :size]
+        else:
+            reset(f)
+            _second_order(rate, x, values, tracked, inputs, k * substeps * 2, substeps,
+                          dt / substeps, f[:n], a, b)  # fmt: skip
         if covariances.shape[0] > 0:
             transitions[k] = f
         propagate(p, f, q, big)

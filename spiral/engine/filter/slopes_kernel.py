@@ -15,8 +15,9 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.engine.filter.kernel import _FAST, EXACT, hold, step_with_slopes
+from spiral.engine.filter.kernel import _FAST, hold, reset, room
 from spiral.physics.compile import MODEL_FUNCTION
+from spiral.physics.flow import FLOW_FUNCTION
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
@@ -58,19 +59,19 @@ def _carried(f, s, out):
 
 @nb.njit(
     types.void(
-        MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F1, _I1, types.int64, _F2, types.int64,
+        FLOW_FUNCTION, MODEL_FUNCTION, _F1, _F1, _I1, types.int64, _F2, types.int64,
         types.float64, _F2, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def prediction_slopes(
-    rate, output, x, values, both, tracked, inputs, substeps, dt, means, gains, slopes,
+    flow, output, x, values, both, tracked, inputs, substeps, dt, means, gains, slopes,
 ):  # fmt: skip
     """Slopes d_k along a filtered record.
 
     Parameters
     ----------
-    rate, output : model functions with Jacobians.
+    flow, output : model functions with slopes by the parameters ``both``.
     x : (N,) mean before the first sample, tracked parameters last. values : (parameters,).
     both : indices of the ``tracked`` parameters at the end of x, then of those differentiated (q).
     inputs : on the half-step grid; substeps : Runge-Kutta steps per sample; dt : s.
@@ -80,8 +81,7 @@ def prediction_slopes(
     samples, m, width = slopes.shape
     size, n = x.shape[0], x.shape[0] - tracked
     s, out = np.zeros((size, width)), np.zeros((n, width))
-    f, work = np.zeros((n, size + width)), np.zeros((3, n, size + width))
-    vectors, a, b = np.zeros((3, n)), np.zeros((n, n)), np.zeros((n, values.shape[0]))
+    (f, work), step = room(n, size + width), dt / substeps
     h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
     followed = both[:tracked]
     for k in range(samples):
@@ -92,10 +92,6 @@ def prediction_slopes(
             break
         x[:] = means[k]
         hold(values, followed, x)
-        f[:] = 0.0
-        for i in range(n):
-            f[i, i] = 1.0
-        for sub in range(substeps):
-            step_with_slopes(rate, x, values, both, inputs, (k * substeps + sub) * 2,
-                             dt / substeps, EXACT, f, vectors, a, b, work)  # fmt: skip
+        reset(f)
+        flow(x, inputs, k * substeps * 2, 2, substeps, step, values, f, work)
         _carried(f, s, out)

@@ -17,7 +17,7 @@ import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, Pass, filtered, tracked_indices
 from spiral.engine.filter.task import Task
-from spiral.physics.compile import compile_model
+from spiral.physics.flow import compile_flow
 from spiral.types.record import Array
 
 
@@ -49,9 +49,9 @@ def whitened(task: Task, settings: FilterSettings, keys: tuple[str, ...]) -> Whi
     both = np.concatenate([tracked, tracked_indices(task, keys)])
     slopes = np.zeros((*found.innovations.shape, len(keys)))
     if keys:
-        compiled = compile_model(task.compiled.traced)
+        flow = compile_flow(task.compiled.traced, (*settings.tracked, *keys))
         prediction_slopes(
-            compiled.rate, compiled.output,
+            flow.advance, flow.output,
             np.concatenate([settings.start, task.values[tracked]]), task.values.copy(), both,
             len(tracked), task.inputs, task.series.substeps, task.series.dt, found.means,
             found.gains, slopes,

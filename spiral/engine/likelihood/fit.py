@@ -8,8 +8,9 @@ scoring step solves
 
 whose normal equations are the likelihood's slope and its expected information. Steps are damped
 (Levenberg and Marquardt) until the likelihood rises. A pass of the filter has X with its gains
-held. What is missing there, and the slopes by sizes, are by differences, one pass each; both change
-slowly and are kept from step to step (``Kept``), until a step promises more than it keeps.
+held. What is missing there is by differences, one pass each; the slopes by sizes are those of a
+filter that is linear along the motion (``varied``). Both change slowly and are kept from step to
+step (``Kept``), until a step promises more than it keeps.
 
 A model that lacks something starts with much process noise, and with it the filter follows the
 record however wrong the model is; as parameters find their values the noise falls, and predictions
@@ -32,6 +33,8 @@ from spiral.engine.likelihood.predict import (
     Prepared,
     all_predicted,
     log_likelihood,
+    side_by_side,
+    varied,
 )
 from spiral.types.record import Array
 
@@ -161,7 +164,7 @@ def maximise(
     enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
     still = not (keys and differences)  # slopes are not made anew
     search = _Search(keys, bounds or {}, masks, tune, enough, rough, still)
-    parts = all_predicted([(prepared, noise)], keys)[0]
+    parts = all_predicted([(prepared, noise)], keys, keep=not keys)[0]
     height = log_likelihood(parts, masks)
     kept = kept if kept is not None and kept.fits(parts) else Kept()
     at = Maximum(prepared, noise, keys, height, parts, None, False, 0, kept=kept)
@@ -246,17 +249,21 @@ class _Search:
         names = self.sizes(at)
         if not at.kept.stale(at.noise, names, moved):
             return at
-        others = all_predicted(
-            [(at.prepared, at.noise.with_values({n: at.noise.values[n] * np.exp(_DIFFERENCE)}))
-             for n in names]
-        )  # fmt: skip
-        found = {
-            n: tuple(_change(a, b) for a, b in zip(at.parts, other, strict=True))
-            for n, other in zip(names, others, strict=True)
-            if log_likelihood(other) > RUNAWAY
+        larger = np.exp(_DIFFERENCE)
+        others = [at.noise.with_values({n: at.noise.values[n] * larger}) for n in names]
+        runs = at.parts
+        if any(len(p.means) == 0 for p in runs):
+            runs = all_predicted([(at.prepared, at.noise)], keep=True)[0]
+
+        def each(r: int) -> list[tuple[Array, Array]]:
+            return varied(*at.prepared[r], at.noise, others, runs[r])
+
+        found = side_by_side(each, range(len(runs))) if names else []
+        sizes = {
+            n: tuple(_change(p, *other[j]) for p, other in zip(at.parts, found, strict=True))
+            for j, n in enumerate(names)
         }
-        found |= {n: tuple(_none(p) for p in at.parts) for n in names if n not in found}
-        return replace(at, kept=replace(at.kept, sizes=found, at=dict(at.noise.values)))
+        return replace(at, kept=replace(at.kept, sizes=sizes, at=dict(at.noise.values)))
 
     def with_differences(self, at: Maximum) -> Maximum:
         """With all slopes by differences, as they are here."""
@@ -309,7 +316,7 @@ class _Search:
             step = _damped(upper, norms, damping)
             promised = 0.5 * (before - float(np.sum((upper[:, :-1] @ step - upper[:, -1]) ** 2)))
             trial = self._moved(at, names, step, solved.kept)
-            parts = all_predicted([trial], self.keys)[0]
+            parts = all_predicted([trial], self.keys, keep=not self.keys)[0]
             height = log_likelihood(parts, self.masks)
             if height > at.log_likelihood:
                 better = Maximum(*trial, self.keys, height, parts, None, False, 0, kept=at.kept)
@@ -350,18 +357,18 @@ def _shifted(prepared: Prepared, key: str, step: float) -> Prepared:
     return tuple((t.with_values({key: value}), s) for t, s in prepared)
 
 
-def _change(part: Prediction, other: Prediction) -> tuple[Array, Array]:
-    """Slopes of the misses over s^(1/2), and of log s, from a run with one size a little larger."""
-    miss = (other.misses - part.misses) * part.weight / _DIFFERENCE
+def _change(part: Prediction, misses: Array, spreads: Array) -> tuple[Array, Array]:
+    """Slopes of the misses over s^(1/2), and of log s, from a run with one size a little larger.
+
+    Nothing, where that run overflows: the size does not move.
+    """
     seen = part.spreads > 0
-    grown = np.log(other.spreads, where=seen, out=np.zeros_like(part.spreads))
+    if not (np.all(np.isfinite(misses)) and np.all(spreads[seen] > 0)):
+        return np.zeros_like(misses), np.zeros_like(misses)
+    miss = (misses - part.misses) * part.weight / _DIFFERENCE
+    grown = np.log(spreads, where=seen, out=np.zeros_like(spreads))
     grown -= np.log(part.spreads, where=seen, out=np.zeros_like(part.spreads))
     return miss, grown / _DIFFERENCE
-
-
-def _none(part: Prediction) -> tuple[Array, Array]:
-    """Slopes by a size whose difference ran away: it does not move."""
-    return np.zeros_like(part.misses), np.zeros_like(part.misses)
 
 
 def _regression(

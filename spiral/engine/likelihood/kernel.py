@@ -22,8 +22,11 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.engine.filter.kernel import EXACT, hold, propagate, reset, sound, step_with_slopes
-from spiral.physics.compile import MODEL_FUNCTION, VALUE_FUNCTION
+from spiral.engine.filter.algebra import ABSORB, PRODUCT
+from spiral.engine.filter.kernel import hold, reset, room, sound
+from spiral.physics.compile import MODEL_FUNCTION
+from spiral.physics.flow import FLOW_FUNCTION
+from spiral.physics.lanes import LANES
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
@@ -31,42 +34,9 @@ _FAST = {"contract", "reassoc"}
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def take_in(x, p, c, r, miss, gain, pc):
-    """One scalar measurement with row c and variance r; the spread s, x, P and gain in place."""
-    size = x.shape[0]
-    s = r
-    for i in range(size):
-        value = 0.0
-        for a in range(size):
-            value += p[i, a] * c[a]
-        pc[i] = value
-        s += c[i] * value
-    for i in range(size):
-        gain[i] = pc[i] / s
-        x[i] += gain[i] * miss
-    for i in range(size):  # T = (I - K c) P
-        for a in range(size):
-            p[i, a] -= gain[i] * pc[a]
-    for i in range(size):  # T c^T - K r
-        value = -gain[i] * r
-        for a in range(size):
-            value += p[i, a] * c[a]
-        pc[i] = value
-    for i in range(size):
-        for a in range(size):
-            p[i, a] -= pc[i] * gain[a]
-    for i in range(size):
-        for a in range(i):
-            mean = 0.5 * (p[i, a] + p[a, i])
-            p[i, a] = mean
-            p[a, i] = mean
-    return s
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def _slope(c, hp, both, tracked, s, gain, d):
     """d = c S + h_p, and S <- S - K d."""
-    size, width = s.shape
+    size, width = s.shape[0], d.shape[0]
     for j in range(width):
         d[j] = hp[both[tracked + j]]
     for i in range(size):
@@ -124,19 +94,27 @@ def _transition(f, x, phi, driven, tracked, half, scratch, whole):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _carry(whole, f, tracked, s, out):
+def _carry(product, whole, f, first, width, s, out):
     """S <- F S + F_p."""
-    size, width = s.shape
-    n = f.shape[0]
-    for i in range(size):
+    product(whole, s, out)
+    for i in range(f.shape[0]):
         for j in range(width):
-            out[i, j] = f[i, n + tracked + j] if i < n else 0.0
-        for a in range(size):
-            value = whole[i, a]
-            if value != 0.0:
-                for j in range(width):
-                    out[i, j] += value * s[a, j]
+            out[i, j] += f[i, first + j]
     s[:] = out
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _propagate(product, p, whole, q, work):
+    """P <- F P F^T + Q in place; P stays exactly symmetric."""
+    product(whole, p, work[0])
+    for i in range(whole.shape[0]):
+        for a in range(whole.shape[0]):
+            work[1, a, i] = whole[i, a]
+    product(work[0], work[1], p)
+    for i in range(q.shape[0]):
+        for a in range(i + 1):
+            p[i, a] += q[i, a]
+            p[a, i] = p[i, a]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
@@ -157,14 +135,14 @@ def _rows(cx, cv, both, tracked, seen, x, y, h, c, misses):
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def _measured(
-    x, p, c, cv, both, tracked, r, s, scratch, misses, spreads, slopes, k, gains
+    absorb, x, p, c, cv, both, tracked, r, s, scratch, work, misses, spreads, slopes, k, gains
 ):  # fmt: skip
     """All channels of a sample taken in one by one; False where a variance is not positive.
 
     What the mean has moved since the first channel is taken from the misses of those after it.
     """
-    size, width = s.shape
-    gain, pc, before = scratch[1], scratch[2], scratch[3]
+    size, width = gains.shape[2], slopes.shape[1]
+    before, gain = scratch[0], scratch[1]
     before[:] = x
     for j in range(c.shape[0]):
         if np.isnan(misses[j]):
@@ -172,46 +150,56 @@ def _measured(
             misses[j] = 0.0
             slopes[j] = 0.0
             continue
-        for i in range(size):
+        for i in range(x.shape[0]):
             misses[j] -= c[j, i] * (x[i] - before[i])
-        spreads[j] = take_in(x, p, c[j], r[j], misses[j], gain, pc)
+        spreads[j] = absorb(x, p, c[j], r[j], misses[j], gain, work)
         if not spreads[j] > 0.0:
             return False
         if gains.shape[0] > 0:
-            gains[k, j] = gain
+            gains[k, j] = gain[:size]
         if width:
             _slope(c[j], cv[j], both, tracked, s, gain, slopes[j])
     return True
+
+
+@nb.njit(cache=True, nogil=True)
+def _square(matrix):
+    """A square matrix with zeros around it, in room for lanes."""
+    wide = (len(matrix) + LANES - 1) // LANES * LANES
+    out = np.zeros((wide, wide))
+    out[: len(matrix), : len(matrix)] = matrix
+    return out
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _keep(k, c, x, rows, means):
     """Rows and mean of a sample, where they are asked for."""
     if rows.shape[0] > 0:
-        rows[k] = c
+        rows[k] = c[:, : rows.shape[2]]
     if means.shape[0] > 0:
-        means[k] = x
+        means[k] = x[: means.shape[1]]
 
 
 @nb.njit(
     types.int64(
-        MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F2, _F1, _I1, types.int64, _F2, _F2, types.int64,
-        types.float64, _F2, _F1, _F2, _F2, _F2, _F2, _F2, _F2, _F3, _F2, _F3, _F3, _F3,
+        FLOW_FUNCTION, MODEL_FUNCTION, PRODUCT, ABSORB, _F1, _F2, _F1, _I1, types.int64, _F2, _F2,
+        types.int64, types.float64, _F2, _F1, _F2, _F2, _F2, _F2, _F2, _F2, _F3, _F2, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def predict_record(
-    rate, output, x, p, values, both, tracked, inputs, stages, substeps, dt, y, r, q, phi, seen,
-    driven,
+    flow, output, product, absorb, mean, covariance, values, both, tracked, inputs, stages,
+    substeps, dt, y, r, q, phi, seen, driven,
     misses, spreads, slopes, means, transitions, gains, rows,
 ):  # fmt: skip
     """One-step predictions of a record.
 
     Parameters
     ----------
-    rate, output : model functions with Jacobians.
-    x : (N,) mean of (states, tracked parameters, noise states) before the first sample; p : (N, N)
-        its covariance; both are overwritten. values : (parameters,).
+    flow, output : the model's flow and output with slopes by the parameters ``both``.
+    product, absorb : as in ``filter.algebra``.
+    mean : (N,) of (states, tracked parameters, noise states) before the first sample; covariance :
+        (N, N) of it. values : (parameters,), overwritten where tracked.
     both : indices of the ``tracked`` parameters, then of those differentiated (width).
     inputs : on the half-step grid; stages : of every Runge-Kutta step (``Series.stages``);
     substeps : steps per sample; dt : s.
@@ -228,21 +216,23 @@ def predict_record(
     Samples done before a number became infinite.
     """
     samples, m = y.shape
-    size, width = x.shape[0], slopes.shape[2]
+    size, width = mean.shape[0], slopes.shape[2]
     n = size - tracked - phi.shape[0]
-    first, half, followed = n + tracked, 0.5 * dt, both[:tracked]
-    f, work = np.zeros((n, n + tracked + width)), np.zeros((3, n, n + tracked + width))
-    vectors, a, b = np.zeros((3, n)), np.zeros((n, n)), np.zeros((n, values.shape[0]))
+    first, half, followed, step = n + tracked, 0.5 * dt, both[:tracked], dt / substeps
+    f, work = room(n, first + width)
     h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
-    c, scratch = np.zeros((m, size)), np.zeros((4, size))
-    whole, big = np.zeros((size, size)), np.zeros((size, size))
-    s, out, k = np.zeros((size, width)), np.zeros((size, width)), 0
+    p = _square(covariance)
+    wide, (s, _) = len(p), room(len(p), width)
+    matrices, out, k = np.zeros((3, wide, wide)), np.zeros_like(s), 0
+    x, c, scratch, whole = np.zeros(wide), np.zeros((m, wide)), np.zeros((2, wide)), matrices[2]
+    space = np.zeros(2 * wide)
+    x[:size] = mean
     for k in range(samples):
         hold(values, followed, x[:first])
         output(x[:n], inputs[k * 2 * substeps], values, h, cx, cv)
         _rows(cx, cv, both, tracked, seen, x, y[k], h, c, misses[k])
-        if not _measured(x, p, c, cv, both, tracked, r, s, scratch, misses[k], spreads[k],
-                         slopes[k], k, gains):  # fmt: skip
+        if not _measured(absorb, x, p, c, cv, both, tracked, r, s, scratch, space, misses[k],
+                         spreads[k], slopes[k], k, gains):  # fmt: skip
             return k
         _keep(k, c, x, rows, means)
         if k == samples - 1 or not sound(x, p):
@@ -250,112 +240,96 @@ def predict_record(
         reset(f)
         hold(values, followed, x[:first])
         _push(x, driven, first, half)
-        for sub in range(substeps):
-            step_with_slopes(rate, x, values, both, stages, (k * substeps + sub) * 3,
-                             dt / substeps, EXACT, f, vectors, a, b, work)  # fmt: skip
+        flow(x, stages, k * substeps * 3, 3, substeps, step, values, f, work)
         _push(x, driven, first, half)
         _transition(f, x, phi, driven, tracked, half, scratch[0], whole)
         if transitions.shape[0] > 0:
-            transitions[k] = whole
+            transitions[k] = whole[:size, :size]
         if width:
-            _carry(whole, f, tracked, s, out)
-        propagate(p, whole, q, big)
+            _carry(product, whole, f, first, width, s, out)
+        _propagate(product, p, whole, q, matrices)
     return k + 1 if sound(x, p) else k
 
 
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _follow(absorb, x, p, rows, gains, before, seen, r, scratch, work, misses, spreads):
+    """A sample taken in with other noise: x is how far its mean is from that of the first run."""
+    size, c, gain = rows.shape[1], scratch[0], scratch[1]
+    for j in range(len(misses)):
+        misses[j] = spreads[j] = 0.0
+        if not seen[j] > 0.0:
+            continue
+        c[:size] = rows[j]
+        misses[j] = before[j]
+        for i in range(size):
+            misses[j] -= rows[j, i] * x[i]
+        spreads[j] = absorb(x, p, c, r[j], misses[j], gain, work)
+        for i in range(size):
+            x[i] -= gains[j, i] * before[j]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _departed(x, whole, z, phi, before, first, later):
+    """x <- F x + (Phi - Phi_0) z with F = ``whole``, which is given this Phi."""
+    k = phi.shape[0]
+    for i in range(k):
+        later[first + i] = 0.0
+        for j in range(k):
+            later[first + i] += (phi[i, j] - before[i, j]) * z[first + j]
+            whole[first + i, first + j] = phi[i, j]
+    later[:first] = 0.0
+    for i in range(first + k):
+        for a in range(first + k):
+            later[i] += whole[i, a] * x[a]
+    x[: first + k] = later[: first + k]
+
+
 @nb.njit(
-    types.void(_F3, _F3, _F3, _F3, _F3, _F2, types.float64, _F3),
+    types.void(
+        FLOW_FUNCTION, PRODUCT, ABSORB, _F1, _I1, _F2, types.int64, types.float64, _F2, _F2,
+        _F2, _F3, _F3, _F2, _F2, _F3, _F2, _F3, _F3, _F3, _F3,
+    ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
-def carry_signatures(transitions, gains, rows, pushes, readings, s, half, slopes):
-    """Slopes of predictions by amplitudes that are zero, along a filtered stretch.
+def vary_record(
+    flow, product, absorb, values, followed, stages, substeps, dt, phi, driven,
+    means, gains, rows, before, seen, starts, r, q, phis, misses, spreads,
+):  # fmt: skip
+    """One-step predictions of a record under other models of its noise, along one filtered motion.
 
-        d = c S + H,   S <- S - K d,   S <- F S + dt/2 (F_x B_k + B_{k+1})
+    The filter is linear about the means of a run before: with F and c of that run, P follows from
+    the other noise, and with it how far a mean departs, d <- d + K e - K_0 e_0, e = e_0 - c d,
+    d <- F d. What is left out is that F would be made at another mean.
 
     Parameters
     ----------
-    transitions, gains, rows : F, K and c as ``predict_record`` left them, of this stretch.
-    pushes : (samples + 1, n, width) slopes B of the rates; readings : (samples, channels, width) H.
-    s : (N, width) before the stretch, and after it on return. half : dt / 2.
-    slopes : (samples, channels, width) out: d.
+    flow : with slopes by the parameters ``followed``; others as in ``predict_record``. phi : Phi of
+        the run before.
+    means, gains, rows, before, seen : what that run left: means, K, c, e and s.
+    starts, r, q, phis : (noises, ..) covariance before the first sample, r, Q and Phi of each.
+    misses, spreads : (noises, samples, channels) out: e and s.
     """
-    samples, m, width = slopes.shape
-    size, n = s.shape[0], pushes.shape[1]
-    out = np.zeros((size, width))
+    samples, size = means.shape
+    first, n = size - phi.shape[0], size - phi.shape[0] - len(followed)
+    f, work = room(n, first)
+    blank = _square(starts[0])
+    wide, p = len(blank), np.zeros((len(starts), *blank.shape))
+    x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
+    scratch, space, matrices = np.zeros((2, wide)), np.zeros(2 * wide), np.zeros((3, *blank.shape))
+    whole = matrices[2]
+    p[:, :size, :size] = starts
     for k in range(samples):
-        for j in range(m):
-            d = slopes[k, j]
-            for a in range(width):
-                d[a] = readings[k, j, a]
-            for i in range(size):
-                value = rows[k, j, i]
-                if value != 0.0:
-                    for a in range(width):
-                        d[a] += value * s[i, a]
-            for i in range(size):
-                value = gains[k, j, i]
-                for a in range(width):
-                    s[i, a] -= value * d[a]
-        for i in range(n):
-            for a in range(width):
-                s[i, a] += half * pushes[k, i, a]
-        for i in range(size):
-            for a in range(width):
-                out[i, a] = 0.0
-            for b in range(size):
-                value = transitions[k, i, b]
-                if value != 0.0:
-                    for a in range(width):
-                        out[i, a] += value * s[b, a]
-        s[:] = out
-        for i in range(n):
-            for a in range(width):
-                s[i, a] += half * pushes[k + 1, i, a]
-
-
-@nb.njit(
-    types.void(VALUE_FUNCTION, _F2, _F2, _F2, _F2, types.float64, _F3),
-    cache=True, nogil=True, error_model="numpy",
-)  # fmt: skip
-def drive_own(rate, motion, between, inputs, values, dt, states):
-    """States z of an effect alone, driven by a motion, by classical Runge-Kutta from rest.
-
-    Parameters
-    ----------
-    rate : function of (z, motion), u, p. motion, between : (samples, m) at the samples, and half a
-        step later. inputs : (samples, k). values : (copies, parameters).
-    states : (copies, samples, n) out.
-    """
-    copies, samples, n = states.shape
-    m = motion.shape[1]
-    x, f, total, u = np.zeros(n + m), np.zeros(n + m), np.zeros(n), inputs[0].copy()
-    for copy in range(copies):
-        p = values[copy]
-        for k in range(samples - 1):
-            total[:] = 0.0
-            for stage in range(4):
-                point = dt * (0.0 if stage == 0 else (1.0 if stage == 3 else 0.5))
-                for i in range(n):
-                    x[i] = states[copy, k, i] + point * f[i]
-                here = motion[k] if stage == 0 else (motion[k + 1] if stage == 3 else between[k])
-                for i in range(m):
-                    x[n + i] = here[i]
-                for i in range(u.shape[0]):
-                    late = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-                    u[i] = (1.0 - late) * inputs[k, i] + late * inputs[k + 1, i]
-                rate(x, u, p, f)
-                for i in range(n):
-                    total[i] += (2.0 if stage == 1 or stage == 2 else 1.0) * f[i]
-            for i in range(n):
-                states[copy, k + 1, i] = states[copy, k, i] + dt / 6.0 * total[i]
-
-
-@nb.njit(
-    types.void(VALUE_FUNCTION, VALUE_FUNCTION, _F2, _F2, _F1, _F2, _F2),
-    cache=True, nogil=True, error_model="numpy",
-)  # fmt: skip
-def evaluate_along(rate, output, states, inputs, values, rates, readings):
-    """Rates (samples, n) and readings (samples, channels) of a model along its states, out."""
-    for k in range(states.shape[0]):
-        rate(states[k], inputs[k], values, rates[k])
-        output(states[k], inputs[k], values, readings[k])
+        for v in range(len(starts)):
+            _follow(absorb, x[v], p[v], rows[k], gains[k], before[k], seen[k], r[v], scratch,
+                    space, misses[v, k], spreads[v, k])  # fmt: skip
+        if k == samples - 1:
+            break
+        here[:] = means[k]
+        reset(f)
+        hold(values, followed, here[:first])
+        _push(here, driven, first, 0.5 * dt)
+        flow(here, stages, k * substeps * 3, 3, substeps, dt / substeps, values, f, work)
+        _transition(f, here, phi, driven, len(followed), 0.5 * dt, later, whole)
+        for v in range(len(starts)):
+            _departed(x[v], whole, means[k], phis[v], phi, first, later)
+            _propagate(product, p[v], whole, q[v], matrices)

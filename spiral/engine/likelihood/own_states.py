@@ -36,7 +36,7 @@ def own_states_along(
     ----------
     shapes : (copies,) of each shape parameter. shift : rad added to ``u.phase``.
     """
-    from spiral.engine.likelihood.kernel import drive_own
+    from spiral.engine.likelihood.signatures_kernel import drive_own
 
     port = check_effect(along.system, effect)
     axes = max(len(port.axes), 1)

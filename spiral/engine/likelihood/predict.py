@@ -7,24 +7,28 @@ over samples k and channels j, each predicted from all that came before it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
+from spiral.engine.filter.algebra import algebra
 from spiral.engine.filter.extended import FilterSettings, tracked_indices
 from spiral.engine.filter.task import Task
 from spiral.engine.likelihood.noise import NoiseModel, matrices
 from spiral.engine.threads import THREADS
-from spiral.physics.compile import compile_model
+from spiral.physics.flow import compile_flow
 from spiral.types.record import Array
 
 Prepared = tuple[tuple[Task, FilterSettings], ...]
 """For each record of one machine: its task, and settings without process noise."""
 
 RUNAWAY = -1e300
+Job = TypeVar("Job")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -32,9 +36,9 @@ class Prediction:
     """One record predicted sample by sample.
 
     ``misses`` and ``spreads`` (samples, channels): e and its variance s, 0 where nothing was
-    measured; ``slopes`` (samples, channels, parameters) of the predictions; ``means`` (samples, N)
-    of states, tracked parameters and noise states after each sample, or no rows; ``transitions``,
-    ``gains`` and ``rows`` as ``carry_signatures`` wants them, or no rows.
+    measured; ``slopes`` (samples, channels, parameters) of the predictions. Where they were asked
+    for, ``means`` (samples, N) of states, tracked parameters and noise states after each sample,
+    ``gains`` K and ``rows`` c (samples, channels, N), and ``transitions`` F (samples, N, N).
     """
 
     misses: Array
@@ -82,13 +86,13 @@ def predicted(
     task: Task, settings: FilterSettings, noise: NoiseModel, keys: Sequence[str] = (),
     keep: bool = False, carry: bool = False,
 ) -> Prediction:  # fmt: skip
-    """One record, with slopes by ``keys``; ``keep`` the means, ``carry`` what signatures need."""
+    """One record, with slopes by ``keys``; ``keep`` means, gains and rows, ``carry`` all."""
     from spiral.engine.likelihood.kernel import predict_record
 
     tracked = tracked_indices(task, settings.tracked)
     both = np.concatenate([tracked, tracked_indices(task, tuple(keys))]).astype(np.int64)
     names = (*settings.tracked, *keys)
-    compiled = compile_model(task.compiled.traced, names)
+    flow, compiled = compile_flow(task.compiled.traced, names), algebra()
     parts = matrices(task, settings, noise)
     samples, m = task.series.y.shape
     size, kept = len(parts.q), samples if keep or carry else 0
@@ -96,13 +100,14 @@ def predicted(
     first = np.concatenate([settings.start, task.values[tracked]])
     arrays = (
         np.zeros((samples, m)), np.zeros((samples, m)), np.zeros((samples, m, len(keys))),
-        np.zeros((kept, size)), np.zeros((more, size, size)), np.zeros((more, m, size)),
-        np.zeros((more, m, size)),
+        np.zeros((kept, size)), np.zeros((more, size, size)), np.zeros((kept, m, size)),
+        np.zeros((kept, m, size)),
     )  # fmt: skip
     grid, series = task.inputs, task.series
     y = series.y if series.seen is None else np.where(series.seen, series.y, np.nan)
     done = predict_record(
-        compiled.rate, compiled.output, np.concatenate([first, np.zeros(size - len(first))]),
+        flow.advance, flow.output, compiled.product, compiled.absorb,
+        np.concatenate([first, np.zeros(size - len(first))]),
         parts.p, task.values.copy(), both, len(tracked), grid, series.stages(grid),
         series.substeps, series.dt, np.ascontiguousarray(y), parts.r, parts.q, parts.phi,
         parts.seen, parts.driven, *arrays,
@@ -110,26 +115,53 @@ def predicted(
     return Prediction(*arrays, int(done))
 
 
+def varied(
+    task: Task, settings: FilterSettings, noise: NoiseModel, others: Sequence[NoiseModel],
+    run: Prediction,
+) -> list[tuple[Array, Array]]:  # fmt: skip
+    """Misses and spreads of one record under other noise, along the motion of a run kept before.
+
+    ``others`` have the terms of ``noise``, which is that of the run, with other values.
+    """
+    from spiral.engine.likelihood.kernel import vary_record
+
+    tracked = tracked_indices(task, settings.tracked)
+    flow, compiled = compile_flow(task.compiled.traced, settings.tracked), algebra()
+    first, parts = matrices(task, settings, noise), [matrices(task, settings, n) for n in others]
+    p, r, q, phi = (np.array([getattr(m, a) for m in parts]) for a in ("p", "r", "q", "phi"))
+    misses, spreads = (np.zeros((len(others), *run.misses.shape)) for _ in range(2))
+    series = task.series
+    vary_record(
+        flow.advance, compiled.product, compiled.absorb, task.values.copy(), tracked,
+        series.stages(task.inputs), series.substeps, series.dt, first.phi, first.driven,
+        run.means, run.gains, run.rows, run.misses, run.spreads, p, r, q, phi, misses, spreads,
+    )  # fmt: skip
+    return [(misses[j], spreads[j]) for j in range(len(others))]
+
+
 def all_predicted(
-    cases: Sequence[tuple[Prepared, NoiseModel]], keys: Sequence[str] = ()
+    cases: Sequence[tuple[Prepared, NoiseModel]], keys: Sequence[str] = (), keep: bool = False
 ) -> list[tuple[Prediction, ...]]:
     """Every record of every case; cases run side by side, and know nothing of one another."""
     jobs = [(task, settings, noise) for prepared, noise in cases for task, settings in prepared]
 
     def run(job: tuple[Task, FilterSettings, NoiseModel]) -> Prediction:
-        return predicted(*job, keys)
+        return predicted(*job, keys, keep)
 
-    with np.errstate(all="ignore"):
-        if len(jobs) == 1 or THREADS == 1:
-            flat = [run(job) for job in jobs]
-        else:
-            with ThreadPoolExecutor(THREADS) as pool:
-                flat = list(pool.map(run, jobs))
-    found, at = [], 0
+    flat, found, at = side_by_side(run, jobs), [], 0
     for prepared, _ in cases:
         found.append(tuple(flat[at : at + len(prepared)]))
         at += len(prepared)
     return found
+
+
+def side_by_side(run: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
+    """A function of every job, on as many threads as there may be."""
+    with np.errstate(all="ignore"):
+        if len(jobs) == 1 or THREADS == 1:
+            return [run(job) for job in jobs]
+        with ThreadPoolExecutor(THREADS) as pool:
+            return list(pool.map(run, jobs))
 
 
 Masks = Sequence[Array | None] | None

@@ -180,7 +180,7 @@ def _finite(
 
 def _carried(passage: Passage, record: int, groups: Sequence[Group]) -> Array:
     """(samples, channels, columns) slopes of predictions by amplitudes that are zero."""
-    from spiral.engine.likelihood.kernel import carry_signatures
+    from spiral.engine.likelihood.signatures_kernel import carry_signatures
 
     task, part = passage.tasks[record], passage.parts[record]
     along, dt = passage.motions[record], task.series.dt
@@ -205,7 +205,7 @@ def _carried(passage: Passage, record: int, groups: Sequence[Group]) -> Array:
 
 def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
     """The filtered motion of a record: states of the system, rates and readings of the model."""
-    from spiral.engine.likelihood.kernel import evaluate_along
+    from spiral.engine.likelihood.signatures_kernel import evaluate_along
 
     system = assembly.problem.model.system
     n, count = len(system.states), len(task.states)

@@ -1,0 +1,110 @@
+"""Slopes by amplitudes that are zero along a filtered record, and what they are made of."""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+from numba import types
+
+from spiral.physics.compile import VALUE_FUNCTION
+
+_F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+_FAST = {"contract", "reassoc"}
+
+
+@nb.njit(
+    types.void(_F3, _F3, _F3, _F3, _F3, _F2, types.float64, _F3),
+    cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
+)  # fmt: skip
+def carry_signatures(transitions, gains, rows, pushes, readings, s, half, slopes):
+    """Slopes of predictions by amplitudes that are zero, along a filtered stretch.
+
+        d = c S + H,   S <- S - K d,   S <- F S + dt/2 (F_x B_k + B_{k+1})
+
+    Parameters
+    ----------
+    transitions, gains, rows : F, K and c as ``predict_record`` left them, of this stretch.
+    pushes : (samples + 1, n, width) slopes B of the rates; readings : (samples, channels, width) H.
+    s : (N, width) before the stretch, and after it on return. half : dt / 2.
+    slopes : (samples, channels, width) out: d.
+    """
+    samples, m, width = slopes.shape
+    size, n = s.shape[0], pushes.shape[1]
+    out = np.zeros((size, width))
+    for k in range(samples):
+        for j in range(m):
+            d = slopes[k, j]
+            for a in range(width):
+                d[a] = readings[k, j, a]
+            for i in range(size):
+                value = rows[k, j, i]
+                if value != 0.0:
+                    for a in range(width):
+                        d[a] += value * s[i, a]
+            for i in range(size):
+                value = gains[k, j, i]
+                for a in range(width):
+                    s[i, a] -= value * d[a]
+        for i in range(n):
+            for a in range(width):
+                s[i, a] += half * pushes[k, i, a]
+        for i in range(size):
+            for a in range(width):
+                out[i, a] = 0.0
+            for b in range(size):
+                value = transitions[k, i, b]
+                if value != 0.0:
+                    for a in range(width):
+                        out[i, a] += value * s[b, a]
+        s[:] = out
+        for i in range(n):
+            for a in range(width):
+                s[i, a] += half * pushes[k + 1, i, a]
+
+
+@nb.njit(
+    types.void(VALUE_FUNCTION, _F2, _F2, _F2, _F2, types.float64, _F3),
+    cache=True, nogil=True, error_model="numpy",
+)  # fmt: skip
+def drive_own(rate, motion, between, inputs, values, dt, states):
+    """States z of an effect alone, driven by a motion, by classical Runge-Kutta from rest.
+
+    Parameters
+    ----------
+    rate : function of (z, motion), u, p. motion, between : (samples, m) at the samples, and half a
+        step later. inputs : (samples, k). values : (copies, parameters).
+    states : (copies, samples, n) out.
+    """
+    copies, samples, n = states.shape
+    m = motion.shape[1]
+    x, f, total, u = np.zeros(n + m), np.zeros(n + m), np.zeros(n), inputs[0].copy()
+    for copy in range(copies):
+        p = values[copy]
+        for k in range(samples - 1):
+            total[:] = 0.0
+            for stage in range(4):
+                point = dt * (0.0 if stage == 0 else (1.0 if stage == 3 else 0.5))
+                for i in range(n):
+                    x[i] = states[copy, k, i] + point * f[i]
+                here = motion[k] if stage == 0 else (motion[k + 1] if stage == 3 else between[k])
+                for i in range(m):
+                    x[n + i] = here[i]
+                for i in range(u.shape[0]):
+                    late = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+                    u[i] = (1.0 - late) * inputs[k, i] + late * inputs[k + 1, i]
+                rate(x, u, p, f)
+                for i in range(n):
+                    total[i] += (2.0 if stage == 1 or stage == 2 else 1.0) * f[i]
+            for i in range(n):
+                states[copy, k + 1, i] = states[copy, k, i] + dt / 6.0 * total[i]
+
+
+@nb.njit(
+    types.void(VALUE_FUNCTION, VALUE_FUNCTION, _F2, _F2, _F1, _F2, _F2),
+    cache=True, nogil=True, error_model="numpy",
+)  # fmt: skip
+def evaluate_along(rate, output, states, inputs, values, rates, readings):
+    """Rates (samples, n) and readings (samples, channels) of a model along its states, out."""
+    for k in range(states.shape[0]):
+        rate(states[k], inputs[k], values, rates[k])
+        output(states[k], inputs[k], values, readings[k])

@@ -1,0 +1,183 @@
+"""The flow of a model over a sample, with its slopes, as machine code.
+
+    x <- classical Runge-Kutta of x' = f(x, u, p)
+    S <- the same steps of S' = f_x S + [0 | f_p],   S = d x / d(x at the start, p)
+
+which differentiates the Runge-Kutta map itself. The Jacobian's entries go straight from ``emit``
+into the products: those that are zero by the structure of the model cost nothing, and the others
+are in no memory. Columns of S are taken four at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+
+from spiral.physics.compile import (
+    MODEL_FUNCTION,
+    ModelFunction,
+    element,
+    ended,
+    engine_of,
+    loaded,
+    started,
+    write_function,
+)
+from spiral.physics.emit import DOUBLE, Emitter, Node, number
+from spiral.physics.lanes import (
+    LANES,
+    ZEROS,
+    add_product,
+    counted,
+    index,
+    lane,
+    put,
+    spread,
+)
+from spiral.physics.trace import Traced
+from spiral.types.cache import kept
+
+_V, _M, _T = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+FLOW_FUNCTION = types.FunctionType(
+    types.void(_V, _M, types.int64, types.int64, types.int64, types.float64, _V, _M, _T)
+)
+"""flow(x, u, at, stride, substeps, step, p, S, work).
+
+``x`` (at least n) and ``S`` (n, columns a multiple of four) are advanced in place by ``substeps``
+of length ``step``; inputs of step i are rows at + i stride of ``u``, and the two behind it (start,
+middle and end). ``work`` (3, n, columns of S) is scratch that begins as zero and is kept from call
+to call.
+"""
+
+
+@dataclass(frozen=True)
+class Flow:
+    """``advance`` a model over samples, columns of S in the order of ``by``; its ``output``."""
+
+    advance: Any
+    output: Any
+
+
+@kept(128)
+def compile_flow(traced: Traced, by: tuple[str, ...]) -> Flow:
+    """The flow with slopes by all states, then by the parameters ``by``, and the output.
+
+    Raises
+    ------
+    TypeError : a function that has no machine code.
+    """
+    module = ir.Module("flow")
+    columns = [traced.keys.index(k) for k in by]
+    _FlowWriter(module, traced, columns).write()
+    write_function(module, "output", traced, traced.output, columns)
+    engine = engine_of(module)
+    return Flow(
+        ModelFunction(FLOW_FUNCTION, engine, "advance"),
+        ModelFunction(MODEL_FUNCTION, engine, "output"),
+    )
+
+
+class _FlowWriter:
+    """Writes ``advance``: over steps, their four stages, and the columns of S by fours."""
+
+    def __init__(self, module: ir.Module, traced: Traced, columns: Sequence[int]) -> None:
+        self.traced, self.columns, self.n = traced, columns, len(traced.x)
+        self.builder, args = started(module, "advance", FLOW_FUNCTION)
+        b = self.builder
+        self.x, self.u, self.p, self.s, self.work = (
+            b.extract_value(args[i], 4) for i in (0, 1, 6, 7, 8)
+        )
+        self.at, self.stride, self.substeps, self.step = args[2:6]
+        self.inputs = b.extract_value(args[1], [5, 1])
+        self.width = b.extract_value(args[7], [5, 1])
+        self.layer = b.mul(self.width, index(self.n))
+        size = ir.ArrayType(DOUBLE, max(self.n, 1))
+        self.slope, self.total = (b.gep(b.alloca(size), [index(0)] * 2) for _ in range(2))
+
+    def write(self) -> None:
+        """The whole function."""
+        b, traced = self.builder, self.traced
+        used = set().union(*(e.free_symbols for e in traced.rate))
+        parameters = loaded(b, self.p, traced.p, used)
+        half, sixth = (b.fmul(self.step, number(w)) for w in (0.5, 1 / 6))
+        with counted(b, self.substeps) as sub:
+            row = b.add(self.at, b.mul(sub, self.stride))
+            with counted(b, index(4)) as stage:
+                self._stage(row, stage, half, used, parameters)
+            for i in range(self.n):
+                place, total = element(b, self.x, i), b.load(element(b, self.total, i))
+                b.store(add_product(b, b.load(place), sixth, total), place)
+            self._ended(spread(b, sixth))
+        ended(b)
+
+    def _stage(self, row: Any, stage: Any, half: Any, used: set[Any], parameters: Any) -> None:
+        """Rates and their slopes at one point of the step, added to the sums."""
+        b, traced = self.builder, self.traced
+        first, last = (b.icmp_signed("==", stage, index(i)) for i in (0, 3))
+        zero = number(0.0)
+        point = b.select(first, zero, b.select(last, self.step, half))
+        gain = b.select(b.or_(first, last), number(1.0), number(2.0))
+        reached = b.add(row, b.lshr(b.add(stage, index(1)), index(1)))
+        inputs = b.gep(self.u, [b.mul(reached, self.inputs)])
+        here = {}
+        for i, symbol in enumerate(traced.x):
+            slope = b.select(first, zero, b.load(element(b, self.slope, i)))
+            here[symbol] = add_product(b, b.load(element(b, self.x, i)), point, slope)
+        symbols = {**here, **loaded(b, inputs, traced.u, used), **parameters}
+        active = {s: i for i, s in enumerate(traced.x)}
+        active |= {traced.p[j]: self.n + c for c, j in enumerate(self.columns)}
+        emitter = Emitter(b, symbols, active)
+        nodes = [emitter.node(e) for e in traced.rate]
+        for i, node in enumerate(nodes):
+            b.store(node.value, element(b, self.slope, i))
+            place = element(b, self.total, i)
+            so_far = b.select(first, zero, b.load(place))
+            b.store(add_product(b, so_far, gain, node.value), place)
+        self._slopes(nodes, first, point, gain)
+
+    def _slopes(self, nodes: Sequence[Node], first: Any, point: Any, gain: Any) -> None:
+        """J (S + point S') + [0 | f_p], added to the sums."""
+        b, n = self.builder, self.n
+        direct = [any(k >= n for k in node.slopes) for node in nodes]
+        for i, node in enumerate(nodes):
+            for k, slope in node.slopes.items():
+                if k >= n:
+                    b.store(slope, b.gep(self._row(self.work, i, 2), [index(k)]))
+        needed = sorted({k for node in nodes for k in node.slopes if k < n})
+        entries = [{k: spread(b, v) for k, v in m.slopes.items() if k < n} for m in nodes]
+        along, weight = spread(b, point), spread(b, gain)
+        with counted(b, self.width, LANES) as c:
+            trial = {}
+            for k in needed:
+                rates = b.select(first, ZEROS, self._lane(self.work, k, 0, c))
+                trial[k] = add_product(b, self._lane(self.s, k, 0, c), along, rates)
+            for i in range(n):
+                value = self._lane(self.work, i, 2, c) if direct[i] else ZEROS
+                for k, entry in entries[i].items():
+                    value = add_product(b, value, entry, trial[k])
+                sums = b.select(first, ZEROS, self._lane(self.work, i, 1, c))
+                self._put(value, self.work, i, 0, c)
+                self._put(add_product(b, sums, weight, value), self.work, i, 1, c)
+
+    def _ended(self, sixth: Any) -> None:
+        """S <- S + step / 6 of the sums."""
+        b = self.builder
+        with counted(b, self.width, LANES) as c:
+            for i in range(self.n):
+                now, sums = self._lane(self.s, i, 0, c), self._lane(self.work, i, 1, c)
+                self._put(add_product(b, now, sixth, sums), self.s, i, 0, c)
+
+    def _row(self, data: Any, i: int, layer: int) -> Any:
+        b = self.builder
+        place = b.add(b.mul(self.layer, index(layer)), b.mul(self.width, index(i)))
+        return b.gep(data, [place])
+
+    def _lane(self, data: Any, i: int, layer: int, column: Any) -> Any:
+        return lane(self.builder, self._row(data, i, layer), column)
+
+    def _put(self, value: Any, data: Any, i: int, layer: int, column: Any) -> None:
+        put(self.builder, value, self._row(data, i, layer), column)

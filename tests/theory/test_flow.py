@@ -1,0 +1,166 @@
+"""Machine code of a model's flow and of the filter's algebra against what they are defined by."""
+
+import numba as nb
+import numpy as np
+import pytest
+from spiral_plugins.effects.restoring import CubicStiffness
+from spiral_plugins.systems.pendulum import Pendulum
+from spiral_plugins.systems.planar_rotor import PlanarRotor
+
+from spiral.engine.filter.algebra import algebra
+from spiral.engine.filter.kernel import room
+from spiral.engine.likelihood.noise import NoiseTerm, first_noise
+from spiral.engine.likelihood.predict import predicted, varied
+from spiral.physics.compile import compile_model
+from spiral.physics.flow import compile_flow
+from spiral.physics.lanes import padded
+from spiral.physics.trace import trace
+from tests.theory.test_likelihood import record_of, task_of
+
+STEP = 1e-3
+
+
+@nb.njit
+def advance(flow, x, u, stride, substeps, step, p, s, work):
+    flow(x, u, 0, stride, substeps, step, p, s, work)
+
+
+@nb.njit
+def matmul(product, a, b, c):
+    product(a, b, c)
+
+
+@nb.njit
+def take_in(absorb, x, p, c, r, miss, gain, work):
+    return absorb(x, p, c, r, miss, gain, work)
+
+
+def runge_kutta(rate, x, u, step, p):
+    """Classical Runge-Kutta, written a second time."""
+
+    def f(at, state):
+        out = np.zeros(len(x))
+        rate(np.ascontiguousarray(state), np.ascontiguousarray(u[at]), p, out)
+        return out
+
+    a = f(0, x)
+    b = f(1, x + step / 2 * a)
+    c = f(1, x + step / 2 * b)
+    d = f(2, x + step * c)
+    return x + step / 6 * (a + 2 * b + 2 * c + d)
+
+
+def questions(system, by, substeps=3, stride=2):
+    traced = trace(system, system.seed)
+    rng = np.random.default_rng(4)
+    x, p = rng.uniform(0.1, 1, len(traced.x)), rng.uniform(0.5, 2, len(traced.p))
+    u = rng.uniform(-1, 1, (substeps * stride + 1, len(traced.u)))
+    return traced, tuple(traced.keys[i] for i in by), x, u, p, substeps
+
+
+@pytest.mark.parametrize("system", [PlanarRotor(), Pendulum()], ids=["planar_rotor", "pendulum"])
+@pytest.mark.parametrize("by", [(), (1,), (2, 0, 1)])
+def test_a_flow_is_runge_kutta_and_its_slopes_are_differences_of_it(system, by):
+    traced, names, x, u, p, substeps = questions(system, by)
+    n = len(x)
+    value = compile_model(traced).rate_value
+
+    def reached(x, p):
+        for i in range(substeps):
+            x = runge_kutta(value, x, u[2 * i :], STEP, p)
+        return x
+
+    s, work = room(n, n + len(by))
+    s[:, :n] = np.eye(n)
+    got = x.copy()
+    advance(compile_flow(traced, names).advance, got, u, 2, substeps, STEP, p, s, work)
+    np.testing.assert_allclose(got, reached(x, p), rtol=1e-13)
+    for column in range(n + len(by)):
+        moved = [np.array(x), np.array(p)]
+        which, at = (0, column) if column < n else (1, by[column - n])
+        h = 1e-5
+        moved[which][at] += h
+        plus = reached(*moved)
+        moved[which][at] -= 2 * h
+        slope = (plus - reached(*moved)) / (2 * h)
+        np.testing.assert_allclose(s[:, column], slope, rtol=1e-6, atol=1e-8)
+    assert not s[:, n + len(by) :].any()
+
+
+def test_called_twice_a_flow_has_forgotten_the_call_before():
+    traced, names, x, u, p, substeps = questions(PlanarRotor(), (0,))
+    flow = compile_flow(traced, names).advance
+    runs, (s, work) = [], room(len(x), len(x) + 1)
+    for _ in range(2):
+        s[:] = np.eye(*s.shape)
+        at = x.copy()
+        advance(flow, at, u, 2, substeps, STEP, p, s, work)
+        runs.append((at, s.copy()))
+    np.testing.assert_array_equal(runs[0][0], runs[1][0])
+    np.testing.assert_array_equal(runs[0][1], runs[1][1])
+
+
+@pytest.mark.parametrize("width", [1, 3, 4, 11, 12, 13, 25, 40])
+def test_products_of_any_size(width):
+    rng = np.random.default_rng(width)
+    wide = padded(width)
+    a, b = np.zeros((wide, wide)), np.zeros((wide, padded(width + 2)))
+    a[:width, :width] = rng.normal(size=(width, width))
+    b[:width, : width + 2] = rng.normal(size=(width, width + 2))
+    c = np.full(b.shape, np.nan)
+    matmul(algebra().product, a, b, c)
+    np.testing.assert_allclose(c, a @ b, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1, 4, 7, 13])
+def test_a_measurement_is_taken_in_as_joseph_says(size):
+    rng = np.random.default_rng(size)
+    root = rng.normal(size=(size, size))
+    p, c, r, miss = root @ root.T, rng.normal(size=size), 1e-6, 0.3
+    wide = padded(size)
+    mean, cov, row = np.zeros(wide), np.zeros((wide, wide)), np.zeros(wide)
+    cov[:size, :size], row[:size] = p, c
+    gain = np.zeros(wide)
+    s = take_in(algebra().absorb, mean, cov, row, r, miss, gain, np.zeros(2 * wide))
+    k = p @ c / (c @ p @ c + r)
+    left = np.eye(size) - np.outer(k, c)
+    wanted = left @ p @ left.T + r * np.outer(k, k)
+    assert s == pytest.approx(c @ p @ c + r, rel=1e-12)
+    np.testing.assert_allclose(gain[:size], k, rtol=1e-10)
+    np.testing.assert_allclose(mean[:size], k * miss, rtol=1e-10)
+    np.testing.assert_allclose(cov[:size, :size], wanted, atol=1e-9 * np.abs(p).max())
+    np.testing.assert_array_equal(cov, cov.T)
+    assert np.linalg.eigvalsh(cov[:size, :size]).min() > -1e-9 * np.abs(p).max()
+    assert not cov[size:].any()
+
+
+def all_noise(task):
+    """A term of every kind."""
+    noise = first_noise(task, 0.05)
+    sizes = {"x": float(task.series.sigma[0])}
+    for term, values in (
+        (NoiseTerm("band", "x"), {"band.x": sizes["x"], "band.time": 0.01}),
+        (NoiseTerm("drift", "x"), {"drift.x": sizes["x"]}),
+        (NoiseTerm("gust", "observed"), {"gust.observed": 0.05, "gust.time": 0.1}),
+    ):
+        noise = noise.added((term,), values)
+    return noise
+
+
+@pytest.mark.parametrize(("effects", "values", "share"), [
+    ((), {}, 1e-9),
+    ((CubicStiffness(),), {"cubic_stiffness.stiffness": 400.0}, 0.1),
+])  # fmt: skip
+def test_other_noise_along_one_motion(effects, values, share):
+    """The same as a filter run anew: exactly for a linear model, nearly so for another."""
+    task, settings = task_of(record_of(3, effects=effects, values=values), effects, values)
+    noise = all_noise(task)
+    run = predicted(task, settings, noise, keep=True)
+    others = [noise.with_values({n: 1.05 * noise.values[n]}) for n in noise.names]
+    for other, (misses, spreads) in zip(others, varied(task, settings, noise, others, run),
+                                        strict=True):  # fmt: skip
+        anew = predicted(task, settings, other)
+        for mine, theirs, before in ((misses, anew.misses, run.misses),
+                                     (spreads, anew.spreads, run.spreads)):  # fmt: skip
+            moved = np.linalg.norm(theirs - before)
+            assert np.linalg.norm(mine - theirs) <= share * moved
