@@ -118,6 +118,10 @@ CASES = (
         {"mass_x": 0.05, "mass_y": 0.05, "natural_frequency": 24.0, "damping_ratio": 0.03},
     ),
     Case("lag", {"stiffness_x": 4000.0, "stiffness_y": 4000.0, "time_constant": 0.01}),
+    Case(
+        "bouc_wen",
+        {"stiffness_x": 4000.0, "stiffness_y": 4000.0, "length": 5e-5, "asymmetry": 0.5},
+    ),
     Case("gravity_torque", {"torque": 0.5}, SWING),
 )
 

@@ -206,7 +206,7 @@ ROWS: dict[str, Imperfection] = {
     "walk": Imperfection(_DRIFT, ("offset", "constant_load"), before=walked),
     "ramp": Imperfection(_DRIFT, ("offset", "constant_load"), before=ramped),
     "offset": Imperfection(("offset",), ("offset", "constant_load"), before=shifted),
-    "lag": Imperfection(("lag", "delay", "late"), ("delay", "lag"), before=lagged),
+    "lag": Imperfection(("lag", "delay", "late"), ("delay", "lag", "sensor_lag"), before=lagged),
     "skew": Imperfection(("delay", "late", "skew"), ("delay",), before=late, last=True),
     "input_noise_1": Imperfection(("input",), input_noise=0.01),
     "input_noise_5": Imperfection(("input",), input_noise=0.05),

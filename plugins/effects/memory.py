@@ -6,6 +6,7 @@ enters as a plain factor of what they exert.
 
 from __future__ import annotations
 
+from spiral.math import length
 from spiral.types.effect import ForceEffect
 from spiral.types.parameter import Parameter, State
 
@@ -70,3 +71,34 @@ class Lag(ForceEffect):
         """(q - z) / T."""
         late = zip(at.position, at.own.lagged, strict=True)
         return {"lagged": [(q - z) / p.time_constant for q, z in late]}
+
+
+class BoucWen(ForceEffect):
+    """Hysteresis: F = -k z, z' = v - (|v| z + r v |z|) / L.
+
+    A spring k that begins to slip as its own deflection z nears L / (1 + r). With r = 0 it is
+    Dahl's friction (1968: presliding, then a force of k L whatever the speed); with others the loops
+    of Bouc (1967) and Wen (1976) with the exponent one: there A = 1, beta = 1 / L, gamma = r / L.
+    What it dissipates in a cycle does not depend on how fast it is run through, and its force
+    depends on where the motion last turned round.
+    """
+
+    states = (State("slip", "position", per_axis=True),)
+    parameters = (
+        Parameter("stiffness", "force/position", lower=0.0, per_axis=True),
+        Parameter("length", "position", lower=0.0, role="shape", grid=(0.05, 0.2, 0.6)),
+        Parameter("asymmetry", "", role="shape", start=0.0, grid=(-1.0, 0.0, 1.0)),
+    )
+
+    def force(self, at, u, p):
+        """-k z."""
+        return [-k * z for k, z in zip(p.stiffness, at.own.slip, strict=True)]
+
+    def rate(self, at, u, p):
+        """v - (|v| z + r v |z|) / L."""
+        pairs = zip(at.velocity, at.own.slip, strict=True)
+        return {
+            "slip": [
+                v - (length([v]) * z + p.asymmetry * v * length([z])) / p.length for v, z in pairs
+            ]
+        }

@@ -54,17 +54,39 @@ class AxisRotation(SensorEffect):
 
 
 class Delay(SensorEffect):
-    """A sensor that reports late: reading = y_i - tau_i q_i', first order in tau.
+    """A sensor that reports late: reading = y_i - tau_i q_i' + tau_i^2 q_i'' / 2.
 
-    Right where tau is short against a period: at the frequency f the second order is (2 pi f
-    tau)^2 / 2 of the motion.
+    Right where tau is short against a period: at the frequency f the third order is (2 pi f
+    tau)^3 / 6 of the motion. Where q_i' is no state of the system (a level, a temperature) the
+    second order is left out, (2 pi f tau)^2 / 2 of the motion. All sensors late by one time look
+    like an input that acts so much earlier.
     """
 
     parameters = (Parameter("time", "s", per_axis=True),)
 
     def reading(self, y, at, u, p):
-        """y_i - tau_i q_i'."""
-        return [value - tau * rate for value, tau, rate in zip(y, p.time, at.velocity, strict=True)]
+        """y_i - tau_i q_i' + tau_i^2 q_i'' / 2."""
+        second = at.acceleration or (0,) * len(at.velocity)
+        rows = zip(y, p.time, at.velocity, second, strict=True)
+        return [value - tau * v + tau * tau * a / 2 for value, tau, v, a in rows]
+
+
+class SensorLag(SensorEffect):
+    """A sensor that follows slowly, 1 / (1 + T s): reading = y_i - T_i q_i' + T_i^2 q_i''.
+
+    A first-order low-pass (a thermocouple, a filter in an amplifier), right where T is short
+    against a period: at the frequency f the third order is (2 pi f T)^3 of the motion. It differs
+    from a ``delay`` in the second order alone, which slow motion does not show; where q_i' is no
+    state of the system (a level, a temperature) they are one.
+    """
+
+    parameters = (Parameter("time", "s", per_axis=True),)
+
+    def reading(self, y, at, u, p):
+        """y_i - T_i q_i' + T_i^2 q_i''."""
+        second = at.acceleration or (0,) * len(at.velocity)
+        rows = zip(y, p.time, at.velocity, second, strict=True)
+        return [value - late * v + late * late * a for value, late, v, a in rows]
 
 
 class Runout(SensorEffect):

@@ -128,7 +128,7 @@ def _with_values(traced: Traced, model: Model) -> Traced:
         swap[symbol] = sp.Float(value) if known else _symbol(key.rsplit(".", 1)[-1])
     tiny = {f: 0 for e in traced.rate for f in e.atoms(sp.Float) if 0 < abs(f) < 1e-150}
     rate = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.rate)
-    output = tuple(sp.sympify(e).xreplace(swap) for e in traced.output)
+    output = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.output)
     return replace(traced, rate=rate, output=output)
 
 

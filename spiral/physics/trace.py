@@ -116,7 +116,7 @@ def trace(
     seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
     injected = _inject(system, placed, seen, x)
     rates = asked(system, "rate", system.rate, x, u, p, injected)
-    placed = [_with_rates(system, item, rates) for item in placed]
+    placed = [_with_rates(system, item, rates, x) for item in placed]
     for item, view in zip(placed, seen, strict=True):
         rates.update(_own_rates(item, view))
     output = _readings(system, placed, seen, x)
@@ -212,12 +212,16 @@ def _place(
     return _Placed(effect, port, At(position, velocity, own), values, jacobian)
 
 
-def _with_rates(system: System, item: _Placed, rates: dict[str, Any]) -> _Placed:
+def _with_rates(
+    system: System, item: _Placed, rates: dict[str, Any], x: SimpleNamespace
+) -> _Placed:
     """A sensor sees the rates of its channels as velocities, in a system of any order."""
     if not isinstance(item.effect, SensorEffect):
         return item
     velocity = tuple(sp.sympify(rates[name]) for name in system.observed)
-    return replace(item, at=replace(item.at, velocity=velocity))
+    second = {getattr(x, name): sp.sympify(rate) for name, rate in rates.items()}
+    acceleration = tuple(second.get(v, sp.Integer(0)) for v in velocity)
+    return replace(item, at=replace(item.at, velocity=velocity, acceleration=acceleration))
 
 
 def _shifted(u: SimpleNamespace, shift: float) -> SimpleNamespace:

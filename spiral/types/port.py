@@ -37,8 +37,14 @@ class Port:
 
 @dataclass(frozen=True)
 class At:
-    """What an effect sees at its port: position and velocity per axis, and its own states."""
+    """What an effect sees at its port: position and velocity per axis, and its own states.
+
+    A sensor sees its channels and their rates. ``acceleration`` is the rate of these rates, zero
+    for a channel whose rate is no state of the system (it would need the inputs' rates), and empty
+    where an effect is asked for its leading order alone.
+    """
 
     position: tuple[Any, ...]
     velocity: tuple[Any, ...]
     own: SimpleNamespace
+    acceleration: tuple[Any, ...] = ()

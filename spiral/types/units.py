@@ -163,6 +163,7 @@ def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, An
     count = len(port.axes)
     position = tuple(_quantity(port.position_unit, 1.0 + 0.25 * i) for i in range(count))
     velocity = tuple(_quantity(f"({port.position_unit})/s", 0.5 + 0.25 * i) for i in range(count))
+    acceleration = tuple(_quantity(f"({port.position_unit})/s^2") for _ in range(count))
     own = SimpleNamespace(
         **{
             s.name: tuple(_quantity(port.unit(s.unit)) for _ in range(count))
@@ -180,7 +181,7 @@ def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, An
             for q in effect.parameters
         }
     )
-    at = At(position, velocity, own)
+    at = At(position, velocity, own, acceleration)
     found = [(f"rate {k} of effect", v, unit) for k, v, unit in _own_rates(effect, port, at, u, p)]
     if isinstance(effect, ForceEffect):
         found += [("effect", value, port.force_unit) for value in effect.force(at, u, p)]

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy as sp
+from scipy.integrate import solve_ivp
 from spiral_plugins.effects.dissipative import LinearDamping
 from spiral_plugins.effects.restoring import LinearStiffness
 from spiral_plugins.sources.simulation import Simulation
@@ -43,12 +45,12 @@ def _values(name, values=None):
     return {f"{name}.{k}": v for k, v in (values or HIDDEN[name]).items()}
 
 
-def _problem(name="", seed=0, duration=10.0, **settings):
+def _problem(name="", seed=0, duration=10.0, values=None, **settings):
     """An oscillator under noise of 5 to 60 Hz, with 2 % noise; nothing hidden without a name."""
     source = Simulation(
         system=Oscillator(),
         effects=(effect(name),) if name else (),
-        values={**BASE, **(_values(name) if name else {})},
+        values={**BASE, **(_values(name, values) if name else {})},
         inputs={"force": {"noise": 1.0, "band": [5, 60]}},
         duration=duration,
         rate=1000.0,
@@ -117,6 +119,55 @@ def test_a_lag_under_a_steady_shake_has_the_textbook_stiffness():
     stiff = 4e4 - turn**2 + 20j * turn + LAG["stiffness"] * late / (1 + late)
     expected = np.imag(np.exp(1j * turn * time) / stiff)
     np.testing.assert_allclose(y[-2000:, 0], expected[-2000:], atol=2e-4 * np.abs(expected).max())
+
+
+LENGTH, ASYMMETRY = 2e-3, 0.5
+
+
+def slipped(path, duration, asymmetry=ASYMMETRY):
+    """z along a path x(s), s from 0 to 1, run through in so many seconds."""
+    traced = trace(Oscillator(), (effect("bouc_wen"),))
+    names = {"bouc_wen.length": LENGTH, "bouc_wen.asymmetry": asymmetry}
+    place = traced.states.index("bouc_wen.slip")
+    known = {p: names[k] for k, p in zip(traced.keys, traced.p, strict=True) if k in names}
+    rate = sp.lambdify([*traced.x], traced.rate[place].subs(known))
+
+    def slope(t, z):
+        s, h = t / duration, 1e-6
+        v = (path(s + h) - path(s - h)) / (2 * h * duration)
+        return [rate(path(s), v, z[0])]
+
+    times = np.linspace(0, duration, 400)
+    return solve_ivp(slope, (0, duration), [0.0], t_eval=times, rtol=1e-9, atol=1e-12).y[0]
+
+
+@pytest.mark.parametrize("asymmetry", [0.0, ASYMMETRY])
+def test_hysteresis_on_a_way_without_return_saturates_as_written(asymmetry):
+    """z = L / (1 + r) (1 - exp(-(1 + r) x / L)); Dahl's friction with r = 0."""
+    z = slipped(lambda s: 4 * LENGTH * s, 1.0, asymmetry)
+    x = np.linspace(0, 4 * LENGTH, 400)
+    wanted = LENGTH / (1 + asymmetry) * (1 - np.exp(-(1 + asymmetry) * x / LENGTH))
+    np.testing.assert_allclose(z, wanted, atol=1e-6 * LENGTH)
+
+
+def test_hysteresis_does_not_know_how_fast_it_is_run_through():
+    def there_and_back(s):
+        return 3 * LENGTH * np.sin(2 * np.pi * s)
+
+    slow, fast = (slipped(there_and_back, seconds) for seconds in (10.0, 0.1))
+    np.testing.assert_allclose(slow, fast, atol=1e-5 * LENGTH)
+    assert np.ptp(slow[:200]) > 0.5 * LENGTH
+
+
+@pytest.mark.parametrize("asymmetry", [0.0, -1.3])
+def test_hysteresis_is_named_first_and_alone(asymmetry):
+    """Dahl's friction, and a loop that stiffens, by the default."""
+    values = {"stiffness": 2e4, "length": 4e-4, "asymmetry": asymmetry}
+    run = discover(replace(_problem("bouc_wen", values=values), likelihood=True))
+    assert admitted(run) == ["bouc_wen"]
+    estimate = run.model.estimates()["bouc_wen"]["stiffness"]
+    assert abs(estimate.estimate - 2e4) < 3 * estimate.se
+    assert run.final.test_error < 1.1 * run.final.noise_floor
 
 
 def test_states_of_an_effect_are_driven_by_the_motion_of_its_port():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy as sp
 from scipy import stats
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
@@ -27,6 +28,7 @@ SENSORS = {
     "gain": {"error_x": 0.05, "error_y": 0.0},
     "axis_rotation": {"angle": 0.05},
     "delay": {"time_x": 2e-4, "time_y": 2e-4},
+    "sensor_lag": {"time_x": 2e-4, "time_y": 2e-4},
     "runout": {"cosine": 3e-6, "sine": 2e-6},
     "mains_hum": {
         "cosine_x": 3e-6, "sine_x": 0.0, "cosine_y": 2e-6, "sine_y": 1e-6, "frequency": 49.97
@@ -54,11 +56,43 @@ def test_a_sensor_effect_leaves_the_motion_as_it_is(name):
 def test_a_delay_reads_the_rate_of_its_channel_in_a_system_of_any_order():
     rotor = trace(PlanarRotor(), (effect("delay"),))
     at = dict(zip((*rotor.states, *rotor.keys), (*rotor.x, *rotor.p), strict=True))
-    assert rotor.output[0] == at["x"] - at["delay.time_x"] * at["x_rate"]
+    late, rate = at["delay.time_x"], rotor.rate[rotor.states.index("x_rate")]
+    wanted = at["x"] - late * at["x_rate"] + late**2 * rate / 2
+    assert (rotor.output[0] - wanted).expand() == 0
     tanks = trace(CascadedTanks(), (effect("delay"), *seed_model(CascadedTanks()).effects))
     late = tanks.x[tanks.states.index("lower")]
     slope = tanks.rate[tanks.states.index("lower")]
     assert (tanks.output[0] - (late - tanks.p[0] * slope)).simplify() == 0
+
+
+def shaken(name, late, turn=25.0):
+    """What a late sensor reads of x = sin(turn t) on an oscillator that is forced to move so."""
+    model = seed_model(Oscillator(), (effect(name),))
+    traced = trace(model.system, model.effects)
+    values = {"system.mass": 1.5, "linear_stiffness.stiffness": 300.0,
+              "linear_damping.damping": 2.0, f"{name}.time": late}  # fmt: skip
+    t = np.linspace(0, 1, 200)
+    x, v = np.sin(turn * t), turn * np.cos(turn * t)
+    force = -1.5 * turn**2 * x + 2.0 * v + 300.0 * x
+    reading = sp.lambdify([*traced.x, *traced.u, *traced.p], traced.output[0])
+    inputs = [force if name == "force" else 0.0 for name in traced.inputs]
+    return t, turn, reading(x, v, *inputs, *(values[k] for k in traced.keys))
+
+
+@pytest.mark.parametrize("name", ["delay", "sensor_lag"])
+def test_a_late_reading_is_right_to_the_third_order(name):
+    """Against sin(w (t - tau)), and the steady response of 1 / (1 + T s)."""
+    errors = []
+    for late in (0.008, 0.004):
+        t, turn, read = shaken(name, late)
+        if name == "delay":
+            wanted = np.sin(turn * (t - late))
+        else:
+            wanted = np.imag(np.exp(1j * turn * t) / (1 + 1j * turn * late))
+        errors.append(np.abs(read - wanted).max())
+    share = 1 / 6 if name == "delay" else 1
+    assert errors[0] <= share * (25.0 * 0.008) ** 3
+    assert errors[0] / errors[1] == pytest.approx(8, rel=0.1)
 
 
 def test_a_hum_follows_the_time_of_the_record():

@@ -72,12 +72,15 @@ class Assembly:
 
     @property
     def later(self) -> tuple[Effect, ...]:
-        """Candidates with states of their own, which are compiled where a round calls for them."""
-        return tuple(c for c in self.problem.candidates if c.states)
+        """Candidates that resonate, which are laid at what is left when a round calls for them."""
+        return tuple(c for c in self.problem.candidates if resonates(c))
 
     def variant(self, label: str) -> Variant:
         """A variant by its compiled label."""
         return next(v for v in self.variants if v.label == label)
+
+
+_OWN_STATES = "it has states of its own, which strategy=likelihood alone can try"
 
 
 def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()) -> Assembly:
@@ -88,7 +91,8 @@ def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()
     the records are left out, by name: compiled in with the others they would make no numbers of
     all.
     """
-    variants, left_out, states = offers(problem)
+    variants, left_out, states = offers(problem, tuple(c for c in problem.candidates if c.states))
+    left_out |= {c.label: _OWN_STATES for c in problem.candidates if c.states and not resonates(c)}
     variants += more
     assembly = compiled_with(problem, variants, substeps)
     undefined = _undefined(assembly, states)
@@ -99,14 +103,19 @@ def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()
     return replace(assembly, left_out=left_out)
 
 
+def resonates(effect: Effect) -> bool:
+    """Whether an effect has states of its own and a frequency that the records are searched for."""
+    return bool(effect.states) and any(p.spectrum for p in effect.parameters)
+
+
 def offers(
-    problem: Problem,
+    problem: Problem, waiting: Sequence[Effect]
 ) -> tuple[list[Variant], dict[str, str], Sequence[Array]]:
-    """Variants of the candidates without states of their own.
+    """Variants of the candidates but those that wait.
 
     Beside them those left out and why, and the states that the records visit.
     """
-    now = [c for c in problem.candidates if not c.states]
+    now = [c for c in problem.candidates if c not in waiting]
     states = visited(problem.model, problem.records) if now else ()
     largest = extremes(problem.model.system, problem.records, states) if now else {}
     variants: list[Variant] = []
@@ -223,8 +232,9 @@ def _tried(
     parameter: Parameter, share: float, largest: Mapping[str, float], port: Port, problem: Problem
 ) -> tuple[float, int]:
     """A shape's value and among how many it was looked for; 0 where the records cannot show it."""
-    value = share * scale(parameter, largest, port)
-    if parameter.grid and not usable(value):
+    size = scale(parameter, largest, port)
+    value = share * size
+    if parameter.grid and not usable(size):
         return value, 0
     if not parameter.search:
         return value, 1

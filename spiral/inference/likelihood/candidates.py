@@ -160,15 +160,26 @@ def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
     freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *tuned))))
     at = fit.estimate
     loose = refitted(own, freer, at.noise, masks, _RACE, rough=True, kept=at.kept)
-    if not (loose.estimate.finite and told(loose, tuned)):
+    if not (loose.estimate.finite and told(loose, tuned, rival.ranked.variant)):
         return rival
     return _rival(own, base, rival.ranked, loose)
 
 
-def told(fit: LikelihoodFit, keys: tuple[str, ...]) -> bool:
-    """Whether a fit leaves these parameters a relative error of a half at most."""
+def told(fit: LikelihoodFit, keys: tuple[str, ...], variant: Variant) -> bool:
+    """Whether a fit leaves these shapes of a variant a relative error of a half at most.
+
+    One that may as well be zero (its grid is on both sides) is held against its grid instead.
+    """
     values, errors = fit.estimate.values, fit.estimate.errors
-    return all(errors.get(k, np.inf) <= TOLD * abs(values.get(k, 0.0)) for k in keys)
+    sizes = {
+        f"{variant.label}.{p.name}": max(map(abs, p.grid))
+        for p in variant.effect.parameters
+        if p.grid and min(p.grid) < 0
+    }
+    return all(
+        errors.get(k, np.inf) <= TOLD * max(abs(values.get(k, 0.0)), sizes.get(k, 0.0))
+        for k in keys
+    )
 
 
 def _rival(assembly: Assembly, base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit) -> Rival:

@@ -69,7 +69,8 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
     bare = refined(bare, state)
     found = finished(bare, best_fit(bare, state, progress), progress)
     settled = _settled(bare, found, progress)
-    variants, left_out, _ = offers(replace(problem, model=settled.comparison.model))
+    fitted = replace(problem, model=settled.comparison.model)
+    variants, left_out, _ = offers(fitted, bare.later)
     assembly = replace(bare, offered=tuple(variants), left_out=left_out, bare=True)
     groups = untold(found)
     return Begun(

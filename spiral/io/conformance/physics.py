@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spiral.types.effect import Effect
+from spiral.types.effect import Effect, SensorEffect
 from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.parameter import Parameter
 from spiral.types.placement import model_keys
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from spiral.types.model import Model
 
 _STEP, _TOLERANCE, _EXACT = 1e-5, 1e-5, 1e-12
+_SMALL = 1e-4  # amplitudes at which a reading is linear, if it is so to leading order
 _DRAWS = 16
 _SAMPLES = 8192  # of the short simulated record: exp(819) of the fastest motion is infinite
 
@@ -222,17 +223,23 @@ def finite(physics: Physics) -> str:
 
 
 def linear(effect: Effect, physics: Physics) -> str:
-    """f(2a) - f(0) = 2 (f(a) - f(0)) in the amplitudes a, which change something."""
+    """f(2a) - f(0) = 2 (f(a) - f(0)) in the amplitudes a, which change something.
+
+    A sensor's reading is asked at small amplitudes: it may have terms beyond the leading order.
+    """
     rng = np.random.default_rng(3)
     own = physics.amplitudes(effect)
     acts = False
+    sensor = isinstance(effect, SensorEffect)
+    size, share = (_SMALL, np.sqrt(_SMALL)) if sensor else (1.0, _EXACT)
     for _ in range(_DRAWS):
         x, u, p = physics.drawn(rng)
         none, one, two = (
-            physics.evaluated(x, u, np.where(own, scale * p, p))[0] for scale in (0.0, 1.0, 2.0)
+            physics.evaluated(x, u, np.where(own, scale * p, p))[0]
+            for scale in (0.0, size, 2 * size)
         )
         error = np.abs((two - none) - 2 * (one - none))
-        if not np.all(error <= _EXACT * (1 + np.abs(2 * (one - none)))):
+        if not np.all(error <= _EXACT * (1 + np.abs(none)) + share * np.abs(2 * (one - none))):
             raise PluginError(
                 f"twice the amplitudes miss twice the effect by {np.max(error):.2g}",
                 "an effect linear in its amplitudes",
