@@ -77,8 +77,8 @@ class BoucWen(ForceEffect):
     """Hysteresis: F = -k z, z' = v - (|v| z + r v |z|) / L.
 
     A spring k that begins to slip as its own deflection z nears L / (1 + r). With r = 0 it is
-    Dahl's friction (1968: presliding, then a force of k L whatever the speed); with others the loops
-    of Bouc (1967) and Wen (1976) with the exponent one: there A = 1, beta = 1 / L, gamma = r / L.
+    Dahl's friction (1968: presliding, then a force of k L whatever the speed); with others the
+    loops of Bouc (1967) and Wen (1976), exponent one: there A = 1, beta = 1 / L, gamma = r / L.
     What it dissipates in a cycle does not depend on how fast it is run through, and its force
     depends on where the motion last turned round.
     """

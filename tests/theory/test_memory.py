@@ -170,6 +170,18 @@ def test_hysteresis_is_named_first_and_alone(asymmetry):
     assert run.final.test_error < 1.1 * run.final.noise_floor
 
 
+def test_hysteresis_added_by_hand_is_that_of_the_loop_and_runs_free_on_its_record():
+    """Its shapes are free too; steps of integration are as fine as its fast relaxation asks."""
+    values = {"stiffness": 2e4, "length": 3e-5, "asymmetry": 0.5}
+    problem = replace(_problem("bouc_wen", values=values, duration=4.0), likelihood=True)
+    _, after, _ = add(problem, (effect("bouc_wen"),))
+    estimates = after.model.estimates()["bouc_wen"]
+    for name, value in values.items():
+        assert abs(estimates[name].estimate - value) < 4 * estimates[name].se
+    assert after.fit_error < 1.1 * after.noise_floor
+    assert after.test_error < 1.1 * after.noise_floor
+
+
 def test_states_of_an_effect_are_driven_by_the_motion_of_its_port():
     """While the amplitude is zero nothing else tells them; the truth is a long simulation's."""
     problem = _problem(duration=4.0)

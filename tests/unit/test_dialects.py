@@ -120,6 +120,16 @@ def test_units_in_brackets_at_the_end_of_names(tmp_path):
     )
 
 
+def test_a_unit_behind_a_name_does_not_hide_it(tmp_path):
+    """``t [ms],x (mm),force [N]``: found by their names, and read in these units."""
+    values = {"t": 1e3 * VALUES["t"], "x": 1e3 * VALUES["a"], "force": VALUES["f"]}
+    path = write(tmp_path, text(names=["t [ms]", "x (mm)", "force [N]"], values=values))
+    (record,) = REGISTRY.make("source", "csv", {"path": path}, "record").load(OSCILLATOR)
+    assert record.dt == pytest.approx(0.01)
+    np.testing.assert_allclose(record.channels["x"], VALUES["a"])
+    np.testing.assert_allclose(record.inputs["force"], VALUES["f"])
+
+
 def test_brackets_that_hold_no_unit_are_part_of_a_name():
     known = {"n [1/min]": "1/min", "phi (°)": "°", "v [mm/s]": "mm/s", "F (N)": "N"}
     assert units_in((*known, "y (left)", "ch (a)", "x [-]", "F [foo]", "mm", "[]")) == known

@@ -87,6 +87,14 @@ def race(
     return sorted(last, key=lambda r: -r.worth), sorted(behind, key=lambda r: -r.worth)
 
 
+def refit_alone(assembly: Assembly, base: LikelihoodFit, ranked: Ranked, masks: Masks) -> Rival:
+    """One candidate refitted as in a race without others, its shapes free where they are told."""
+    runner = _refit(assembly, base, ranked, masks, False)
+    if not runner.fit.estimate.finite:
+        return runner
+    return _freed(base, _further(base, runner, masks, _HEAT), masks)
+
+
 def from_afar(assembly: Assembly, state: FitState, found: list[Ranked]) -> list[Ranked]:
     """Candidates with a second basin, bounded on both sides, which zero amplitude may not show.
 

@@ -27,6 +27,7 @@ from spiral.inference.evidence.assembly import (
     nuisance_keys,
     to_model,
     with_records,
+    with_steps,
 )
 from spiral.inference.evidence.comparison import settling, with_test
 from spiral.inference.evidence.fit_state import FitState
@@ -67,6 +68,8 @@ def compared_by_likelihood(
     estimate = found.estimate
     state = settled_values(found) if estimate.finite else found.state
     model = to_model(assembly, state.labels, state.values, estimate.errors, state.freed, state.held)
+    if state.substeps > assembly.study.series[0].substeps:  # as fine as the filter's
+        assembly = with_steps(assembly, state.substeps)
     progress("free run on the test record")
     own, _ = _runs(assembly, state, model, None)
     names = model.system.observed

@@ -23,11 +23,11 @@ from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_mas
 from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
 from spiral.inference.likelihood.candidates import (
     Rival,
-    added,
     alike,
     judged,
     machine_first,
     race,
+    refit_alone,
 )
 from spiral.inference.likelihood.comparison import compared_by_likelihood
 from spiral.inference.likelihood.fitting import (
@@ -46,7 +46,7 @@ from spiral.inference.problem import Problem, Progress, Settings, silent
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy, second_order
 from spiral.inference.strategies.retire import let_go
 from spiral.inference.suggest import by_evidence
-from spiral.inference.unknown.holding import carried, emptied, having, with_variants
+from spiral.inference.unknown.holding import carried, emptied, having
 from spiral.inference.unknown.shape import applies, unknown_shape
 from spiral.inference.verdict import near_noise
 from spiral.types.errors import ConfigError
@@ -277,7 +277,11 @@ def _choose(assembly: Assembly, state: FitState, step: Step, label: str) -> Step
     """Another candidate in place of the proposal; no gate is asked."""
     scored: Scored = step.found
     assembly = having(assembly, state.labels)
-    settled = _by_hand(assembly, state, _of(scored.ranking, label), silent)
+    rival = next((r for r in scored.rivals if r.label == label), None)
+    if rival is None:
+        base = refitted(assembly, state, steps=_WARM, rough=True)
+        rival = refit_alone(assembly, base, _of(scored.ranking, label), None)
+    settled = _with(rival.assembly, rival.fit.state, rival.ranked.variant.label, silent)
     effect = next(v.original for v in assembly.offered if v.original.label == label)
     group = set(step.admitted) | {x for v in step.aliases.values() for x in v}
     aliases = tuple(sorted(group - {label})) if label in group else ()
@@ -297,7 +301,8 @@ def _admit(assembly: Assembly, state: FitState, label: str, progress: Progress) 
     if found is None:
         raise ConfigError(f"add {label}", "a model whose fit does not diverge",
                           "check units and signs of the channels")  # fmt: skip
-    return _by_hand(assembly, state, _of(found, label), progress)
+    rival = refit_alone(assembly, base, _of(found, label), None)
+    return _with(rival.assembly, rival.fit.state, rival.ranked.variant.label, progress)
 
 
 def _of(found: Ranking, label: str) -> Ranked:
@@ -307,12 +312,6 @@ def _of(found: Ranking, label: str) -> Ranked:
             return ranked
     raise ConfigError(f"add {label}", "an effect that these records can be asked about",
                       "it is no number along them, or nothing moves at its port")  # fmt: skip
-
-
-def _by_hand(assembly: Assembly, state: FitState, ranked: Ranked, progress: Progress) -> Settled:
-    own = with_variants(assembly, [ranked.variant])
-    wider = added(own, carried(state, assembly, own), ranked)
-    return _with(own, wider, ranked.variant.label, progress)
 
 
 def _suggestions(

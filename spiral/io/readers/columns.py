@@ -308,8 +308,8 @@ class Columns(Source):
         if self.time is not None:
             return {"time": self.time}
         for name in _TIME_COLUMNS:
-            if name in table.columns:
-                return {"time": name}
+            if column := table.called(name):
+                return {"time": column}
         raise InputError(
             f"{table.name}: no column of time among {', '.join(table.columns[:12])}",
             "its name, or the sample rate",
@@ -327,7 +327,8 @@ class Columns(Source):
         """Name -> column: as configured, else columns with the system's own names."""
         given: Mapping[str, str] | None = getattr(self, option)
         if given is None:
-            return {n: n for n in known if n in table.columns or n in required}
+            found = {n: table.called(n) for n in known}
+            return {n: c or n for n, c in found.items() if c or n in required}
         for name in given:
             if name not in known:
                 raise InputError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -84,6 +85,13 @@ class Table:
     def columns(self) -> tuple[str, ...]:
         """Names of the columns."""
         return tuple(self.values)
+
+    def called(self, name: str) -> str:
+        """The column of this name, with or without its unit behind it (``force [N]``), or none."""
+        if name in self.values:
+            return name
+        named = re.compile(rf"{re.escape(name)}\s*[\[(][^][()]*[\])]\s*")
+        return next((c for c in self.values if c in self.units and named.fullmatch(c)), "")
 
     def numbers(self, starred: str) -> list[str]:
         """Numbers that the star in a column's name may stand for, in their order.
