@@ -69,7 +69,7 @@ def test_a_force_is_no_effect_of_tanks_and_a_flow_none_of_a_mechanical_system():
         check_effect(registry.make("system", "oscillator"), effect("overflow"))
     found = {e.label for e in registry.candidates(CascadedTanks())}
     flows = {"linear_loss", "outlets", "overflow", "pump", "sensor_saturation"}
-    assert found == flows | {"offset", "gain", "delay", "mains_hum"}
+    assert found == flows | {"offset", "gain", "delay", "sensor_lag", "mains_hum"}
 
 
 def test_a_system_without_forces_has_no_missing_force():
