@@ -66,9 +66,7 @@ class Delay(SensorEffect):
 
     def reading(self, y, at, u, p):
         """y_i - tau_i q_i' + tau_i^2 q_i'' / 2."""
-        second = at.acceleration or (0,) * len(at.velocity)
-        rows = zip(y, p.time, at.velocity, second, strict=True)
-        return [value - tau * v + tau * tau * a / 2 for value, tau, v, a in rows]
+        return _late(y, at, p.time, 1 / 2)
 
 
 class SensorLag(SensorEffect):
@@ -84,9 +82,14 @@ class SensorLag(SensorEffect):
 
     def reading(self, y, at, u, p):
         """y_i - T_i q_i' + T_i^2 q_i''."""
-        second = at.acceleration or (0,) * len(at.velocity)
-        rows = zip(y, p.time, at.velocity, second, strict=True)
-        return [value - late * v + late * late * a for value, late, v, a in rows]
+        return _late(y, at, p.time, 1)
+
+
+def _late(y, at, times, share):
+    """y_i - T_i q_i' + share T_i^2 q_i''."""
+    second = at.acceleration or (0,) * len(at.velocity)
+    rows = zip(y, times, at.velocity, second, strict=True)
+    return [value - late * v + share * late * late * a for value, late, v, a in rows]
 
 
 class Runout(SensorEffect):

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numba as nb
 from llvmlite import ir
 
 from spiral.physics.emit import DOUBLE, INDEX
@@ -20,8 +21,9 @@ ZEROS = ir.Constant(LANE, [0.0] * LANES)
 FUSED: Any = ("contract",)
 
 
-def padded(width: int) -> int:
-    """Numbers of a row in memory, for so many of use."""
+@nb.njit(cache=True, nogil=True)
+def padded(width):
+    """Numbers of a row in memory, for so many of use; in compiled loops too."""
     return -(-width // LANES) * LANES
 
 

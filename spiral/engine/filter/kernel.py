@@ -17,7 +17,7 @@ from numba import types
 from spiral.engine.kernel import slope_of
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
-from spiral.physics.lanes import LANES
+from spiral.physics.lanes import padded
 
 EXACT, SECOND_ORDER = 0, 1
 
@@ -159,7 +159,7 @@ def _add_second_order(a, step, first, s):
 @nb.njit(cache=True, nogil=True)
 def room(n, width):
     """Slopes of n states, and the scratch of a flow with them (``spiral.physics.flow``)."""
-    columns = (width + LANES - 1) // LANES * LANES
+    columns = padded(width)
     return np.zeros((n, columns)), np.zeros((3, n, columns))
 
 

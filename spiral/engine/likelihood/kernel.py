@@ -26,7 +26,7 @@ from spiral.engine.filter.algebra import ABSORB, PRODUCT
 from spiral.engine.filter.kernel import hold, reset, room, sound
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
-from spiral.physics.lanes import LANES
+from spiral.physics.lanes import padded
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
@@ -165,7 +165,7 @@ def _measured(
 @nb.njit(cache=True, nogil=True)
 def _square(matrix):
     """A square matrix with zeros around it, in room for lanes."""
-    wide = (len(matrix) + LANES - 1) // LANES * LANES
+    wide = padded(len(matrix))
     out = np.zeros((wide, wide))
     out[: len(matrix), : len(matrix)] = matrix
     return out

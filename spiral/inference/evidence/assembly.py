@@ -91,8 +91,9 @@ def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()
     the records are left out, by name: compiled in with the others they would make no numbers of
     all.
     """
-    variants, left_out, states = offers(problem, tuple(c for c in problem.candidates if c.states))
-    left_out |= {c.label: _OWN_STATES for c in problem.candidates if c.states and not resonates(c)}
+    waiting = tuple(c for c in problem.candidates if c.states)
+    variants, left_out, states = offers(problem, waiting)
+    left_out |= {c.label: _OWN_STATES for c in waiting if not resonates(c)}
     variants += more
     assembly = compiled_with(problem, variants, substeps)
     undefined = _undefined(assembly, states)

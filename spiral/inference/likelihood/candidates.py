@@ -87,12 +87,12 @@ def race(
     return sorted(last, key=lambda r: -r.worth), sorted(behind, key=lambda r: -r.worth)
 
 
-def refit_alone(assembly: Assembly, base: LikelihoodFit, ranked: Ranked, masks: Masks) -> Rival:
-    """One candidate refitted as in a race without others, its shapes free where they are told."""
-    runner = _refit(assembly, base, ranked, masks, False)
+def refit_alone(assembly: Assembly, base: LikelihoodFit, ranked: Ranked) -> Rival:
+    """A candidate refitted to all samples without others, its shapes free where they are told."""
+    runner = _refit(assembly, base, ranked, None, False)
     if not runner.fit.estimate.finite:
         return runner
-    return _freed(base, _further(base, runner, masks, _HEAT), masks)
+    return _freed(base, _further(base, runner, None, _HEAT), None)
 
 
 def from_afar(assembly: Assembly, state: FitState, found: list[Ranked]) -> list[Ranked]:

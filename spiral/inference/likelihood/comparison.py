@@ -27,7 +27,6 @@ from spiral.inference.evidence.assembly import (
     nuisance_keys,
     to_model,
     with_records,
-    with_steps,
 )
 from spiral.inference.evidence.comparison import settling, with_test
 from spiral.inference.evidence.fit_state import FitState
@@ -44,6 +43,7 @@ from spiral.inference.likelihood.fitting import (
     colour,
     force_levels,
     innovations,
+    on_steps,
     settled_values,
 )
 from spiral.inference.problem import Problem, Progress
@@ -68,8 +68,7 @@ def compared_by_likelihood(
     estimate = found.estimate
     state = settled_values(found) if estimate.finite else found.state
     model = to_model(assembly, state.labels, state.values, estimate.errors, state.freed, state.held)
-    if state.substeps > assembly.study.series[0].substeps:  # as fine as the filter's
-        assembly = with_steps(assembly, state.substeps)
+    assembly = on_steps(assembly, state.substeps)  # as fine as the filter's
     progress("free run on the test record")
     own, _ = _runs(assembly, state, model, None)
     names = model.system.observed

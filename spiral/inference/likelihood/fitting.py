@@ -12,9 +12,9 @@ from spiral.engine.filter.task import Task, linearised, task_with
 from spiral.engine.likelihood.fit import Kept, Maximum, maximise
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import Masks, Prepared, predicted
-from spiral.engine.series import Series, prepare
+from spiral.engine.series import Series
 from spiral.engine.statistics import Whiteness, whiteness
-from spiral.inference.evidence.assembly import Assembly, columns
+from spiral.inference.evidence.assembly import Assembly, columns, with_steps
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import doubts
 from spiral.inference.evidence.scales import spread_out
@@ -86,17 +86,16 @@ def subjects(assembly: Assembly, state: FitState) -> Prepared:
             followed, known,
         )
         for row, start, series in zip(
-            rows, begins, on_steps(assembly, state.substeps), strict=True
+            rows, begins, on_steps(assembly, state.substeps).study.series, strict=True
         )
     )  # fmt: skip
 
 
-def on_steps(assembly: Assembly, substeps: int) -> tuple[Series, ...]:
-    """The records with at least so many integration steps per sample."""
-    series = assembly.study.series
-    if substeps <= series[0].substeps:
-        return series
-    return tuple(prepare(assembly.problem.model.system, s.record, substeps) for s in series)
+def on_steps(assembly: Assembly, substeps: int) -> Assembly:
+    """The study with at least so many integration steps per sample."""
+    if substeps <= assembly.study.series[0].substeps:
+        return assembly
+    return with_steps(assembly, substeps)
 
 
 def finer(found: LikelihoodFit) -> int:

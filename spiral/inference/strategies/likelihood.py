@@ -280,7 +280,7 @@ def _choose(assembly: Assembly, state: FitState, step: Step, label: str) -> Step
     rival = next((r for r in scored.rivals if r.label == label), None)
     if rival is None:
         base = refitted(assembly, state, steps=_WARM, rough=True)
-        rival = refit_alone(assembly, base, _of(scored.ranking, label), None)
+        rival = refit_alone(assembly, base, _of(scored.ranking, label))
     settled = _with(rival.assembly, rival.fit.state, rival.ranked.variant.label, silent)
     effect = next(v.original for v in assembly.offered if v.original.label == label)
     group = set(step.admitted) | {x for v in step.aliases.values() for x in v}
@@ -301,7 +301,7 @@ def _admit(assembly: Assembly, state: FitState, label: str, progress: Progress) 
     if found is None:
         raise ConfigError(f"add {label}", "a model whose fit does not diverge",
                           "check units and signs of the channels")  # fmt: skip
-    rival = refit_alone(assembly, base, _of(found, label), None)
+    rival = refit_alone(assembly, base, _of(found, label))
     return _with(rival.assembly, rival.fit.state, rival.ranked.variant.label, progress)
 
 
