@@ -220,3 +220,9 @@ def block_samples(correlation: int, counted: int) -> int:
     most = max(counted // MINIMUM_BLOCKS, 4)
     wanted = 2 ** int(np.ceil(np.log2(max(32, 2 * correlation, counted / MOST_BLOCKS))))
     return int(min(wanted, 2 ** int(np.log2(most))))
+
+
+def block_for(residual: tuple[Array, ...]) -> int:
+    """Samples in a block over which these residuals are no longer alike."""
+    counted = sum(int(np.any(r != 0, axis=1).sum()) for r in residual)
+    return block_samples(correlation_samples(residual), counted)

@@ -151,9 +151,9 @@ def random_sentence(found: Comparison) -> str:
     return text[:1].upper() + text[1:] + "." if text else ""
 
 
-def spoilt_sentence(found: Comparison) -> str:
-    """What of the readings is no measurement; empty where all are."""
-    text = "; ".join(found.spoilt)
+def record_sentence(found: Comparison) -> str:
+    """What of the readings is no measurement, and how the record departs from model and noise."""
+    text = "; ".join((*found.spoilt, *found.departures))
     return text[:1].upper() + text[1:] + "." if text else ""
 
 
@@ -244,7 +244,7 @@ def verdict_sentence(verdict: Verdict, found: Comparison, settings: Settings) ->
     words = _VERDICTS[verdict]
     if words.endswith("."):
         return words
-    random = " ".join(filter(None, (random_sentence(found), spoilt_sentence(found))))
+    random = " ".join(filter(None, (random_sentence(found), record_sentence(found))))
     if verdict == "nothing_missing":
         return f"{words}: {_figures(found, settings)}.{' ' + random if random else ''}"
     reasons = shortfalls(found, settings)
@@ -293,7 +293,7 @@ def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, setting
     if reasons := shortfalls(last, settings):
         more = "More is missing" if last.converged else "Whether more is missing cannot be told"
         said.append(f"{more}: {'; '.join(reasons)}.")
-    return " ".join(filter(None, [*said, random_sentence(last), spoilt_sentence(last)]))
+    return " ".join(filter(None, [*said, random_sentence(last), record_sentence(last)]))
 
 
 def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:

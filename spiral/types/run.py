@@ -62,8 +62,10 @@ class Comparison(Readable):
     random beside white noise of the sensors (``engine.likelihood.noise``), with its size: of a
     force its share of the rate that it acts on, of a reading its share of the channel's deviation;
     nothing where no such model was fitted; ``random_times`` its correlation time in s, where it
-    has one; ``spoilt`` says in words which readings are no measurement. ``traces`` are what the
-    errors were computed from, while the program that did is running; no file keeps them.
+    has one; ``spoilt`` says in words which readings are no measurement, ``departures`` what neither
+    the model nor its noise can hold (a parameter that drifts, noise that grows with its reading).
+    ``traces`` are what the errors were computed from, while the program that did is running; no
+    file keeps them.
     """
 
     model: Model
@@ -83,6 +85,7 @@ class Comparison(Readable):
     random: Mapping[str, float] | None = None
     random_times: Mapping[str, float] = field(default_factory=dict)
     spoilt: tuple[str, ...] = ()
+    departures: tuple[str, ...] = ()
     traces: Traces | None = field(default=None, compare=False, repr=False)
 
     def _shown(self) -> Summary:
@@ -105,6 +108,7 @@ class Comparison(Readable):
             "random": None if self.random is None else dict(self.random),
             "random_times": dict(self.random_times),
             "spoilt": list(self.spoilt),
+            "departures": list(self.departures),
             "channels": {k: v.as_dict() for k, v in self.channels.items()},
             "chi2_per_dof": self.chi2_per_dof,
             "whiteness_p": self.whiteness_p,

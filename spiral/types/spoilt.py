@@ -14,7 +14,7 @@ so does a record without noise; of these nothing is said.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -28,6 +28,7 @@ _MOST = 0.05  # share of spikes beyond which they are the signal itself
 _REPEATS = 0.002  # share of repeated values from which a signal repeats them by itself
 _MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how it moves
 _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
+_PAIRS = np.array([(i, i + d) for d in (1, 2, 3) for i in range(-3, 4 - d)])  # that may meet
 _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are noise
 
 
@@ -132,7 +133,11 @@ def _at_extremes(values: Array) -> tuple[Array, Array]:
 
 
 def _spikes(values: Array) -> Array:
-    """Readings without which those around them agree; the farthest off are mended first."""
+    """Readings without which those around them agree; the farthest off are mended first.
+
+    Then two at most three readings apart, as where two happen to meet: fewer than those alone, else
+    they are pulses.
+    """
     found = np.zeros(len(values), dtype=bool)
     if len(values) < 16:
         return found
@@ -140,22 +145,46 @@ def _spikes(values: Array) -> Array:
     scale = _ROBUST * float(np.median(np.abs(_off(y)[2:-2])))
     last = np.ones(1)
     while last.any() and found.sum() <= _MOST * len(y):
-        off = _off(y)
         last = np.zeros(len(y), dtype=bool)
-        for k in np.flatnonzero((np.abs(off) > _OUT * scale) & ~found):
-            near = slice(max(k - 2, 0), k + 3)
-            if np.abs(off[k]) < np.abs(off[near]).max():
-                continue  # a stronger one beside it goes first
-            around = slice(max(k - 4, 0), k + 5)
-            mended = y[around].copy()
-            mended[k - around.start] -= off[k]
-            left = np.abs(_off(mended)[np.r_[-2, -1, 1, 2] + k - around.start])
-            # another spike four readings on leaves one neighbour off
-            if np.sum(left > _AGREE * scale) <= 1 and np.median(left) <= _AGREE * scale:
-                last[k] = True
+        off = _off(y)
+        for k in _peaks(off, found, scale):
+            last[k] = _mended(y, [k], scale) is not None
         y[last] -= off[last]
         found |= last
-    return found
+    met = _peaks(_off(y), found, scale)
+    pairs = np.zeros(len(values), dtype=bool)
+    for k in met if 2 * len(met) <= found.sum() else ():
+        trials = (_mended(y, pair, scale) for pair in _PAIRS + k)
+        better = next((trial for trial in trials if trial is not None), y)
+        y, pairs = better, pairs | (better != y)
+    return found | pairs
+
+
+def _peaks(off: Array, found: Array, scale: float) -> list[int]:
+    """Where readings are far off, and those within two of them less so."""
+    far = np.flatnonzero((np.abs(off) > _OUT * scale) & ~found)
+    return [int(k) for k in far if np.abs(off[k]) >= np.abs(off[max(k - 2, 0) : k + 3]).max()]
+
+
+def _mended(values: Array, at: Sequence[int], scale: float) -> Array | None:
+    """The readings with those ``at`` brought onto the cubics through their neighbours.
+
+    None where the neighbours do not agree then, or where one of them is not far off itself.
+    """
+    low, high = int(min(at)), int(max(at))
+    if low < 4 or high >= len(values) - 4:
+        return None
+    around = slice(low - 4, high + 5)
+    places = [k - around.start for k in at]
+    units = [_off(np.eye(high - low + 9)[p])[places] for p in places]
+    amounts = np.linalg.solve(np.array(units), _off(values[around])[places])
+    better = values.copy()
+    better[list(at)] -= amounts
+    near = {k + d for k in at for d in (-2, -1, 1, 2)} - set(at)
+    left = np.abs(_off(better[around]))[[k - around.start for k in sorted(near)]]
+    # another spike four readings on leaves one neighbour off
+    agree = np.sum(left > _AGREE * scale) <= 1 and np.median(left) <= _AGREE * scale
+    return better if agree and np.all(np.abs(amounts) > _OUT * scale) else None
 
 
 def _off(values: Array) -> Array:

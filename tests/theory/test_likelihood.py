@@ -211,13 +211,16 @@ def shaken(seed, level):
     return disturbed(task, {"observed": level}, 0.02, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("kind", ["white", "coloured", "drift"])
+@pytest.mark.parametrize("kind", ["white", "coloured", "alone", "drift"])
 def test_the_ladder_takes_up_the_noise_that_is_there(kind):
+    """``alone``: no white noise beside the coloured one."""
     record = record_of(5, samples=3000, noise=0.02)
     rng = np.random.default_rng(5)
     spread = np.std(record.channels["x"])
     clean = record.channels["x"]
-    if kind == "coloured":
+    if kind == "alone":
+        clean, kind = record.truth["x"] + relaxed(rng, len(clean), 0.9) * 0.02 * spread, "coloured"
+    elif kind == "coloured":
         clean = clean + relaxed(rng, len(clean), 0.95) * 0.05 * spread
     if kind == "drift":
         clean = clean + np.cumsum(rng.normal(size=len(clean))) * 0.005 * spread

@@ -34,6 +34,19 @@ def test_spikes_are_found_where_they_are(seed):
     assert len(found) >= 0.9 * len(at)
 
 
+@pytest.mark.parametrize("apart", [1, 2, 3])
+def test_two_spikes_that_meet_are_found_beside_others_and_pulses_are_left(apart):
+    """Two readings off by the same; a record that has nothing but such pairs has pulses."""
+    size = 5 * MOTION.std()
+    meeting, alone = np.array([1000, 1000 + apart]), np.arange(1500, 3900, 300)
+    both = noisy(4)
+    both[meeting] += size
+    assert not kinds(both)
+    both[alone] += size
+    found = np.flatnonzero(kinds(both)["spike"])
+    np.testing.assert_array_equal(found, [*meeting, *alone])
+
+
 def test_runs_of_one_value_are_held_and_extremes_are_clipped():
     values = noisy(0)
     held = np.zeros(N, dtype=bool)

@@ -25,6 +25,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from spiral.engine.leastsquares import Fit, solve_triangle, triangle
+from spiral.engine.likelihood.information import regression_rows, widening
 from spiral.engine.likelihood.noise import NoiseModel, limits
 from spiral.engine.likelihood.predict import (
     RUNAWAY,
@@ -36,6 +37,7 @@ from spiral.engine.likelihood.predict import (
     side_by_side,
     varied,
 )
+from spiral.engine.score import block_for
 from spiral.types.record import Array
 
 _DIFFERENCE = 0.05  # of the logarithm of a size, for its slopes
@@ -100,6 +102,7 @@ class Maximum:
     steps: int
     sizes: tuple[str, ...] = ()
     kept: Kept = field(default_factory=Kept)
+    widened: tuple[float, ...] = ()
 
     @property
     def finite(self) -> bool:
@@ -114,11 +117,11 @@ class Maximum:
 
     @property
     def errors(self) -> dict[str, float]:
-        """Standard errors of the parameters that moved, from the expected information."""
+        """Standard errors of the parameters that moved, from the information, or from blocks."""
         if self.solved is None:
             return {}
-        spread = self.solved.spread(1.0)
-        return {k: float(s) for k, s in zip(self.keys, spread, strict=False)}
+        spread = self.solved.spread(1.0)[: len(self.keys)] * (self.widened or 1.0)
+        return {k: float(s) for k, s in zip(self.keys, spread, strict=True)}
 
     @property
     def noise_errors(self) -> dict[str, float]:
@@ -187,7 +190,12 @@ def informed(at: Maximum) -> Maximum:
         return at
     search = _Search(at.keys)
     at = search.with_differences(at)
-    return replace(at, solved=solve_triangle(*search.rows(at)), sizes=search.sizes(at))
+    names, solved = search.sizes(at), solve_triangle(*search.rows(at))
+    beside = [[at.kept.sizes[n][r] for n in names] for r in range(len(at.parts))]
+    block = block_for(tuple(p.whitened for p in at.parts))
+    factors = widening(at.parts, search.columns(at), beside, solved, block)
+    widened = tuple(map(float, factors[: len(at.keys)]))
+    return replace(at, solved=solved, sizes=names, widened=widened)
 
 
 @dataclass(frozen=True)
@@ -300,7 +308,7 @@ class _Search:
             chosen = None if self.masks is None else self.masks[r]
             mask = slice(None) if chosen is None else chosen
             beside = [at.kept.sizes[n][r] for n in names]
-            blocks += _regression(part, columns[r], beside, mask)
+            blocks += regression_rows(part, columns[r], beside, mask)
         return triangle(blocks)
 
     def climb(self, at: Maximum, damping: float) -> _Step:
@@ -369,23 +377,6 @@ def _change(part: Prediction, misses: Array, spreads: Array) -> tuple[Array, Arr
     grown = np.log(spreads, where=seen, out=np.zeros_like(spreads))
     grown -= np.log(part.spreads, where=seen, out=np.zeros_like(part.spreads))
     return miss, grown / _DIFFERENCE
-
-
-def _regression(
-    part: Prediction, columns: Array, beside: Sequence[tuple[Array, Array]], mask: Array | slice
-) -> list[Array]:
-    """Rows [X, -w | e] and [0, l / 2^(1/2) | (e^2 - 1) / 2^(1/2)] of one record."""
-    seen = part.spreads[mask] > 0
-    e, columns = part.whitened[mask][seen], columns[mask][seen]
-    width = columns.shape[1]
-    first = np.zeros((len(e), width + len(beside) + 1))
-    second = np.zeros_like(first)
-    first[:, :width], first[:, -1] = columns, e
-    for j, (miss, grown) in enumerate(beside):
-        first[:, width + j] = -miss[mask][seen]
-        second[:, width + j] = grown[mask][seen] / np.sqrt(2.0)
-    second[:, -1] = (e**2 - 1.0) / np.sqrt(2.0)
-    return [first, second] if beside else [first]
 
 
 def _damped(upper: Array, sizes: Array, damping: float) -> Array:

@@ -8,14 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.growth import Stage
-from spiral.engine.score import (
-    Score,
-    ScoreTable,
-    block_samples,
-    correlation_samples,
-    score,
-    tabulate,
-)
+from spiral.engine.score import Score, ScoreTable, block_for, score, tabulate
 from spiral.engine.sensitivities import Reduction, reduce, residuals
 from spiral.engine.study import ParameterColumns
 from spiral.inference.evidence.assembly import (
@@ -27,7 +20,6 @@ from spiral.inference.evidence.assembly import (
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.gridnull import effective_tests
 from spiral.inference.evidence.inseparable import inseparable
-from spiral.types.record import Array
 
 
 @dataclass(frozen=True)
@@ -95,12 +87,6 @@ def score_stage(assembly: Assembly, standing: FitState, stage: Stage) -> Evidenc
     reduction = reduce(assembly.study, stage.layouts, stage.fitted.point, moving, block)
     found = rank(reduction, owners_of(assembly, active), groups, block)
     return Evidence(found.ranked, found.table, block, stage)
-
-
-def block_for(residual: tuple[Array, ...]) -> int:
-    """Samples in a block over which these residuals are no longer alike."""
-    counted = sum(int(np.any(r != 0, axis=1).sum()) for r in residual)
-    return block_samples(correlation_samples(residual), counted)
 
 
 def absent(assembly: Assembly, standing: FitState) -> list[Variant]:

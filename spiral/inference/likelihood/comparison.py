@@ -38,11 +38,13 @@ from spiral.inference.evidence.horizons import (
     task_for,
 )
 from spiral.inference.evidence.judge import FreeRun, run_free
+from spiral.inference.likelihood.departures import departures
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     colour,
     force_levels,
     innovations,
+    is_white,
     on_steps,
     settled_values,
 )
@@ -96,6 +98,7 @@ def compared_by_likelihood(
         unseen=unseen,
         random=sizes,
         random_times=times,
+        departures=departures(estimate, is_white(assembly, found), sizes),
         traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
     )
 

@@ -33,14 +33,16 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.problem import Progress
 
 _ODDS = 100.0  # to one, for which a term is kept
-_LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of the one that is kept
+_LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those that keep up
+_KEEP = 0.7  # share of the best gain at first look that keeps up
+_SHARED = 0.7  # of the size of white noise, that it and a coloured one start with (half of it)
 _ROUNDS = 2
 _LEAST = 1.5  # times its least value from which a random force is one
 
 
 @dataclass(frozen=True)
 class Rung:
-    """Terms that come together, with sizes to start from."""
+    """Terms that come together, with sizes to start from: their own, and of others beside them."""
 
     terms: tuple[NoiseTerm, ...]
     values: dict[str, float]
@@ -67,25 +69,30 @@ def climbed_ladder(assembly: Assembly, found: LikelihoodFit, progress: Progress)
 def _best(at: Maximum) -> Maximum | None:
     """The noise with one term more that is worth most beyond its price; none where none is.
 
-    Terms are looked at on the part of the first record that moves most; what comes first there is
-    judged on all.
+    Terms are looked at on the part of the records that moves most; what keeps up there is judged on
+    all.
     """
     part = _part(at)
-    task = part[0][0]
     now = maximise(part, (), at.noise, steps=_LOOK)
     looks = []
-    for rung in rungs(task, now.noise):
+    for rung in rungs(part[0][0], now.noise):
         noise = now.noise.added(rung.terms, rung.values)
         look = maximise(part, (), noise, steps=_LOOK)
-        looks.append((look.log_likelihood - _price(noise, at.noise, part), look))
-    looks = [x for x in looks if x[1].finite and x[0] > now.log_likelihood]
-    if not looks:
-        return None
-    chosen = max(looks, key=lambda x: x[0])[1]
-    chosen = maximise(at.prepared, (), chosen.noise, steps=_TUNE, rough=True)
-    gain = chosen.log_likelihood - at.log_likelihood
-    worth = gain - _price(chosen.noise, at.noise, at.prepared) - np.log(_ODDS)
-    return chosen if worth > 0 else None
+        gain = look.log_likelihood - _price(noise, at.noise, part) - now.log_likelihood
+        looks.append((gain, look.noise))
+    most = max((gain for gain, _ in looks), default=0.0)
+    tuned = [
+        maximise(at.prepared, (), noise, steps=_TUNE, rough=True)
+        for gain, noise in looks
+        if gain > 0 and gain >= _KEEP * most
+    ]
+    worths = [
+        (t.log_likelihood - at.log_likelihood - _price(t.noise, at.noise, at.prepared), t)
+        for t in tuned
+        if t.finite
+    ]
+    worth, chosen = max(worths, key=lambda x: x[0], default=(0.0, None))
+    return chosen if worth > np.log(_ODDS) else None
 
 
 def _part(at: Maximum) -> Prepared:
@@ -136,8 +143,9 @@ def rungs(task: Task, noise: NoiseModel) -> Iterator[Rung]:
         kinds: tuple[tuple[Kind, float], ...] = (("coloured", 4.0), ("band", 1.0))
         for kind, steps in kinds:
             terms = tuple(NoiseTerm(kind, c) for c in channels)
-            sizes = {t.size: float(white[t.where]) for t in terms}
-            yield Rung(terms, sizes | {f"{kind}.time": steps * dt})
+            sizes = {t.size: _SHARED * white[t.where] for t in terms}
+            less = {f"white.{c}": _SHARED * white[c] for c in channels}
+            yield Rung(terms, sizes | less | {f"{kind}.time": steps * dt})
     for c in channels:
         term = NoiseTerm("drift", c)
         if term in noise.terms:

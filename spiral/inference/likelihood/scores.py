@@ -22,13 +22,12 @@ from spiral.engine.leastsquares import triangle
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.own_states import own_of, own_states_along
 from spiral.engine.likelihood.predict import Masks, Prediction, predicted
-from spiral.engine.score import tabulate
+from spiral.engine.score import block_for, tabulate
 from spiral.engine.sensitivities import Reduction
 from spiral.inference.evidence.assembly import Assembly, Variant, columns
 from spiral.inference.evidence.scoring import (
     Group,
     Ranking,
-    block_for,
     owners_of,
     present_labels,
     rank,

@@ -1,0 +1,183 @@
+"""How a record departs from what its model and its noise can say, each with its test, in words.
+
+With e the whitened misses of a fit and X their slopes by parameters:
+
+    a parameter drifts    e = X b + d (t x_j),    t from -1/2 to 1/2 over each record
+    noise that grows      e ~ N(0, a + b h^2),    h a reading from its mean, over its deviation
+    heavy tails           e ~ s t_nu,             Student's t with nu degrees of freedom
+
+They are told where twice their gain in log-likelihood is above 20. That of a drift must be so by
+the misses' sums over blocks as well, and change the parameter by a share that counts. A noise is
+judged only where the misses are white: else they are no noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from spiral.engine.filter.noise import groups
+from spiral.engine.leastsquares import least_squares
+from spiral.engine.likelihood.fit import Maximum
+from spiral.engine.score import block_for
+from spiral.types.formatting import number, percent
+from spiral.types.record import Array
+
+_TOLD = 20.0  # twice the gain in log-likelihood from which a departure is told
+_ALIKE = 9.2  # 2 log 100, of the same, under which two parameters are not told apart
+_COUNTS = 0.005  # share of its value that a parameter drifts by
+_RATIOS = np.geomspace(0.03, 100.0, 18)  # b / a of noise that grows
+_TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
+_FEWEST = 64  # samples
+
+
+def departures(estimate: Maximum, white: bool, random: Iterable[str]) -> tuple[str, ...]:
+    """What is told of a fit.
+
+    Parameters
+    ----------
+    white : whether its misses are. random : what acts at random, by name.
+    """
+    samples = sum(len(p.misses) for p in estimate.parts)
+    if not estimate.finite or samples < _FEWEST:
+        return ()
+    shapes = _shapes(estimate) if white else ()
+    return (*_noisy_inputs(estimate, random), *_drifts(estimate), *shapes)
+
+
+def _noisy_inputs(estimate: Maximum, random: Iterable[str]) -> tuple[str, ...]:
+    """Inputs whose noise would push the machine as a white random force does."""
+    task = estimate.prepared[0][0]
+    traced, members = task.compiled.traced, groups(task)
+    pushed = [members[w] for k, _, w in (r.partition(".") for r in random) if k == "force"]
+    symbols = {s for rows in pushed for i in rows for s in traced.rate[i].free_symbols}
+    names = [n for n, u in zip(traced.inputs, traced.u, strict=True) if u in symbols]
+    if not names:
+        return ()
+    many = "inputs" if len(names) > 1 else "input"
+    return (f"noise in the measured {many} {', '.join(names)} would look like that random force",)
+
+
+def _drifts(estimate: Maximum) -> tuple[str, ...]:
+    """The parameter that drifts most clearly, and those that look alike."""
+    parts, keys, values = estimate.parts, estimate.keys, estimate.values
+    x = np.concatenate([p.columns.reshape(-1, len(keys)) for p in parts])
+    e = np.concatenate([p.whitened.ravel() for p in parts])
+    if not keys or not np.all(np.isfinite(x)):
+        return ()
+    m = parts[0].misses.shape[1]
+    times = [np.repeat(np.linspace(-0.5, 0.5, len(p.misses)), m) for p in parts]
+    t, width = np.concatenate(times), block_for(tuple(p.whitened for p in parts)) * m
+    found = {k: _drift(x, e, t * x[:, j], width) for j, k in enumerate(keys) if values[k]}
+    told = {k: d for k, d in found.items()
+            if d.ratio**2 > _TOLD and abs(d.change) > _COUNTS * abs(values[k])}  # fmt: skip
+    if not told:
+        return ()
+    best = max(told, key=lambda k: told[k].gain)
+    alike = [k for k in told if k != best and told[k].gain > told[best].gain - _ALIKE]
+    change, ratio = told[best].change, told[best].ratio
+    share, error = change / abs(values[best]), change / abs(values[best]) / abs(ratio)
+    beside = f" (or {', '.join(alike)})" if alike else ""
+    return (
+        f"as if {best}{beside} changed by {100 * share:+.2g} +- {100 * abs(error):.1g} % over the "
+        "record: with time, or with what changes over it, as temperature, wear, speed or amplitude",
+    )
+
+
+@dataclass(frozen=True)
+class _Drift:
+    """The change of a parameter over a record, twice its gain, and it over its error by blocks."""
+
+    change: float
+    gain: float = 0.0
+    ratio: float = 0.0
+
+
+def _drift(x: Array, e: Array, column: Array, width: int) -> _Drift:
+    """The drift whose slopes are ``column``; blocks are of ``width`` rows."""
+    beyond = column - x @ least_squares(x, column).b
+    energy = float(beyond @ beyond)
+    if energy <= 1e-9 * float(column @ column):
+        return _Drift(0.0)
+    change = float(beyond @ e) / energy
+    left = beyond * (e - change * beyond)
+    sums = np.add.reduceat(left, np.arange(0, len(left), width))
+    spread = float(np.sqrt(np.sum(sums**2)))
+    ratio = change * energy / spread if spread > 0 else 0.0
+    return _Drift(change, change**2 * energy, ratio)
+
+
+def _shapes(estimate: Maximum) -> tuple[str, ...]:
+    """The shape of the noise of every channel, the one that it departs to most."""
+    channels = estimate.prepared[0][0].compiled.traced.channels
+    told = []
+    for j, name in enumerate(channels):
+        e, h = _channel(estimate, j)
+        if len(e) < _FEWEST:
+            continue
+        growth, tails = _growth(e, h), _tails(e)
+        if max(growth[0], tails[0]) <= _TOLD:
+            continue
+        if growth[0] > tails[0]:
+            times = number(float(np.sqrt(1 + 4 * growth[1])), 2)
+            told.append(
+                f"the noise of sensor {name} grows with the amplitude of its reading: two standard "
+                f"deviations from the mean it is {times} times as large as there"
+            )
+        else:
+            told.append(
+                f"the noise of sensor {name} has heavy tails (outliers), like Student's t with "
+                f"{number(tails[1], 2)} degrees of freedom: {_beyond(e)} are more than 4 standard "
+                "deviations off"
+            )
+    return tuple(told)
+
+
+def _beyond(e: Array) -> str:
+    return f"{percent(float(np.mean(np.abs(e) > 4 * e.std())))} of its readings"
+
+
+def _channel(estimate: Maximum, j: int) -> tuple[Array, Array]:
+    """Misses of a channel, and its predictions from their mean over their deviation."""
+    misses, readings = [], []
+    for (task, _), part in zip(estimate.prepared, estimate.parts, strict=True):
+        seen = part.spreads[:, j] > 0
+        reading = task.series.y[seen, j] - part.misses[seen, j]
+        spread = float(reading.std()) if seen.any() else 0.0
+        misses.append(part.whitened[seen, j])
+        readings.append((reading - reading.mean()) / spread if spread > 0 else 0.0 * reading)
+    return np.concatenate(misses), np.concatenate(readings)
+
+
+def _growth(e: Array, h: Array) -> tuple[float, float]:
+    """Twice the gain of a variance a (1 + r h^2) over a constant one, and the best r."""
+    still = len(e) * np.log(np.mean(e**2))
+    gains = [still - _size(e, 1 + r * h**2) for r in _RATIOS]
+    best = int(np.argmax(gains))
+    return float(gains[best]), float(_RATIOS[best])
+
+
+def _size(e: Array, variance: Array) -> float:
+    """-2 log L of N(0, a v), a the most likely, less what all have."""
+    return float(len(e) * np.log(np.mean(e**2 / variance)) + np.sum(np.log(variance)))
+
+
+def _tails(e: Array) -> tuple[float, float]:
+    """Twice the gain of Student's t over the normal distribution, and its degrees of freedom."""
+    normal = -0.5 * len(e) * (np.log(2 * np.pi * np.mean(e**2)) + 1)
+    gains = [2 * (_student(e, float(nu)) - normal) for nu in _TAILS]
+    best = int(np.argmax(gains))
+    return float(gains[best]), float(_TAILS[best])
+
+
+def _student(e: Array, nu: float) -> float:
+    """log L of s t_nu, s the most likely (by expectation and maximisation)."""
+    square = float(np.median(e**2)) or 1.0
+    for _ in range(30):
+        square = float(np.mean((nu + 1) / (nu + e**2 / square) * e**2))
+    constant = special.gammaln((nu + 1) / 2) - special.gammaln(nu / 2)
+    constant -= 0.5 * np.log(np.pi * nu * square)
+    return float(len(e) * constant - 0.5 * (nu + 1) * np.sum(np.log1p(e**2 / (nu * square))))

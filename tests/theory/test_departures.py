@@ -1,0 +1,115 @@
+"""Records that depart from the model of their noise: honest standard errors, and words for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from spiral_plugins.systems.oscillator import Oscillator
+
+from spiral.engine.filter.setup import prepared
+from spiral.engine.filter.task import prepare_task
+from spiral.engine.likelihood.fit import informed, maximise
+from spiral.engine.likelihood.noise import first_noise
+from spiral.inference.likelihood.departures import departures
+from spiral.inference.simulate import simulate
+from spiral.types.model import seed_model
+from spiral.types.record import make_record
+
+TRUTH = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 2.0}
+KEYS = tuple(TRUTH)
+TIME = np.arange(2000) / 200.0
+
+
+def force(time):
+    """Eleven sines from 1 to 6 Hz."""
+    return sum(5 * np.sin(2 * np.pi * (1 + 0.5 * k) * time + k**2) for k in range(11))
+
+
+FORCE = force(TIME)
+MODEL = seed_model(Oscillator(), values=TRUTH)
+
+
+def moved(values=None):
+    """The motion without noise."""
+    model = seed_model(Oscillator(), values={**TRUTH, **(values or {})})
+    return simulate(model, TIME, {"force": FORCE}, 0.0, np.random.default_rng(0)).channels["x"]
+
+
+CLEAN = moved()
+SPREAD = 0.02 * CLEAN.std()
+
+
+def fitted(x, level=1e-4):
+    record = make_record(MODEL.system, "record", TIME, {"x": x}, {"force": FORCE})
+    task = prepare_task(MODEL, replace(record, spoilt={}), substeps=4, every=True)
+    both = (prepared(task, ()),)
+    return informed(maximise(both, KEYS, first_noise(task, level)))
+
+
+def growing(rng):
+    return rng.normal(size=len(CLEAN)) * SPREAD * (0.2 + 2 * np.abs(CLEAN / CLEAN.std()))
+
+
+def steady(rng):
+    return rng.normal(size=len(CLEAN)) * SPREAD
+
+
+def pooled(noise, widened=True):
+    squares = []
+    for seed in range(30):
+        found = fitted(CLEAN + noise(np.random.default_rng(seed)))
+        errors = found.errors if widened else replace(found, widened=()).errors
+        squares += [((found.values[k] - TRUTH[k]) / errors[k]) ** 2 for k in KEYS]
+    return float(np.mean(squares))
+
+
+def test_blocks_mend_standard_errors_where_the_noise_grows_with_the_motion():
+    """Pooled squared t of 30 records; of the information alone it is far from 1."""
+    assert pooled(growing, widened=False) > 1.8
+    assert 0.6 < pooled(growing) < 1.5
+
+
+def test_blocks_leave_standard_errors_alone_where_the_noise_is_as_it_is_said_to_be():
+    factors = [fitted(CLEAN + steady(np.random.default_rng(s))).widened for s in range(30)]
+    assert np.mean(np.array(factors) > 1) < 0.1  # tested at 5 %
+
+
+def test_nothing_is_told_of_white_noise():
+    told = [
+        departures(fitted(CLEAN + steady(np.random.default_rng(s))), True, ()) for s in range(30)
+    ]
+    assert not any(told)
+
+
+@pytest.mark.parametrize(
+    ("noise", "word"),
+    [
+        (growing, "grows with the amplitude"),
+        (lambda rng: rng.standard_t(3, size=len(CLEAN)) * SPREAD, "heavy tails"),
+    ],
+)
+def test_the_shape_of_the_noise_is_told(noise, word):
+    (told,) = departures(fitted(CLEAN + noise(np.random.default_rng(1))), True, ())
+    assert word in told
+
+
+def test_a_stiffness_that_drifts_is_told_with_its_size():
+    """m x'' = F - k (1 + 0.04 t / T) x - c x', by SciPy."""
+
+    def rate(t, state):
+        stiffness = 400.0 * (1 + 0.04 * t / TIME[-1])
+        return state[1], force(t) - stiffness * state[0] - 2.0 * state[1]
+
+    drifting = solve_ivp(rate, TIME[[0, -1]], [0, 0], "DOP853", TIME, rtol=1e-9).y[0]
+    found = fitted(drifting + steady(np.random.default_rng(2)), level=0.02)
+    (told,) = departures(found, False, ())
+    assert told.startswith("as if linear_stiffness.stiffness")
+    share = float(told.partition("changed by +")[2].split(" ")[0])
+    assert share == pytest.approx(4.0, abs=1.0)
+
+
+def test_an_input_may_be_what_pushes():
+    noisy = fitted(CLEAN + steady(np.random.default_rng(3)))
+    (told,) = departures(noisy, True, ("force.observed",))
+    assert "measured input force" in told
