@@ -149,18 +149,25 @@ class Registry:
         return self.make("effect", name, given)
 
     def candidates(self, system: System, everywhere: bool = False) -> tuple[Effect, ...]:
-        """Every effect with a physical name that fits the system's first port, or any of them."""
-        from spiral.types.effect import FlowEffect, ForceEffect, SensorEffect
+        """Every effect with a physical name that fits the system's first port.
+
+        ``everywhere``: at every port, and on every input.
+        """
+        from spiral.types.effect import FlowEffect, ForceEffect, InputEffect, SensorEffect
         from spiral.types.placement import check_effect
         from spiral.types.units import units_fit
 
+        kinds = (ForceEffect, SensorEffect, FlowEffect, *((InputEffect,) if everywhere else ()))
         found: list[Effect] = []
         for name in self.names("effect"):
             plugin = self.entry("effect", name).plugin
-            if not issubclass(plugin, ForceEffect | SensorEffect | FlowEffect) or plugin.bare:
+            if not issubclass(plugin, kinds) or plugin.bare:
                 continue
             others = system.ports[1:] if everywhere and issubclass(plugin, ForceEffect) else ()
-            for effect in (plugin(), *(plugin(port=port.name) for port in others)):
+            places = [port.name for port in others]
+            if issubclass(plugin, InputEffect):
+                places = [name for port in system.driven[1:] for name in port.axes]
+            for effect in (plugin(), *(plugin(port=place) for place in places)):
                 try:
                     check_effect(system, effect)
                 except ConfigError:

@@ -16,7 +16,7 @@ from spiral.engine.gate import Gate
 from spiral.io.conformance import derivatives, observers, physics, rehearsal
 from spiral.io.registry import told
 from spiral.types.derivative import Derivative
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, SensorEffect
 from spiral.types.errors import ConfigError, InputError, PluginError, SpiralError
 from spiral.types.fields import construct, field_names, plain
 from spiral.types.learner import Learner
@@ -66,7 +66,8 @@ def check_effect(effect: Effect, system: System) -> list[Check]:
     After a check that the others rest on (it fits, it traces) has failed, no more are run.
     """
     still = isinstance(effect, SensorEffect) and not isinstance(system, MechanicalSystem)
-    beside = system.seed if still else ()  # flows that a reading of rates may show
+    driven = isinstance(effect, InputEffect)
+    beside = system.seed if still or driven else ()  # flows that a reading or an input may show
     whole, bare = physics.Physics(system, (*beside, effect)), physics.Physics(system, beside)
     return _run(
         f"{effect.label} on {system.plugin_name()}",

@@ -20,7 +20,7 @@ import sympy as sp
 
 from spiral.physics.trace import asked, input_columns, trace
 from spiral.types.cache import kept
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, SensorEffect
 from spiral.types.placement import check_effect
 from spiral.types.port import At, Port
 from spiral.types.record import Array
@@ -37,7 +37,8 @@ class Along:
 
     ``states`` (samples, n) of the system alone, ``inputs`` (samples, input columns), ``rates``
     (samples, n) and ``readings`` (samples, channels) of the model as it is, ``values`` of the
-    system's parameters by name; ``known`` keeps what all effects of a place share.
+    system's parameters by name, ``by_input`` (samples, n) slopes of the rates by each input that an
+    actuator may change; ``known`` keeps what all effects of a place share.
     """
 
     system: System
@@ -46,6 +47,7 @@ class Along:
     rates: Array
     readings: Array
     values: Mapping[str, float]
+    by_input: Mapping[str, Array] = field(default_factory=dict)
     known: dict[str, Any] = field(default_factory=dict, compare=False)
 
     def part(self, where: slice) -> Along:
@@ -53,6 +55,7 @@ class Along:
         return replace(
             self, states=self.states[where], inputs=self.inputs[where], rates=self.rates[where],
             readings=self.readings[where], known={},
+            by_input={k: v[where] for k, v in self.by_input.items()},
         )  # fmt: skip
 
     def once(self, name: str, made: Callable[[], Any]) -> Any:
@@ -105,24 +108,43 @@ def signatures(
             told = asked(effect, "reading", effect.reading, y, at, u, p)
             readings[:, :, j] = _columns(told, count) - along.readings
         return rates, readings
+    hidden = SimpleNamespace(**(own or {}))
+    if isinstance(effect, InputEffect):
+        recorded = _input(along, port)
+        at, slope = At((recorded,), (), hidden), along.by_input[port.axes[0]]
+        for j, p in enumerate(units):
+            change = asked(effect, "drive", effect.drive, at, u, p) - recorded
+            rates[:, :, j] = slope * change[:, None]
+        return rates, readings
     gain = along.once("pushed", lambda: _matrix(
         _pushed(system)(*along.states.T, *along.inputs.T, *along.parameters), count
     ))  # fmt: skip
-    hidden = SimpleNamespace(**(own or {}))
     for j, p in enumerate(units):
         pushes = _injected(along, effect, port, u, p, hidden)
         rates[:, :, j] = np.einsum("tij,tj->ti", gain, pushes)
     return rates, readings
 
 
-def at_port_along(along: Along, port: Port) -> tuple[Array, Array]:
-    """(samples, axes) positions and velocities of a port; a flow's place moves at its own rate."""
+def at_port_along(along: Along, effect: Effect) -> tuple[Array, Array]:
+    """(samples, axes) positions and velocities where an effect acts.
+
+    A flow's place and an input move at their own rates.
+    """
+    port = along.system.place(effect)
+    if isinstance(effect, InputEffect):
+        position = _input(along, port)[:, None]
+        return position, np.gradient(position, axis=0)
     if isinstance(along.system, MechanicalSystem):
         position, velocity, _ = along.once(port.name, lambda: _moved(along, port))
         return position, velocity
     place = _place(along.system, port.name)(*along.states.T, *along.parameters)
     position = _columns(place, len(along.states))
     return position, np.gradient(position, axis=0)
+
+
+def _input(along: Along, port: Port) -> Array:
+    """(samples,) what was recorded of an input."""
+    return along.inputs[:, input_columns(along.system).index(port.axes[0])]
 
 
 def _injected(

@@ -20,7 +20,14 @@ from typing import Any
 import sympy as sp
 
 from spiral.types.cache import kept
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect, expand
+from spiral.types.effect import (
+    Effect,
+    FlowEffect,
+    ForceEffect,
+    InputEffect,
+    SensorEffect,
+    expand,
+)
 from spiral.types.errors import PluginError, SpiralError, did_you_mean
 from spiral.types.parameter import Parameter
 from spiral.types.placement import TIME, check_effect, model_keys
@@ -110,9 +117,9 @@ def trace(
     states = {n: sp.Symbol(f"x{i}", real=True) for i, n in enumerate(names)}
     inputs = {n: sp.Symbol(f"u{i}", real=True) for i, n in enumerate(input_columns(system))}
     x = SimpleNamespace(**{s.name: states[s.name] for s in system.states})
-    u = SimpleNamespace(**inputs)
     p = SimpleNamespace(**{q.name: symbols[f"system.{q.name}"] for q in system.parameters})
-    placed = [_place(system, effect, x, p, states, symbols) for effect in effects]
+    placed = [_place(system, effect, x, inputs, p, states, symbols) for effect in effects]
+    u = _driven(placed, inputs)
     seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
     injected = _inject(system, placed, seen, x)
     rates = asked(system, "rate", system.rate, x, u, p, injected)
@@ -183,6 +190,7 @@ def _place(
     system: System,
     effect: Effect,
     x: SimpleNamespace,
+    inputs: dict[str, sp.Symbol],
     p: SimpleNamespace,
     states: dict[str, sp.Symbol],
     symbols: dict[str, sp.Symbol],
@@ -193,6 +201,8 @@ def _place(
     velocity: tuple[Any, ...] = ()
     if isinstance(effect, SensorEffect):
         position = tuple(getattr(x, name) for name in system.observed)
+    elif isinstance(effect, InputEffect):
+        position = tuple(inputs[name] for name in port.axes)
     elif isinstance(system, MechanicalSystem):
         q, v = system.split(x)
         position = tuple(port.coordinates(q, p))
@@ -210,6 +220,17 @@ def _place(
         found = [symbols[k] for k, _ in expand(effect.label, (parameter,), port.axes)]
         setattr(values, parameter.name, tuple(found) if parameter.per_axis else found[0])
     return _Placed(effect, port, At(position, velocity, own), values, jacobian)
+
+
+def _driven(placed: list[_Placed], inputs: dict[str, sp.Symbol]) -> SimpleNamespace:
+    """The inputs as actuators hand them on, each effect beside the others on what was recorded."""
+    u = SimpleNamespace(**inputs)
+    for item in placed:
+        if isinstance(item.effect, InputEffect):
+            (name,), (recorded,) = item.port.axes, item.at.position
+            value = asked(item.effect, "drive", item.effect.drive, item.at, u, item.p)
+            setattr(u, name, getattr(u, name) + value - recorded)
+    return u
 
 
 def _with_rates(

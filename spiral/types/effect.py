@@ -84,6 +84,18 @@ class SensorEffect(Effect):
         """The readings of the port's axes, from the readings ``y`` without this effect."""
 
 
+class InputEffect(Effect):
+    """What an actuator makes of an input: the machine gets something else than the record says.
+
+    Its port is an input, the first that may be changed where none is named: one that no other
+    input follows from. ``position`` is the unit of that input.
+    """
+
+    @abstractmethod
+    def drive(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> Any:
+        """The input that acts, from the recorded one, ``at.position[0]``."""
+
+
 class FlowEffect(Effect):
     """A flow into named channels of a first-order system (a tank, a volume)."""
 

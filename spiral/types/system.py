@@ -6,7 +6,7 @@ from abc import abstractmethod
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
-from spiral.types.effect import Effect, SensorEffect
+from spiral.types.effect import Effect, InputEffect, SensorEffect
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.plugin import Plugin
@@ -96,9 +96,34 @@ class System(Plugin):
             self.ports[0].force_unit,
         )
 
+    @property
+    def driven(self) -> tuple[Port, ...]:
+        """Inputs that an actuator may change, each as a port: those that no other follows from.
+
+        Such a port is called ``input NAME``, its axis ``NAME``.
+        """
+        tied = {i.derived_from for i in self.inputs}
+        free = [i for i in self.inputs if not (i.derivative or i.derived_from or i.name in tied)]
+        force = self.ports[0].force_unit
+        return tuple(
+            Port(f"input {i.name}", (i.name,), lambda x, p: [], i.unit, force) for i in free
+        )
+
     def place(self, effect: Effect) -> Port:
-        """Where an effect acts: at its port, or on the sensors."""
-        return self.sensors if isinstance(effect, SensorEffect) else self.port(effect.port)
+        """Where an effect acts: at its port, on an input, or on the sensors."""
+        if isinstance(effect, SensorEffect):
+            return self.sensors
+        if not isinstance(effect, InputEffect):
+            return self.port(effect.port)
+        for port in self.driven:
+            if effect.port in ("", *port.axes):
+                return port
+        names = [name for port in self.driven for name in port.axes]
+        raise ConfigError(
+            f"effect {effect.label!r}, which acts on an input, with system {self.plugin_name()!r}",
+            f"one of its inputs {', '.join(names)}" if names else "an input that no other follows",
+            did_you_mean(effect.port, names),
+        )
 
     def unit_of(self, channel: str) -> str:
         """Unit of a state or input by name."""

@@ -10,7 +10,7 @@ from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
 
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, SensorEffect
 from spiral.types.errors import InputError, PluginError
 from spiral.types.port import At, Port
 from spiral.types.system import MechanicalSystem, System
@@ -188,6 +188,8 @@ def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, An
     elif isinstance(effect, SensorEffect):
         readings = effect.reading(list(position), at, u, p)
         found += [("effect", value, port.position_unit) for value in readings]
+    elif isinstance(effect, InputEffect):
+        found.append(("effect", effect.drive(at, u, p), port.position_unit))
     elif isinstance(effect, FlowEffect):
         x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states}, own=own)
         units = {i.name: i.unit for i in system.injections}

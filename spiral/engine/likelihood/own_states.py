@@ -43,7 +43,7 @@ def own_states_along(
     u = vars(inputs_seen(along, shift))
     names = tuple(sorted(u))
     compiled = compiled_alone(type(effect), axes, names)
-    position, velocity = at_port_along(along, port)
+    position, velocity = at_port_along(along, effect)
     middle, turning = halfway(position, velocity, dt)
     count = len(along.states)
     inputs = np.column_stack([np.broadcast_to(u[n], (count,)) for n in names] or [np.zeros(count)])

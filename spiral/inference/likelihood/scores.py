@@ -37,11 +37,13 @@ from spiral.inference.evidence.spectrum import STEP, frequencies, others_of, pea
 from spiral.inference.likelihood.fitting import LikelihoodFit, moving
 from spiral.inference.unknown.holding import variant_of
 from spiral.physics.signatures import Along, Own, amplitude_names, signatures
+from spiral.physics.trace import input_columns
 from spiral.types.effect import Effect
 from spiral.types.record import Array
 
 _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
+_STEP = 1e-5  # of an input's largest value, for the slopes of the rates by it
 _FINE = STEP ** np.linspace(-0.9, 0.9, 13)  # refinement of a peak
 
 
@@ -208,16 +210,28 @@ def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
 
     system = assembly.problem.model.system
     n, count = len(system.states), len(task.states)
-    inputs = task.inputs[:: 2 * task.series.substeps]
-    rates, readings = np.empty((len(part.means), count)), np.empty_like(task.series.y)
+    inputs = np.ascontiguousarray(task.inputs[:: 2 * task.series.substeps])
     rows = np.ascontiguousarray(part.means[:, :count])
-    evaluate_along(
-        task.compiled.rate_value, task.compiled.output_value, rows, np.ascontiguousarray(inputs),
-        task.values, rates, readings,
-    )  # fmt: skip
+
+    def evaluated(u: Array) -> tuple[Array, Array]:
+        rates, readings = np.empty((len(rows), count)), np.empty_like(task.series.y)
+        evaluate_along(
+            task.compiled.rate_value, task.compiled.output_value, rows, u, task.values, rates,
+            readings,
+        )  # fmt: skip
+        return rates[:, :n], readings
+
+    rates, readings = evaluated(inputs)
+    by_input = {}
+    for port in system.driven:
+        place = input_columns(system).index(port.axes[0])
+        step = np.zeros(inputs.shape[1])
+        step[place] = _STEP * (float(np.abs(inputs[:, place]).max()) or 1.0)
+        more, less = evaluated(inputs + step)[0], evaluated(inputs - step)[0]
+        by_input[port.axes[0]] = (more - less) / (2 * step[place])
     known = dict(zip(task.keys, map(float, task.values), strict=True))
     values = {p.name: known[f"system.{p.name}"] for p in system.parameters}
-    return Along(system, rows[:, :n], inputs, rates[:, :n], readings, values)
+    return Along(system, rows[:, :n], inputs, rates, readings, values, by_input)
 
 
 def _columns(

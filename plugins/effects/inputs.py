@@ -1,0 +1,77 @@
+"""What an actuator makes of an input: the machine gets something else than the record says.
+
+u is the recorded input, each effect gives the one that acts. An amplitude s is the share to which
+an effect is there: 1 where the actuator is as the equation says.
+"""
+
+from __future__ import annotations
+
+from spiral_plugins.effects.restoring import WIDTH
+
+from spiral.math import ramp
+from spiral.types.effect import InputEffect
+from spiral.types.parameter import Parameter, State
+
+
+class InputDeadZone(InputEffect):
+    """An actuator that does not answer small inputs: acting = u - s clip(u, -g, g).
+
+    Valve overlap, play in a linkage, a motor's breakaway voltage (Tao and Kokotovic, Adaptive
+    Control of Systems with Actuator and Sensor Nonlinearities, 1996). Corners are rounded over +-w.
+    Where the input drives a mass that slides, dry friction looks alike.
+    """
+
+    parameters = (
+        Parameter("share", "", lower=0.0),
+        Parameter("gap", "position", lower=0.0, role="shape", grid=(0.05, 0.15, 0.4)),
+        WIDTH,
+    )
+
+    def drive(self, at, u, p):
+        """u - s clip(u, -g, g)."""
+        (given,) = at.position
+        beyond = ramp(given - p.gap, p.width) - ramp(-given - p.gap, p.width)
+        return given - p.share * (given - beyond)
+
+
+class InputSaturation(InputEffect):
+    """An actuator that gives no more than its limit: acting = u - s sign(u) (|u| - l)_+.
+
+    Full stroke, a supply's voltage or current. Corners are rounded over +-w.
+    """
+
+    parameters = (
+        Parameter("share", "", lower=0.0),
+        Parameter("limit", "position", lower=0.0, role="shape", grid=(0.4, 0.6, 0.8)),
+        WIDTH,
+    )
+
+    def drive(self, at, u, p):
+        """u - s sign(u) (|u| - l)_+."""
+        (given,) = at.position
+        beyond = ramp(given - p.limit, p.width) - ramp(-given - p.limit, p.width)
+        return given - p.share * beyond
+
+
+class ActuatorLag(InputEffect):
+    """An actuator that follows its input late: acting = u - s (u - z), T z' = u - z.
+
+    A first-order drive (a coil, a valve, an amplifier), whole at s = 1. Where T is short against
+    the motion all sensors that were early by T would look alike.
+    """
+
+    states = (State("followed", "position"),)
+    parameters = (
+        Parameter("share", "", lower=0.0),
+        Parameter("time_constant", "s", lower=0.0, role="shape", start=0.01, spectrum=True),
+    )
+
+    def drive(self, at, u, p):
+        """u - s (u - z)."""
+        (given,) = at.position
+        return given - p.share * (given - at.own.followed)
+
+    def rate(self, at, u, p):
+        """(u - z) / T."""
+        (given,) = at.position
+        return {"followed": (given - at.own.followed) / p.time_constant}
