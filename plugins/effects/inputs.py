@@ -7,6 +7,7 @@ an effect is there: 1 where the actuator is as the equation says.
 from __future__ import annotations
 
 from spiral_plugins.effects.restoring import WIDTH
+from spiral_plugins.effects.sensors import half_a_sample
 
 from spiral.math import ramp
 from spiral.types.effect import InputEffect
@@ -75,3 +76,7 @@ class ActuatorLag(InputEffect):
         """(u - z) / T."""
         (given,) = at.position
         return {"followed": (given - at.own.followed) / p.time_constant}
+
+    def remark(self, values, step):
+        """Half a sample has a usual cause."""
+        return half_a_sample(values["share"] * values["time_constant"], step)

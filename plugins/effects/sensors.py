@@ -10,6 +10,7 @@ from spiral.types.effect import SensorEffect
 from spiral.types.parameter import Parameter
 
 _TURN = 6.283185307179586
+_NEAR = 0.1  # samples around half a sample
 
 
 class Offset(SensorEffect):
@@ -68,6 +69,13 @@ class Delay(SensorEffect):
         """y_i - tau_i q_i' + tau_i^2 q_i'' / 2."""
         return _late(y, at, p.time, 1 / 2)
 
+    def remark(self, values, step):
+        """A sensor cannot be early, and half a sample has a usual cause."""
+        times = [v for k, v in values.items() if k.startswith("time")]
+        if max(times) < 0:
+            return f"no sensor is early: the inputs act {-max(times):.2g} s or more late"
+        return half_a_sample(min(times), step)
+
 
 class SensorLag(SensorEffect):
     """A sensor that follows slowly, 1 / (1 + T s): reading = y_i - T_i q_i' + T_i^2 q_i''.
@@ -83,6 +91,16 @@ class SensorLag(SensorEffect):
     def reading(self, y, at, u, p):
         """y_i - T_i q_i' + T_i^2 q_i''."""
         return _late(y, at, p.time, 1)
+
+
+def half_a_sample(late, step):
+    """What is said of something that comes late by half the time between samples."""
+    if not abs(late / step - 0.5) < _NEAR:
+        return ""
+    return (
+        f"{late:.2g} s is half a sample, as where a controller holds an input to the next sample: "
+        "record.hold=zero_order if it does"
+    )
 
 
 def _late(y, at, times, share):

@@ -102,7 +102,7 @@ class Series:
 
 
 def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) -> Series:
-    """Make the arrays of a record; inputs are interpolated as the system's ``Input`` says.
+    """Make the arrays of a record; inputs run between samples as it says, else as the system's do.
 
     ``knot`` (s) spaces the knots of a smooth phase correction, which a record gets where its phase
     was integrated from a measured speed; 0 makes none.
@@ -119,7 +119,9 @@ def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) ->
         substeps=substeps,
         splines=splines(record, substeps, knot if wanted else 0.0),
         held=tuple(
-            i for i, known in enumerate(system.inputs) if known.interpolation == "zero_order"
+            k
+            for k, i in enumerate(system.inputs)
+            if record.hold.get(i.name, i.interpolation) == "zero_order"
         ),
         seen=seen_readings(record, system.observed),
     )
@@ -157,7 +159,9 @@ def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
     coarse = np.arange(record.samples, dtype=float)
     fine = np.arange(count) / (2.0 * substeps)
     columns = [
-        _interpolated(record.inputs[i.name], coarse, fine, i.interpolation, substeps)
+        _interpolated(
+            record.inputs[i.name], coarse, fine, record.hold.get(i.name, i.interpolation), substeps
+        )
         for i in system.inputs
     ]
     columns += [

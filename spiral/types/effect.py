@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -62,6 +63,13 @@ class Effect(Plugin):
     def rate(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> dict[str, Any]:
         """Time derivatives of its own states: name -> value, or list of values per axis."""
         return {}
+
+    def remark(self, values: Mapping[str, float], step: float) -> str:
+        """What fitted values (by parameter name) mean beyond themselves, in words; mostly nothing.
+
+        ``step`` is the time between samples in s.
+        """
+        return ""
 
     def keys(self, port: Port) -> tuple[tuple[str, Parameter], ...]:
         """(full parameter name, parameter) in order, per axis where the parameter is."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from spiral.types.errors import InputError, did_you_mean
+from spiral.types.parameter import Interpolation
 from spiral.types.spoilt import Spoilt, bridged, clipping, spoilt_readings
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ class Record:
     measured : inputs that were measured rather than derived (``phase`` from ``speed``).
     notes : what a reader should know (conversions), in words.
     spoilt : readings that are no measurement, by channel; ``make_record`` finds them.
+    hold : how an input runs between its samples, by name, where not as its system says.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Record:
     measured: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     spoilt: Mapping[str, tuple[Spoilt, ...]] = field(default_factory=dict)
+    hold: Mapping[str, Interpolation] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         length = f"{self.samples} samples, {self.samples * self.dt:.4g} s at {1 / self.dt:.4g} Hz"
@@ -122,8 +125,12 @@ def make_record(
     noise: Mapping[str, float] | None = None,
     truth: Mapping[str, Array] | None = None,
     notes: tuple[str, ...] = (),
+    hold: Mapping[str, str] | str | None = None,
 ) -> Record:
     """Check a series against a system and complete its inputs.
+
+    ``hold`` says how inputs run between their samples where not as the system says
+    (``types.parameter.Input``), by name or for all: ``zero_order`` where a controller holds them.
 
     Raises
     ------
@@ -134,6 +141,7 @@ def make_record(
     given = {k: np.asarray(v, dtype=float) for k, v in channels.items()}
     known = {k: np.asarray(v, dtype=float) for k, v in inputs.items()}
     _check_names(system, given, known)
+    held = _checked_hold(system, hold or {})
     _check_time(name, time)
     for kind, group in (("channel", given), ("input", known)):
         for key, values in group.items():
@@ -154,7 +162,25 @@ def make_record(
         measured=measured,
         notes=(*notes, *(note for note in extra if note)),
         spoilt={k: some for k, some in spoilt.items() if some},
+        hold=held,
     )
+
+
+def _checked_hold(system: System, hold: Mapping[str, str] | str) -> dict[str, Interpolation]:
+    """How inputs run between their samples, by name; one word is for all that may be held."""
+    if isinstance(hold, str):
+        hold = {name: hold for port in system.driven for name in port.axes}
+    inputs, found = [i.name for i in system.inputs], {}
+    for name, how in hold.items():
+        if name not in inputs:
+            known = ", ".join(inputs) or "none"
+            told = f"an input of the system: {known}"
+            raise InputError(f"hold of {name!r}", told, did_you_mean(name, inputs))
+        if how not in (words := get_args(Interpolation)):
+            told = f"one of {', '.join(words)}"
+            raise InputError(f"hold of {name!r}: {how!r}", told, did_you_mean(how, words))
+        found[name] = how
+    return found
 
 
 def estimate_noise(values: Array) -> float:

@@ -77,7 +77,8 @@ def test_blocks_leave_standard_errors_alone_where_the_noise_is_as_it_is_said_to_
 
 def test_nothing_is_told_of_white_noise():
     told = [
-        departures(fitted(CLEAN + steady(np.random.default_rng(s))), True, ()) for s in range(30)
+        departures(MODEL, fitted(CLEAN + steady(np.random.default_rng(s))), True, ())
+        for s in range(30)
     ]
     assert not any(told)
 
@@ -90,7 +91,7 @@ def test_nothing_is_told_of_white_noise():
     ],
 )
 def test_the_shape_of_the_noise_is_told(noise, word):
-    (told,) = departures(fitted(CLEAN + noise(np.random.default_rng(1))), True, ())
+    (told,) = departures(MODEL, fitted(CLEAN + noise(np.random.default_rng(1))), True, ())
     assert word in told
 
 
@@ -103,7 +104,7 @@ def test_a_stiffness_that_drifts_is_told_with_its_size():
 
     drifting = solve_ivp(rate, TIME[[0, -1]], [0, 0], "DOP853", TIME, rtol=1e-9).y[0]
     found = fitted(drifting + steady(np.random.default_rng(2)), level=0.02)
-    (told,) = departures(found, False, ())
+    (told,) = departures(MODEL, found, False, ())
     assert told.startswith("as if linear_stiffness.stiffness")
     share = float(told.partition("changed by +")[2].split(" ")[0])
     assert share == pytest.approx(4.0, abs=1.0)
@@ -111,5 +112,5 @@ def test_a_stiffness_that_drifts_is_told_with_its_size():
 
 def test_an_input_may_be_what_pushes():
     noisy = fitted(CLEAN + steady(np.random.default_rng(3)))
-    (told,) = departures(noisy, True, ("force.observed",))
+    (told,) = departures(MODEL, noisy, True, ("force.observed",))
     assert "measured input force" in told

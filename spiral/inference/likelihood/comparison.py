@@ -98,7 +98,7 @@ def compared_by_likelihood(
         unseen=unseen,
         random=sizes,
         random_times=times,
-        departures=departures(estimate, is_white(assembly, found), sizes),
+        departures=departures(model, estimate, is_white(assembly, found), sizes),
         traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
     )
 

@@ -13,7 +13,7 @@ judged only where the misses are white: else they are no noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.score import block_for
 from spiral.types.formatting import number, percent
+from spiral.types.model import Model
 from spiral.types.record import Array
 
 _TOLD = 20.0  # twice the gain in log-likelihood from which a departure is told
@@ -34,8 +35,10 @@ _TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
 _FEWEST = 64  # samples
 
 
-def departures(estimate: Maximum, white: bool, random: Iterable[str]) -> tuple[str, ...]:
-    """What is told of a fit.
+def departures(
+    model: Model, estimate: Maximum, white: bool, random: Iterable[str]
+) -> tuple[str, ...]:
+    """What is told of a model's fit, remarks of its effects first.
 
     Parameters
     ----------
@@ -45,7 +48,20 @@ def departures(estimate: Maximum, white: bool, random: Iterable[str]) -> tuple[s
     if not estimate.finite or samples < _FEWEST:
         return ()
     shapes = _shapes(estimate) if white else ()
-    return (*_noisy_inputs(estimate, random), *_drifts(estimate), *shapes)
+    return (
+        *_remarks(model, estimate),
+        *_noisy_inputs(estimate, random),
+        *_drifts(estimate),
+        *shapes,
+    )
+
+
+def _remarks(model: Model, estimate: Maximum) -> Iterator[str]:
+    step, table = estimate.prepared[0][0].series.dt, model.estimates()
+    for effect in model.effects:
+        values = {k: v.estimate for k, v in table.get(effect.label, {}).items()}
+        if values and (said := effect.remark(values, step)):
+            yield f"{effect.label}: {said}"
 
 
 def _noisy_inputs(estimate: Maximum, random: Iterable[str]) -> tuple[str, ...]:

@@ -86,6 +86,8 @@ class Columns(Source):
         {path: FILE}: where the shaft turns slowly; mean and 1X there are subtracted everywhere.
     fill_gaps : longest gap, in samples, that is bridged by interpolation.
     resample : samples per s to bring the record to, through an anti-alias filter.
+    hold : how inputs run between their samples: ``zero_order`` (a controller holds each value),
+        ``smooth`` or ``band_limited``, for all or by name; left out, as the system says.
     """
 
     path: str | tuple[str, ...] | None = None
@@ -107,6 +109,7 @@ class Columns(Source):
     slow_roll: Mapping[str, Any] | None = None
     fill_gaps: int | None = None
     resample: float | None = None
+    hold: str | Mapping[str, str] | None = None
 
     def __post_init__(self) -> None:
         if self.time is not None and self.rate is not None:
@@ -120,9 +123,11 @@ class Columns(Source):
         if self.resample is not None and not (np.isfinite(self.resample) and self.resample > 0):
             raise ConfigError(f"record.resample={self.resample!r}", "samples per s, above zero")
         if self.fill_gaps is not None and self.fill_gaps < 1:
-            raise ConfigError(
-                f"record.fill_gaps={self.fill_gaps}", "samples, one or more", "or leave it out"
-            )
+            given = f"record.fill_gaps={self.fill_gaps}"
+            raise ConfigError(given, "samples, one or more", "or leave it out")
+        if self.resample is not None and self.hold is not None:
+            told = "after an anti-alias filter no input is held"
+            raise ConfigError("both record.resample and record.hold", "one of them", told)
         for name in ("pulse_level", "pulse_edge"):
             if getattr(self, name) is not None and self.pulse is None:
                 raise ConfigError(
@@ -141,10 +146,8 @@ class Columns(Source):
     def load(self, system: System) -> tuple[Record, ...]:
         """One record for each file, or for each series that a star in a column's name means."""
         if not self.path:
-            name = self.plugin_name()
-            raise ConfigError(
-                f"record={name} without a file", "record.path=FILE", "record.path=a.csv"
-            )
+            given = f"record={self.plugin_name()} without a file"
+            raise ConfigError(given, "record.path=FILE", "record.path=a.csv")
         paths = [self.path] if isinstance(self.path, str) else list(self.path)
         return tuple(record for path in paths for record in self._of_file(system, path))
 
@@ -191,6 +194,7 @@ class Columns(Source):
             series.inputs,
             series.noise,
             notes=(*table.notes, told, *series.notes),
+            hold=self.hold,
         )
 
     def _layout(self, system: System, table: Table) -> ColumnLayout:
@@ -306,7 +310,7 @@ class Columns(Source):
         if self.rate is not None:
             return {}
         if self.time is not None:
-            return {"time": self.time}
+            return {"time": table.called(self.time) or self.time}
         for name in _TIME_COLUMNS:
             if column := table.called(name):
                 return {"time": column}
@@ -336,7 +340,7 @@ class Columns(Source):
                     f"one of the system's {option}: {', '.join(known) or 'none'}",
                     did_you_mean(name, known),
                 )
-        return dict(given)
+        return {n: table.called(str(c)) or c for n, c in given.items()}
 
     def _units(self, system: System, table: Table, columns: Mapping[str, str]) -> dict[str, str]:
         """Name -> unit, as configured, else as the file names it."""

@@ -1,0 +1,114 @@
+"""Inputs: how they run between samples, and what an actuator makes of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from spiral_plugins.effects.inputs import ActuatorLag, InputDeadZone, InputSaturation
+from spiral_plugins.systems.oscillator import Oscillator
+from spiral_plugins.systems.planar_rotor import PlanarRotor
+
+import spiral
+from experiments.studies.signals import band_limited
+from spiral.engine.filter.task import free_run, task_with
+from spiral.inference.simulate import simulate
+from spiral.physics.compile import compile_model
+from spiral.physics.trace import trace
+from spiral.types.errors import InputError, SpiralError
+from spiral.types.model import seed_model
+from spiral.types.record import make_record
+
+TRUTH = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 2.0}
+WRONG = {**TRUTH, "system.mass": 1.1, "linear_stiffness.stiffness": 430.0}
+HIDDEN = {
+    "input_dead_zone": (InputDeadZone(), {"share": 1.0, "gap": 2.0, "width": 0.1}),
+    "input_saturation": (InputSaturation(), {"share": 1.0, "limit": 10.0, "width": 0.2}),
+    "actuator_lag": (ActuatorLag(), {"share": 1.0, "time_constant": 0.03}),
+}
+
+
+def driven(seed, name):
+    """An oscillator under noise of 0.3 to 10 Hz for 20 s, 1 % noise that nobody declares."""
+    effect, values = HIDDEN[name]
+    named = {f"{name}.{k}": v for k, v in values.items()}
+    model = seed_model(Oscillator(), (effect,), values={**TRUTH, **named})
+    time = np.arange(4000) / 200
+    force = band_limited(np.random.default_rng(seed), 8.0, (0.3, 10.0), 20.0)(time)
+    record = simulate(model, time, {"force": force}, 0.01, np.random.default_rng(seed))
+    return replace(record, noise={})
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_what_an_actuator_does_is_named_and_measured(name):
+    run = spiral.discover(driven(0, name), "oscillator", test=driven(50, name), values=WRONG)
+    assert run.missing == (name,)
+    found = run.model.estimates()
+    assert found[name]["share"].estimate == pytest.approx(1.0, abs=0.05)
+    key = next(k for k in HIDDEN[name][1] if k not in ("share", "width"))
+    assert found[name][key].estimate == pytest.approx(HIDDEN[name][1][key], rel=0.05)
+    last = run.rounds[-1].comparison
+    assert last.test_error < 1.05 * last.noise_floor
+
+
+def held(count, seed=0, noise=0.01):
+    """The motion under a force that changes every fifth sample and stays, by exact steps."""
+    rng, dt = np.random.default_rng(seed), 0.01
+    force = np.repeat(rng.normal(size=count // 5) * 8, 5)
+    whole = np.array([[0.0, 1.0, 0.0], [-400.0, -2.0, 1.0], [0.0, 0.0, 0.0]])
+    step, state, found = expm(whole * dt), np.zeros(2), []
+    for value in force:
+        found.append(state[0])
+        state = step[:2, :2] @ state + step[:2, 2] * value
+    x = np.array(found)
+    return np.arange(count) * dt, force, x + noise * x.std() * rng.normal(size=count)
+
+
+def recorded(hold, count=2000, noise=0.01):
+    time, force, x = held(count, noise=noise)
+    return make_record(Oscillator(), "held", time, {"x": x}, {"force": force}, hold=hold)
+
+
+def test_an_input_that_is_held_is_integrated_as_one():
+    """Against the matrix exponential; run between samples as measured signals it is far off."""
+    time, force, x = held(2000, noise=0.0)
+    system = Oscillator()
+    model = seed_model(system, values=TRUTH)
+    errors = {}
+    for hold in ("zero_order", "band_limited"):
+        record = make_record(system, "held", time, {"x": x + 1e-9 * np.cos(1e4 * time)},
+                             {"force": force}, hold=hold)  # fmt: skip
+        values = model.row("truth", "")
+        task = task_with(model, compile_model(trace(system, model.effects)), values, record,
+                         substeps=8)  # fmt: skip
+        run = free_run(task.compiled, task.series, task.inputs, task.values)
+        errors[hold] = np.std(run[:, 0] - x) / np.std(x)
+    assert errors["zero_order"] < 1e-6
+    assert errors["band_limited"] > 0.02
+
+
+def test_a_hold_that_nobody_told_of_is_guessed_at():
+    """Half a sample of lag; told of the hold nothing is missing, and the values are the truth."""
+    run = spiral.discover(recorded(None), "oscillator", values=WRONG)
+    assert run.missing in (("actuator_lag",), ("delay",), ("sensor_lag",))
+    assert "record.hold=zero_order" in run.summary
+    run = spiral.discover(recorded("zero_order"), "oscillator", values=WRONG)
+    assert run.verdict == "nothing_missing"
+    for key, value in TRUTH.items():
+        owner, name = key.split(".")
+        found = run.model.estimates()[owner][name]
+        assert abs(found.estimate - value) < 3 * found.se
+
+
+@pytest.mark.parametrize(
+    ("hold", "word"), [("zero", "zero_order"), ({"torque": "zero_order"}, "force")]
+)
+def test_a_hold_that_is_none_is_refused(hold, word):
+    with pytest.raises(InputError) as caught:
+        recorded(hold)
+    assert word in f"{caught.value.expected} {caught.value.try_}"
+
+
+def test_an_actuator_needs_an_input_that_nothing_follows_from():
+    with pytest.raises(SpiralError, match="acts on an input"):
+        PlanarRotor().place(InputDeadZone())
