@@ -77,7 +77,7 @@ def _constant_speed(settled: bool, seed: int):
     source = Simulation(
         system=TiltingRotor(),
         inputs={"speed": {"constant": 30.0, "unit": "Hz"}},
-        duration=5.0,
+        duration=2.0,
         rate=1000.0,
         seed=seed,
         noise_level=0.02,
@@ -115,11 +115,10 @@ def test_the_manual_way_leads_to_the_same_place():
 
 
 def test_phase_integrated_from_exact_speed_serves_as_well_as_measured_phase():
-    record = planar_record(
-        3, (effect("gyroscopic"),), {"gyroscopic.coefficient": 0.01}, with_phase=False
-    )
-    test = planar_record(
-        103, (effect("gyroscopic"),), {"gyroscopic.coefficient": 0.01}, phase=1.3, with_phase=False
+    hidden = (effect("gyroscopic"),), {"gyroscopic.coefficient": 0.01}
+    record, test = (
+        planar_record(seed, *hidden, phase=phase, duration=7.0, with_phase=False)
+        for seed, phase in ((3, 0.4), (103, 1.3))
     )
     assert record.measured == ("speed",)
     run = discover(planar_problem(record, test))
@@ -158,7 +157,7 @@ def test_a_look_alike_admitted_first_is_let_go_when_the_true_effect_comes():
             "cubic_stiffness.stiffness": 1e12,
         },
         inputs={"force": {"noise": 1, "band": [5, 100]}},
-        duration=10.0,
+        duration=5.0,
         rate=1000.0,
         noise_level=0.02,
     )
