@@ -14,7 +14,7 @@ from spiral.types.effect import ForceEffect
 from tests.scenes import registry
 
 OWN = ("hidden_mode", "lag")  # with states of their own: longer studies
-QUICK = [c for i, c in enumerate(CASES) if c.effect not in OWN and i % 3 == 0]
+QUICK = [c for i, c in enumerate(CASES) if c.effect not in OWN and i % 3 == 0]  # every third
 
 
 @pytest.mark.parametrize("case", QUICK, ids=lambda c: c.effect)

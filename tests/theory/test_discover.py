@@ -157,7 +157,7 @@ def test_a_look_alike_admitted_first_is_let_go_when_the_true_effect_comes():
             "cubic_stiffness.stiffness": 1e12,
         },
         inputs={"force": {"noise": 1, "band": [5, 100]}},
-        duration=5.0,
+        duration=10.0,
         rate=1000.0,
         noise_level=0.02,
     )
@@ -166,5 +166,6 @@ def test_a_look_alike_admitted_first_is_let_go_when_the_true_effect_comes():
     assert set(run.model.labels) == {"linear_stiffness", "linear_damping", "cubic_stiffness"}
     found = run.model.estimates()["cubic_stiffness"]["stiffness"]
     assert found.estimate == pytest.approx(1e12, rel=0.02)
+    assert any(r.retired for r in run.rounds)
     for r in run.rounds:
         assert not set(r.retired) & set(r.admitted)
