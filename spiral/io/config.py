@@ -18,6 +18,7 @@ from spiral.io import custom, question
 from spiral.io.overrides import Assignment, parse, set_value
 from spiral.io.paper_options import gate_fields, with_strategy
 from spiral.io.registry import Registry
+from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.fields import by_name, construct, defaults_of, field_names, is_open, plain
 
@@ -235,7 +236,13 @@ def _preset(items: Iterable[Assignment]) -> str | None:
 
 
 def _from_hydra(preset: str | None, registry: Registry) -> Config:
-    """``config.yaml`` with a preset, as plain data."""
+    """``config.yaml`` with a preset, as plain data of the caller's own."""
+    return copy.deepcopy(_composed(preset, registry))
+
+
+@kept(16)
+def _composed(preset: str | None, registry: Registry) -> Config:
+    """As Hydra composes it; the jobs of a sweep, and a page's questions, ask for the same."""
     import hydra
     from hydra.core.global_hydra import GlobalHydra
     from omegaconf import OmegaConf

@@ -51,9 +51,18 @@ class Traced:
     p: tuple[sp.Symbol, ...]
     rate: tuple[sp.Expr, ...]
     output: tuple[sp.Expr, ...]
-    balance: tuple[sp.Expr, ...]
+    forces: tuple[sp.Expr, ...]
     acceleration: tuple[sp.Symbol, ...]
     like: tuple[tuple[str, str], ...] = ()
+
+    @cached_property
+    def balance(self) -> tuple[sp.Expr, ...]:
+        """M a - force - injected, multiplied out: linear in masses and amplitudes.
+
+        Only when asked for: a learned curve takes seconds to multiply out, and most models never
+        need it.
+        """
+        return tuple(sp.expand(row) for row in self.forces)
 
     @cached_property
     def rate_x(self) -> sp.Matrix:
@@ -127,7 +136,7 @@ def trace(
     for item, view in zip(placed, seen, strict=True):
         rates.update(_own_rates(item, view))
     output = _readings(system, placed, seen, x)
-    acceleration, balance = _balance(system, x, u, p, injected)
+    acceleration, forces = _forces(system, x, u, p, injected)
     return Traced(
         states=names,
         channels=system.observed,
@@ -140,7 +149,7 @@ def trace(
         rate=tuple(sp.sympify(rates[n]) for n in names),
         output=tuple(output),
         acceleration=acceleration,
-        balance=balance,
+        forces=forces,
         like=tuple((s.name, s.like) for s in system.states if s.like),
     )
 
@@ -261,9 +270,9 @@ def _inject(
             force = asked(effect, "force", effect.force, item.at, u, item.p)
             _check_length(effect, "force", force, item.port)
             assert item.jacobian is not None
-            generalised = item.jacobian.T * sp.Matrix(force)
-            for name, value in zip(total, generalised, strict=True):
-                total[name] += value
+            for j, name in enumerate(total):  # J^T F; most of J is zero or one
+                pairs = zip(item.jacobian.col(j), force, strict=True)
+                total[name] += sum(slope * value for slope, value in pairs if slope)
         elif isinstance(effect, FlowEffect):
             levels = _with_own(x, item.at)
             for name, value in asked(effect, "flow", effect.flow, levels, u, item.p).items():
@@ -338,14 +347,14 @@ def _readings(
     return [sp.sympify(value) for value in y]
 
 
-def _balance(
+def _forces(
     system: System,
     x: SimpleNamespace,
     u: SimpleNamespace,
     p: SimpleNamespace,
     injected: dict[str, Any],
 ) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Expr, ...]]:
-    """M a - force - injected, the balance of forces: linear in masses and amplitudes."""
+    """Accelerations a and M a - force - injected, which are zero: the balance of forces."""
     if not isinstance(system, MechanicalSystem):
         return (), ()
     q, v = system.split(x)
@@ -354,5 +363,5 @@ def _balance(
     inertia = sp.Matrix(system.mass(q, p)) * sp.Matrix(a)
     own = system.force(q, v, u, p)
     names = [c.name for c in system.coordinates]
-    balance = tuple(sp.expand(inertia[i] - own[i] - injected[names[i]]) for i in range(count))
-    return a, balance
+    forces = tuple(sp.sympify(inertia[i] - own[i] - injected[names[i]]) for i in range(count))
+    return a, forces

@@ -9,15 +9,28 @@ from pathlib import Path
 
 import pytest
 
+from spiral.cli import main
+
 PAGES = Path(__file__).parents[2] / "docs" / "how-to"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
+@pytest.fixture(autouse=True)
+def untracked():
+    """Pages are run as a reader runs them: nothing is put in MLflow's place."""
+
+
+@pytest.fixture(autouse=True)
+def without_curves():
+    """Nor in the curves' place."""
+
+
 @pytest.mark.parametrize("page", ["own-effect.md", "own-system.md", "../../README.md"])
-def test_every_block_runs(page, tmp_path):
+def test_every_block_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     folder = Path(sys.executable).parent
-    environment = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
-    environment.pop("SPIRAL_PLUGINS", None)
+    monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.delenv("SPIRAL_PLUGINS", raising=False)
     blocks = BLOCK.findall((PAGES / page).read_text(encoding="utf-8"))
     assert {"bash", "python"} <= {language for language, _ in blocks}
     for language, text in blocks:
@@ -31,11 +44,27 @@ def test_every_block_runs(page, tmp_path):
             tomllib.loads(text)
         else:
             assert language == "bash"
-            command = ["bash", "-euo", "pipefail", "-c", text]
-            done = subprocess.run(
-                command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-            )
-            assert done.returncode == 0, f"{text}\n{done.stdout}\n{done.stderr}"
+            run_as_typed(text)
+
+
+def run_as_typed(text):
+    """A block's commands; those of ``spiral`` run in this process, which has its imports.
+
+    The shell itself reads the words, with its quotes, and hands them back.
+    """
+    for command in text.replace("\\\n", " ").splitlines():
+        if command.partition(" ")[0] == "spiral":
+            words = _by_the_shell(f"printf '%s\\0' {command}").split("\0")[1:-1]
+            assert main(words) == 0, command
+        else:
+            _by_the_shell(command)
+
+
+def _by_the_shell(text):
+    command = ["bash", "-euo", "pipefail", "-c", text]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{text}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
 
 
 def test_fields_of_a_record_that_pages_name_are_there():

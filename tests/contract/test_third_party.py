@@ -74,12 +74,12 @@ def test_it_is_in_the_help_of_its_group(installed, tmp_path):
 
 
 def test_it_is_fitted_and_swept(spiral):
-    words = ("compare", *RECORD, "record.seed=1,2", "-m", "n_jobs=2", "strategy=shooting")
-    code, result = spiral(*words, f"effect=[{EFFECT}]")
+    words = ("compare", *RECORD, "record.seed=1,2", f"effect=[{EFFECT}],[]")
+    code, result = spiral(*words, "-m", "n_jobs=2", "strategy=shooting", "tracking.enabled=false")
     assert code == 0
-    assert len(result["runs"]) == 2
-    _, without = spiral(*words)
-    for one, other in zip(result["runs"], without["runs"], strict=True):
+    assert len(result["runs"]) == 4
+    for one, other in zip(result["runs"][::2], result["runs"][1::2], strict=True):
+        assert {f"effect=[{EFFECT}]"} == set(one["overrides"]) - set(other["overrides"])
         assert one["result"]["test_error"] < 0.5 * other["result"]["test_error"]
 
 

@@ -21,7 +21,10 @@ from spiral.io.writing import to_json
 from spiral.types.errors import InputError
 
 REGISTRY = load_registry()
-GIVEN = ("experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=3")
+GIVEN = (
+    "experiment=rotor_coastdown", "record.duration=2", "settings.max_rounds=3",
+    "candidates=[cross_stiffness,cubic_stiffness,gyroscopic]",
+)  # fmt: skip
 UNTIMED = {"seconds"}
 
 
@@ -61,7 +64,7 @@ def test_only_the_same_study_is_taken_up(study):
     assert fingerprint({**config, "out": "elsewhere", "n_jobs": 1}, problem, REGISTRY) == own
     settings = {**config["settings"], "level": 0.02}
     assert fingerprint({**config, "settings": settings}, problem, REGISTRY) != own
-    shorter = replace(problem, records=(problem.records[0].part(0, 3000, "shorter"),))
+    shorter = replace(problem, records=(problem.records[0].part(0, 1500, "shorter"),))
     assert fingerprint(config, shorter, REGISTRY) != own
 
 

@@ -2,11 +2,11 @@
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from spiral.cli import main
 
 ROOT = Path(__file__).parents[2]
 PRESETS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
@@ -14,15 +14,18 @@ ESTIMATES = ["rotor_soft_tilt"]  # presets for estimate: nothing is missing from
 DATA = os.environ.get("SPIRAL_DATA")
 
 
-def _discover(preset: str, folder: Path, *more: str) -> dict:
-    done = subprocess.run(
-        [sys.executable, "-m", "spiral", "discover", f"experiment={preset}", *more, "--json", "-"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+@pytest.fixture
+def result(tmp_path, monkeypatch, capsys):
+    """What a command gives, run in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def result_of(*words: str) -> dict:
+        code = main([*words, "tracking.enabled=false", "--json", "-"])
+        out, said = capsys.readouterr()
+        assert code == 0, said
+        return json.loads(out)
+
+    return result_of
 
 
 def _needs_data(preset: str) -> bool:
@@ -31,10 +34,12 @@ def _needs_data(preset: str) -> bool:
 
 NOTHING = ("rotor_nothing_hidden",)
 INNOVATION = ("rotor_one_bearing",)
+SHORT = ("record.duration=4",)  # what a preset's own duration is, test_config reads
 
 
-def test_nothing_is_missing_where_nothing_is_hidden(tmp_path):
-    found = _discover(NOTHING[0], tmp_path, "candidates=[cross_stiffness,cubic_stiffness]")
+def test_nothing_is_missing_where_nothing_is_hidden(result):
+    words = ("discover", f"experiment={NOTHING[0]}", *SHORT)
+    found = result(*words, "candidates=[cross_stiffness,cubic_stiffness]")
     assert found["verdict"] == "nothing_missing"
 
 
@@ -42,17 +47,18 @@ def test_nothing_is_missing_where_nothing_is_hidden(tmp_path):
     "preset",
     [p for p in PRESETS if not _needs_data(p) and p not in (*ESTIMATES, *NOTHING, *INNOVATION)],
 )
-def test_a_preset_runs_in_a_fast_mode(preset, tmp_path):
-    found = _discover(preset, tmp_path, "settings.max_rounds=1", "candidates=[cross_stiffness]")
+def test_a_preset_runs_in_a_fast_mode(preset, result):
+    words = ("discover", f"experiment={preset}", *SHORT)
+    found = result(*words, "settings.max_rounds=1", "candidates=[cross_stiffness]")
     assert found["rounds"][1]["admitted"] == ["cross_stiffness"]
     assert found["rounds"][1]["test_error"] < found["rounds"][0]["test_error"]
 
 
 @pytest.mark.slow
-def test_the_innovations_say_which_bearing(tmp_path):
+def test_the_innovations_say_which_bearing(result):
     words = ["candidates=[cubic_stiffness@bearing_1,cubic_stiffness@bearing_2]"]
     words += ["record.duration=5", "test.duration=5", "settings.max_rounds=1"]
-    found = _discover(INNOVATION[0], tmp_path, *words)
+    found = result("discover", f"experiment={INNOVATION[0]}", *words)
     assert found["rounds"][1]["admitted"] == ["cubic_stiffness@bearing_2"]
     first, second = found["rounds"][0]["suggestions"][:2]
     assert (first["aliases"], second["effect"]) == ([], "cubic_stiffness@bearing_1")
@@ -65,8 +71,8 @@ def test_the_innovations_say_which_bearing(tmp_path):
     not DATA or not (Path(DATA or ".") / "silverbox" / "SNLS80mV.csv").exists(),
     reason="silverbox/SNLS80mV.csv is not under SPIRAL_DATA",
 )
-def test_silverbox_names_the_cubic_spring_and_reaches_its_figures(tmp_path):
-    found = _discover("silverbox", tmp_path)
+def test_silverbox_names_the_cubic_spring_and_reaches_its_figures(result):
+    found = result("discover", "experiment=silverbox")
     assert found["rounds"][0]["suggestions"][0]["effect"] == "cubic_stiffness"
     assert found["rounds"][1]["admitted"] == ["cubic_stiffness"]
     spread = found["test"]["x"]["rmse"] / found["test"]["x"]["relative"]
@@ -76,12 +82,9 @@ def test_silverbox_names_the_cubic_spring_and_reaches_its_figures(tmp_path):
 
 
 @pytest.mark.parametrize("preset", ESTIMATES)
-def test_a_preset_for_estimate_needs_a_real_observer(preset, tmp_path):
-    words = [f"experiment={preset}", "record.duration=6", "observer.process_noise=1e-4"]
-    command = [sys.executable, "-m", "spiral", "estimate", *words, "--json", "-"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+def test_a_preset_for_estimate_needs_a_real_observer(preset, result):
+    words = (f"experiment={preset}", "record.duration=3", "observer.process_noise=1e-4")
+    found = result("estimate", *words)
     for tilt in ("alpha", "beta"):
         assert found["static_baseline"][tilt]["relative"] > 0.2
         assert found["states"][tilt]["relative"] < 0.02

@@ -1,5 +1,7 @@
 """Every mechanical and rotor effect, hidden in the truth and left out of the model."""
 
+from dataclasses import replace
+
 import pytest
 
 from experiments.hidden_effects.benchmark import Job, main, study
@@ -12,14 +14,21 @@ from spiral.types.effect import ForceEffect
 from tests.scenes import registry
 
 OWN = ("hidden_mode", "lag")  # with states of their own: longer studies
-QUICK = [  # every third; the others with the slow tests, and all of them in the benchmark
-    c if c.effect not in OWN and i % 3 == 0 else pytest.param(c, marks=pytest.mark.slow)
-    for i, c in enumerate(CASES)
-]
+QUICK = [c for i, c in enumerate(CASES) if c.effect not in OWN and i % 3 == 0]  # every third
 
 
 @pytest.mark.parametrize("case", QUICK, ids=lambda c: c.effect)
+def test_of_a_short_record_the_hidden_effect_is_the_first_suggestion_and_adding_it_is_enough(case):
+    found_and_enough(replace(case, scene=replace(case.scene, duration=0.35 * case.scene.duration)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.effect)
 def test_the_hidden_effect_is_the_first_suggestion_and_adding_it_is_enough(case):
+    found_and_enough(case)
+
+
+def found_and_enough(case):
     found = outcome(case, seed=1, noise=0.02)
     assert found["hit"]
     assert found["before"] > 1.5

@@ -2,12 +2,12 @@
 
 import json
 import re
-import subprocess
-import sys
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+
+from spiral.cli import main
 
 ROOT = Path(__file__).parents[2]
 
@@ -27,17 +27,12 @@ def test_the_tutorial_of_the_site_takes_the_same_steps():
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("tutorial")
     found = []
-    for words in _commands():
-        done = subprocess.run(
-            [sys.executable, "-m", "spiral", *words, "--json", "-"],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
-        found.append((words, json.loads(done.stdout)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("tutorial"))
+        for words in _commands():
+            assert main([*words, "--json", "found.json"]) == 0
+            found.append((words, json.loads(Path("found.json").read_text())))
     return found
 
 

@@ -18,7 +18,7 @@ from spiral.io.curves import FINAL, free_curves
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError
 
-SHORT = ("experiment=rotor_coastdown", "record.duration=4", "test.duration=4")
+SHORT = ("experiment=rotor_coastdown", "record.duration=2", "test.duration=2")
 
 
 @pytest.fixture(scope="module", params=["likelihood", "shooting"])

@@ -63,6 +63,12 @@ def test_presets_are_the_papers_two_scenarios():
     assert composed("experiment=rotor_coastdown_settled")["record"]["settled"] is True
 
 
+def test_a_configuration_is_the_callers_own():
+    """A preset is composed once; who changes what was given changes nothing for the next."""
+    composed(*ROTOR)["record"]["seed"] = 12
+    assert composed(*ROTOR)["record"]["seed"] == 11
+
+
 def test_a_problem_is_built_with_records_test_and_candidates():
     problem = build_problem(composed(*ROTOR, "settings.max_rounds=2"), REGISTRY)
     assert problem.model.labels == ("linear_stiffness", "linear_damping", "unbalance")

@@ -106,7 +106,7 @@ def compiled_alone(kind: type[Effect], axes: int, inputs: tuple[str, ...]) -> Co
             states=tuple(map(str, x)), channels=(), inputs=inputs, keys=tuple(symbols),
             parameters=tuple(q for _, q in pairs), x=x, u=u, p=tuple(symbols.values()),
             rate=(*map(sp.sympify, rates), *(sp.Integer(0),) * (2 * axes)), output=x[:1],
-            acceleration=(), balance=(), like=(),
+            acceleration=(), forces=(), like=(),
         ),
         (),
     )  # fmt: skip
