@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from spiral.math import length, tanh
+from spiral.math import exp, length, tanh
 from spiral.types.effect import ForceEffect
 from spiral.types.parameter import Parameter
 
@@ -50,6 +50,27 @@ class CoulombFriction(ForceEffect):
     def force(self, at, u, p):
         """-F_i tanh(v_i / w) per axis."""
         return [-level * tanh(v / p.width) for level, v in zip(p.level, at.velocity, strict=True)]
+
+
+class StribeckFriction(ForceEffect):
+    """What dry friction loses as motion sets in: F_i = -f_i exp(-(v_i / s)^2) tanh(v_i / w).
+
+    The difference of static and kinetic friction in a lubricated contact (Stribeck 1902; Armstrong,
+    Dupont and Canudas de Wit, Automatica 30, 1994), beside ``coulomb_friction``, the kinetic part.
+    """
+
+    parameters = (
+        Parameter("level", "force", lower=0.0, per_axis=True),
+        Parameter("speed", "velocity", lower=0.0, role="shape", grid=(0.05, 0.2)),
+        Parameter("width", "velocity", lower=0.0, role="shape", grid=(0.01,)),
+    )
+
+    def force(self, at, u, p):
+        """-f_i exp(-(v_i / s)^2) tanh(v_i / w) per axis."""
+        return [
+            -level * exp(-(v / p.speed) * (v / p.speed)) * tanh(v / p.width)
+            for level, v in zip(p.level, at.velocity, strict=True)
+        ]
 
 
 class CrossDamping(ForceEffect):

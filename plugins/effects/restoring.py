@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from spiral.math import length, ramp, sin
+from spiral.math import length, ramp, sin, tanh, where
 from spiral.types.effect import ForceEffect
 from spiral.types.parameter import Parameter
 
@@ -58,6 +58,43 @@ class Clearance(ForceEffect):
         above = [ramp(q - p.gap, p.width) for q in at.position]
         below = [ramp(-q - p.gap, p.width) for q in at.position]
         return [-p.stiffness * (a - b) for a, b in zip(above, below, strict=True)]
+
+
+class Stop(ForceEffect):
+    """A stop on one side: F_i = -k (q_i - g)_+, or k (g - q_i)_+ where g lies below zero.
+
+    A bump stop, a valve's seat, one wall of a clearance. The corner of (.)_+ is rounded over +-w.
+    """
+
+    parameters = (
+        Parameter("stiffness", "force/position", lower=0.0),
+        Parameter("gap", "position", role="shape", grid=(0.4, 0.7, -0.4, -0.7)),
+        WIDTH,
+    )
+
+    def force(self, at, u, p):
+        """-k (q_i - g)_+ or k (g - q_i)_+ per axis."""
+        return [
+            p.stiffness * where(p.gap > 0, -ramp(q - p.gap, p.width), ramp(p.gap - q, p.width))
+            for q in at.position
+        ]
+
+
+class Preload(ForceEffect):
+    """A spring set under load against a stop at zero: F_i = -f_i tanh(q_i / w).
+
+    It has to be overcome before anything moves away from rest: a throttle's limp-home position, a
+    centring spring, a detent.
+    """
+
+    parameters = (
+        Parameter("force", "force", lower=0.0, per_axis=True),
+        Parameter("width", "position", lower=0.0, role="shape", grid=(0.02, 0.1)),
+    )
+
+    def force(self, at, u, p):
+        """-f_i tanh(q_i / w) per axis."""
+        return [-f * tanh(q / p.width) for f, q in zip(p.force, at.position, strict=True)]
 
 
 class ConstantLoad(ForceEffect):
