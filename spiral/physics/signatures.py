@@ -24,7 +24,7 @@ from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
 from spiral.types.placement import check_effect
 from spiral.types.port import At, Port
 from spiral.types.record import Array
-from spiral.types.system import MechanicalSystem, System
+from spiral.types.system import System, has_coordinates
 
 Function = Callable[..., Any]
 Own = Mapping[str, Any]
@@ -117,7 +117,7 @@ def signatures(
 
 def at_port_along(along: Along, port: Port) -> tuple[Array, Array]:
     """(samples, axes) positions and velocities of a port; a flow's place moves at its own rate."""
-    if isinstance(along.system, MechanicalSystem):
+    if has_coordinates(along.system):
         position, velocity, _ = along.once(port.name, lambda: _moved(along, port))
         return position, velocity
     place = _place(along.system, port.name)(*along.states.T, *along.parameters)
@@ -224,7 +224,7 @@ def _pushed(system: System) -> Function:
 @kept(128)
 def _geometry(system: System, name: str) -> Function:
     """Position, velocity and Jacobian of a port by the states."""
-    assert isinstance(system, MechanicalSystem)
+    assert has_coordinates(system)
     traced = trace(system, ())
     port = next(p for p in system.ports if p.name == name)
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))

@@ -25,7 +25,7 @@ from spiral.types.errors import PluginError, SpiralError, did_you_mean
 from spiral.types.parameter import Parameter
 from spiral.types.placement import TIME, check_effect, model_keys
 from spiral.types.port import At, Port
-from spiral.types.system import MechanicalSystem, System
+from spiral.types.system import System, has_coordinates
 
 """The record's time in s, which every effect may read."""
 
@@ -47,6 +47,16 @@ class Traced:
     balance: tuple[sp.Expr, ...]
     acceleration: tuple[sp.Symbol, ...]
     like: tuple[tuple[str, str], ...] = ()
+    rates: tuple[tuple[str, str], ...] = ()
+    """Coordinates of the system whose rates have a name of their own, and that name."""
+
+    def rate_name(self, state: str) -> str:
+        """What the state that is the rate of another is called, where there is one."""
+        return dict(self.rates).get(state, f"{state}_rate")
+
+    def base_name(self, state: str) -> str:
+        """The state that this one is the rate of, or itself."""
+        return {rate: name for name, rate in self.rates}.get(state, state.removesuffix("_rate"))
 
     @cached_property
     def rate_x(self) -> sp.Matrix:
@@ -135,7 +145,14 @@ def trace(
         acceleration=acceleration,
         balance=balance,
         like=tuple((s.name, s.like) for s in system.states if s.like),
+        rates=_rate_names(system),
     )
+
+
+def _rate_names(system: System) -> tuple[tuple[str, str], ...]:
+    """States whose rates have a name of their own, and that name."""
+    pairs = ((s.name, system.rate_name(s.name)) for s in system.states)
+    return tuple((name, rate) for name, rate in pairs if rate != f"{name}_rate")
 
 
 def asked(owner: Effect | System, what: str, function: Callable[..., Any], *given: Any) -> Any:
@@ -193,7 +210,7 @@ def _place(
     velocity: tuple[Any, ...] = ()
     if isinstance(effect, SensorEffect):
         position = tuple(getattr(x, name) for name in system.observed)
-    elif isinstance(system, MechanicalSystem):
+    elif has_coordinates(system):
         q, v = system.split(x)
         position = tuple(port.coordinates(q, p))
         names = [c.name for c in system.coordinates]
@@ -241,7 +258,8 @@ def _inject(
             _check_length(effect, "force", force, item.port)
             assert item.jacobian is not None
             generalised = item.jacobian.T * sp.Matrix(force)
-            for name, value in zip(total, generalised, strict=True):
+            coordinates = list(total)[: len(generalised)]  # flows into other states come after
+            for name, value in zip(coordinates, generalised, strict=True):
                 total[name] += value
         elif isinstance(effect, FlowEffect):
             levels = _with_own(x, item.at)
@@ -325,7 +343,7 @@ def _balance(
     injected: dict[str, Any],
 ) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Expr, ...]]:
     """M a - force - injected, the balance of forces: linear in masses and amplitudes."""
-    if not isinstance(system, MechanicalSystem):
+    if not has_coordinates(system):
         return (), ()
     q, v = system.split(x)
     count = len(system.coordinates)
