@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         report,
         simulate,
     )
-    from spiral.io.own_model import system
+    from spiral.io.own_model import structure, system
     from spiral.io.registry import Registry
     from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
     from spiral.types.model import Model
@@ -73,6 +73,7 @@ __all__ = [
     "read",
     "report",
     "simulate",
+    "structure",
     "system",
 ]
 
@@ -85,6 +86,7 @@ _HOMES = {
     "Record": "types.record",
     "Registry": "io.registry",
     "Run": "types.run",
+    "structure": "io.own_model",
     "system": "io.own_model",
 }
 """Where names are defined; the other functions are in ``spiral.api``."""

@@ -14,6 +14,42 @@ from spiral.types.system import System
 Quantity = str | float | Sequence[Any] | Mapping[str, Any]
 
 
+def structure(
+    source: str | Path | Mapping[str, Any],
+    nodes: str | Path | Mapping[str, Any],
+    *,
+    size: int = 20,
+    band: tuple[float, float] | None = None,
+    pairs: Mapping[str, Sequence[str]] | None = None,
+    damping_ratio: float = 0.01,
+) -> System:
+    """A system from mass, damping and stiffness matrices, reduced (Craig and Bampton 1968).
+
+        beam = spiral.structure("beam.npz", "nodes.csv", size=8, band=(0, 300))
+        print(beam.report)
+
+    Parameters
+    ----------
+    source : NPZ or MAT file with ``M`` and ``K``, where there are also ``C``, ``G`` (per rad/s of
+        the input ``speed``) and parts ``K_NAME`` of the stiffness beside K; or name -> array,
+        sparse matrix, Matrix Market or Harwell-Boeing file.
+    nodes : degrees of freedom that are kept: CSV with the columns ``name, dof, use, unit``, or name
+        -> ``{"dof": 12, "use": "sensor input port"}``; ``dof`` counts from zero.
+    size : coordinates that are left: the nodes, and modes with the nodes held.
+    band : Hz, where the response is compared with that of the full structure (``report``).
+    pairs : port -> two nodes between which effects act.
+    damping_ratio : of every mode, where there is no ``C``.
+
+    Raises
+    ------
+    InputError, ConfigError : a file, a matrix or a node that cannot be used.
+    """
+    from spiral.physics.structures.description import described
+
+    text = described(source, nodes, size, band, pairs, damping_ratio)
+    return load_registry(NO_FOLDER).make("system", "structure", {"text": text})
+
+
 def system(
     source: Callable[..., Any] | str | Path,
     states: Mapping[str, Any] | None = None,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-PLUGINS = {".yaml": "equations", ".yml": "equations", ".toml": "equations", ".json": "equations"}
+PLUGINS = {".yaml": "equations", ".yml": "equations", ".toml": "equations", ".json": "equations",
+           ".npz": "structure", ".mat": "structure"}  # fmt: skip
 """End of a file's name -> the system that reads it as its ``path``."""
 
 
