@@ -41,7 +41,7 @@ class Structure(MechanicalSystem):
         object.__setattr__(self, "band", tuple(self.band))
         if not self.text:
             source, nodes = (self.path, self.nodes) if self.path else _chain()
-            band = self.band if len(self.band) == 2 else None
+            band = self.band if self.path else (0.0, 0.3)
             text = described(source, nodes, self.size, band, self.pairs, self.damping_ratio)
             object.__setattr__(self, "text", text)
         object.__setattr__(self, "pairs", None)  # they are in the text
@@ -177,9 +177,9 @@ def _one(unit):
 
 
 def _chain():
-    """Six masses of 1 kg on springs of 1 kN/m, a sensor and a force at both ends of them."""
+    """Three masses of 1 kg on springs of 1 N/m, a sensor and a force on the first."""
     import numpy as np
 
-    stiffness = 1000.0 * (2 * np.eye(6) - np.eye(6, k=1) - np.eye(6, k=-1))
-    nodes = {"first": {"dof": 0, "use": "sensor input port"}, "last": {"dof": 5, "use": "port"}}
-    return {"M": np.eye(6), "K": stiffness}, nodes
+    stiffness = 2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1)
+    nodes = {"first": {"dof": 0, "use": "sensor input port"}, "last": {"dof": 2, "use": "port"}}
+    return {"M": np.eye(3), "K": stiffness}, nodes

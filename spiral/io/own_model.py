@@ -19,7 +19,7 @@ def structure(
     nodes: str | Path | Mapping[str, Any],
     *,
     size: int = 20,
-    band: tuple[float, float] | None = None,
+    band: Sequence[float],
     pairs: Mapping[str, Sequence[str]] | None = None,
     damping_ratio: float = 0.01,
 ) -> System:

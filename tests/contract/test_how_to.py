@@ -54,6 +54,8 @@ def test_the_page_about_a_model_of_ones_own_runs(tmp_path, monkeypatch):
         elif language == "bash":
             assert cli.main(shlex.split(text.replace("\\\n", " "))[1:]) == 0
     assert names["run"].missing == ("cubic_stiffness",)
+    assert [p.name for p in names["beam"].ports] == ["drive", "middle", "tip", "span"]
+    assert "120 degrees of freedom reduced to 8" in names["beam"].report
     found = json.loads(Path("verdict.json").read_text(encoding="utf-8"))
     assert found["rounds"][1]["admitted"] == ["cubic_stiffness"]
     stiffness = found["model"]["effects"]["cubic_stiffness"]["stiffness"]

@@ -160,7 +160,7 @@ def test_files_of_all_kinds_give_one_structure(full, small, tmp_path):
         ({"C": np.triu(np.ones((300, 300)))}, {}, ["C, of which", "C = C^T"]),
         ({}, {"size": 2}, ["size=2", "3 to 300"]),
         ({}, {"pairs": {"link": ["middle", "top"]}}, ["pair link: 'top'", "did you mean 'tip'"]),
-        ({}, {"band": (50, 10)}, ["a low and a high frequency"]),
+        ({}, {"band": (50, 10)}, ["the low and the high frequency"]),
         ({}, {"nodes": {"tip": {"dof": 300}}}, ["a row from 0 to 299"]),
         ({}, {"nodes": {"tip": {"dof": 3, "use": "sensors"}}}, ["did you mean 'sensor'"]),
         ({}, {"nodes": {"tip": {"dof": 3, "use": "port"}}}, ["without a sensor"]),
@@ -169,7 +169,7 @@ def test_files_of_all_kinds_give_one_structure(full, small, tmp_path):
 def test_what_does_not_fit_is_refused(full, changed, options, said):
     given = {k: v for k, v in {**full, **changed}.items() if v is not None}
     with pytest.raises(SpiralError) as caught:
-        spiral.structure(given, **{"nodes": NODES, "size": 8, **options})
+        spiral.structure(given, **{"nodes": NODES, "size": 8, "band": (0, 60), **options})
     for words in said:
         assert words in str(caught.value)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -12,8 +12,6 @@ import numpy as np
 
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.record import Array
-
-SIZE, DAMPING_RATIO = 20, 0.01
 
 
 @dataclass(frozen=True)
@@ -41,10 +39,10 @@ class Structure:
 def described(
     source: Any,
     nodes: Any,
-    size: int = SIZE,
-    band: tuple[float, float] | None = None,
-    pairs: Mapping[str, Any] | None = None,
-    damping_ratio: float = DAMPING_RATIO,
+    size: int,
+    band: Sequence[float],
+    pairs: Mapping[str, Any] | None,
+    damping_ratio: float,
 ) -> str:
     """The text of a structure from its matrices and its table of nodes, reduced.
 
@@ -53,7 +51,7 @@ def described(
     InputError, ConfigError : what cannot be used (``matrices``, ``reduction``).
     """
     from spiral.physics.structures.matrices import matrices_of, nodes_of
-    from spiral.physics.structures.reduction import reduced, whole_stiffness
+    from spiral.physics.structures.reduction import reduced
 
     matrices = matrices_of(source)
     table = nodes_of(nodes, matrices["M"].shape[0])
@@ -61,10 +59,12 @@ def described(
     forces = [i for i, n in enumerate(table) if {"input", "port"} & {*n.uses}] or sensors
     kept = [n.dof for n in table]
     size = min(size, matrices["M"].shape[0])
-    if band is None:
-        band = _usual_band(whole_stiffness(matrices), matrices["M"], size)
-    if not 0 <= band[0] < band[1]:
-        raise ConfigError(f"band={list(band)}", "a low and a high frequency in Hz")
+    if len(band) != 2 or not 0 <= band[0] < band[1]:
+        raise ConfigError(
+            f"band={list(band)}",
+            "the low and the high frequency in Hz between which the record says something",
+            "band=[0, 300]",
+        )
     found = reduced(matrices, kept, size, (float(band[0]), float(band[1])), sensors, forces)
     names = [n.name for n in table]
     told = {
@@ -81,14 +81,6 @@ def described(
         "matrices": {k: m.tolist() for k, m in found.matrices.items()},
     }
     return json.dumps(told)
-
-
-def _usual_band(stiffness: Any, mass: Any, size: int) -> tuple[float, float]:
-    """Up to the natural frequency whose number is half the number of coordinates."""
-    from spiral.physics.structures.reduction import lowest_frequencies
-
-    count = max(min(size // 2, mass.shape[0] - 2), 1)
-    return 0.0, float(lowest_frequencies(stiffness, mass, count)[-1])
 
 
 def _pairs(given: Mapping[str, Any], names: list[str]) -> list[list[str]]:

@@ -137,19 +137,19 @@ def _errors(
     count = int(min(np.sum(found <= 1.2 * band[1]), full["M"].shape[0] - 2))
     if not count:
         return response, 0.0, float(found[-1])
-    true = lowest_frequencies(whole_stiffness(full), full["M"], count)
+    true = _lowest(whole_stiffness(full), full["M"], count, band[1])
     inside = true <= band[1]
     gaps = np.abs(found[:count] - true)[inside] / np.maximum(true[inside], 1e-3 * band[1])
     return response, float(gaps.max(initial=0.0)), float(found[-1])
 
 
-def lowest_frequencies(stiffness: Any, mass: Any, count: int) -> Array:
-    """The lowest natural frequencies, Hz; a shift below zero lets rigid motions be."""
+def _lowest(stiffness: Any, mass: Any, count: int, high: float) -> Array:
+    """The lowest natural frequencies, Hz, by a shift below zero, which lets rigid motions be."""
     stiffness = sparse.csc_matrix(stiffness)
     if stiffness.shape[0] <= _DENSE:
         values = eigh(stiffness.toarray(), mass.toarray(), eigvals_only=True)[:count]
     else:
-        shift = -1e-6 * abs(stiffness).max() / abs(mass).max()
+        shift = -((0.2 * np.pi * high) ** 2)
         start = np.random.default_rng(0).normal(size=stiffness.shape[0])
         values = eigsh(stiffness, count, mass, sigma=shift, v0=start, return_eigenvectors=False)
     return np.sqrt(np.maximum(np.sort(values), 0)) / (2 * np.pi)
