@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -152,11 +153,12 @@ def _check_sizes(row: Row, units: Mapping[str, str], sizes: Mapping[str, float])
     names = sorted(map(str, row.value.free_symbols))
     function = sp.lambdify([symbol(n) for n in names], row.value, _PLAIN)
     ratios = []
-    for draw in range(3):
+    for draw in range(6):
         values = [1.0 + 0.37 * ((7 * i + 3 * draw) % 5) for i in range(len(names))]
         scaled = [v * sizes[n] for v, n in zip(values, names, strict=True)]
-        ratios.append(function(*scaled) / function(*values))
-    if max(ratios) - min(ratios) > 1e-9 * abs(ratios[0]):
+        with contextlib.suppress(ArithmeticError, ValueError):  # a root or a logarithm below zero
+            ratios.append(function(*scaled) / function(*values))
+    if not ratios or max(ratios) - min(ratios) > 1e-9 * abs(ratios[0]):
         uneven = [f"{primed(n)} in {short_form(units[n])}" for n in names if sizes[n] != 1.0]
         raise ConfigError(
             f"{row.place}, with {', '.join(uneven)}: numbers of terms that cannot be added",
