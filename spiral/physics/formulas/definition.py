@@ -27,7 +27,7 @@ LARGEST = 1_000_000  # bytes of a file
 
 
 @dataclass(frozen=True)
-class Definition:
+class SystemDefinition:
     """What a file or a call says of a system.
 
     Fields
@@ -65,11 +65,11 @@ class Definition:
         return {**{i.name: i.unit for i in named}, **{n: u for n, _, u in self.constants}}
 
 
-SECTIONS = (*(f.name for f in fields(Definition) if f.name != "values"), "free")
+SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name != "values"), "free")
 
 
 @lru_cache(maxsize=64)
-def definition_of(text: str) -> Definition:
+def definition_of(text: str) -> SystemDefinition:
     """A definition from its text.
 
     Raises
@@ -82,7 +82,7 @@ def definition_of(text: str) -> Definition:
             raise unknown_field("system", str(name), SECTIONS)
     free = tuple(map(str, given.get("free") or ()))
     constants = tuple((n, *_number(n, v)) for n, v in _section(given, "constants").items())
-    found = Definition(
+    found = SystemDefinition(
         equations=_texts(given, "equations"),
         states=tuple(_state(n, v) for n, v in _section(given, "states", needed=True).items()),
         inputs=tuple(_input(n, v) for n, v in _section(given, "inputs").items()),
@@ -291,7 +291,7 @@ def _mass(given: Any) -> Any:
     return tuple(tuple(map(str, r)) for r in rows)
 
 
-def _check(found: Definition, free: tuple[str, ...]) -> None:
+def _check(found: SystemDefinition, free: tuple[str, ...]) -> None:
     named = [i.name for i in (*found.states, *found.inputs, *found.parameters)]
     named += [n for n, _, _ in found.constants]
     for name in named:

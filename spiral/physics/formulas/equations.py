@@ -16,7 +16,7 @@ from typing import Any
 import sympy as sp
 
 from spiral.physics.formulas import syntax
-from spiral.physics.formulas.definition import Definition, definition_of
+from spiral.physics.formulas.definition import SystemDefinition, definition_of
 from spiral.physics.formulas.dimensions import Demands, Walk, dimension
 from spiral.physics.formulas.inertia import inertia_of
 from spiral.physics.formulas.rows import (
@@ -36,13 +36,13 @@ from spiral.types.parameter import State
 
 
 @dataclass(frozen=True)
-class Equations:
+class StandardForm:
     """The form that a system takes its physics from; formulas are text.
 
     ``rates`` are the names of the coordinates' rates, ``force_units`` the units of the rows.
     """
 
-    definition: Definition
+    definition: SystemDefinition
     coordinates: tuple[State, ...]
     rates: tuple[str, ...]
     others: tuple[State, ...]
@@ -63,7 +63,7 @@ class Equations:
 
 
 @lru_cache(maxsize=64)
-def equations_of(text: str) -> Equations:
+def equations_of(text: str) -> StandardForm:
     """The equations of a definition.
 
     Raises
@@ -75,7 +75,7 @@ def equations_of(text: str) -> Equations:
     return _arranged(given, rows)
 
 
-def _arranged(given: Definition, rows: Sequence[Row]) -> Equations:
+def _arranged(given: SystemDefinition, rows: Sequence[Row]) -> StandardForm:
     second = {s.name for s in given.states if any(_has(r, s.name + SECOND) for r in rows)}
     pairs = _pairs(given, rows, second)
     taken = {row.place for _, row in pairs.values()}
@@ -105,7 +105,7 @@ def _arranged(given: Definition, rows: Sequence[Row]) -> Equations:
         given, matrix[:count, :count], rest[:count], coordinates, units
     )
     flow = matrix[count:, count:].LUsolve(sp.Matrix(rest[count:])) if others else []
-    return Equations(
+    return StandardForm(
         given, tuple(coordinates), tuple(velocity.values()), tuple(others),
         tuple(tuple(text_of(inertia[i, j]) for j in range(count)) for i in range(count)),
         tuple(map(text_of, force)), tuple(map(text_of, flow)), force_units,
@@ -116,7 +116,9 @@ def _has(row: Row, name: str) -> bool:
     return symbol(name) in row.value.free_symbols
 
 
-def _pairs(given: Definition, rows: Sequence[Row], second: set[str]) -> dict[str, tuple[str, Row]]:
+def _pairs(
+    given: SystemDefinition, rows: Sequence[Row], second: set[str]
+) -> dict[str, tuple[str, Row]]:
     """Coordinate -> its rate and the equation that says so, of equations ``x' = v``."""
     found: dict[str, tuple[str, Row]] = {}
     names = [s.name for s in given.states if s.name not in second]
@@ -200,7 +202,7 @@ def _check_apart(matrix: Any, count: int, places: Sequence[str]) -> None:
 # --- ports ---------------------------------------------------------------------------------------
 
 
-def port_unit(equations: Equations, texts: Iterable[str], name: str) -> tuple[str, str]:
+def port_unit(equations: StandardForm, texts: Iterable[str], name: str) -> tuple[str, str]:
     """(unit of position, unit of force) at a port, all its axes alike.
 
     Raises

@@ -62,7 +62,7 @@ def definition_from(rhs: Callable[..., Any], sections: Mapping[str, Any]) -> dic
     ----------
     rhs : its value is the time derivative of each state: a list or an array in their order, or a
         mapping by name. Later arguments may be left out: ``rhs(t, x)``.
-    sections : the other sections of a definition (``definition.Definition``).
+    sections : the other sections of a definition (``definition.SystemDefinition``).
 
     Raises
     ------

@@ -9,7 +9,7 @@ from typing import Any
 import sympy as sp
 
 from spiral.physics.formulas import syntax
-from spiral.physics.formulas.definition import Definition
+from spiral.physics.formulas.definition import SystemDefinition
 from spiral.physics.formulas.dimensions import Demands, Dimension, Walk, dimension
 from spiral.physics.formulas.rows import TIME, evaluated, negative, size_of, symbol
 from spiral.physics.formulas.symbolic import text_of
@@ -18,7 +18,7 @@ from spiral.types.parameter import State
 
 
 def inertia_of(
-    given: Definition,
+    given: SystemDefinition,
     matrix: Any,
     rest: Sequence[Any],
     coordinates: Sequence[State],
@@ -42,7 +42,7 @@ def inertia_of(
     return matrix, force, tuple(found)
 
 
-def _stated_mass(given: Definition, coordinates: Sequence[State]) -> Any:
+def _stated_mass(given: SystemDefinition, coordinates: Sequence[State]) -> Any:
     names = [c.name for c in coordinates]
     rows: list[list[str]] = [["0"] * len(names) for _ in names]
     if all(len(r) == 2 and r[0] in names for r in given.mass):
@@ -61,7 +61,10 @@ def _stated_mass(given: Definition, coordinates: Sequence[State]) -> Any:
 
 
 def _check_uncoupled(
-    rest: Sequence[Any], solved: Sequence[int], coordinates: Sequence[State], given: Definition
+    rest: Sequence[Any],
+    solved: Sequence[int],
+    coordinates: Sequence[State],
+    given: SystemDefinition,
 ) -> None:
     """Accelerations that share a divisor of states come from a mass matrix that is not diagonal."""
     states = {symbol(s.name) for s in given.states}
@@ -83,7 +86,7 @@ def _divisors(value: Any) -> list[Any]:
 
 
 def _own_inertia(
-    acceleration: Any, coordinate: State, given: Definition, units: Mapping[str, str]
+    acceleration: Any, coordinate: State, given: SystemDefinition, units: Mapping[str, str]
 ) -> Any:
     """What an acceleration is divided by so that a force is left: a mass, a moment of inertia, 1.
 
@@ -116,7 +119,7 @@ def _dimension_of(value: Any, units: Mapping[str, str]) -> Dimension | None:
 
 
 def _force_unit(
-    inertia: Any, coordinate: State, given: Definition, units: Mapping[str, str]
+    inertia: Any, coordinate: State, given: SystemDefinition, units: Mapping[str, str]
 ) -> str:
     """The unit of a row, that of M_ii q_i'': an input's or a usual one where it is of its size."""
     term = sp.Add.make_args(sp.expand(inertia))[0]

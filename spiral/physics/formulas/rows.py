@@ -12,7 +12,7 @@ from typing import Any
 import sympy as sp
 
 from spiral.physics.formulas import syntax
-from spiral.physics.formulas.definition import Definition
+from spiral.physics.formulas.definition import SystemDefinition
 from spiral.physics.formulas.dimensions import Demands, Walk, dimension
 from spiral.physics.formulas.symbolic import CannotFollowError, Expression, expression_of
 from spiral.types.errors import ConfigError, did_you_mean
@@ -33,7 +33,7 @@ class Row:
     value: Any
 
 
-def read_row(given: Definition, number: int) -> Row:
+def read_row(given: SystemDefinition, number: int) -> Row:
     """The equation of this number.
 
     Raises
@@ -71,7 +71,7 @@ def primed(text: str) -> str:
     return re.sub(rf"(\w+?)({SECOND}|{FIRST})\b", lambda m: m[1] + "'" * m[2].count("_prime"), text)
 
 
-def evaluated(given: Definition, formula: str) -> Any:
+def evaluated(given: SystemDefinition, formula: str) -> Any:
     """A formula as an expression.
 
     Raises
@@ -100,7 +100,7 @@ def symbol(name: str) -> sp.Symbol:
 
 
 def checked_units(
-    given: Definition, rows: Sequence[Row], velocity: Mapping[str, str]
+    given: SystemDefinition, rows: Sequence[Row], velocity: Mapping[str, str]
 ) -> dict[str, str]:
     """Name -> unit, once every equation has terms of one unit and of one size."""
     states = {s.name: s.unit for s in given.states}

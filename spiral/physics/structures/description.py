@@ -15,7 +15,7 @@ from spiral.types.record import Array
 
 
 @dataclass(frozen=True)
-class Structure:
+class StructureForm:
     """Matrices of the coordinates, which are nodes first, then modes.
 
     ``damping`` is C, or with ``by_ratio`` the matrix whose multiple by a ratio z gives every mode
@@ -100,7 +100,7 @@ def _pairs(given: Mapping[str, Any], names: list[str]) -> list[list[str]]:
 
 
 @lru_cache(maxsize=16)
-def structure_of(text: str) -> Structure:
+def structure_of(text: str) -> StructureForm:
     """A structure from its text.
 
     Raises
@@ -114,7 +114,7 @@ def structure_of(text: str) -> Structure:
         if shapes != {(len(given["names"]),) * 2}:
             raise ValueError(f"matrices of shapes {shapes}")
         damping, ratio = matrices.get("C"), float(given["damping_ratio"])
-        return Structure(
+        return StructureForm(
             names=tuple(given["names"]),
             units=tuple(given["units"]),
             uses=tuple(map(tuple, given["uses"])),
