@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         report,
         simulate,
     )
+    from spiral.io.own_model import structure, system
     from spiral.io.registry import Registry
     from spiral.types.effect import Effect, FlowEffect, ForceEffect, SensorEffect
     from spiral.types.model import Model
@@ -72,6 +73,8 @@ __all__ = [
     "read",
     "report",
     "simulate",
+    "structure",
+    "system",
 ]
 
 _HOMES = {
@@ -83,8 +86,10 @@ _HOMES = {
     "Record": "types.record",
     "Registry": "io.registry",
     "Run": "types.run",
+    "structure": "io.own_model",
+    "system": "io.own_model",
 }
-"""Where the types are defined; the functions are in ``spiral.api``."""
+"""Where names are defined; the other functions are in ``spiral.api``."""
 
 accept()
 

@@ -8,6 +8,7 @@ Heavy libraries are only looked at where one of their objects arrives.
 from __future__ import annotations
 
 import sys
+from functools import reduce
 from typing import Any
 
 
@@ -62,8 +63,13 @@ def ramp(value: Any, width: Any) -> Any:
     return where(value >= width, value, where(value <= -width, 0 * value, inside))
 
 
+def _is_traced(value: Any) -> bool:
+    """Whether it stands for an expression, as ``spiral.physics.formulas.symbolic`` makes them."""
+    return hasattr(value, "expression")
+
+
 def _nonzero(width: Any) -> bool:
-    return _is_symbolic(width) or bool(getattr(width, "magnitude", width) != 0)
+    return _is_symbolic(width) or _is_traced(width) or bool(getattr(width, "magnitude", width) != 0)
 
 
 def where(condition: Any, if_true: Any, if_false: Any) -> Any:
@@ -86,6 +92,11 @@ def length(values: Any) -> Any:
     On symbols 1e-200 is added under the root, far below the square of any motion, so that
     v_i / |v| is 0 and not 0/0 at rest.
     """
+    values = list(values)
+    if any(map(_is_traced, values)):
+        import numpy as np
+
+        return reduce(np.hypot, values) if len(values) > 1 else np.abs(values[0])
     squares = sum(v * v for v in values)
     return sqrt(
         squares + sys.modules["sympy"].Float("1e-200") if _is_symbolic(squares) else squares

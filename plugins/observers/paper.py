@@ -33,9 +33,10 @@ class EkfPaper(Observer):
         """Filter the record with the paper's numbers."""
         from spiral.engine.filter.extended import FilterSettings, as_reconstruction, filtered
 
-        names, channels = task.states, task.compiled.traced.channels
-        rate = np.array([f"{n}_rate" not in names for n in names])
-        seen = np.array([n.removesuffix("_rate") in channels for n in names])
+        names, traced = task.states, task.compiled.traced
+        channels = traced.channels
+        rate = np.array([traced.rate_name(n) not in names for n in names])
+        seen = np.array([traced.base_name(n) in channels for n in names])
         first = np.where(rate, np.where(seen, 1e-4, 1e-3), np.where(seen, 1e-6, 1e-4))
         start = np.zeros(len(names))
         start[[names.index(c) for c in channels]] = task.series.y[0]

@@ -75,12 +75,13 @@ def _draw(numbers: Mapping[str, Any], table: Table, target: Path) -> None:
 
 
 def _systems(plugins: str | None) -> list[dict[str, Any]]:
-    """Every system that has a usual form, with what it needs to be told."""
+    """Every system that has a usual form, with what it needs to be told; none that is a file."""
     from spiral.io.registry import load_registry
+    from spiral.io.system_files import PLUGINS
 
     registry = load_registry(plugins)
     found = []
-    for name in registry.names("system"):
+    for name in (n for n in registry.names("system") if n not in PLUGINS.values()):
         system = registry.make("system", name)
         channels = [{"name": c, "unit": system.unit_of(c)} for c in system.observed]
         inputs = [

@@ -44,8 +44,8 @@ def motion(study: CompiledStudy, series: Series, window: int) -> Motion:
     smooth = series.smoothed(window)
     for channel, name in enumerate(traced.channels):
         states[:, traced.states.index(name)] = smooth[0][:, channel]
-        if f"{name}_rate" in traced.states:
-            states[:, traced.states.index(f"{name}_rate")] = smooth[1][:, channel]
+        if traced.rate_name(name) in traced.states:
+            states[:, traced.states.index(traced.rate_name(name))] = smooth[1][:, channel]
             acceleration[:, traced.states.index(name)] = smooth[2][:, channel]
     for name, measured in traced.like:
         states[:, traced.states.index(name)] = states[:, traced.states.index(measured)]
@@ -78,7 +78,9 @@ def balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> B
     ------
     ConfigError : a parameter without a start in a system whose coordinates are not all measured.
     """
-    measured = {n for n in traced.states if f"{n}_rate" in traced.states} <= set(traced.channels)
+    measured = {n for n in traced.states if traced.rate_name(n) in traced.states} <= set(
+        traced.channels
+    )
     if not traced.balance or not measured:
         raise ConfigError(
             f"no value for {', '.join(unknown)}",

@@ -18,6 +18,7 @@ from spiral.io import custom, question
 from spiral.io.overrides import Assignment, parse, set_value
 from spiral.io.paper_options import gate_fields, with_strategy
 from spiral.io.registry import Registry
+from spiral.io.system_files import plugin_of_file
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.fields import by_name, construct, defaults_of, field_names, is_open, plain
@@ -332,9 +333,12 @@ def _choose(config: Config, group: str, name: Any, registry: Registry) -> None:
         settle = (config["test"] or {}).get("settle")
         config[group] = {"name": None, "settle": settle} if group == "test" else None
         return
+    file = str(name) if group == "system" and plugin_of_file(str(name)) else ""
     if config[group] and config[group].get("name") == name:
         return
-    chosen = _section(group, str(name), registry)
+    chosen = _section(group, plugin_of_file(file) or str(name), registry)
+    if file:
+        chosen["path"] = file
     if group == "test":
         chosen["settle"] = config["test"].get("settle")
     config[group] = chosen

@@ -12,7 +12,7 @@ from sympy.printing.str import StrPrinter
 from spiral.physics.trace import Traced, trace
 from spiral.types.effect import SensorEffect
 from spiral.types.model import Model
-from spiral.types.system import MechanicalSystem
+from spiral.types.system import has_coordinates
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _GREEK = {"alpha": "α", "beta": "β", "theta": "θ", "phase": "θ", "speed": "Ω"}
@@ -47,7 +47,7 @@ def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
     base = _with_values(bare, model)
     found = []
     for name in whole.states:
-        if isinstance(model.system, MechanicalSystem) and f"{name}_rate" in whole.states:
+        if has_coordinates(model.system) and whole.rate_name(name) in whole.states:
             continue
         terms = []
         if name in bare.states:

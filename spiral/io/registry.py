@@ -21,6 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from spiral.io.system_files import plugin_of_file
 from spiral.types.errors import ConfigError, PluginError, SpiralError, did_you_mean
 from spiral.types.fields import construct
 from spiral.types.plugin import Plugin, is_concrete
@@ -122,7 +123,12 @@ class Registry:
     def make(
         self, kind: str, name: str, fields: Mapping[str, Any] | None = None, where: str = ""
     ) -> Any:
-        """A plugin's instance from plain field values; ``where`` is what messages call it."""
+        """A plugin's instance from plain field values; ``where`` is what messages call it.
+
+        A system may be named by its file.
+        """
+        if kind == "system" and plugin_of_file(name):
+            name, fields = plugin_of_file(name), {"path": name, **(fields or {})}
         plugin = self.entry(kind, name).plugin
         return construct(plugin, fields or {}, where or name, self.resolve)
 

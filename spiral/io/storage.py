@@ -102,6 +102,7 @@ class SavedRun:
         """
         saved = self.data["model"]
         config = self.config
+        config["system"] = dict(saved["system"])  # with the text of the files that it was read from
         own = {_label(e): _own_fields(e) for e in saved["effects"]}
         config["seed"] = [label for label, fields in own.items() if not fields]
         config["effect"] = {label: fields for label, fields in own.items() if fields}

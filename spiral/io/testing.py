@@ -24,7 +24,7 @@ from spiral.types.library import Library
 from spiral.types.plugin import Plugin
 from spiral.types.record import Record
 from spiral.types.source import Source
-from spiral.types.system import MechanicalSystem, System
+from spiral.types.system import System, has_coordinates
 
 if TYPE_CHECKING:
     from spiral.io.registry import Entry, Registry
@@ -65,7 +65,7 @@ def check_effect(effect: Effect, system: System) -> list[Check]:
 
     After a check that the others rest on (it fits, it traces) has failed, no more are run.
     """
-    still = isinstance(effect, SensorEffect) and not isinstance(system, MechanicalSystem)
+    still = isinstance(effect, SensorEffect) and not has_coordinates(system)
     driven = isinstance(effect, InputEffect)
     beside = system.seed if still or driven else ()  # flows that a reading or an input may show
     whole, bare = physics.Physics(system, (*beside, effect)), physics.Physics(system, beside)
@@ -228,7 +228,7 @@ def misfit(effect: Effect, system: System) -> str:
     from spiral.types.placement import check_effect as check_needs
     from spiral.types.units import check_units
 
-    if isinstance(effect, ForceEffect) and not isinstance(system, MechanicalSystem):
+    if isinstance(effect, ForceEffect) and not has_coordinates(system):
         return "a force needs a system with coordinates"
     try:
         check_needs(system, effect)

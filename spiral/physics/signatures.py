@@ -24,7 +24,7 @@ from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, Se
 from spiral.types.placement import check_effect
 from spiral.types.port import At, Port
 from spiral.types.record import Array
-from spiral.types.system import MechanicalSystem, System
+from spiral.types.system import System, has_coordinates
 
 Function = Callable[..., Any]
 Own = Mapping[str, Any]
@@ -134,7 +134,7 @@ def at_port_along(along: Along, effect: Effect) -> tuple[Array, Array]:
     if isinstance(effect, InputEffect):
         position = _input(along, port)[:, None]
         return position, np.gradient(position, axis=0)
-    if isinstance(along.system, MechanicalSystem):
+    if has_coordinates(along.system):
         position, velocity, _ = along.once(port.name, lambda: _moved(along, port))
         return position, velocity
     place = _place(along.system, port.name)(*along.states.T, *along.parameters)
@@ -246,7 +246,7 @@ def _pushed(system: System) -> Function:
 @kept(128)
 def _geometry(system: System, name: str) -> Function:
     """Position, velocity and Jacobian of a port by the states."""
-    assert isinstance(system, MechanicalSystem)
+    assert has_coordinates(system)
     traced = trace(system, ())
     port = next(p for p in system.ports if p.name == name)
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))

@@ -32,7 +32,7 @@ from spiral.types.errors import PluginError, SpiralError, did_you_mean
 from spiral.types.parameter import Parameter
 from spiral.types.placement import TIME, check_effect, model_keys
 from spiral.types.port import At, Port
-from spiral.types.system import MechanicalSystem, System
+from spiral.types.system import System, has_coordinates
 
 """The record's time in s, which every effect may read."""
 
@@ -54,6 +54,16 @@ class Traced:
     forces: tuple[sp.Expr, ...]
     acceleration: tuple[sp.Symbol, ...]
     like: tuple[tuple[str, str], ...] = ()
+    rates: tuple[tuple[str, str], ...] = ()
+    """Coordinates of the system whose rates have a name of their own, and that name."""
+
+    def rate_name(self, state: str) -> str:
+        """What the state that is the rate of another is called, where there is one."""
+        return dict(self.rates).get(state, f"{state}_rate")
+
+    def base_name(self, state: str) -> str:
+        """The state that this one is the rate of, or itself."""
+        return {rate: name for name, rate in self.rates}.get(state, state.removesuffix("_rate"))
 
     @cached_property
     def balance(self) -> tuple[sp.Expr, ...]:
@@ -151,7 +161,14 @@ def trace(
         acceleration=acceleration,
         forces=forces,
         like=tuple((s.name, s.like) for s in system.states if s.like),
+        rates=_rate_names(system),
     )
+
+
+def _rate_names(system: System) -> tuple[tuple[str, str], ...]:
+    """States whose rates have a name of their own, and that name."""
+    pairs = ((s.name, system.rate_name(s.name)) for s in system.states)
+    return tuple((name, rate) for name, rate in pairs if rate != f"{name}_rate")
 
 
 def asked(owner: Effect | System, what: str, function: Callable[..., Any], *given: Any) -> Any:
@@ -212,7 +229,7 @@ def _place(
         position = tuple(getattr(x, name) for name in system.observed)
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
-    elif isinstance(system, MechanicalSystem):
+    elif has_coordinates(system):
         q, v = system.split(x)
         position = tuple(port.coordinates(q, p))
         names = [c.name for c in system.coordinates]
@@ -270,7 +287,8 @@ def _inject(
             force = asked(effect, "force", effect.force, item.at, u, item.p)
             _check_length(effect, "force", force, item.port)
             assert item.jacobian is not None
-            for j, name in enumerate(total):  # J^T F; most of J is zero or one
+            coordinates = list(total)[: item.jacobian.cols]  # flows into other states come after
+            for j, name in enumerate(coordinates):  # J^T F; most of J is zero or one
                 pairs = zip(item.jacobian.col(j), force, strict=True)
                 total[name] += sum(slope * value for slope, value in pairs if slope)
         elif isinstance(effect, FlowEffect):
@@ -355,7 +373,7 @@ def _forces(
     injected: dict[str, Any],
 ) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Expr, ...]]:
     """Accelerations a and M a - force - injected, which are zero: the balance of forces."""
-    if not isinstance(system, MechanicalSystem):
+    if not has_coordinates(system):
         return (), ()
     q, v = system.split(x)
     count = len(system.coordinates)

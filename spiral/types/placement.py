@@ -6,7 +6,7 @@ from spiral.types.effect import Effect, ForceEffect, SensorEffect, expand
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Parameter
 from spiral.types.port import Port
-from spiral.types.system import MechanicalSystem, System
+from spiral.types.system import System, has_coordinates
 
 TIME = "time"
 """The column of time among a model's inputs."""
@@ -31,7 +31,7 @@ def check_effect(system: System, effect: Effect) -> Port:
             f"a port with {effect.axes} axes",
             "choose an effect for one axis, or a system with two",
         )
-    if isinstance(effect, ForceEffect) and not isinstance(system, MechanicalSystem):
+    if isinstance(effect, ForceEffect) and not has_coordinates(system):
         raise ConfigError(
             f"effect {effect.label!r}, a force, with system {system.plugin_name()!r}",
             "a mechanical system, or an effect that is a flow",

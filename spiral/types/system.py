@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeGuard
 
 from spiral.types.effect import Effect, InputEffect, SensorEffect
 from spiral.types.errors import ConfigError, did_you_mean
@@ -67,6 +67,10 @@ class System(Plugin):
     def defaults(self) -> dict[str, float]:
         """Nominal values by full parameter name (``cubic_stiffness@bearing_1.stiffness``)."""
         return {}
+
+    def rate_name(self, state: str) -> str:
+        """What the state that is the rate of another is called, where there is one."""
+        return f"{state}_rate"
 
     def seen(self, u: SimpleNamespace, p: SimpleNamespace) -> SimpleNamespace:
         """The inputs as effects see them; a rotor turns the phase by its record's origin."""
@@ -141,7 +145,8 @@ class System(Plugin):
 class MechanicalSystem(System):
     """M(q, p) q'' = force(q, q', u, p) + sum over ports of J^T F.
 
-    States are the coordinates and their rates, named ``NAME_rate``.
+    States are the coordinates, their rates (``rate_name``), and states of first order beside them
+    (a current, a pressure), which ``split`` hands on among the coordinates.
     """
 
     @property
@@ -152,7 +157,7 @@ class MechanicalSystem(System):
     @property
     @abstractmethod
     def injections(self) -> tuple[State, ...]:
-        """Generalised forces, one for each coordinate, named like it."""
+        """Generalised forces, one for each coordinate, named like it; then flows into others."""
 
     @abstractmethod
     def mass(self, q: SimpleNamespace, p: SimpleNamespace) -> list[list[Any]]:
@@ -165,29 +170,46 @@ class MechanicalSystem(System):
         """Generalised forces of the system itself, nq values."""
 
     @property
+    def others(self) -> tuple[State, ...]:
+        """States of first order beside the coordinates; none unless a system names them."""
+        return ()
+
+    def flows(
+        self, q: SimpleNamespace, v: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace
+    ) -> dict[str, Any]:
+        """Time derivatives of the other states by name."""
+        return {}
+
+    @property
     def states(self) -> tuple[State, ...]:
-        """Coordinates, then their rates."""
-        rates = tuple(State(f"{c.name}_rate", f"{c.unit}/s") for c in self.coordinates)
-        return (*self.coordinates, *rates)
+        """Coordinates, then their rates, then the others."""
+        rates = (State(self.rate_name(c.name), f"{c.unit or '1'}/s") for c in self.coordinates)
+        return (*self.coordinates, *rates, *self.others)
 
     def split(self, x: SimpleNamespace) -> tuple[SimpleNamespace, SimpleNamespace]:
-        """Coordinates q and rates v, both by the coordinates' names."""
+        """Coordinates q, the other states beside them, and rates v by the coordinates' names."""
         names = [c.name for c in self.coordinates]
-        q = SimpleNamespace(**{n: getattr(x, n) for n in names})
-        v = SimpleNamespace(**{n: getattr(x, f"{n}_rate") for n in names})
+        q = SimpleNamespace(**{n: getattr(x, n) for n in (*names, *(s.name for s in self.others))})
+        v = SimpleNamespace(**{n: getattr(x, self.rate_name(n)) for n in names})
         return q, v
 
     def rate(
         self, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace, injected: dict[str, Any]
     ) -> dict[str, Any]:
-        """q' = v, v' = M^-1 (force + injected)."""
+        """q' = v, v' = M^-1 (force + injected), and of the others their flows + injected."""
         q, v = self.split(x)
         names = [c.name for c in self.coordinates]
         total = [f + injected[n] for f, n in zip(self.force(q, v, u, p), names, strict=True)]
         acceleration = _solve(self.mass(q, p), total)
         rates = {n: getattr(v, n) for n in names}
-        rates.update({f"{n}_rate": a for n, a in zip(names, acceleration, strict=True)})
+        rates.update({self.rate_name(n): a for n, a in zip(names, acceleration, strict=True)})
+        rates.update({n: f + injected[n] for n, f in self.flows(q, v, u, p).items()})
         return rates
+
+
+def has_coordinates(system: System) -> TypeGuard[MechanicalSystem]:
+    """Whether forces can act on a system: it is mechanical, with at least one coordinate."""
+    return isinstance(system, MechanicalSystem) and bool(system.coordinates)
 
 
 def _solve(mass: list[list[Any]], total: list[Any]) -> list[Any]:
@@ -196,6 +218,11 @@ def _solve(mass: list[list[Any]], total: list[Any]) -> list[Any]:
     off = [mass[i][j] for i in range(size) for j in range(size) if i != j]
     if all(isinstance(value, int | float) and value == 0 for value in off):
         return [t / mass[i][i] for i, t in enumerate(total)]
+    if all(isinstance(value, int | float) for row in mass for value in row):
+        import numpy
+
+        return [sum(float(m) * t for m, t in zip(row, total, strict=True))
+                for row in numpy.linalg.inv(mass)]  # fmt: skip
     import sympy
 
     return list(sympy.Matrix(mass).LUsolve(sympy.Matrix(total)))

@@ -112,15 +112,19 @@ def check_system_units(system: MechanicalSystem) -> None:
     import pint
 
     coordinates, name = system.coordinates, system.plugin_name()
-    q = SimpleNamespace(**{c.name: _quantity(c.unit) for c in coordinates})
+    q = SimpleNamespace(**{c.name: _quantity(c.unit) for c in (*coordinates, *system.others)})
     v = SimpleNamespace(**{c.name: _quantity(f"({c.unit})/s") for c in coordinates})
     p = SimpleNamespace(**{k.name: _quantity(k.unit) for k in system.parameters})
     u = _inputs(system)
     try:
         force, mass = system.force(q, v, u, p), system.mass(q, p)
+        flows = system.flows(q, v, u, p)
     except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
         raise PluginError(f"system {name!r}: {error}", "an equation whose units fit") from error
-    for i, entry in enumerate(system.injections):
+    units = {entry.name: entry.unit for entry in system.injections}
+    for other, value in flows.items():
+        _must_fit(f"rate of {other!r} of system {name!r}", value, units[other])
+    for i, entry in enumerate(system.injections[: len(coordinates)]):
         own = [("force", force[i])]
         own += [
             (f"mass row {i}", m * _quantity(f"({c.unit})/s^2"))

@@ -1,7 +1,9 @@
 """The how-to pages: every block of code in them is run, in order, in an empty folder."""
 
+import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -65,6 +67,26 @@ def _by_the_shell(text):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{text}\n{done.stdout}\n{done.stderr}"
     return done.stdout
+
+
+def test_the_page_about_a_model_of_ones_own_runs(tmp_path, monkeypatch):
+    """A right-hand side and a CSV, then the same model as a file: the hidden spring is named."""
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for language, text in BLOCK.findall((PAGES / "own-model.md").read_text(encoding="utf-8")):
+        if language == "python":
+            exec(text, names)
+        elif language == "yaml":
+            Path(text.splitlines()[0].removeprefix("# ")).write_text(text, encoding="utf-8")
+        elif language == "bash":
+            assert main(shlex.split(text.replace("\\\n", " "))[1:]) == 0
+    assert names["run"].missing == ("cubic_stiffness",)
+    assert [p.name for p in names["beam"].ports] == ["drive", "middle", "tip", "span"]
+    assert "120 degrees of freedom reduced to 8" in names["beam"].report
+    found = json.loads(Path("verdict.json").read_text(encoding="utf-8"))
+    assert found["rounds"][1]["admitted"] == ["cubic_stiffness"]
+    stiffness = found["model"]["effects"]["cubic_stiffness"]["stiffness"]
+    assert abs(stiffness["estimate"] - 4e5) < 4 * stiffness["se"]
 
 
 def test_fields_of_a_record_that_pages_name_are_there():

@@ -24,13 +24,13 @@ OBSERVED, HIDDEN = "observed", "hidden"
 
 def groups(task: Task) -> dict[str, tuple[int, ...]]:
     """States driven by noise, by group: those beside a measured channel, and all others."""
-    names, channels = task.states, task.compiled.traced.channels
+    names, traced = task.states, task.compiled.traced
     found: dict[str, list[int]] = {OBSERVED: [], HIDDEN: []}
     for i, name in enumerate(names):
-        if f"{name}_rate" in names:
+        if traced.rate_name(name) in names:
             continue
-        base = name.removesuffix("_rate")
-        found[OBSERVED if base in channels else HIDDEN].append(i)
+        base = traced.base_name(name)
+        found[OBSERVED if base in traced.channels else HIDDEN].append(i)
     return {k: tuple(v) for k, v in found.items() if v}
 
 

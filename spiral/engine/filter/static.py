@@ -40,7 +40,7 @@ def static_map(traced: Traced, values: Array) -> StaticMap | None:
     Returns nothing where there is none: a first-order system, no hidden coordinate, or a hidden
     stiffness that is singular.
     """
-    names = tuple(n for n in traced.states if f"{n}_rate" in traced.states)
+    names = tuple(n for n in traced.states if traced.rate_name(n) in traced.states)
     hidden = tuple(n for n in names if n not in traced.channels)
     observed = tuple(n for n in names if n in traced.channels)
     if not traced.balance or not hidden or not observed:

@@ -187,11 +187,11 @@ def _guessed(compiled: Compiled, series: Series, mapping: StaticMap | None) -> A
     states = motion(study, series, min(41, series.samples // 2 * 2 - 1)).states
     names = compiled.traced.states
     if mapping is not None:
-        for suffix in ("", "_rate"):
-            rows = [names.index(f"{name}{suffix}") for name in mapping.observed]
+        for place in (str, compiled.traced.rate_name):  # the coordinates, then their rates
+            rows = [names.index(place(name)) for name in mapping.observed]
             found = states[:, rows] @ mapping.matrix.T
             for j, name in enumerate(mapping.hidden):
-                states[:, names.index(f"{name}{suffix}")] = found[:, j]
+                states[:, names.index(place(name))] = found[:, j]
     return states
 
 

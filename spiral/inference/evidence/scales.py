@@ -33,7 +33,7 @@ from spiral.types.model import Model
 from spiral.types.parameter import Parameter
 from spiral.types.port import Port
 from spiral.types.record import Array, Record
-from spiral.types.system import MechanicalSystem, System
+from spiral.types.system import System, has_coordinates
 
 _LEVEL = 0.3  # process noise of the filter: a model that is wrong by three tenths of every rate
 _WINDOW = 11  # samples of a local polynomial
@@ -98,7 +98,7 @@ def visited(model: Model, records: tuple[Record, ...]) -> tuple[Array, ...]:
 def _shown(traced: Traced) -> set[str]:
     """States that ``motion`` takes from channels: measured, rates of such, and those like one."""
     channels = set(traced.channels)
-    return channels | {f"{c}_rate" for c in channels} | {name for name, _ in traced.like}
+    return channels | {traced.rate_name(c) for c in channels} | {name for name, _ in traced.like}
 
 
 def _inferred(model: Model, series: Series) -> Array:
@@ -123,7 +123,7 @@ def at_port(system: System, port: Port, traced: Traced) -> list[tuple[str, list[
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
     own = zip(traced.keys, traced.parameters, strict=True)
     p = SimpleNamespace(**{k.split(".", 1)[1]: sp.Float(v.start or 1.0) for k, v in own})
-    if not isinstance(system, MechanicalSystem):
+    if not has_coordinates(system):
         return [("position", list(port.coordinates(x, p)))]
     q, v = system.split(x)
     position = sp.Matrix(port.coordinates(q, p))

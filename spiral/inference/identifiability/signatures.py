@@ -67,7 +67,9 @@ def owner_of(key: str) -> str:
 def equation_rows(system: System) -> tuple[str, ...]:
     """States whose rates are measured: of each channel its velocity, or itself in first order."""
     names = [s.name for s in system.states]
-    return tuple(f"{c}_rate" if f"{c}_rate" in names else c for c in system.observed)
+    return tuple(
+        system.rate_name(c) if system.rate_name(c) in names else c for c in system.observed
+    )
 
 
 def signatures(

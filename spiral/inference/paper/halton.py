@@ -42,7 +42,7 @@ class Regressor:
 
 def regressor(system: System, traced: Traced) -> Regressor:
     """Measured coordinates, their rates, and the inputs that are not derived from others."""
-    moving = [*traced.channels, *(f"{n}_rate" for n in traced.channels)]
+    moving = [*traced.channels, *(traced.rate_name(n) for n in traced.channels)]
     scheduling = [i.name for i in system.inputs if i.derived_from is None]
     phases = [i.name for i in system.inputs if i.derived_from is not None]
     return Regressor(

@@ -60,7 +60,7 @@ def differentiated(assembly: Assembly, derivative: Derivative) -> Samples:
         acceleration = np.zeros((series.samples, len(traced.acceleration)))
         for channel, name in enumerate(traced.channels):
             states[:, traced.states.index(name)] = found.position[:, channel]
-            states[:, traced.states.index(f"{name}_rate")] = found.velocity[:, channel]
+            states[:, traced.states.index(traced.rate_name(name))] = found.velocity[:, channel]
             acceleration[:, traced.states.index(name)] = found.acceleration[:, channel]
         count = len(states[inner])
         inputs = series.inputs[:: 2 * series.substeps][inner]

@@ -23,7 +23,7 @@ from spiral.types.effect import ForceEffect
 from spiral.types.model import Model
 from spiral.types.parameter import Parameter
 from spiral.types.record import Array, Record
-from spiral.types.system import MechanicalSystem
+from spiral.types.system import has_coordinates
 
 MOST = 60_000  # samples that are smoothed at once: memory is 1.5 kB each
 _LEVELS = (-3.0, -2.0, -1.0, 0.0, 1.0)  # decimal logarithms that are tried first
@@ -71,7 +71,7 @@ def with_latent(model: Model) -> Model:
 
     A system without forces is left as it is.
     """
-    if not isinstance(model.system, MechanicalSystem):
+    if not has_coordinates(model.system):
         return model
     wide = model.add(LatentForce())
     return replace(wide, values={**wide.values, **dict.fromkeys(latent_keys(wide), 0.0)})
@@ -100,7 +100,7 @@ def missing_force(
 
     Returns nothing for a system without forces, and where the filter runs away.
     """
-    if not isinstance(model.system, MechanicalSystem):
+    if not has_coordinates(model.system):
         return None
     start = min(first, max(record.samples - MOST, 0))
     stop = min(start + MOST, record.samples)

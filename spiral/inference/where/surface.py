@@ -103,7 +103,8 @@ def _candidates(missing: MissingForce, number: int, at: Array) -> Iterator[tuple
     names = task.states
     axes = [a if a in names else None for a in missing.axes]
     q = {a: missing.states[at, names.index(a)] for a in axes if a}
-    v = {a: missing.states[at, names.index(f"{a}_rate")] for a in q if f"{a}_rate" in names}
+    rates = {a: task.compiled.traced.rate_name(a) for a in q}
+    v = {a: missing.states[at, names.index(r)] for a, r in rates.items() if r in names}
     axis = missing.axes[number]
     if axis in q:
         yield from _powers("position", axis, q, 1)
@@ -111,9 +112,9 @@ def _candidates(missing: MissingForce, number: int, at: Array) -> Iterator[tuple
         for other in (o for o in q if o != axis):
             yield ("other position", other, 1, False), q[other][:, None]
     if axis in v:
-        yield from _powers("velocity", f"{axis}_rate", v, 0, axis)
+        yield from _powers("velocity", rates[axis], v, 0, axis)
         for other in (o for o in v if o != axis):
-            yield ("other velocity", f"{other}_rate", 1, False), v[other][:, None]
+            yield ("other velocity", rates[other], 1, False), v[other][:, None]
     columns = task.compiled.traced.inputs
     if "phase" in columns:
         phase = task.inputs[:: 2 * task.series.substeps][at, columns.index("phase")]

@@ -21,7 +21,7 @@ from spiral.types.parameter import Parameter
 from spiral.types.placement import model_keys
 from spiral.types.plugin import Plugin
 from spiral.types.record import Array
-from spiral.types.system import MechanicalSystem, System
+from spiral.types.system import System, has_coordinates
 
 if TYPE_CHECKING:
     from spiral.physics.compile import Compiled
@@ -307,16 +307,17 @@ def system_units(system: System) -> str:
 
 def mass(system: System) -> str:
     """M(q, p) is n x n for n coordinates, symmetric and positive; ports have their axes."""
-    if not isinstance(system, MechanicalSystem):
+    if not has_coordinates(system):
         return "no coordinates: not a mechanical system"
     coordinates = [c.name for c in system.coordinates]
-    if [i.name for i in system.injections] != coordinates:
+    if [i.name for i in system.injections][: len(coordinates)] != coordinates:
         raise PluginError(
             f"injections {', '.join(i.name for i in system.injections)}",
             f"one for each coordinate, named like it: {', '.join(coordinates)}",
         )
     rng = np.random.default_rng(5)
-    q = SimpleNamespace(**{n: rng.normal() for n in coordinates})
+    beside = [s.name for s in system.others]
+    q = SimpleNamespace(**{n: rng.normal() for n in (*coordinates, *beside)})
     p = SimpleNamespace(
         **{k.name: _inside(k, rng.uniform(0.3, 0.9)) for k in system.parameters},
     )
@@ -338,7 +339,7 @@ def mechanical_units(system: System) -> str:
     """M q'' and the system's own force have the units of the injections."""
     from spiral.types.units import check_system_units
 
-    if not isinstance(system, MechanicalSystem):
+    if not has_coordinates(system):
         return "no coordinates: not a mechanical system"
     check_system_units(system)
     return ", ".join(i.unit for i in system.injections)

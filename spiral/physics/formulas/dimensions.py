@@ -128,7 +128,7 @@ def inferred(
     ------
     ConfigError : units that do not fit, or a parameter whose unit nothing fixes.
     """
-    walk = _Walk(Demands(free), {**{k: dimension(v) for k, v in known.items()}}, known)
+    walk = Walk(Demands(free), {**{k: dimension(v) for k, v in known.items()}}, known)
     for what, (text, unit) in formulas.items():
         if syntax.is_zero(syntax.read(text)):
             continue
@@ -151,8 +151,8 @@ def inferred(
 
 
 @dataclass(frozen=True)
-class _Walk:
-    """Dimensions up a tree, demands on the way."""
+class Walk:
+    """Dimensions up a tree, demands on the way; ``known`` by name, ``units`` as they are told."""
 
     demands: Demands
     known: Mapping[str, Dimension]
@@ -214,7 +214,7 @@ class _Walk:
 
     def words(self, found: Dimension) -> str:
         """A dimension in words: a unit, and the unknown parameters in it."""
-        unit = "*".join(f"{_BASE.get(k, k)}^({v})" for k, v in found.known.items())
+        unit = "*".join(f"{BASE.get(k, k)}^({v})" for k, v in found.known.items())
         parts = [short_form(unit)] if unit else []
         parts += [f"[{k}]" + ("" if v == 1 else f"^{v}") for k, v in found.unknown.items()]
         return " ".join(parts) or "no unit"
@@ -224,7 +224,7 @@ def _sign(operation: ast.operator) -> int:
     return -1 if isinstance(operation, ast.Div) else 1
 
 
-_BASE = {
+BASE = {
     "[length]": "m", "[mass]": "kg", "[time]": "s", "[current]": "A", "[temperature]": "K",
     "[substance]": "mol", "[luminosity]": "cd",
 }  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from spiral.types.system import MechanicalSystem, System
+from spiral.types.system import System, has_coordinates
 
 EACH_AXIS = ("q", "v")  # position and velocity of the axis at hand
 
@@ -56,7 +56,7 @@ def place_of(system: System, port: str = "") -> Place:
     at = system.port(port)
     inputs = [(i.name, i.unit) for i in system.inputs]
     inputs += [(f"{i.name}_rate", f"({i.unit})/s") for i in system.inputs if i.derivative]
-    force = isinstance(system, MechanicalSystem)
+    force = has_coordinates(system)
     axes = tuple((axis, at.force_unit) for axis in at.axes)
     flows = tuple((i.name, i.unit) for i in system.injections)
     return Place(

@@ -1,0 +1,169 @@
+"""A system from equations as text, in a file or made from a Python function."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from spiral.types.errors import ConfigError
+from spiral.types.parameter import State
+from spiral.types.port import Port
+from spiral.types.system import MechanicalSystem
+
+EXAMPLE = """\
+title: A mass on a spring
+equations: ["m*x'' + c*x' + k*x = F"]
+states: {x: m}
+inputs: {F: {unit: N, interpolation: band_limited}}
+parameters: {m: 1.0 kg, c: 4.0 N*s/m, k: 4000 N/m}
+free: [c, k]
+observed: [x]
+"""
+
+
+class Equations(MechanicalSystem):
+    """M q'' = f(q, q', z, u, p), z' = g(q, q', z, u, p) with formulas from a file.
+
+    Fields
+    ------
+    path : a file in YAML, TOML or JSON (docs/how-to/own-model.md).
+    text : what it holds, in YAML; with neither, a mass on a spring.
+    """
+
+    path: str = ""
+    text: str = ""
+
+    def __post_init__(self):
+        """Read the file and its equations, so that what is wrong is said at once."""
+        from spiral.physics.formulas.definition import text_of_file
+
+        text = self.text or (text_of_file(self.path) if self.path else EXAMPLE)
+        object.__setattr__(self, "text", text)
+        try:
+            _ = self.ports
+        except ConfigError as error:
+            place = f"{self.path}: " if self.path else ""
+            raise ConfigError(place + error.given, error.expected, error.try_) from error
+
+    @property
+    def form(self):
+        """The equations in one form."""
+        from spiral.physics.formulas.equations import equations_of
+
+        return equations_of(self.text)
+
+    @property
+    def coordinates(self):
+        """States that have an acceleration."""
+        return self.form.coordinates
+
+    @property
+    def others(self):
+        """States of first order."""
+        return self.form.others
+
+    @property
+    def injections(self):
+        """A force on each coordinate, a flow into each other state."""
+        pairs = zip(self.coordinates, self.form.force_units, strict=True)
+        flows = (State(s.name, f"({s.unit or '1'})/s") for s in self.others)
+        return (*(State(c.name, unit) for c, unit in pairs), *flows)
+
+    @property
+    def observed(self):
+        """The states that are measured."""
+        return self.form.definition.observed
+
+    @property
+    def inputs(self):
+        """Known inputs."""
+        return self.form.definition.inputs
+
+    @property
+    def parameters(self):
+        """Those with a value are known; the others, and those named free, are to be found."""
+        return self.form.definition.parameters
+
+    @property
+    def defaults(self):
+        """First values of parameters that are to be found."""
+        return {f"system.{name}": value for name, value in self.form.definition.values}
+
+    @property
+    def ports(self):
+        """Those named, then one for each other coordinate; without any, one for each state."""
+        if not self.coordinates:
+            return tuple(
+                Port(s.name, (s.name,), _state(s.name), s.unit, f"({s.unit or '1'})/s")
+                for s in self.others
+            )
+        named = self.form.definition.ports
+        taken = {text for _, texts in named for text in texts}
+        derived = ((c.name, (c.name,)) for c in self.coordinates if c.name not in taken)
+        return tuple(self._port(name, texts) for name, texts in (*named, *derived))
+
+    @property
+    def seed(self):
+        """The equations are the whole model; effects come on top."""
+        return ()
+
+    def rate_name(self, state):
+        """The state that an equation ``x' = v`` names, else ``x_rate``."""
+        names = [c.name for c in self.coordinates]
+        return self.form.rates[names.index(state)] if state in names else f"{state}_rate"
+
+    def mass(self, q, p):
+        """M(q, p)."""
+        values = self._values(q, SimpleNamespace(), None, p)
+        return [_computed(row, values) for row in self.form.mass]
+
+    def force(self, q, v, u, p):
+        """f(q, q', z, u, p)."""
+        return _computed(self.form.force, self._values(q, v, u, p))
+
+    def flows(self, q, v, u, p):
+        """g(q, q', z, u, p)."""
+        rates = _computed(self.form.flow, self._values(q, v, u, p))
+        return {s.name: rate for s, rate in zip(self.others, rates, strict=True)}
+
+    def _values(self, q, v, u, p):
+        """Name -> value of all that formulas may name."""
+        found = {**vars(q), **vars(p)}
+        found |= {self.rate_name(name): value for name, value in vars(v).items()}
+        if u is not None:
+            found |= {i.name: getattr(u, i.name) for i in self.inputs}
+            found |= {"t": u.time, "time": u.time}
+        quantities = any(hasattr(value, "dimensionality") for value in found.values())
+        for name, value, unit in self.form.definition.constants:
+            found[name] = _with_unit(value, unit) if quantities else value
+        return found
+
+    def _port(self, name, texts):
+        from spiral.physics.formulas.equations import port_unit
+
+        position, force = port_unit(self.form, texts, name)
+        axes = texts if all(t.isidentifier() for t in texts) else _axes(len(texts))
+
+        def coordinates(q, p):
+            return _computed(texts, self._values(q, SimpleNamespace(), None, p))
+
+        return Port(name, tuple(axes), coordinates, position, force)
+
+
+def _state(name):
+    return lambda x, p: [getattr(x, name)]
+
+
+def _axes(count):
+    return ("x", "y", "z")[:count] if count < 4 else tuple(f"axis_{i + 1}" for i in range(count))
+
+
+def _computed(texts, values):
+    from spiral.physics.formulas import syntax
+
+    return [syntax.compute(text, values) for text in texts]
+
+
+def _with_unit(value, unit):
+    from spiral.types.units import registry
+
+    return registry().Quantity(value, unit.replace("^", "**"))

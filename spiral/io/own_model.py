@@ -1,0 +1,109 @@
+"""A model that a user has already: a right-hand side in Python, or a file of equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from spiral.io.registry import NO_FOLDER, load_registry
+from spiral.io.system_files import plugin_of_file
+from spiral.types.errors import ConfigError
+from spiral.types.system import System
+
+Quantity = str | float | Sequence[Any] | Mapping[str, Any]
+
+
+def structure(
+    source: str | Path | Mapping[str, Any],
+    nodes: str | Path | Mapping[str, Any],
+    *,
+    size: int = 20,
+    band: Sequence[float],
+    pairs: Mapping[str, Sequence[str]] | None = None,
+    damping_ratio: float = 0.01,
+) -> System:
+    """A system from mass, damping and stiffness matrices, reduced (Craig and Bampton 1968).
+
+        beam = spiral.structure("beam.npz", "nodes.csv", size=8, band=(0, 300))
+        print(beam.report)
+
+    Parameters
+    ----------
+    source : NPZ or MAT file with ``M`` and ``K``, where there are also ``C``, ``G`` (per rad/s of
+        the input ``speed``) and parts ``K_NAME`` of the stiffness beside K; or name -> array,
+        sparse matrix, Matrix Market or Harwell-Boeing file.
+    nodes : degrees of freedom that are kept: CSV with the columns ``name, dof, use, unit``, or name
+        -> ``{"dof": 12, "use": "sensor input port"}``; ``dof`` counts from zero.
+    size : coordinates that are left: the nodes, and modes with the nodes held.
+    band : Hz, where the response is compared with that of the full structure (``report``).
+    pairs : port -> two nodes between which effects act.
+    damping_ratio : of every mode, where there is no ``C``.
+
+    Raises
+    ------
+    InputError, ConfigError : a file, a matrix or a node that cannot be used.
+    """
+    from spiral.physics.structures.description import described
+
+    text = described(source, nodes, size, band, pairs, damping_ratio)
+    return load_registry(NO_FOLDER).make("system", "structure", {"text": text})
+
+
+def system(
+    source: Callable[..., Any] | str | Path,
+    states: Mapping[str, Any] | None = None,
+    inputs: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, Quantity] | None = None,
+    observed: Sequence[str] = (),
+    *,
+    free: Sequence[str] = (),
+    ports: Mapping[str, str | Sequence[str]] | None = None,
+    mass: Mapping[str, Any] | Sequence[Sequence[Any]] | None = None,
+    title: str = "",
+) -> System:
+    """A system from a right-hand side x' = rhs(t, x, u, p), or from a file of equations.
+
+        spiral.system(rhs, states={"x": "m", "v": "m/s"}, inputs={"F": "N"},
+                      parameters={"m": (2.0, "kg")}, observed=["x"])
+        spiral.system("two_masses.yaml")
+
+    The function is called once, with expressions in place of numbers, and becomes equations
+    (``system.text``, which a file may hold): the function itself is not needed any more, neither
+    in other processes nor where a saved run is read.
+
+    Parameters
+    ----------
+    source : ``rhs(t, x, u, p)``, later arguments left out where they are not used; it returns the
+        rates in the order of ``states``, or by name. ``x``, ``u``, ``p`` give values by name
+        (``x.v``, ``x["v"]``) and by number. Or a file (YAML, TOML, JSON), alone.
+    states : name -> unit; a state whose rate is another state is a position, the other its rate.
+    inputs : name -> unit, or ``{"unit": "N", "interpolation": "zero_order"}``.
+    parameters : name -> ``(value, unit)`` or ``"2.0 kg"``: known. A unit alone, a name in ``free``,
+        or ``{"value": 2.0, "unit": "kg", "lower": 0.0, "upper": 5.0}`` for bounds.
+    observed : states that are measured; the others are hidden.
+    free : parameters with a value that the fit moves all the same.
+    ports : name -> position where effects act, as a formula of the states (``"z - x"``), or one for
+        each axis. Every other coordinate has a port of its own name.
+    mass : coordinate -> inertia (``{"x": "m"}``), or rows of the mass matrix, where a force on one
+        coordinate moves others too; left out, what the accelerations are divided by.
+
+    Raises
+    ------
+    ConfigError : a line that cannot be followed, units that do not fit, a name that is not known.
+    InputError : a file that cannot be read.
+    """
+    registry = load_registry(NO_FOLDER)
+    if not callable(source):
+        if states or inputs or parameters or observed or free or ports or mass or title:
+            raise ConfigError(f"the file {str(source)!r} and what it holds", "the file alone")
+        file = str(source)
+        return registry.make("system", plugin_of_file(file) or "equations", {"path": file})
+    from spiral.physics.formulas.function import definition_from, written
+
+    sections = {
+        "title": title or None, "states": states or {}, "inputs": inputs, "parameters": parameters,
+        "observed": list(observed), "free": list(free) or None, "ports": ports, "mass": mass,
+    }  # fmt: skip
+    text = written(definition_from(source, {k: v for k, v in sections.items() if v is not None}))
+    return registry.make("system", "equations", {"text": text})

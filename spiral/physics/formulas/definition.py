@@ -1,0 +1,314 @@
+"""A system written as data: equations as text, units, what is measured, where forces may act.
+
+equations: ["m*x'' + c*x' + k*x = F"]
+states: {x: m}
+inputs: {F: N}
+parameters: {m: 2.0 kg, c: N*s/m, k: 400 N/m}
+free: [k]
+observed: [x]
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, get_args
+
+from spiral.types.errors import ConfigError, InputError, PluginError, did_you_mean
+from spiral.types.fields import unknown_field
+from spiral.types.parameter import Input, Interpolation, Parameter, State
+from spiral.types.units import short_form
+
+ENDINGS = (".yaml", ".yml", ".toml", ".json")
+LARGEST = 1_000_000  # bytes of a file
+
+
+@dataclass(frozen=True)
+class SystemDefinition:
+    """What a file or a call says of a system.
+
+    Fields
+    ------
+    equations : one for each state, ``LEFT = RIGHT``; ``x'`` and ``x''`` are rates.
+    states : name -> unit, or ``{unit: V, like: NAME of a measured state of alike values}``.
+    inputs : name -> unit, or ``{unit: N, interpolation: zero_order}``.
+    parameters : name -> ``VALUE UNIT``, ``[VALUE, UNIT]``, ``UNIT`` where it is to be found, or
+        ``{value: 2.0, unit: kg, lower: 0, upper: 5}``.
+    constants : name -> ``VALUE UNIT``: numbers of the equations that have a unit.
+    free : parameters with a value that the fit moves all the same.
+    observed : states, or rates ``x'``, that are measured; the others are hidden.
+    ports : name -> position as a formula of the states, or a list with one for each axis; left
+        out, one for each coordinate.
+    mass : coordinate -> its inertia, or a list of rows, where the equations are solved for the
+        accelerations and forces on one coordinate move others too.
+    title : what the system is, in a few words.
+    """
+
+    equations: tuple[str, ...]
+    states: tuple[State, ...]
+    inputs: tuple[Input, ...]
+    parameters: tuple[Parameter, ...]
+    constants: tuple[tuple[str, float, str], ...]
+    values: tuple[tuple[str, float], ...]
+    observed: tuple[str, ...]
+    ports: tuple[tuple[str, tuple[str, ...]], ...]
+    mass: tuple[tuple[str, ...], ...] | tuple[tuple[str, str], ...]
+    title: str = ""
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Name -> unit of all that equations may name, rates and the time apart."""
+        named = (*self.states, *self.inputs, *self.parameters)
+        return {**{i.name: i.unit for i in named}, **{n: u for n, _, u in self.constants}}
+
+
+SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name != "values"), "free")
+
+
+@lru_cache(maxsize=64)
+def definition_of(text: str) -> SystemDefinition:
+    """A definition from its text.
+
+    Raises
+    ------
+    ConfigError : a section, a unit or a value that cannot be used.
+    """
+    given = parsed(text)
+    for name in given:
+        if name not in SECTIONS:
+            raise unknown_field("system", str(name), SECTIONS)
+    free = tuple(map(str, given.get("free") or ()))
+    constants = tuple((n, *_number(n, v)) for n, v in _section(given, "constants").items())
+    found = SystemDefinition(
+        equations=_texts(given, "equations"),
+        states=tuple(_state(n, v) for n, v in _section(given, "states", needed=True).items()),
+        inputs=tuple(_input(n, v) for n, v in _section(given, "inputs").items()),
+        parameters=tuple(
+            _parameter(n, v, n in free) for n, v in _section(given, "parameters").items()
+        ),
+        constants=constants,
+        values=tuple(
+            (n, value)
+            for n, v in _section(given, "parameters").items()
+            if n in free and (value := _quantity(n, v)[0]) is not None
+        ),
+        observed=tuple(t.replace("'", "_rate") for t in _texts(given, "observed")),
+        ports=_ports(_section(given, "ports")),
+        mass=_mass(given.get("mass")),
+        title=str(given.get("title") or ""),
+    )
+    _check(found, free)
+    return found
+
+
+def text_of_file(path: str | Path) -> str:
+    """The text of a definition in a file.
+
+    Raises
+    ------
+    InputError : a file that cannot be read, or of another kind.
+    """
+    place = Path(path).expanduser()
+    if place.suffix.lower() not in ENDINGS:
+        raise InputError(f"system file {str(path)!r}", f"a file that ends in {', '.join(ENDINGS)}")
+    try:
+        if place.stat().st_size > LARGEST:
+            raise InputError(f"{path}, {place.stat().st_size} bytes", f"at most {LARGEST}")
+        text = place.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"system file {str(path)!r}: {error}", "a file that can be read"
+        ) from error
+    if place.suffix.lower() != ".toml":
+        return text
+    import tomllib
+
+    try:
+        return json.dumps(tomllib.loads(text), indent=1)
+    except (tomllib.TOMLDecodeError, TypeError) as error:
+        raise InputError(f"{path}: {error}", "TOML", "for instance states = {x = 'm'}") from error
+
+
+def parsed(text: str) -> dict[str, Any]:
+    """The sections of a text in YAML, of which JSON is a part.
+
+    Raises
+    ------
+    ConfigError : no mapping of sections; the line is named.
+    """
+    import yaml
+
+    try:
+        found = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f", line {mark.line + 1}" if mark else ""
+        reason = getattr(error, "problem", None) or type(error).__name__
+        raise ConfigError(
+            f"equations of a system{place}: {reason}", "YAML", "quotes around a text with : or #"
+        ) from error
+    if not isinstance(found, dict):
+        raise ConfigError("equations of a system without sections", f"{', '.join(SECTIONS)}",
+                          "equations: [\"m*x'' + k*x = F\"]")  # fmt: skip
+    return found
+
+
+def value_and_unit(name: str, given: Any) -> tuple[float | None, str]:
+    """``2.0 kg``, ``[2.0, kg]``, ``2.0`` or ``kg`` -> value (none where only a unit) and unit."""
+    if isinstance(given, str):
+        first, _, rest = given.strip().partition(" ")
+        value = _float(first)
+        return (None, given.strip()) if value is None else (value, rest.strip())
+    if isinstance(given, int | float) and not isinstance(given, bool):
+        return float(given), ""
+    if isinstance(given, list | tuple) and len(given) == 2:
+        return _needed(name, given[0]), str(given[1] or "")
+    expected = "a value and a unit; uncertainties of known parameters are not used"
+    raise ConfigError(f"{name}: {given!r}", expected, f"{name}: 2.0 kg")
+
+
+def _float(text: Any) -> float | None:
+    try:
+        return None if isinstance(text, bool) else float(text)
+    except (TypeError, ValueError):
+        return None
+
+
+def _needed(name: str, given: Any) -> float:
+    value = _float(given)
+    if value is None:
+        raise ConfigError(f"{name}: {given!r}", "a number", f"{name}: 2.0 kg")
+    return value
+
+
+# --- sections ------------------------------------------------------------------------------------
+
+
+def _section(given: Mapping[str, Any], name: str, needed: bool = False) -> dict[str, Any]:
+    found = given.get(name)
+    if (found is None or found == []) and not needed:
+        return {}
+    if not isinstance(found, Mapping) or (needed and not found):
+        raise ConfigError(f"{name}: {found!r}", "a mapping NAME: UNIT", f"{name}: {{x: m}}")
+    return {str(k): v for k, v in found.items()}
+
+
+def _texts(given: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    found = given.get(name)
+    found = [found] if isinstance(found, str) else found
+    if not isinstance(found, list | tuple) or not found:
+        raise ConfigError(f"{name}: {found!r}", "a list with at least one", f"{name}: [...]")
+    return tuple(map(str, found))
+
+
+def _described(section: str, name: str, given: Any, known: tuple[str, ...]) -> dict[str, Any]:
+    """The fields of an entry that is a mapping; a text alone is its unit."""
+    if not isinstance(given, Mapping):
+        return {"unit": "" if given is None else str(given)}
+    for key in given:
+        if key not in known:
+            raise unknown_field(f"{section}.{name}", str(key), known)
+    return {"unit": "", **given}
+
+
+def _unit(name: str, unit: Any) -> str:
+    text = str(unit or "").strip()
+    text = "" if text == "1" else text
+    try:
+        short_form(text)
+    except Exception as error:  # pint's parser raises what Python's tokenizer does
+        raise ConfigError(
+            f"unit {text!r} of {name}", "a unit such as 'm', 'N*s/m', 'rad/s', 'V'"
+        ) from error
+    return text
+
+
+def _state(name: str, given: Any) -> State:
+    entry = _described("states", name, given, ("unit", "like"))
+    return _made(State, name, _unit(name, entry["unit"]), like=str(entry.get("like") or ""))
+
+
+def _input(name: str, given: Any) -> Input:
+    entry = _described("inputs", name, given, ("unit", "interpolation"))
+    kind = entry.get("interpolation", "smooth")
+    if kind not in get_args(Interpolation):
+        known = get_args(Interpolation)
+        raise ConfigError(
+            f"interpolation {kind!r} of input {name}",
+            f"one of {', '.join(known)}",
+            did_you_mean(str(kind), known),
+        )
+    return _made(Input, name, _unit(name, entry["unit"]), interpolation=kind)
+
+
+def _quantity(name: str, given: Any) -> tuple[float | None, str]:
+    if isinstance(given, Mapping):
+        value = given.get("value")
+        return (None if value is None else _needed(name, value)), str(given.get("unit") or "")
+    return value_and_unit(name, given)
+
+
+def _number(name: str, given: Any) -> tuple[float, str]:
+    value, unit = _quantity(name, given)
+    return _needed(name, value), _unit(name, unit)
+
+
+def _parameter(name: str, given: Any, free: bool) -> Parameter:
+    if isinstance(given, Mapping):
+        _described("parameters", name, given, ("value", "unit", "lower", "upper"))
+    value, unit = _quantity(name, given)
+    bounds = given if isinstance(given, Mapping) else {}
+    low, high = (
+        None if bounds.get(k) is None else _needed(name, bounds[k]) for k in ("lower", "upper")
+    )
+    start = None if free else value
+    return _made(Parameter, name, _unit(name, unit), lower=low, upper=high, start=start)
+
+
+def _made(kind: Any, name: str, unit: str, **options: Any) -> Any:
+    try:
+        return kind(name, unit, **options)
+    except PluginError as error:
+        raise ConfigError(error.given, error.expected, error.try_) from error
+
+
+def _ports(given: Mapping[str, Any]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    return tuple(
+        (n, tuple(map(str, v)) if isinstance(v, list | tuple) else (str(v),))
+        for n, v in given.items()
+    )
+
+
+def _mass(given: Any) -> Any:
+    if not given:
+        return ()
+    if isinstance(given, Mapping):
+        return tuple((str(k), str(v)) for k, v in given.items())
+    rows = [r if isinstance(r, list | tuple) else [r] for r in given]
+    return tuple(tuple(map(str, r)) for r in rows)
+
+
+def _check(found: SystemDefinition, free: tuple[str, ...]) -> None:
+    named = [i.name for i in (*found.states, *found.inputs, *found.parameters)]
+    named += [n for n, _, _ in found.constants]
+    for name in named:
+        if named.count(name) > 1 or name in ("t", "time", "pi") or name.endswith("_prime"):
+            what = "twice" if named.count(name) > 1 else "for a state, an input or a parameter"
+            raise ConfigError(f"the name {name!r} {what}", "a name of its own", f"{name}_1")
+    rates = [
+        f"{s.name}_rate" for s in found.states if any(f"{s.name}''" in e for e in found.equations)
+    ]
+    _known("observed", found.observed, [*(s.name for s in found.states), *rates])
+    _known("free", free, [p.name for p in found.parameters])
+    _known("like", [s.like for s in found.states if s.like], list(found.observed))
+
+
+def _known(what: str, given: Iterable[str], known: list[str]) -> None:
+    for name in given:
+        if name not in known:
+            raise ConfigError(
+                f"{what}: {name}", f"one of {', '.join(known) or 'none'}", did_you_mean(name, known)
+            )

@@ -1,0 +1,233 @@
+"""Equations of motion from text, brought to one form.
+
+    M(q, p) q'' = f(q, q', z, u, p)        z' = g(q, q', z, u, p)
+
+q are coordinates with their rates, z the states of first order beside them. A state with ``x''`` is
+a coordinate, and so is a state whose rate is another state (``x' = v``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import sympy as sp
+
+from spiral.physics.formulas import syntax
+from spiral.physics.formulas.definition import SystemDefinition, definition_of
+from spiral.physics.formulas.dimensions import Demands, Walk, dimension
+from spiral.physics.formulas.inertia import inertia_of
+from spiral.physics.formulas.rows import (
+    FIRST,
+    SECOND,
+    TIME,
+    Row,
+    checked_units,
+    negative,
+    primed,
+    read_row,
+    symbol,
+)
+from spiral.physics.formulas.symbolic import text_of
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.parameter import State
+
+
+@dataclass(frozen=True)
+class StandardForm:
+    """The form that a system takes its physics from; formulas are text.
+
+    ``rates`` are the names of the coordinates' rates, ``force_units`` the units of the rows.
+    """
+
+    definition: SystemDefinition
+    coordinates: tuple[State, ...]
+    rates: tuple[str, ...]
+    others: tuple[State, ...]
+    mass: tuple[tuple[str, ...], ...]
+    force: tuple[str, ...]
+    flow: tuple[str, ...]
+    force_units: tuple[str, ...]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Name -> unit of all that the formulas may name."""
+        pairs = zip(self.rates, self.coordinates, strict=True)
+        return {
+            **self.definition.units,
+            **{rate: f"({c.unit or '1'})/s" for rate, c in pairs},
+            **dict.fromkeys(TIME, "s"),
+        }
+
+
+@lru_cache(maxsize=64)
+def equations_of(text: str) -> StandardForm:
+    """The equations of a definition.
+
+    Raises
+    ------
+    ConfigError : what is no formula, units that do not fit, a state without its equation.
+    """
+    given = definition_of(text)
+    rows = [read_row(given, i) for i in range(len(given.equations))]
+    return _arranged(given, rows)
+
+
+def _arranged(given: SystemDefinition, rows: Sequence[Row]) -> StandardForm:
+    second = {s.name for s in given.states if any(_has(r, s.name + SECOND) for r in rows)}
+    pairs = _pairs(given, rows, second)
+    taken = {row.place for _, row in pairs.values()}
+    coordinates = [s for s in given.states if s.name in second or s.name in pairs]
+    velocity = {c.name: pairs[c.name][0] if c.name in pairs else f"{c.name}_rate"
+                for c in coordinates}  # fmt: skip
+    others = [s for s in given.states if s.name not in {*velocity, *velocity.values()}]
+    unknown = [symbol(c.name + SECOND if c.name in second else velocity[c.name] + FIRST)
+               for c in coordinates]  # fmt: skip
+    unknown += [symbol(s.name + FIRST) for s in others]
+    left = [r for r in rows if r.place not in taken]
+    kinematic = {symbol(c + FIRST): symbol(v) for c, v in velocity.items()}
+    values = [r.value.subs(kinematic) for r in left]
+    if len(left) != len(unknown):
+        raise ConfigError(
+            f"{len(rows)} equations for the states {', '.join(s.name for s in given.states)}",
+            f"{len(unknown) + len(taken)}, one for each of "
+            + ", ".join(primed(str(s)) for s in (*(symbol(c + FIRST) for c in pairs), *unknown)),
+        )
+    order, signs, matrix = _matched(values, unknown, [r.place for r in left])
+    units = checked_units(given, rows, velocity)
+    count = len(coordinates)
+    _check_apart(matrix, count, [left[i].place for i in order])
+    known = dict.fromkeys(unknown, 0)
+    rest = [-sign * values[i].subs(known) for i, sign in zip(order, signs, strict=True)]
+    inertia, force, force_units = inertia_of(
+        given, matrix[:count, :count], rest[:count], coordinates, units
+    )
+    flow = matrix[count:, count:].LUsolve(sp.Matrix(rest[count:])) if others else []
+    return StandardForm(
+        given, tuple(coordinates), tuple(velocity.values()), tuple(others),
+        tuple(tuple(text_of(inertia[i, j]) for j in range(count)) for i in range(count)),
+        tuple(map(text_of, force)), tuple(map(text_of, flow)), force_units,
+    )  # fmt: skip
+
+
+def _has(row: Row, name: str) -> bool:
+    return symbol(name) in row.value.free_symbols
+
+
+def _pairs(
+    given: SystemDefinition, rows: Sequence[Row], second: set[str]
+) -> dict[str, tuple[str, Row]]:
+    """Coordinate -> its rate and the equation that says so, of equations ``x' = v``."""
+    found: dict[str, tuple[str, Row]] = {}
+    names = [s.name for s in given.states if s.name not in second]
+    for row in rows:
+        for name in names:
+            if not _has(row, name + FIRST):
+                continue
+            for other in names:
+                gap = symbol(name + FIRST) - symbol(other)
+                if other != name and sp.expand(row.value - gap) * sp.expand(row.value + gap) == 0:
+                    found.setdefault(name, (other, row))
+    rates = [v for v, _ in found.values()]
+    chained = {n for n in found if n in rates}  # a rate that has a rate in turn: first order
+    return {n: p for n, p in found.items() if n not in chained and rates.count(p[0]) == 1}
+
+
+def _matched(
+    values: Sequence[Any], unknown: Sequence[sp.Symbol], places: Sequence[str]
+) -> tuple[list[int], list[int], Any]:
+    """The equations in the order of their unknown rates, their signs, the matrix of these rates."""
+    for value, place in zip(values, places, strict=True):
+        for one in unknown:
+            slope = value.diff(one)
+            if slope.free_symbols & {*unknown} or slope.has(sp.Derivative, sp.Subs):
+                raise ConfigError(
+                    f"{place}, not linear in {primed(str(one))}",
+                    "rates of highest order as plain factors",
+                )
+    matrix = sp.Matrix([[sp.expand(v.diff(one)) for one in unknown] for v in values])
+    rows = {j: [i for i in range(len(values)) if matrix[i, j] != 0] for j in range(len(unknown))}
+    order = _assigned(rows, len(unknown))
+    if order is None:
+        lacking = [str(unknown[j]) for j, found in rows.items() if not found]
+        raise ConfigError(
+            f"equations without {', '.join(map(primed, lacking)) or 'a unique solution'}",
+            "one equation for the highest rate of each state",
+        )
+    matrix = matrix.extract(order, list(range(len(unknown))))
+    signs = [-1 if negative(matrix[i, i]) else 1 for i in range(len(order))]
+    return order, signs, sp.diag(*signs) * matrix
+
+
+def _assigned(rows: Mapping[int, Sequence[int]], count: int) -> list[int] | None:
+    """A row for each column, by augmenting paths; columns with one row first."""
+    owner: dict[int, int] = {}
+
+    def place(column: int, seen: set[int]) -> bool:
+        for row in rows[column]:
+            if row not in seen:
+                seen.add(row)
+                if row not in owner or place(owner[row], seen):
+                    owner[row] = column
+                    return True
+        return False
+
+    if not all(place(j, set()) for j in sorted(rows, key=lambda j: len(rows[j]))):
+        return None
+    back = {column: row for row, column in owner.items()}
+    return [back[j] for j in range(count)]
+
+
+def _check_apart(matrix: Any, count: int, places: Sequence[str]) -> None:
+    size = matrix.shape[0]
+    for i in range(size):
+        for j in range(size):
+            if (i < count) != (j < count) and matrix[i, j] != 0:
+                raise ConfigError(
+                    f"{places[i]}, with an acceleration and the rate of another state",
+                    "accelerations and rates of first order in equations of their own",
+                    "put the rate's own equation in its place",
+                )
+    inertia = matrix[:count, :count]
+    if (inertia - inertia.T).expand() != sp.zeros(count, count):
+        raise ConfigError(
+            f"equations with a mass matrix that is not symmetric: {inertia.tolist()}",
+            "M = M^T, as Lagrange's equations give it, so that a force at a port has its work",
+            "the equation of each coordinate as it is, not divided by a mass",
+        )
+
+
+# --- ports ---------------------------------------------------------------------------------------
+
+
+def port_unit(equations: StandardForm, texts: Iterable[str], name: str) -> tuple[str, str]:
+    """(unit of position, unit of force) at a port, all its axes alike.
+
+    Raises
+    ------
+    ConfigError : a position that is no formula of coordinates, or axes of several units.
+    """
+    units, known = equations.units, {c.name: i for i, c in enumerate(equations.coordinates)}
+    walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
+    found = set()
+    for text in texts:
+        names = [n for n in syntax.names(text) if n in known]
+        for other in syntax.names(text):
+            if other not in known and other not in equations.definition.units:
+                raise ConfigError(
+                    f"port {name}: {other!r}",
+                    f"coordinates: {', '.join(known)}",
+                    did_you_mean(other, known),
+                )
+        if not names:
+            raise ConfigError(f"port {name}: {text!r}", f"a formula of {', '.join(known)}")
+        position = walk.of(syntax.read(text), text)
+        own = next((n for n in names if dimension(units[n]) == position), names[0])
+        found.add((units[own], equations.force_units[known[own]]))
+        if dimension(units[own]) != position:
+            raise ConfigError(f"port {name}: {text!r}", f"a position in {units[own] or 'rad'}")
+    if len(found) > 1:
+        raise ConfigError(f"port {name} with axes in {found}", "axes of one unit and one force")
+    return found.pop()

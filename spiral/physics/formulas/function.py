@@ -1,0 +1,257 @@
+"""A right-hand side written in Python, followed once and written as equations."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import linecache
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from spiral.physics.formulas import syntax
+from spiral.physics.formulas.definition import definition_of
+from spiral.physics.formulas.dimensions import BASE, NONE, Demands, Dimension, Walk, dimension
+from spiral.physics.formulas.rows import symbol
+from spiral.physics.formulas.symbolic import CannotFollowError, Expression, expression_of, text_of
+from spiral.types.errors import ConfigError, SpiralError, did_you_mean
+from spiral.types.units import short_form
+
+_LIBRARIES = ("numpy", "sympy", "spiral", "scipy")
+
+
+class Values:
+    """Named values in order: ``x.v``, ``x["v"]``, ``x[1]``, ``x, v = x``; an array where needed."""
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self.__dict__.update(values)
+
+    def __getitem__(self, key: Any) -> Any:
+        """By name, by number, or several by a slice."""
+        return getattr(self, key) if isinstance(key, str) else np.asarray(self)[key]
+
+    def __getattr__(self, name: str) -> NoReturn:
+        """A name that is not declared."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise CannotFollowError(f"{name!r}, which is not declared", did_you_mean(name, vars(self)))
+
+    def __iter__(self) -> Iterator[Any]:
+        """In order."""
+        return iter(self.__dict__.values())
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.__dict__)
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        """An array of objects."""
+        found = np.empty(len(self), dtype=object)
+        found[:] = list(self)
+        return found
+
+
+def definition_from(rhs: Callable[..., Any], sections: Mapping[str, Any]) -> dict[str, Any]:
+    """The definition of a system from its right-hand side ``rhs(t, x, u, p)``.
+
+    Parameters
+    ----------
+    rhs : its value is the time derivative of each state: a list or an array in their order, or a
+        mapping by name. Later arguments may be left out: ``rhs(t, x)``.
+    sections : the other sections of a definition (``definition.SystemDefinition``).
+
+    Raises
+    ------
+    ConfigError : what cannot be followed, with its line; units that do not fit.
+    """
+    declared = definition_of(written({**sections, "equations": ["0 = 0"]}))  # or refused
+    names = [s.name for s in declared.states]
+
+    def values(group: Sequence[Any]) -> Values:
+        return Values({item.name: Expression(symbol(item.name)) for item in group})
+
+    time = Expression(symbol("time"))
+    given = (time, *(values(g) for g in (declared.states, declared.inputs, declared.parameters)))
+    found = _called(rhs, given, names)
+    formulas = {n: text_of(expression_of(v)) for n, v in found.items()}
+    units = {**declared.units, "time": "s"}
+    due = {s.name: f"({s.unit or '1'})/s" for s in declared.states}
+    formulas, constants = _with_units(formulas, units, due)
+    lines = [f"{name}' = {text}" for name, text in formulas.items()]
+    if constants:
+        sections = {**sections, "constants": {**(sections.get("constants") or {}), **constants}}
+    return {"equations": lines, **sections}
+
+
+def written(sections: Mapping[str, Any]) -> str:
+    """Sections as text (YAML)."""
+    import yaml
+
+    plain = {k: _plain(v) for k, v in sections.items() if v is not None}
+    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=1000)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _called(rhs: Callable[..., Any], given: tuple[Any, ...], names: list[str]) -> dict[str, Any]:
+    try:
+        count = sum(
+            p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.default is p.empty
+            for p in inspect.signature(rhs).parameters.values()
+        )
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{rhs!r}", "a function rhs(t, x, u, p), or a file of equations") from (
+            error
+        )
+    if not 2 <= count <= 4:
+        raise ConfigError(
+            f"a function of {count} arguments", "rhs(t, x), rhs(t, x, u) or rhs(t, x, u, p)"
+        )
+    try:
+        found = rhs(*given[:count])
+        rates = _by_name(found, names)
+        return {n: Expression(expression_of(rates[n])) for n in names}
+    except SpiralError:
+        raise
+    except Exception as error:
+        _refuse(rhs, error, names)
+
+
+def _by_name(found: Any, names: list[str]) -> Mapping[str, Any]:
+    given = dict(found) if isinstance(found, Mapping) else list(found)
+    wanted = set(given) == set(names) if isinstance(given, dict) else len(given) == len(names)
+    if not wanted:
+        told = ", ".join(map(str, given)) if isinstance(given, dict) else f"{len(given)} values"
+        raise CannotFollowError(f"rates: {told}", f"one for each of {', '.join(names)}")
+    return given if isinstance(given, dict) else dict(zip(names, given, strict=True))
+
+
+def _refuse(rhs: Callable[..., Any], error: Exception, names: list[str]) -> NoReturn:
+    place = _line(error)
+    name = getattr(rhs, "__name__", "rhs")
+    if isinstance(error, CannotFollowError):
+        raise ConfigError(
+            f"{name}(){place}: {error.given}",
+            "arithmetic and functions of NumPy on the values given, from which derivatives follow",
+            error.try_,
+        ) from error
+    raise ConfigError(
+        f"{name}(){place}: {type(error).__name__}: {(str(error).splitlines() or [''])[0]}",
+        f"the rates of {', '.join(names)}, as a list in this order or a mapping by name",
+        "states, inputs and parameters by name, for instance x.x, u.F, p.m",
+    ) from error
+
+
+def _line(error: Exception) -> str:
+    """Where in the caller's own code it happened."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        folders = Path(frame.filename).parts
+        if frame.lineno and not any(lib in folders for lib in _LIBRARIES):
+            text = linecache.getline(frame.filename, frame.lineno).strip()
+            return f", line {frame.lineno}" + (f", `{text}`" if text else "")
+    return ""
+
+
+# --- numbers that have units ---------------------------------------------------------------------
+
+
+def _with_units(
+    formulas: Mapping[str, str], units: Mapping[str, str], due: Mapping[str, str]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Formulas whose numbers with a unit are constants by name, and these constants.
+
+    A plain function says ``9.81`` and means m/s^2: what unit each number has follows from the
+    units of everything else.
+    """
+    named = {k: _Numbers(units) for k in formulas}
+    trees = {}
+    for i, (state, text) in enumerate(formulas.items()):
+        named[state].prefix = f"number_{i}"
+        trees[state] = named[state].visit(ast.parse(text, mode="eval").body)
+    numbers = {n: v for one in named.values() for n, v in one.found.items()}
+    demands = Demands(tuple(numbers))
+    walk = Walk(demands, {n: dimension(u) for n, u in units.items()}, units)
+    for state, tree in trees.items():
+        _demand(walk, demands, state, tree, formulas[state], due[state])
+    for name in numbers:
+        demands.holds(Dimension({}, {name: Fraction(1)}), NONE)
+    solved = demands.solved()
+    kept = {n: solved[n] for n in numbers if solved.get(n, NONE).known}
+    names = {n: f"constant_{i + 1}" for i, n in enumerate(kept)}
+    constants = {names[n]: f"{numbers[n]!r} {short_form(_unit_text(d))}" for n, d in kept.items()}
+    back = {n: ast.Constant(v) for n, v in numbers.items() if n not in kept}
+    back |= {n: ast.Name(names[n]) for n in kept}
+    return {k: ast.unparse(_Back(back).visit(t)) for k, t in trees.items()}, constants
+
+
+_HINT = (
+    "check the units given; a number that has one is written even where it is 1: numpy.sin(1.0*x)"
+)
+
+
+def _demand(walk: Walk, demands: Demands, state: str, tree: ast.expr, text: str, unit: str) -> None:
+    if syntax.is_zero(tree):
+        return
+    try:
+        found = walk.of(tree, text)
+        fits = demands.holds(found, dimension(unit))
+    except ConfigError as error:
+        said = error.given.partition("': ")[2] or error.given
+        raise ConfigError(f"the rate of {state}, {text}: {said}", error.expected, _HINT) from error
+    if not fits:
+        raise ConfigError(
+            f"the rate of {state}, {text}, in {walk.words(found)}",
+            f"a value in {short_form(unit)}",
+            _HINT,
+        )
+
+
+def _unit_text(found: Dimension) -> str:
+    return "*".join(f"{BASE.get(k, k)}^({v})" for k, v in found.known.items())
+
+
+class _Numbers(ast.NodeTransformer):
+    """Every number but exponents and zeros by a name."""
+
+    def __init__(self, taken: Mapping[str, str]) -> None:
+        self.prefix, self.taken = "", taken
+        self.found: dict[str, float] = {}
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        """A power keeps its exponent, a ratio of whole numbers is one number."""
+        if isinstance(node.op, ast.Pow):
+            return ast.BinOp(self.visit(node.left), node.op, node.right)
+        both = isinstance(node.left, ast.Constant) and isinstance(node.right, ast.Constant)
+        if both and isinstance(node.op, ast.Div):
+            return self._named(node.left.value / node.right.value)  # type: ignore[attr-defined]
+        return self.generic_visit(node)
+
+    def visit_Constant(self, node: ast.Constant) -> ast.AST:
+        """A number, zero apart, which has any unit."""
+        return node if node.value == 0 else self._named(node.value)
+
+    def _named(self, value: Any) -> ast.AST:
+        name = f"{self.prefix}_{len(self.found)}"
+        self.found[name] = value
+        return ast.Name(name)
+
+
+class _Back(ast.NodeTransformer):
+    """Names by what stands for them."""
+
+    def __init__(self, by: Mapping[str, ast.expr]) -> None:
+        self.by = by
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        """The name itself where nothing stands for it."""
+        return self.by.get(node.id, node)

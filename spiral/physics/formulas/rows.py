@@ -1,0 +1,183 @@
+"""Equations as text, each read, its names known, its terms of one unit and one size."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import sympy as sp
+
+from spiral.physics.formulas import syntax
+from spiral.physics.formulas.definition import SystemDefinition
+from spiral.physics.formulas.dimensions import Demands, Walk, dimension
+from spiral.physics.formulas.symbolic import CannotFollowError, Expression, expression_of
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.units import factor, short_form
+
+TIME = ("t", "time")
+FIRST, SECOND = "_prime", "_prime_prime"
+"""Ends of the names that stand for ``x'`` and ``x''`` in a formula."""
+_PRIMED = re.compile(r"\b([A-Za-z_]\w*)('{1,2})(?!')")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One equation: its place, its text, left minus right as a formula and as an expression."""
+
+    place: str
+    formula: str
+    value: Any
+
+
+def read_row(given: SystemDefinition, number: int) -> Row:
+    """The equation of this number.
+
+    Raises
+    ------
+    ConfigError : no formula on each side of one =, or a name that is not declared.
+    """
+    text = given.equations[number]
+    place = f"equation {number + 1}, {text!r}"
+    if text.count("=") != 1:
+        raise ConfigError(place, "one = with a formula on each side", "m*x'' + c*x' + k*x = F")
+    order = {m[1]: len(m[2]) for m in _PRIMED.finditer(text)}
+    names = [s.name for s in given.states]
+    for name in order:
+        if name not in names:
+            raise ConfigError(
+                f"{place}: the rate of {name!r}", f"of a state: {', '.join(names)}",
+                did_you_mean(name, names),
+            )  # fmt: skip
+    left, right = (unprimed(side).strip() for side in text.split("="))
+    formula = left if right == "0" else f"({left}) - ({right})"
+    try:
+        value = evaluated(given, formula)
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {primed(error.given)}", error.expected, error.try_) from error
+    return Row(place, formula, value)
+
+
+def unprimed(text: str) -> str:
+    """A formula's own names for ``x'`` and ``x''``."""
+    return _PRIMED.sub(lambda m: m[1] + (FIRST if len(m[2]) == 1 else SECOND), text)
+
+
+def primed(text: str) -> str:
+    """Its names for rates as people write them: ``x''``."""
+    return re.sub(rf"(\w+?)({SECOND}|{FIRST})\b", lambda m: m[1] + "'" * m[2].count("_prime"), text)
+
+
+def evaluated(given: SystemDefinition, formula: str) -> Any:
+    """A formula as an expression.
+
+    Raises
+    ------
+    ConfigError : what is no formula, or a name that is not declared.
+    """
+    known = [*given.units, *TIME]
+    known += [f"{s.name}{e}" for s in given.states for e in (FIRST, SECOND)]
+    for name in syntax.names(formula):
+        if name not in known:
+            plain = [n for n in known if not n.endswith(FIRST)]
+            raise ConfigError(
+                f"{name!r}, which is not declared",
+                f"states, inputs, parameters or constants: {', '.join(plain)}",
+                did_you_mean(name, plain) + f"; or add it: parameters: {{{name}: UNIT}}",
+            )
+    try:
+        return expression_of(syntax.compute(formula, {n: Expression(symbol(n)) for n in known}))
+    except CannotFollowError as error:
+        raise ConfigError(error.given, "a formula", error.try_) from error
+
+
+def symbol(name: str) -> sp.Symbol:
+    """What stands for a state, an input or a parameter; both words for time are one."""
+    return sp.Symbol("time" if name == "t" else name, real=True)
+
+
+def checked_units(
+    given: SystemDefinition, rows: Sequence[Row], velocity: Mapping[str, str]
+) -> dict[str, str]:
+    """Name -> unit, once every equation has terms of one unit and of one size."""
+    states = {s.name: s.unit for s in given.states}
+    for name, rate in velocity.items():
+        if rate in states:
+            _agree(rate, states[rate], f"({states[name] or '1'})/s")
+    units = {**given.units, **dict.fromkeys(TIME, "s")}
+    for s in given.states:
+        units[s.name + FIRST] = f"({s.unit or '1'})/s"
+        units[s.name + SECOND] = f"({s.unit or '1'})/s^2"
+    walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
+    sizes = {n: size_of(u) for n, u in units.items()}
+    coherent = all(size == 1.0 for size in sizes.values())
+    for row in rows:
+        try:
+            walk.of(syntax.read(row.formula), row.formula)
+        except ConfigError as error:
+            raise ConfigError(
+                f"{row.place}: {primed(error.given.partition(': ')[2] or error.given)}",
+                error.expected,
+                "check the units; a number that has one goes to constants: {g: 9.81 m/s^2}",
+            ) from error
+        if not coherent:
+            _check_sizes(row, units, sizes)
+    return units
+
+
+def _agree(rate: str, unit: str, due: str) -> None:
+    if dimension(unit) != dimension(due) or abs(factor(unit or "1", due, rate) - 1) > 1e-9:
+        raise ConfigError(f"unit {unit!r} of {rate}", f"{short_form(due)}, for it is a rate")
+
+
+@lru_cache(maxsize=512)
+def size_of(unit: str) -> float:
+    """How many SI units one of these is."""
+    from spiral.types.units import registry
+
+    if not unit:
+        return 1.0
+    try:
+        return float(registry().Quantity(1.0, unit.replace("^", "**")).to_base_units().magnitude)
+    except Exception as error:  # degrees Celsius have an offset
+        raise ConfigError(f"unit {unit!r}", "one without an offset", "K for a temperature") from (
+            error
+        )
+
+
+def _check_sizes(row: Row, units: Mapping[str, str], sizes: Mapping[str, float]) -> None:
+    """Terms of one size: in SI units the whole equation is the same but for a factor."""
+    names = sorted(map(str, row.value.free_symbols))
+    function = sp.lambdify([symbol(n) for n in names], row.value, _PLAIN)
+    ratios = []
+    for draw in range(6):
+        values = [1.0 + 0.37 * ((7 * i + 3 * draw) % 5) for i in range(len(names))]
+        scaled = [v * sizes[n] for v, n in zip(values, names, strict=True)]
+        with contextlib.suppress(ArithmeticError, ValueError):  # a root or a logarithm below zero
+            ratios.append(function(*scaled) / function(*values))
+    if not ratios or max(ratios) - min(ratios) > 1e-9 * abs(ratios[0]):
+        uneven = [f"{primed(n)} in {short_form(units[n])}" for n in names if sizes[n] != 1.0]
+        raise ConfigError(
+            f"{row.place}, with {', '.join(uneven)}: numbers of terms that cannot be added",
+            "units that go together, for instance all SI",
+            "a file in other units is converted as it is read: record.units='{x: mm}'",
+        )
+
+
+_PLAIN = [
+    {"hypot": lambda a, b: (a * a + b * b) ** 0.5, "maximum": max, "minimum": min,
+     "where": lambda c, a, b: a if c else b},
+    "math",
+]  # fmt: skip
+
+
+def negative(value: Any) -> bool:
+    """Whether a factor is below zero, with all that it is made of above."""
+    positive = {s: sp.Symbol(str(s), positive=True) for s in value.free_symbols}
+    found = value.subs(positive)
+    return bool(found.is_negative) or (
+        found.is_negative is None and found.could_extract_minus_sign()
+    )

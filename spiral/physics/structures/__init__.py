@@ -1,0 +1,1 @@
+"""Linear structures by their matrices: read, reduced to a few coordinates, made into systems."""

@@ -1,0 +1,155 @@
+"""A reduced structure as text: what a system is made of, in a saved run and in other processes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.record import Array
+
+
+@dataclass(frozen=True)
+class StructureForm:
+    """Matrices of the coordinates, which are nodes first, then modes.
+
+    ``damping`` is C, or with ``by_ratio`` the matrix whose multiple by a ratio z gives every mode
+    of the reduced structure the damping z: 2 M V diag(w) V^T M with V^T M V = I.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    uses: tuple[tuple[str, ...], ...]
+    pairs: tuple[tuple[str, str, str], ...]
+    mass: Array
+    stiffness: Array
+    parts: dict[str, Array]
+    damping: Array
+    by_ratio: bool
+    ratio: float
+    gyroscopic: Array | None
+    report: str
+
+
+def described(
+    source: Any,
+    nodes: Any,
+    size: int,
+    band: Sequence[float],
+    pairs: Mapping[str, Any] | None,
+    damping_ratio: float,
+) -> str:
+    """The text of a structure from its matrices and its table of nodes, reduced.
+
+    Raises
+    ------
+    InputError, ConfigError : what cannot be used (``matrices``, ``reduction``).
+    """
+    from spiral.physics.structures.matrices import matrices_of, nodes_of
+    from spiral.physics.structures.reduction import reduced
+
+    matrices = matrices_of(source)
+    table = nodes_of(nodes, matrices["M"].shape[0])
+    sensors = [i for i, n in enumerate(table) if "sensor" in n.uses]
+    forces = [i for i, n in enumerate(table) if {"input", "port"} & {*n.uses}] or sensors
+    kept = [n.dof for n in table]
+    size = min(size, matrices["M"].shape[0])
+    if len(band) != 2 or not 0 <= band[0] < band[1]:
+        raise ConfigError(
+            f"band={list(band)}",
+            "the low and the high frequency in Hz between which the record says something",
+            "band=[0, 300]",
+        )
+    found = reduced(matrices, kept, size, (float(band[0]), float(band[1])), sensors, forces)
+    names = [n.name for n in table]
+    told = {
+        "names": [*names, *(f"mode_{i + 1}" for i in range(size - len(table)))],
+        "units": [*(n.unit for n in table), *["m"] * (size - len(table))],
+        "uses": [list(n.uses) for n in table],
+        "pairs": _pairs(pairs or {}, names),
+        "damping_ratio": float(damping_ratio),
+        "full": matrices["M"].shape[0],
+        "band_hz": list(found.band),
+        "response_error": found.response_error,
+        "frequency_error": found.frequency_error,
+        "highest_hz": found.highest,
+        "matrices": {k: m.tolist() for k, m in found.matrices.items()},
+    }
+    return json.dumps(told)
+
+
+def _pairs(given: Mapping[str, Any], names: list[str]) -> list[list[str]]:
+    found = []
+    for port, ends in given.items():
+        pair = list(map(str, ends)) if isinstance(ends, list | tuple) else [str(ends)]
+        for name in pair:
+            if name not in names:
+                raise ConfigError(f"pair {port}: {name!r}", f"of the nodes {', '.join(names)}",
+                                  did_you_mean(name, names))  # fmt: skip
+        if len(set(pair)) != 2:
+            raise ConfigError(
+                f"pair {port}: {pair}", "two nodes", f"{port}: [{', '.join(names[:2])}]"
+            )
+        found.append([str(port), *pair])
+    return found
+
+
+@lru_cache(maxsize=16)
+def structure_of(text: str) -> StructureForm:
+    """A structure from its text.
+
+    Raises
+    ------
+    ConfigError : a text that ``described`` did not make.
+    """
+    try:
+        given = json.loads(text)
+        matrices = {k: np.array(v, dtype=float) for k, v in given["matrices"].items()}
+        shapes = {m.shape for m in matrices.values()}
+        if shapes != {(len(given["names"]),) * 2}:
+            raise ValueError(f"matrices of shapes {shapes}")
+        damping, ratio = matrices.get("C"), float(given["damping_ratio"])
+        return StructureForm(
+            names=tuple(given["names"]),
+            units=tuple(given["units"]),
+            uses=tuple(map(tuple, given["uses"])),
+            pairs=tuple((str(p), str(a), str(b)) for p, a, b in given["pairs"]),
+            mass=matrices["M"],
+            stiffness=matrices["K"],
+            parts={k[2:]: m for k, m in matrices.items() if k.startswith("K_")},
+            damping=_by_ratio(matrices) if damping is None else damping,
+            by_ratio=damping is None,
+            ratio=ratio,
+            gyroscopic=matrices.get("G"),
+            report=_report(given),
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(
+            f"the text of a structure: {error}", "what spiral.structure made"
+        ) from error
+
+
+def _by_ratio(matrices: Mapping[str, Array]) -> Array:
+    from scipy.linalg import eigh
+
+    from spiral.physics.structures.reduction import whole_stiffness
+
+    mass = matrices["M"]
+    values, modes = eigh(whole_stiffness(matrices), mass)
+    sides = mass @ modes
+    return 2 * (sides * np.sqrt(np.maximum(values, 0))) @ sides.T
+
+
+def _report(given: Mapping[str, Any]) -> str:
+    low, high = given["band_hz"]
+    return (
+        f"{given['full']} degrees of freedom reduced to {len(given['names'])}: from {low:.4g} to "
+        f"{high:.4g} Hz the response is off by {100 * given['response_error']:.2g} %, natural "
+        f"frequencies by {100 * given['frequency_error']:.2g} % at most; the highest that is left "
+        f"is {given['highest_hz']:.4g} Hz"
+    )

@@ -1,0 +1,164 @@
+"""Mass, damping and stiffness matrices from files, and the table of their nodes."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from spiral.types.errors import ConfigError, InputError, did_you_mean
+
+NAMES = ("M", "K", "C", "G")
+"""Mass, stiffness, damping, gyroscopic matrix per rad/s; ``K_NAME`` are parts of the stiffness."""
+USES = ("sensor", "input", "port")
+_COLUMNS = ("name", "dof", "use", "unit")
+
+
+@dataclass(frozen=True)
+class Node:
+    """A degree of freedom that is kept: its row in the matrices, its unit, what it is used for."""
+
+    name: str
+    dof: int
+    uses: tuple[str, ...]
+    unit: str = "m"
+
+
+def matrices_of(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
+    """Sparse matrices by name.
+
+    Parameters
+    ----------
+    source : an NPZ or MAT file that holds them by name; or name -> array, sparse matrix, or a file
+        with one matrix (Matrix Market ``.mtx``, Harwell-Boeing ``.hb .rb .rua .rsa``).
+
+    Raises
+    ------
+    InputError : a file that cannot be read, no M or K, matrices that do not fit one another.
+    """
+    if isinstance(source, Mapping):
+        given = {k: _one(v) if isinstance(v, str | Path) else v for k, v in source.items()}
+    else:
+        given = _file(Path(source).expanduser())
+    found = {k: sparse.csc_matrix(v) for k, v in given.items() if _is_name(k)}
+    for name in ("M", "K"):
+        if name not in found:
+            raise InputError(
+                f"matrices {', '.join(map(str, given)) or 'none'}",
+                f"M and K, and where there are C, G and parts K_NAME; no {name} here",
+                "numpy.savez('beam.npz', M=mass, K=stiffness)",
+            )
+    _check(found)
+    return found
+
+
+def _is_name(name: str) -> bool:
+    return name in NAMES or (name.startswith("K_") and name[2:].isidentifier())
+
+
+def _file(path: Path) -> dict[str, Any]:
+    try:
+        if path.suffix.lower() == ".npz":
+            with np.load(path, allow_pickle=False) as file:
+                return {k: file[k] for k in file.files}
+        if path.suffix.lower() == ".mat":
+            from scipy.io import loadmat
+
+            return {k: v for k, v in loadmat(path).items() if not k.startswith("_")}
+    except Exception as error:  # the readers raise what their formats' parsers do
+        raise InputError(f"{path}: {error}", "an NPZ or MAT file with matrices") from error
+    raise InputError(
+        f"{path}", "an NPZ or MAT file", "{'M': 'm.mtx', 'K': 'k.mtx'} for single ones"
+    )
+
+
+def _one(path: str | Path) -> Any:
+    from scipy.io import hb_read, mmread
+
+    place = Path(path).expanduser()
+    try:
+        return mmread(place) if place.suffix.lower() == ".mtx" else hb_read(place)
+    except Exception as error:
+        raise InputError(f"{path}: {error}", "a Matrix Market or Harwell-Boeing file") from error
+
+
+def _check(found: Mapping[str, Any]) -> None:
+    size = found["M"].shape[0]
+    for name, matrix in found.items():
+        if matrix.shape != (size, size):
+            raise InputError(
+                f"{name} with {matrix.shape[0]} x {matrix.shape[1]} numbers",
+                f"{size} x {size}, as M has",
+            )
+        if not np.isfinite(matrix.data).all():
+            raise InputError(f"{name} with numbers that are not finite", "finite numbers")
+        gap = matrix + matrix.T if name == "G" else matrix - matrix.T
+        if abs(gap).max() > 1e-6 * abs(matrix).max():
+            raise InputError(
+                f"{name}, of which this does not hold",
+                "G = -G^T" if name == "G" else f"{name} = {name}^T",
+            )
+
+
+def nodes_of(source: str | Path | Mapping[str, Any], size: int) -> tuple[Node, ...]:
+    """The nodes that are kept.
+
+    Parameters
+    ----------
+    source : a CSV file with the columns ``name, dof, use`` and, where not all are in m, ``unit``;
+        or name -> ``{"dof": 12, "use": "sensor port"}``. ``dof`` counts from zero.
+    size : how many degrees of freedom there are.
+
+    Raises
+    ------
+    InputError, ConfigError : a table that cannot be used.
+    """
+    rows = _mapped(source) if isinstance(source, Mapping) else _table(Path(source).expanduser())
+    nodes = tuple(_node(row, size) for row in rows)
+    for what in ("name", "dof"):
+        values = [getattr(n, what) for n in nodes]
+        twice = [v for v in values if values.count(v) > 1]
+        if twice:
+            raise ConfigError(f"nodes with {what} {twice[0]} twice", f"each {what} once")
+    if not any("sensor" in n.uses for n in nodes):
+        raise ConfigError("nodes without a sensor", "use 'sensor' at one of them at least")
+    return nodes
+
+
+def _mapped(source: Mapping[str, Any]) -> list[dict[str, Any]]:
+    return [{"name": n, **(v if isinstance(v, Mapping) else {"dof": v})} for n, v in source.items()]
+
+
+def _table(path: Path) -> list[dict[str, Any]]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return list(csv.DictReader(file, skipinitialspace=True))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"table of nodes {str(path)!r}: {error}", "a CSV file") from error
+
+
+def _node(row: Mapping[str, Any], size: int) -> Node:
+    for key in row:
+        if key not in _COLUMNS:
+            raise ConfigError(
+                f"column {key!r} of nodes", f"{', '.join(_COLUMNS)}",
+                did_you_mean(str(key), _COLUMNS),
+            )  # fmt: skip
+    name, uses = str(row.get("name")), tuple(str(row.get("use") or "port").split())
+    try:
+        dof = int(str(row.get("dof")))
+    except ValueError:
+        dof = -1
+    if not 0 <= dof < size:
+        raise ConfigError(f"dof {row.get('dof')!r} of node {name}", f"a row from 0 to {size - 1}")
+    for use in uses:
+        if use not in USES:
+            raise ConfigError(
+                f"use {use!r} of node {name}", f"of {', '.join(USES)}", did_you_mean(use, USES)
+            )
+    return Node(name, dof, uses, str(row.get("unit") or "m"))

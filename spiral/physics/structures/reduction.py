@@ -1,0 +1,169 @@
+"""Craig and Bampton's reduction of a structure to the nodes that are kept and a few modes.
+
+    q = [q_b; q_i] = T [q_b; e],    T = [[I, 0], [-K_ii^-1 K_ib, P]],    K_ii p = w^2 M_ii p
+
+b the nodes that are kept, i the others, P the lowest modes with the kept nodes held, each scaled to
+its largest entry. Reduced matrices are T^T (.) T. (R. R. Craig, M. C. C. Bampton, AIAA Journal 6,
+1968, 1313-1319.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import eigh
+from scipy.sparse.linalg import eigsh, splu
+
+from spiral.types.errors import ConfigError
+from spiral.types.record import Array
+
+FREQUENCIES = 60  # of the comparison with the full structure
+_DENSE = 400  # up to so many others their modes are found by a dense solver
+_LOSS = 0.02  # loss factor of the comparison where no damping matrix is given
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Matrices of the kept nodes, then of the modes; and how far they are from the full ones.
+
+    ``response_error`` : rms over the band of |H_reduced - H|, over that of |H|, H the response of
+    the sensors to forces at inputs and ports. ``frequency_error`` : largest relative error of a
+    natural frequency inside the band. ``highest`` : largest natural frequency that is left, Hz.
+    """
+
+    matrices: dict[str, Array]
+    band: tuple[float, float]
+    response_error: float
+    frequency_error: float
+    highest: float
+
+
+def reduced(
+    matrices: Mapping[str, Any],
+    kept: Sequence[int],
+    size: int,
+    band: tuple[float, float],
+    sensors: Sequence[int],
+    forces: Sequence[int],
+) -> Reduced:
+    """The structure with ``size`` coordinates.
+
+    Parameters
+    ----------
+    matrices : sparse, by name (``matrices.NAMES``, parts ``K_NAME`` on top of K).
+    kept : rows of the nodes. sensors, forces : places among them.
+    band : low and high end of the comparison, Hz.
+
+    Raises
+    ------
+    ConfigError : fewer coordinates than nodes, or a structure that is loose with them held.
+    """
+    total = matrices["M"].shape[0]
+    if not len(kept) <= size <= total:
+        raise ConfigError(
+            f"size={size} of a structure of {total} with {len(kept)} kept nodes",
+            f"{len(kept)} to {total} coordinates",
+        )
+    basis = _basis(matrices, np.asarray(kept), size)
+    small = {k: basis.T @ (m @ basis) for k, m in matrices.items()}
+    small = {k: 0.5 * (m - m.T if k == "G" else m + m.T) for k, m in small.items()}
+    response, frequency, highest = _errors(matrices, small, np.asarray(kept), band, sensors, forces)
+    return Reduced(small, band, response, frequency, highest)
+
+
+def whole_stiffness(matrices: Mapping[str, Any]) -> Any:
+    """K with all its parts at their nominal size."""
+    return sum((m for k, m in matrices.items() if k.startswith("K_")), start=matrices["K"])
+
+
+def _basis(matrices: Mapping[str, Any], kept: Any, size: int) -> Array:
+    mass, stiffness = matrices["M"], sparse.csc_matrix(whole_stiffness(matrices))
+    total, count = mass.shape[0], size - len(kept)
+    others = np.setdiff1d(np.arange(total), kept)
+    basis = np.zeros((total, size))
+    basis[kept, np.arange(len(kept))] = 1.0
+    inner = sparse.csc_matrix(stiffness[others][:, others])
+    if len(others):
+        try:
+            held = splu(inner).solve(stiffness[others][:, kept].toarray())
+        except RuntimeError as error:
+            raise ConfigError(
+                "a structure that is loose where its kept nodes are held",
+                "a stiffness that holds every other node",
+                "keep a node of each part that can move freely",
+            ) from error
+        basis[np.ix_(others, np.arange(len(kept)))] = -held
+    if count:
+        modes = _modes(inner, sparse.csc_matrix(mass[others][:, others]), count)
+        basis[np.ix_(others, np.arange(len(kept), size))] = modes / np.abs(modes).max(axis=0)
+    return basis
+
+
+def _modes(stiffness: Any, mass: Any, count: int) -> Array:
+    """(n, count) lowest modes, of a definite sign."""
+    if stiffness.shape[0] <= max(_DENSE, 2 * count):
+        _, modes = eigh(stiffness.toarray(), mass.toarray(), subset_by_index=(0, count - 1))
+    else:
+        start = np.random.default_rng(0).normal(size=stiffness.shape[0])
+        values, modes = eigsh(stiffness, count, mass, sigma=0.0, v0=start)
+        modes = modes[:, np.argsort(values)]
+    largest = np.abs(modes).argmax(axis=0)
+    return modes * np.sign(modes[largest, np.arange(count)])
+
+
+# --- against the full structure ------------------------------------------------------------------
+
+
+def _errors(
+    full: Mapping[str, Any],
+    small: Mapping[str, Array],
+    kept: Any,
+    band: tuple[float, float],
+    sensors: Sequence[int],
+    forces: Sequence[int],
+) -> tuple[float, float, float]:
+    frequencies = np.linspace(*band, FREQUENCIES)
+    of_full = _response(full, kept[list(sensors)], kept[list(forces)], frequencies)
+    of_small = _response(
+        {k: sparse.csc_matrix(m) for k, m in small.items()}, sensors, forces, frequencies
+    )
+    response = float(np.sqrt(np.mean(np.abs(of_small - of_full) ** 2) / np.mean(abs(of_full) ** 2)))
+    found = np.sqrt(np.maximum(eigh(whole_stiffness(small), small["M"], eigvals_only=True), 0))
+    found = found / (2 * np.pi)
+    count = int(min(np.sum(found <= 1.2 * band[1]), full["M"].shape[0] - 2))
+    if not count:
+        return response, 0.0, float(found[-1])
+    true = _lowest(whole_stiffness(full), full["M"], count, band[1])
+    inside = true <= band[1]
+    gaps = np.abs(found[:count] - true)[inside] / np.maximum(true[inside], 1e-3 * band[1])
+    return response, float(gaps.max(initial=0.0)), float(found[-1])
+
+
+def _lowest(stiffness: Any, mass: Any, count: int, high: float) -> Array:
+    """The lowest natural frequencies, Hz, by a shift below zero, which lets rigid motions be."""
+    stiffness = sparse.csc_matrix(stiffness)
+    if stiffness.shape[0] <= _DENSE:
+        values = eigh(stiffness.toarray(), mass.toarray(), eigvals_only=True)[:count]
+    else:
+        shift = -((0.2 * np.pi * high) ** 2)
+        start = np.random.default_rng(0).normal(size=stiffness.shape[0])
+        values = eigsh(stiffness, count, mass, sigma=shift, v0=start, return_eigenvectors=False)
+    return np.sqrt(np.maximum(np.sort(values), 0)) / (2 * np.pi)
+
+
+def _response(matrices: Mapping[str, Any], sensors: Any, forces: Any, frequencies: Array) -> Array:
+    """(frequencies, sensors, forces) motion per force."""
+    stiffness, mass = whole_stiffness(matrices), matrices["M"]
+    damping = matrices.get("C")
+    unit = np.zeros((mass.shape[0], len(forces)), dtype=complex)
+    unit[list(forces), np.arange(len(forces))] = 1.0
+    found = []
+    for omega in 2 * np.pi * frequencies:
+        loss = 1j * _LOSS * stiffness if damping is None else 1j * omega * damping
+        moved = splu(sparse.csc_matrix(stiffness + loss - omega**2 * mass)).solve(unit)
+        found.append(moved[list(sensors)])
+    return np.array(found)

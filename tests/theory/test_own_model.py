@@ -1,0 +1,249 @@
+"""Models that users have: a right-hand side in Python, equations in a file."""
+
+import json
+import math
+import pickle
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from spiral_plugins.effects.restoring import ConstantLoad
+
+import spiral
+from spiral.io.config import build_system, compose
+from spiral.io.registry import NO_FOLDER, load_registry
+from spiral.io.storage import model_data, model_from
+from spiral.io.testing import check_system, failed
+from spiral.physics.compile import compile_model
+from spiral.physics.trace import trace
+from spiral.types.errors import SpiralError
+from spiral.types.model import seed_model
+
+
+def motor(t, x, u, p):
+    _, speed, current = x
+    return {
+        "w": (p["k"] * current - p.d * speed) / p.J,
+        "th": speed,
+        "i": (u[0] - p.R * current - p.k * speed) / p.L,
+    }
+
+
+MOTOR = {
+    "states": {"th": "rad", "w": "rad/s", "i": "A"},
+    "inputs": {"U": "V"},
+    "parameters": {
+        "k": (0.1, "N*m/A"), "d": (1e-3, "N*m*s"), "J": (1e-3, "kg*m^2"), "R": "2.0 ohm",
+        "L": {"value": 0.01, "unit": "H"},
+    },
+    "observed": ["w", "i"],
+}  # fmt: skip
+
+
+def cart(t, x, u, p):
+    th, w = x[1], x.w
+    own = p.M + p.m * np.sin(th) ** 2
+    push = u.F + p.m * np.sin(th) * (p.l * w**2 + 9.81 * np.cos(th))
+    turn = -u.F * np.cos(th) - p.m * p.l * w**2 * np.cos(th) * np.sin(th)
+    turn = turn - (p.M + p.m) * 9.81 * np.sin(th)
+    return np.array([x.v, w, push / own, turn / (p.l * own)])
+
+
+CART = {
+    "states": {"s": "m", "th": "rad", "v": "m/s", "w": "rad/s"},
+    "inputs": {"F": "N"},
+    "parameters": {"M": "1.0 kg", "m": "0.2 kg", "l": "0.5 m"},
+    "observed": ["s", "th"],
+    "mass": [["M + m", "m*l*cos(th)"], ["m*l*cos(th)", "m*l**2"]],
+}
+STIFFNESS = np.array([[0.0, 1.0], [-400.0, -2.0]])
+
+
+def corners(t, x, u):
+    bump = np.where(x.x > 0.1, 2.0 * np.abs(x.x), np.maximum(x.x_rate, 0.2))
+    bump = bump + np.hypot(1.0 * x.x, x.x_rate)
+    return STIFFNESS @ x + np.array([0, 3.0]) * np.sqrt(bump) + [0, u.F * np.exp(-((1.0 * t) ** 2))]
+
+
+CORNERS = {
+    "states": {"x": "", "x_rate": "1/s"},
+    "inputs": {"F": "1/s^2"},
+    "observed": ["x"],
+}
+CASES = {"motor": (motor, MOTOR), "cart": (cart, CART), "corners": (corners, CORNERS)}
+
+
+def rates(system, effects, values, states, inputs):
+    """The compiled rates by name."""
+    traced = trace(system, effects)
+    found = np.zeros(len(traced.states))
+    x, u = ([given[n] for n in names] for given, names in (
+        (states, traced.states), (inputs, traced.inputs)))  # fmt: skip
+    p = [values.get(k, q.start) for k, q in zip(traced.keys, traced.parameters, strict=True)]
+    compile_model(traced).rate_value(*(np.array(a, float) for a in (x, u, p)), found)
+    return dict(zip(traced.states, found, strict=True))
+
+
+@pytest.fixture(scope="module")
+def systems():
+    return {name: spiral.system(rhs, **given) for name, (rhs, given) in CASES.items()}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_compiled_rates_are_those_of_the_function(systems, name):
+    """Called with numbers and compiled from expressions, at states drawn at random."""
+    rhs, system = CASES[name][0], systems[name]
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        states = {s.name: float(rng.normal()) for s in system.states}
+        inputs = {i.name: float(rng.normal()) for i in system.inputs} | {"time": 0.4}
+        ordered = [states[n] for n in CASES[name][1]["states"]]
+        known = SimpleNamespace(**{p.name: p.start for p in system.parameters})
+        from spiral.physics.formulas.function import Values
+
+        given = (
+            0.4, Values(dict(zip(CASES[name][1]["states"], ordered, strict=True))),
+            Values({i.name: inputs[i.name] for i in system.inputs}), Values(vars(known)),
+        )  # fmt: skip
+        due = rhs(*given[: rhs.__code__.co_argcount])
+        if not isinstance(due, dict):
+            due = dict(zip(CASES[name][1]["states"], due, strict=True))
+        found = rates(system, (), {}, states, inputs)
+        assert found == pytest.approx({k: float(v) for k, v in due.items()}, rel=1e-12)
+
+
+def test_roles_ports_and_units_follow_from_the_equations(systems):
+    """The motor turns, its current is of first order; the cart's ports are forces and torques."""
+    roles = systems["motor"]
+    assert [c.name for c in roles.coordinates] == ["th"]
+    assert roles.rate_name("th") == "w"
+    assert [s.name for s in roles.others] == ["i"]
+    assert [(p.name, p.force_unit) for p in roles.ports] == [("th", "N*m")]
+    assert [(p.name, p.force_unit) for p in systems["cart"].ports] == [("s", "N"), ("th", "N*m")]
+    for name in ("motor", "cart"):
+        assert not failed(check_system(systems[name]))
+    labels = [e.label for e in load_registry(NO_FOLDER).candidates(systems["cart"], True)]
+    assert {"cubic_stiffness", "coulomb_friction@th"} <= {*labels}
+
+
+def test_a_force_at_a_port_acts_as_the_input_at_its_place(systems):
+    """M^-1 J^T F of one newton on the cart is what one newton of the input does, pole included."""
+    states = {"s": 0.1, "th": 0.7, "v": 0.3, "w": -0.4}
+    still, pushed = {"F": 0.0, "time": 0.0}, {"F": 1.0, "time": 0.0}
+    load = (ConstantLoad(),)
+    by_port = rates(systems["cart"], load, {"constant_load.force": 1.0}, states, still)
+    by_input = rates(systems["cart"], load, {"constant_load.force": 0.0}, states, pushed)
+    assert by_port == pytest.approx(by_input, rel=1e-9)
+
+
+def test_a_model_is_data_and_needs_its_function_no_more(systems):
+    """Pickled for a worker, and through the JSON of a saved run."""
+    system = systems["motor"]
+    assert pickle.loads(pickle.dumps(system)) == system
+    saved = json.loads(json.dumps(model_data(seed_model(system))))
+    again = model_from(saved, load_registry(NO_FOLDER))
+    assert again.system == system
+
+
+BARE = {"states": {"x": "m", "v": "m/s"}, "inputs": {"F": "N"}, "observed": ["x"],
+        "parameters": {"k": (4.0, "1/s^2")}}  # fmt: skip
+
+
+def decides(t, x):
+    if x.x > 0:
+        return [x.v, 0]
+    return [x.v, 1]
+
+
+def fills(t, x):
+    rates = np.zeros(2)
+    rates[0] = x.v
+    return rates
+
+
+@pytest.mark.parametrize(
+    ("rhs", "changed", "said"),
+    [
+        (decides, {}, ["decides(), line", "if x.x > 0:", "a decision by x > 0", "numpy.where"]),
+        (fills, {}, ["rates[0] = x.v", "a list in place of an array"]),
+        (lambda t, x: [x.v, math.sin(x.x)], {}, ["numpy.sin in place of math.sin"]),
+        (lambda t, x: [x.v, np.arctan(x.x)], {}, ["numpy.arctan", "one of sin"]),
+        (lambda t, x: [x.v, np.sign(x.v)], {}, ["a step", "numpy.tanh(v/w)"]),
+        (lambda t, x, u, p: [x.v, p.kk * x.x], {}, ["'kk'", "did you mean 'k'"]),
+        (lambda t, x: [x.v], {}, ["1 values", "x, v"]),
+        (lambda t, x, u, p: [x.v, -p.k * x.v], {}, ["k*v", "m/s^2", "1.0*x"]),
+        (lambda t, x, u, p: [x.v, -p.k * x.x], {"parameters": {"k": (4.0, "1/s^2", 0.1)}},
+         ["uncertainties of known parameters are not used"]),
+        (lambda t, x, u, p: [x.v, -p.k * x.x], {"observed": ["y"]}, ["observed: y"]),
+        (cart, {**CART, "mass": None}, ["M + m*sin(th)**2", "mass matrix"]),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_followed_is_said_with_its_line(rhs, changed, said):
+    with pytest.raises(SpiralError) as caught:
+        spiral.system(rhs, **{**BARE, **changed})
+    for words in said:
+        assert words in str(caught.value)
+
+
+TWO_MASSES = """\
+equations:
+  - m1*x'' + c1*x' + k1*x - c2*(z' - x') - k2*(z - x) = F
+  - -k2*(x - z) = m2*z'' - c2*(x' - z') + 2*k2*(z - x)
+states: {x: m, z: m}
+inputs: {F: {unit: N, interpolation: band_limited}}
+parameters:
+  m1: 1.0 kg
+  m2: [0.2, kg]
+  k1: {value: 400, unit: N/m, lower: 0}
+  c1: N*s/m
+  k2: 100 N/m
+  c2: 0.3 N*s/m
+free: [k1]
+observed: [x, z']
+ports: {coupling: z - x}
+"""
+
+
+def test_a_file_of_second_order_equations(tmp_path):
+    """m2 z'' = c2 (x' - z') + k2 (x - z), whatever side terms stand on; chosen as system=FILE."""
+    file = tmp_path / "two.yaml"
+    file.write_text(TWO_MASSES, encoding="utf-8")
+    registry = load_registry(NO_FOLDER)
+    system = build_system(compose([f"system={file}"], registry), registry)
+    states = {"x": 0.2, "z": 0.5, "x_rate": 0.1, "z_rate": -0.3}
+    values = {"system.k1": 400.0, "system.c1": 2.0}
+    found = rates(system, (), values, states, {"F": 7.0, "time": 0.0})
+    link = 0.3 * (-0.3 - 0.1) + 100 * 0.3
+    assert found["x_rate"] == pytest.approx(7.0 - 2.0 * 0.1 - 400 * 0.2 + link)
+    assert found["z_rate"] == pytest.approx((-0.3 * (-0.3 - 0.1) - 100 * 0.3) / 0.2)
+    assert system.observed == ("x", "z_rate")
+    assert system.defaults == {"system.k1": 400.0}
+    assert [p.name for p in system.ports] == ["coupling", "x", "z"]
+    model = seed_model(system)
+    assert {*model.active} == {"system.k1", "system.c1"}
+    assert not failed(check_system(spiral.system(file)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("k1*x -", "kk*x -", ["equation 1", "'kk'", "parameters: {kk: UNIT}"]),
+        ("2*k2*", "2*c2*", ["equation 2", "c2 * (z - x)", "beside", "kg*m/s^2"]),
+        ("m2: [0.2, kg]", "m2: 200 g", ["equation 2", "m2 in g", "all SI"]),
+        ("c2*(z' - x')", "c2*(z' - x')*os.x", ["equation 1", "nothing has a dot"]),
+        ("z - x}", "z - w}", ["port coupling: 'w'", "x, z"]),
+        ("{x: m, z: m}", "{x: m, z: m", ["line", "YAML"]),
+        ("free:", "fre:", ["fre", "did you mean 'free'"]),
+        ("m1*x''", "m1*x''**2", ["equation 1", "not linear in x''"]),
+        ("m1*x''", "m1*x'' + m2*z''", ["not symmetric"]),
+        ("N, interpolation: band_limited", "N, interpolation: linear", ["zero_order"]),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_is_refused_at_its_place(tmp_path, old, new, said):
+    assert old in TWO_MASSES
+    file = tmp_path / "two.yaml"
+    file.write_text(TWO_MASSES.replace(old, new), encoding="utf-8")
+    with pytest.raises(SpiralError) as caught:
+        spiral.system(file)
+    for words in (*said, *(["two.yaml"] if "YAML" not in said else [])):
+        assert words in str(caught.value)
