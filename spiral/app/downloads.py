@@ -83,13 +83,13 @@ def _report(session: Session, turn: Turn) -> str:
 
 
 def _latex(session: Session, turn: Turn) -> str:
-    from spiral.io.export import latex
+    from spiral.io.export.equation import latex
 
     return latex(_model(session, turn)) + "\n"
 
 
 def _equation(session: Session, turn: Turn) -> str:
-    from spiral.io.export import equation
+    from spiral.io.export.equation import equation
 
     return equation(_model(session, turn)) + "\n"
 

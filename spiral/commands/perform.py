@@ -21,7 +21,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     ------
     SpiralError : bad input; the caller makes it exit 2.
     """
-    from spiral.commands import estimate, foresight, plugins, report, study
+    from spiral.commands import estimate, export, foresight, plugins, report, study
     from spiral.io.custom import bound
     from spiral.io.registry import load_registry
 
@@ -34,6 +34,8 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
         return plugins.list_plugins(request, registry)
     if request.verb == "check":
         return plugins.check(request, registry, tell)
+    if request.verb == "export":
+        return export.export(request, registry)
     for failure in registry.failures:
         tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
     config = configured(request, registry)

@@ -1,0 +1,295 @@
+"""A model as every exported program is printed from it: names, units, values, expressions.
+
+    x' = f(t, x, u, p),    y = h(t, x, u, p),    and f_x, f_p, h_x, h_p
+
+Names, units and labels may come from a saved run of anyone: ``identifiers`` and ``plain`` are the
+only ways in which they get into a file.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import sympy as sp
+from sympy.printing.codeprinter import PrintMethodNotImplementedError
+
+from spiral.physics.trace import Traced, own_states, trace
+from spiral.types.errors import ConfigError
+from spiral.types.model import Model, pretty_unit
+from spiral.types.placement import TIME
+
+BETWEEN = {
+    "smooth": "a cubic spline through the samples",
+    "band_limited": "band-limited interpolation (polyphase FIR)",
+    "zero_order": "held until the next sample; at the jump itself the mean of both",
+}
+"""How an input runs between its samples in fits and free runs of this program."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """A state, input, reading or parameter; ``symbol`` stands for it in the expressions."""
+
+    name: str
+    unit: str
+    symbol: sp.Symbol
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Constant(Item):
+    """A parameter with its value and standard error (nothing where it was not fitted)."""
+
+    value: float = math.nan
+    error: float | None = None
+
+
+@dataclass(frozen=True)
+class Program:
+    """What a printer needs of a model; ``inputs`` include the rates that are used, not time.
+
+    ``rates`` names the input that each such rate belongs to, ``between`` how each input runs
+    between samples (a key of ``BETWEEN``).
+    """
+
+    title: str
+    origin: str
+    name: str
+    states: tuple[Item, ...]
+    inputs: tuple[Item, ...]
+    outputs: tuple[Item, ...]
+    parameters: tuple[Constant, ...]
+    time: sp.Symbol
+    rates: Mapping[str, str]
+    between: Mapping[str, str]
+    rate: tuple[sp.Expr, ...]
+    output: tuple[sp.Expr, ...]
+
+    @cached_property
+    def rate_x(self) -> list[list[sp.Expr]]:
+        """f_x, n rows of n."""
+        return slopes(self.rate, [s.symbol for s in self.states])
+
+    @cached_property
+    def rate_p(self) -> list[list[sp.Expr]]:
+        """f_p, n rows of as many as parameters."""
+        return slopes(self.rate, [p.symbol for p in self.parameters])
+
+    @cached_property
+    def output_x(self) -> list[list[sp.Expr]]:
+        """h_x, a row for each reading."""
+        return slopes(self.output, [s.symbol for s in self.states])
+
+    @cached_property
+    def output_p(self) -> list[list[sp.Expr]]:
+        """h_p, a row for each reading."""
+        return slopes(self.output, [p.symbol for p in self.parameters])
+
+
+def program(model: Model, origin: str = "") -> Program:
+    """A model ready for a printer; ``origin`` says in words where it comes from.
+
+    Raises
+    ------
+    ConfigError : a parameter without a finite value. PluginError : an equation that is not traced.
+    """
+    system, traced = model.system, trace(model.system, model.effects)
+    values = model.row("model", "fit it first, or give values={{'{}': 1.0}}")
+    rates = {f"{i.name}_rate": i.name for i in system.inputs if i.derivative}
+    return Program(
+        title=model.name,
+        origin=origin,
+        name=_word(system.plugin_name()) or "model",
+        states=_states(model, traced),
+        inputs=_inputs(model, traced, rates),
+        outputs=tuple(
+            Item(name, system.unit_of(name), sp.Symbol(f"y{i}", real=True), "reading")
+            for i, name in enumerate(traced.channels)
+        ),
+        parameters=tuple(
+            _constant(model, key, symbol, float(value))
+            for key, symbol, value in zip(traced.keys, traced.p, values, strict=True)
+        ),
+        time=traced.u[traced.inputs.index(TIME)],
+        rates=rates,
+        between={i.name: i.interpolation for i in system.inputs},
+        rate=tuple(map(_printable, traced.rate)),
+        output=tuple(map(_printable, traced.output)),
+    )
+
+
+def _states(model: Model, traced: Traced) -> tuple[Item, ...]:
+    system = model.system
+    units = {s.name: s.unit for s in system.states} | own_states(system, model.effects)
+    found = []
+    for name, symbol in zip(traced.states, traced.x, strict=True):
+        own = "of an effect" if "." in name else "hidden"
+        about = "measured" if name in system.observed else own
+        found.append(Item(name, pretty_unit(units[name]), symbol, about))
+    return tuple(found)
+
+
+def _inputs(model: Model, traced: Traced, rates: Mapping[str, str]) -> tuple[Item, ...]:
+    known = {i.name: i for i in model.system.inputs}
+    found = []
+    for name, symbol in zip(traced.inputs, traced.u, strict=True):
+        if name in rates:
+            unit = pretty_unit(f"({known[rates[name]].unit})/s")
+            found.append(Item(name, unit, symbol, f"time derivative of {rates[name]}"))
+        elif name != TIME:
+            how = BETWEEN[known[name].interpolation]
+            found.append(Item(name, known[name].unit, symbol, f"between samples: {how}"))
+    return tuple(found)
+
+
+def _constant(model: Model, key: str, symbol: sp.Symbol, value: float) -> Constant:
+    if not math.isfinite(value):
+        raise ConfigError(
+            f"{plain(key)} = {value}", "a number for every parameter", "export a run that converged"
+        )
+    error = model.errors.get(key)
+    known = error is not None and math.isfinite(error)
+    about = f"standard error {error:.4g}" if known else "no standard error"
+    return Constant(key, model.unit(key), symbol, about, value, error if known else None)
+
+
+# --- expressions ---------------------------------------------------------------------------------
+
+
+class _Magnitude(sp.Function):
+    """|a| of a real value, whose slope is its sign; SymPy's own asks whether it is real."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return _Direction(self.args[0])
+
+
+class _Direction(sp.Function):
+    """The sign of a real value, whose slope is zero."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return sp.Integer(0)
+
+
+class _Step(sp.Function):
+    """A rounded value (``floor``, ``ceiling``), whose slope is zero."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return sp.Integer(0)
+
+
+def slopes(values: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> list[list[sp.Expr]]:
+    """Exact derivatives, a row for each value; those of a corner as ``physics.emit`` takes them."""
+    found = []
+    given: Sequence[Any] = values
+    for value in given:
+        smooth: Any = value.replace(sp.Abs, _Magnitude).replace(sp.sign, _Direction)
+        for kind in (sp.floor, sp.ceiling):
+            smooth = smooth.replace(kind, lambda a, kind=kind: _Step(a, sp.Dummy(kind.__name__)))
+        free = smooth.free_symbols
+        row = [smooth.diff(s) if s in free else sp.Integer(0) for s in symbols]
+        found.append([_restored(entry) for entry in row])
+    return found
+
+
+def _restored(value: Any) -> sp.Expr:
+    """SymPy's own functions in place of those that are differentiated."""
+    rounded = {"floor": sp.floor, "ceiling": sp.ceiling}
+    value = value.replace(_Step, lambda a, kind: rounded[kind.name](a))
+    return value.replace(_Magnitude, sp.Abs).replace(_Direction, sp.sign)
+
+
+def _printable(value: Any) -> sp.Expr:
+    """The larger and the smaller of several as cases, whose slopes every language has."""
+    return sp.sympify(value).replace(
+        lambda e: isinstance(e, sp.Max | sp.Min), lambda e: e.rewrite(sp.Piecewise)
+    )
+
+
+def assignments(
+    values: Sequence[sp.Expr], write: Callable[[Any], Any], names: Mapping[sp.Symbol, str]
+) -> tuple[list[tuple[str, str]], list[str]]:
+    """(name, text) of common parts, each computed once, and the texts of the values.
+
+    Raises
+    ------
+    ConfigError : a function that the language has not.
+    """
+    named = [v.xreplace({s: sp.Symbol(n, real=True) for s, n in names.items()}) for v in values]
+    parts, left = sp.cse(named, symbols=sp.numbered_symbols("part_"), list=True, order="none")
+    try:
+        return [(s.name, write(e)) for s, e in parts], [write(e) for e in left]
+    except PrintMethodNotImplementedError as error:
+        raise ConfigError(
+            f"an equation with a function that this language has not ({error})",
+            "functions of spiral.math",
+            "another kind, or spiral.export(run, 'text')",
+        ) from error
+
+
+def used(values: Iterable[sp.Expr], items: Iterable[Item]) -> list[Item]:
+    """Those items that occur in expressions."""
+    free: set[Any] = set().union(*(v.free_symbols for v in values))
+    return [item for item in items if item.symbol in free]
+
+
+# --- names and texts -----------------------------------------------------------------------------
+
+
+def identifiers(items: Iterable[Item], reserved: Iterable[str] = ()) -> dict[sp.Symbol, str]:
+    """A name of ASCII letters, digits and underscores for each item, different from all others.
+
+    ``linear_stiffness@bearing_1.stiffness_x`` becomes ``linear_stiffness_bearing_1_stiffness_x``;
+    a word that is taken or reserved gets underscores behind it.
+    """
+    taken = {*reserved}
+    found: dict[sp.Symbol, str] = {}
+    for item in items:
+        word = _word(item.name) or "value"
+        if word.startswith("part_"):  # names of common parts
+            word = f"the_{word}"
+        while word in taken:
+            word += "_"
+        taken.add(word)
+        found[item.symbol] = word
+    return found
+
+
+def _word(text: str) -> str:
+    word = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")[:80]
+    return f"n{word}" if word[:1].isdigit() else word
+
+
+def plain(text: str) -> str:
+    """A text that ends no comment and no string in any language: one line, no quotes or escapes."""
+    one = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    one = one.replace("\\", "/").replace('"', "'").replace("'''", "' ' '")
+    one = re.sub(r"\?(?=\?)", "? ", one)
+    while "*/" in one or "/*" in one:
+        one = one.replace("*/", "* /").replace("/*", "/ *")
+    return one[:200]
+
+
+def described(found: Program) -> list[str]:
+    """What the head of a file says: what it is, its quantities, and what it leaves out."""
+    from spiral.version import __version__
+
+    source = f", {found.origin}" if found.origin else ""
+    lines = [f"{found.title}{source} (SPIRAL {__version__})", "",
+             "x' = f(t, x, u, p),   y = h(t, x, u, p),   t in s", ""]  # fmt: skip
+    for head, items in (("states x", found.states), ("inputs u", found.inputs),
+                        ("readings y", found.outputs)):  # fmt: skip
+        lines += [f"{head}:", *(_row(i.name, i.unit, i.about) for i in items), ""]
+    lines.append("parameters p:")
+    lines += [_row(p.name, p.unit, f"{p.value:.6g}, {p.about}") for p in found.parameters]
+    lines += ["", "Not in it: noise of the sensors and of the process, states at the start of a",
+              "record, and a correction of the phase where a fit made one."]  # fmt: skip
+    return [plain(line) if not line.startswith("  ") else f"  {plain(line)}" for line in lines]
+
+
+def _row(name: str, unit: str, about: str) -> str:
+    return f"  {name} [{unit or '1'}]  {about}"
