@@ -1,8 +1,12 @@
 """An exported program runs as we do: same inputs, same step, same motion, same Jacobians."""
 
 import ast
+import ctypes
 import importlib.util
 import json
+import re
+import shutil
+import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +16,7 @@ import sympy as sp
 
 import spiral
 from spiral.cli import main
+from spiral.engine.series import half_step_inputs
 from spiral.inference.simulate import integrate
 from spiral.io.export.kinds import KINDS
 from spiral.io.export.program import Item, identifiers, plain
@@ -21,6 +26,7 @@ from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model, seed_model
+from spiral.types.record import make_record
 
 REGISTRY = load_registry(local=False)
 CLOSE = 1e-8
@@ -49,6 +55,14 @@ class Machine:
     @property
     def traced(self):
         return trace(self.model.system, self.model.effects)
+
+    @property
+    def grid(self):
+        """Inputs and time at each half step."""
+        system = self.model.system
+        quiet = dict(zip(system.observed, self.readings.T, strict=True))
+        frame = make_record(system, "planned", TIME, quiet, self.inputs)
+        return half_step_inputs(system, frame, SUBSTEPS)
 
     @property
     def point(self):
@@ -194,3 +208,60 @@ def test_a_hostile_name_stays_a_text_in_python(hostile, tmp_path):
     module = module_of(text, tmp_path)
     assert f"cubic_stiffness#{EVIL}.stiffness" in module.PARAMETERS
     assert module.rhs(0.0, [2.0, 0.0], [0.0])[1] == -2 - 8
+
+
+needs_a_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc here")
+STRICT = ("-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic")
+
+
+def compiled(text, folder):
+    """The functions of a C file, by gcc without a single warning."""
+    (folder / "model.c").write_text(text, encoding="utf-8")
+    command = ["gcc", *STRICT, "-shared", "-fPIC", "-o", "model.so", "model.c", "-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return ctypes.CDLL(str(folder / "model.so"))
+
+
+def doubles(array):
+    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
+@needs_a_compiler
+def test_the_c_file_runs_as_we_do(machine, tmp_path):
+    library = compiled(spiral.export(machine.model, "c"), tmp_path)
+    name = machine.model.system.plugin_name()
+    call = {f: getattr(library, f"{name}_{f}") for f in (
+        "step", "readings", "jacobian", "readings_jacobian")}  # fmt: skip
+    p = ctypes.byref(ctypes.c_double.in_dll(library, f"{name}_estimates"))
+    double = ctypes.c_double
+    grid, step = machine.grid, (TIME[1] - TIME[0]) / SUBSTEPS
+    u = np.ascontiguousarray(grid[:, :-1])
+    x, y = machine.states[0].copy(), np.empty(machine.readings.shape[1])
+    states, readings = [], []
+    for k in range(SUBSTEPS * (len(TIME) - 1) + 1):
+        if k % SUBSTEPS == 0:
+            call["readings"](double(grid[2 * k, -1]), doubles(x), doubles(u[2 * k]), p, doubles(y))
+            states.append(x.copy())
+            readings.append(y.copy())
+        if 2 * k + 2 < len(u):
+            rows = u[2 * k : 2 * k + 3]
+            call["step"](double(grid[2 * k, -1]), double(step), doubles(rows), p, doubles(x))
+    same(states, machine.states)
+    same(readings, machine.readings)
+    x, u = machine.point
+    wanted = machine.jacobians
+    found = [np.full_like(w, np.nan) for w in wanted]
+    call["jacobian"](double(u[-1]), doubles(x), doubles(u), p, *map(doubles, found[:2]))
+    call["readings_jacobian"](double(u[-1]), doubles(x), doubles(u), p, *map(doubles, found[2:]))
+    for one, other in zip(found, wanted, strict=True):
+        same(one, other)
+    errors = ctypes.c_double.in_dll(library, f"{name}_standard_errors").value
+    assert errors == next(iter(machine.model.errors.values()))
+
+
+@needs_a_compiler
+def test_a_hostile_name_stays_a_comment_in_c(hostile, tmp_path):
+    text = spiral.export(hostile, "c")
+    compiled(text, tmp_path)
+    assert not re.search(r"\bevil\b", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL))

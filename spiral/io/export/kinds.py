@@ -47,10 +47,18 @@ def _python(model: Model, origin: str) -> str:
     return python(program(model, origin))
 
 
+def _c(model: Model, origin: str) -> str:
+    from spiral.io.export.c import c
+    from spiral.io.export.program import program
+
+    return c(program(model, origin))
+
+
 KINDS = {
     "text": Kind("the equation in plain Unicode", ".txt", _text),
     "latex": Kind("the equation as a LaTeX align environment", ".tex", _latex),
     "python": Kind("one Python module: NumPy, Jacobians, a free run", ".py", _python),
+    "c": Kind("one C99 file: libm, Jacobians, a Runge-Kutta step", ".c", _c),
 }
 
 
