@@ -9,6 +9,7 @@ import shutil
 import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ from spiral.cli import main
 from spiral.engine.series import half_step_inputs
 from spiral.inference.simulate import integrate
 from spiral.io.export.kinds import KINDS
-from spiral.io.export.program import Item, identifiers, plain
+from spiral.io.export.names import plain
+from spiral.io.export.program import Item, identifiers
 from spiral.io.registry import load_registry
 from spiral.io.storage import save_result
 from spiral.physics.compile import compile_model
@@ -178,6 +180,12 @@ def test_a_model_without_values_is_refused():
         spiral.export(seed_model(REGISTRY.make("system", "oscillator")), "python")
 
 
+def test_a_unit_that_is_none_is_refused():
+    model = seed_model(REGISTRY.make("system", "oscillator", {"position_unit": EVIL}))
+    with pytest.raises(ConfigError, match="a unit, such as"):
+        spiral.export(replace(model, values={k: 1.0 for k, _ in model.pairs}), "python")
+
+
 def test_identifiers_are_ascii_words_that_differ():
     names = ("a.b", "a@b", "for", "2nd", "*/ x", "température", "part_1")
     items = [Item(n, "", sp.Symbol(f"s{i}")) for i, n in enumerate(names)]
@@ -261,7 +269,109 @@ def test_the_c_file_runs_as_we_do(machine, tmp_path):
 
 
 @needs_a_compiler
-def test_a_hostile_name_stays_a_comment_in_c(hostile, tmp_path):
-    text = spiral.export(hostile, "c")
-    compiled(text, tmp_path)
-    assert not re.search(r"\bevil\b", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL))
+def test_a_hostile_name_compiles(hostile, tmp_path):
+    compiled(spiral.export(hostile, "c"), tmp_path)
+
+
+def test_the_casadi_file_runs_as_we_do(machine, tmp_path):
+    pytest.importorskip("casadi", reason="CasADi is not installed")
+    module = module_of(spiral.export(machine.model, "casadi"), tmp_path, "exported_casadi")
+    p, step = list(module.PARAMETERS.values()), (TIME[1] - TIME[0]) / SUBSTEPS
+    grid, x, states = machine.grid, machine.states[0], []
+    for k in range(SUBSTEPS * (len(TIME) - 1)):
+        if k % SUBSTEPS == 0:
+            states.append(np.array(x).ravel())
+        x = module.step(grid[2 * k, -1], step, x, grid[2 * k : 2 * k + 3, :-1].T, p)
+    same(np.array(states), machine.states[:-1])
+    x, u = machine.point
+    given = (u[-1], x, u[:-1], p)
+    slopes = (*module.jacobian(*given), *module.readings_jacobian(*given))
+    for found, wanted in zip(slopes, machine.jacobians, strict=True):
+        same(found.full(), wanted)
+    same(module.readings(*given).full(), rates_of(machine)[1])
+
+
+def rates_of(machine):
+    """f and h at the point, as the fit uses them."""
+    compiled, p = compile_model(machine.traced), machine.model.row("", "")
+    (x, u), found = machine.point, (np.empty(len(machine.traced.x)), machine.readings[0].copy())
+    compiled.rate_value(x, u, p, found[0])
+    compiled.output_value(x, u, p, found[1])
+    return found
+
+
+MATLAB = {".*": "*", "./": "/", ".^": "**", "~=": "!=", "&": " and ", "|": " or ", "~": " not "}
+CHOICES = {"pick": lambda condition, first, second: first if condition else second}
+
+
+def calculated(lines, marks, known):
+    """Lines NAME = EXPRESSION; of another language, whose operators are replaced by Python's."""
+    names = {**vars(np), **CHOICES, **known}
+    for line in lines:
+        name, _, text = line.strip().rstrip(";").partition(" = ")
+        for theirs, ours in marks.items():
+            text = text.replace(theirs, ours)
+        names[name] = eval(text, {}, names)
+    return names
+
+
+def test_the_matlab_file_says_what_is_integrated(machine):
+    """MATLAB and Octave are not here: the file's expressions are calculated by Python instead."""
+    text = spiral.export(machine.model, "matlab")
+    values = dict(re.findall(r"model\.parameters\.(\w+) = (\S+);", text))
+    assert list(map(float, values.values())) == list(machine.model.row("", ""))
+    x, u = machine.point
+    p = SimpleNamespace(**{k: float(v) for k, v in values.items()})
+    known = {"x": lambda i: x[i - 1], "u": lambda i: u[i - 1], "p": p, "t": u[-1]}
+    for name, array, wanted in zip(("rhs", "readings"), "fy", rates_of(machine), strict=True):
+        body = re.search(rf"= {name}\(.*?\n%.*?\n(.*?)\nend", text, re.DOTALL)[1].splitlines()
+        found = calculated([line for line in body if "zeros(" not in line], MATLAB, known)
+        same(np.array([found[f"{array}({i + 1})"] for i in range(len(wanted))]), wanted)
+
+
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="no Octave here")
+def test_octave_runs_the_matlab_file(machine, tmp_path):
+    name = machine.model.system.plugin_name()
+    spiral.export(machine.model, "matlab", tmp_path / f"{name}.m")
+    x, u = machine.point
+    ask = (
+        f"m = {name}(); printf('%.17g ', m.rhs({u[-1]}, {x.tolist()}, {u.tolist()}, m.parameters))"
+    )
+    done = subprocess.run(
+        ["octave-cli", "--eval", ask], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    same(np.array(done.stdout.split(), float), rates_of(machine)[0])
+
+
+def test_the_modelica_model_says_what_is_integrated(machine):
+    """No Modelica tool is here: the equations are calculated by Python instead."""
+    text = spiral.export(machine.model, "modelica")
+    values = dict(re.findall(r"parameter Real (\w+).*? = (\S+) \"", text))
+    assert list(map(float, values.values())) == list(machine.model.row("", ""))
+    x, u = machine.point
+    states = re.findall(r"^  Real (\w+)\(.*fixed = true\)", text, re.MULTILINE)
+    inputs = re.findall(r"^  input Real (\w+)", text, re.MULTILINE)
+    outputs = re.findall(r"^  output Real (\w+)", text, re.MULTILINE)
+    known = {k: float(v) for k, v in values.items()} | {"time": u[-1]}
+    known |= dict(zip(states, x, strict=True)) | dict(zip(inputs, u, strict=False))
+    marks = {"noEvent(if ": "pick(", "(if ": "pick(", " then ": ", ", " else ": ", ", "^": "**",
+             "<>": "!="}  # fmt: skip
+    found = calculated(text.split("equation\n")[1].split("end ")[0].splitlines(), marks, known)
+    rates, readings = rates_of(machine)
+    same(np.array([found[f"der({s})"] for s in states]), rates)
+    same(np.array([found[o] for o in outputs]), readings)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_hostile_name_is_nowhere_code(hostile, kind, tmp_path):
+    """Outside comments and strings its words are at most parts of an identifier."""
+    file = spiral.export(hostile, kind, tmp_path / "model")
+    text = file.read_text(encoding="utf-8")
+    assert "\u2028" not in text or kind == "text"
+    comments = {"c": r"/\*.*?\*/", "modelica": r'/\*.*?\*/|"[^"\n]*"',
+                "latex": r"\\text\{(\\.|[^}])*\}",
+                "matlab": r"%[^\n]*|'(''|[^'\n])*'"}  # fmt: skip
+    if kind in comments:
+        left = re.sub(comments[kind], "", text, flags=re.DOTALL)
+        assert not re.search(r"\bevil\b", left)
+        assert r"\input" not in text

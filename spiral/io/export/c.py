@@ -1,4 +1,4 @@
-"""A model as one C file: equations, readings, Jacobians, estimates in a struct, a Runge-Kutta step."""
+"""A model as one C file: equations, Jacobians, estimates in a struct, a Runge-Kutta step."""
 
 # ruff: noqa: N802  (SymPy's printers look methods up by class name)
 from __future__ import annotations
@@ -9,23 +9,26 @@ from typing import Any
 import sympy as sp
 from sympy.printing.c import C99CodePrinter, reserved_words, reserved_words_c99
 
+from spiral.io.export.names import plain
 from spiral.io.export.program import (
     Constant,
     Program,
     assignments,
     described,
+    entries,
     identifiers,
-    plain,
     used,
 )
 from spiral.io.writing import filled
 
 _MATHEMATICS = (
-    "acos acosh asin asinh atan atan2 atanh cbrt ceil copysign cos cosh erf erfc exp exp2 expm1 "
-    "fabs fdim floor fma fmax fmin fmod frexp hypot ilogb isfinite isinf isnan j0 j1 jn ldexp "
-    "lgamma log log10 log1p log2 logb lrint lround modf nan nearbyint pow remainder remquo rint "
-    "round scalbln scalbn signbit sin sinh sqrt tan tanh tgamma trunc y0 y1 yn"
-).split()
+    "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign",
+    "cos", "cosh", "erf", "erfc", "exp", "exp2", "expm1", "fabs", "fdim", "floor", "fma",
+    "fmax", "fmin", "fmod", "frexp", "hypot", "ilogb", "isfinite", "isinf", "isnan", "j0", "j1",
+    "jn", "ldexp", "lgamma", "log", "log10", "log1p", "log2", "logb", "lrint", "lround", "modf",
+    "nan", "nearbyint", "pow", "remainder", "remquo", "rint", "round", "scalbln", "scalbn",
+    "signbit", "sin", "sinh", "sqrt", "tan", "tanh", "tgamma", "trunc", "y0", "y1", "yn",
+)  # fmt: skip
 _RESERVED = (
     *reserved_words, *reserved_words_c99, *_MATHEMATICS, "linux", "unix",
     "t", "x", "u", "p", "f", "y", "by_x", "by_p",
@@ -82,12 +85,7 @@ def _values(found: Program, values: Sequence[sp.Expr], array: str) -> str:
 
 def _slopes(found: Program, by_x: list[list[sp.Expr]], by_p: list[list[sp.Expr]]) -> str:
     """Both matrices, entry by entry, zeros too."""
-    places = {
-        f"{name}[{i * len(row) + j}]": entry
-        for name, rows in (("by_x", by_x), ("by_p", by_p))
-        for i, row in enumerate(rows)
-        for j, entry in enumerate(row)
-    }
+    places = entries(by_x, by_p, lambda name, i, j, width: f"{name}[{i * width + j}]", zeros=True)
     unused = [name for name, rows in (("by_x", by_x), ("by_p", by_p)) if not any(rows)]
     return _body(found, places, unused)
 
@@ -107,6 +105,6 @@ def _body(found: Program, places: Mapping[str, sp.Expr], unused: Sequence[str] =
     unused = [*unused, *(["p"] if free.isdisjoint(fields) else [])]
     unused = [*unused, *([] if found.time in free else ["t"])]
     parts, texts = assignments(values, _Printer({"strict": True}).doprint, names)
-    lines = [*given, *(f"const double {name} = {text};" for name, text in parts)]
+    lines = [*given, *(f"const double {name} = {text};" for name, text, _ in parts)]
     lines += [f"{place} = {text};" for place, text in zip(places, texts, strict=True)]
     return "\n".join(f"    {line}" for line in [*(f"(void){name};" for name in unused), *lines])

@@ -40,25 +40,30 @@ def _latex(model: Model, origin: str) -> str:
     return latex(model)
 
 
-def _python(model: Model, origin: str) -> str:
-    from spiral.io.export.program import program
-    from spiral.io.export.python import python
+def _printed(name: str) -> Writer:
+    """The function ``spiral.io.export.NAME.NAME`` of a ``Program``, imported when it is asked."""
 
-    return python(program(model, origin))
+    def write(model: Model, origin: str) -> str | bytes:
+        from importlib import import_module
 
+        from spiral.io.export.program import program
 
-def _c(model: Model, origin: str) -> str:
-    from spiral.io.export.c import c
-    from spiral.io.export.program import program
+        printer = getattr(import_module(f"spiral.io.export.{name}"), name)
+        return printer(program(model, origin))
 
-    return c(program(model, origin))
+    return write
 
 
 KINDS = {
     "text": Kind("the equation in plain Unicode", ".txt", _text),
     "latex": Kind("the equation as a LaTeX align environment", ".tex", _latex),
-    "python": Kind("one Python module: NumPy, Jacobians, a free run", ".py", _python),
-    "c": Kind("one C99 file: libm, Jacobians, a Runge-Kutta step", ".c", _c),
+    "python": Kind("one Python module: NumPy, Jacobians, a free run", ".py", _printed("python")),
+    "c": Kind("one C99 file: libm, Jacobians, a Runge-Kutta step", ".c", _printed("c")),
+    "matlab": Kind(
+        "a MATLAB function file: Jacobians, a Runge-Kutta step", ".m", _printed("matlab")
+    ),
+    "modelica": Kind("a Modelica model", ".mo", _printed("modelica")),
+    "casadi": Kind("a Python file of CasADi functions", ".py", _printed("casadi")),
 }
 
 

@@ -2,31 +2,32 @@
 
     x' = f(t, x, u, p),    y = h(t, x, u, p),    and f_x, f_p, h_x, h_p
 
-Names, units and labels may come from a saved run of anyone: ``identifiers`` and ``plain`` are the
-only ways in which they get into a file.
+Names of anyone's run get into a file as ``identifiers`` and as ``described`` lines alone.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import sympy as sp
+from sympy.logic.boolalg import Boolean
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
+from spiral.io.export.names import plain, word
 from spiral.physics.trace import Traced, own_states, trace
 from spiral.types.errors import ConfigError
-from spiral.types.model import Model, pretty_unit
+from spiral.types.model import Model
 from spiral.types.placement import TIME
+from spiral.types.units import short_form
 
 BETWEEN = {
     "smooth": "a cubic spline through the samples",
     "band_limited": "band-limited interpolation (polyphase FIR)",
-    "zero_order": "held until the next sample; at the jump itself the mean of both",
+    "zero_order": "held until the next sample",
 }
 """How an input runs between its samples in fits and free runs of this program."""
 
@@ -104,11 +105,16 @@ def program(model: Model, origin: str = "") -> Program:
     return Program(
         title=model.name,
         origin=origin,
-        name=_word(system.plugin_name()) or "model",
+        name=word(system.plugin_name()) or "model",
         states=_states(model, traced),
         inputs=_inputs(model, traced, rates),
         outputs=tuple(
-            Item(name, system.unit_of(name), sp.Symbol(f"y{i}", real=True), "reading")
+            Item(
+                name,
+                _unit(lambda n=name: short_form(system.unit_of(n)), name),
+                sp.Symbol(f"y{i}", real=True),
+                "reading",
+            )
             for i, name in enumerate(traced.channels)
         ),
         parameters=tuple(
@@ -130,7 +136,7 @@ def _states(model: Model, traced: Traced) -> tuple[Item, ...]:
     for name, symbol in zip(traced.states, traced.x, strict=True):
         own = "of an effect" if "." in name else "hidden"
         about = "measured" if name in system.observed else own
-        found.append(Item(name, pretty_unit(units[name]), symbol, about))
+        found.append(Item(name, _unit(lambda n=name: short_form(units[n]), name), symbol, about))
     return tuple(found)
 
 
@@ -139,11 +145,18 @@ def _inputs(model: Model, traced: Traced, rates: Mapping[str, str]) -> tuple[Ite
     found = []
     for name, symbol in zip(traced.inputs, traced.u, strict=True):
         if name in rates:
-            unit = pretty_unit(f"({known[rates[name]].unit})/s")
+            unit = _unit(lambda n=name: short_form(f"({known[rates[n]].unit})/s"), name)
             found.append(Item(name, unit, symbol, f"time derivative of {rates[name]}"))
         elif name != TIME:
             how = BETWEEN[known[name].interpolation]
-            found.append(Item(name, known[name].unit, symbol, f"between samples: {how}"))
+            found.append(
+                Item(
+                    name,
+                    _unit(lambda n=name: short_form(known[n].unit), name),
+                    symbol,
+                    f"between samples: {how}",
+                )
+            )
     return tuple(found)
 
 
@@ -155,7 +168,18 @@ def _constant(model: Model, key: str, symbol: sp.Symbol, value: float) -> Consta
     error = model.errors.get(key)
     known = error is not None and math.isfinite(error)
     about = f"standard error {error:.4g}" if known else "no standard error"
-    return Constant(key, model.unit(key), symbol, about, value, error if known else None)
+    unit = _unit(lambda: model.unit(key), key)
+    return Constant(key, unit, symbol, about, value, error if known else None)
+
+
+def _unit(read: Callable[[], str], whose: str) -> str:
+    """A unit in its short form; only what is read as one gets into a file."""
+    try:
+        return read()
+    except Exception as error:  # pint's parser raises what Python's tokenizer does
+        raise ConfigError(
+            f"unit of {plain(whose)}: {plain(str(error))}", "a unit, such as 'kg*m^2' or 'rad/s'"
+        ) from error
 
 
 # --- expressions ---------------------------------------------------------------------------------
@@ -210,10 +234,18 @@ def _printable(value: Any) -> sp.Expr:
     )
 
 
+class Part(NamedTuple):
+    """A common part of expressions, computed once: its name, its text, and whether it is a case."""
+
+    name: str
+    text: str
+    logical: bool
+
+
 def assignments(
     values: Sequence[sp.Expr], write: Callable[[Any], Any], names: Mapping[sp.Symbol, str]
-) -> tuple[list[tuple[str, str]], list[str]]:
-    """(name, text) of common parts, each computed once, and the texts of the values.
+) -> tuple[list[Part], list[str]]:
+    """Common parts in the order in which they are needed, and the texts of the values.
 
     Raises
     ------
@@ -222,13 +254,35 @@ def assignments(
     named = [v.xreplace({s: sp.Symbol(n, real=True) for s, n in names.items()}) for v in values]
     parts, left = sp.cse(named, symbols=sp.numbered_symbols("part_"), list=True, order="none")
     try:
-        return [(s.name, write(e)) for s, e in parts], [write(e) for e in left]
+        return (
+            [Part(s.name, write(e), isinstance(e, Boolean)) for s, e in parts],
+            [write(e) for e in left],
+        )
     except PrintMethodNotImplementedError as error:
         raise ConfigError(
             f"an equation with a function that this language has not ({error})",
             "functions of spiral.math",
             "another kind, or spiral.export(run, 'text')",
         ) from error
+
+
+def entries(
+    by_x: list[list[sp.Expr]],
+    by_p: list[list[sp.Expr]],
+    place: Callable[[str, int, int, int], str],
+    zeros: bool = False,
+) -> dict[str, sp.Expr]:
+    """Where each entry of two Jacobians goes, and what it is; those that are zero where asked.
+
+    ``place`` writes where from the name, the row, the column and the width of a matrix.
+    """
+    return {
+        place(name, i, j, len(row)): entry
+        for name, rows in (("by_x", by_x), ("by_p", by_p))
+        for i, row in enumerate(rows)
+        for j, entry in enumerate(row)
+        if zeros or entry != 0
+    }
 
 
 def used(values: Iterable[sp.Expr], items: Iterable[Item]) -> list[Item]:
@@ -249,29 +303,14 @@ def identifiers(items: Iterable[Item], reserved: Iterable[str] = ()) -> dict[sp.
     taken = {*reserved}
     found: dict[sp.Symbol, str] = {}
     for item in items:
-        word = _word(item.name) or "value"
-        if word.startswith("part_"):  # names of common parts
-            word = f"the_{word}"
-        while word in taken:
-            word += "_"
-        taken.add(word)
-        found[item.symbol] = word
+        own = word(item.name) or "value"
+        if own.startswith("part_"):  # names of common parts
+            own = f"the_{own}"
+        while own in taken:
+            own += "_"
+        taken.add(own)
+        found[item.symbol] = own
     return found
-
-
-def _word(text: str) -> str:
-    word = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")[:80]
-    return f"n{word}" if word[:1].isdigit() else word
-
-
-def plain(text: str) -> str:
-    """A text that ends no comment and no string in any language: one line, no quotes or escapes."""
-    one = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    one = one.replace("\\", "/").replace('"', "'").replace("'''", "' ' '")
-    one = re.sub(r"\?(?=\?)", "? ", one)
-    while "*/" in one or "/*" in one:
-        one = one.replace("*/", "* /").replace("/*", "/ *")
-    return one[:200]
 
 
 def described(found: Program) -> list[str]:
