@@ -41,6 +41,15 @@ def short_form(unit: str) -> str:
     return text.replace("**", "^")
 
 
+def base_form(unit: str) -> tuple[float, dict[str, float]]:
+    """A difference of one unit as a factor and the exponents of kg, m, s, A, K, mol, cd, rad."""
+    one, found = (registry().Quantity(n, _parse(unit)).to_base_units() for n in (1.0, 2.0))
+    names = {"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K",
+             "mole": "mol", "candela": "cd", "radian": "rad"}  # fmt: skip
+    exponents = {names[str(k)]: float(v) for k, v in found.unit_items()}
+    return float(found.magnitude - one.magnitude), exponents
+
+
 def _parse(unit: str) -> Any:
     """A unit; where a port has none, its place in a relative unit is empty: ``()/()``."""
     import pint

@@ -7,7 +7,7 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,89 +17,32 @@ import sympy as sp
 
 import spiral
 from spiral.cli import main
-from spiral.engine.series import half_step_inputs
-from spiral.inference.simulate import integrate
 from spiral.io.export.kinds import KINDS
 from spiral.io.export.names import plain
 from spiral.io.export.program import Item, identifiers
-from spiral.io.registry import load_registry
 from spiral.io.storage import save_result
-from spiral.physics.compile import compile_model
-from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError
-from spiral.types.model import Model, seed_model
-from spiral.types.record import make_record
+from spiral.types.model import seed_model
+from tests.exported import (
+    EVIL,
+    MACHINES,
+    REGISTRY,
+    STEP,
+    SUBSTEPS,
+    TIME,
+    doubles,
+    hostile_model,
+    machine_of,
+    same,
+)
 
-REGISTRY = load_registry(local=False)
-CLOSE = 1e-8
-TIME = 0.01 * np.arange(80)
-SUBSTEPS = 4
-SHAKEN = {"force": np.random.default_rng(1).normal(size=len(TIME))}
-SPEED = {"speed": 60 - 30 * TIME, "phase": 60 * TIME - 15 * TIME**2}
-PUMPED = {"pump": 2 + np.sign(np.sin(9 * TIME))}
-FULL = {"upper": 3.0, "lower": 2.0}
-MACHINES = {  # an effect with states of its own and a late, shifted sensor; corners; a rotor; tanks
-    "hysteresis": ("oscillator", ("bouc_wen", "offset"), SHAKEN, {"x": 0.3}),
-    "corners": ("oscillator", ("clearance", "coulomb_friction"), SHAKEN, {"x": 0.3}),
-    "rotor": ("planar_rotor", ("gyroscopic", "crack"), SPEED, {"x": 1e-3}),
-    "tanks": ("cascaded_tanks", ("overflow", "sensor_saturation"), PUMPED, FULL),
-}
-
-
-@dataclass(frozen=True)
-class Machine:
-    model: Model
-    inputs: dict
-    start: dict
-    states: np.ndarray
-    readings: np.ndarray
-
-    @property
-    def traced(self):
-        return trace(self.model.system, self.model.effects)
-
-    @property
-    def grid(self):
-        """Inputs and time at each half step."""
-        system = self.model.system
-        quiet = dict(zip(system.observed, self.readings.T, strict=True))
-        frame = make_record(system, "planned", TIME, quiet, self.inputs)
-        return half_step_inputs(system, frame, SUBSTEPS)
-
-    @property
-    def point(self):
-        """A state, and the inputs with time behind them, at which Jacobians are compared."""
-        u = np.linspace(0.4, 1.3, len(self.traced.inputs))
-        return self.states[7] + 0.01, u
-
-    @property
-    def jacobians(self):
-        """f_x, f_p, h_x, h_p as the fit uses them."""
-        traced, (x, u) = self.traced, self.point
-        compiled, p = compile_model(traced), self.model.row("", "")
-        found = []
-        for function, rows in ((compiled.rate, len(x)), (compiled.output, len(traced.channels))):
-            by_x, by_p = np.zeros((rows, len(x))), np.zeros((rows, len(p)))
-            function(x, u, p, np.empty(rows), by_x, by_p)
-            found += [by_x, by_p]
-        return found
+TEXTS = [kind for kind in KINDS if kind != "fmu"]
+needs_a_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc here")
 
 
 @pytest.fixture(scope="module", params=MACHINES)
 def machine(request):
-    name, effects, inputs, start = MACHINES[request.param]
-    model = seed_model(
-        REGISTRY.make("system", name), tuple(map(REGISTRY.effect_from_label, effects))
-    )
-    values = {k: 0.2 + 0.1 * i for i, (k, _) in enumerate(model.pairs)}
-    model = replace(model, values=values, errors={next(iter(values)): 0.01})
-    return Machine(model, inputs, start, *integrate(model, TIME, inputs, start, SUBSTEPS))
-
-
-def same(found, wanted):
-    scale = np.abs(wanted).max() or 1.0
-    np.testing.assert_allclose(np.asarray(found).reshape(wanted.shape) / scale, wanted / scale,
-                               atol=CLOSE, rtol=0)  # fmt: skip
+    return machine_of(request.param)
 
 
 def module_of(text, folder, name="exported"):
@@ -144,7 +87,7 @@ def saved(hysteresis, tmp_path, monkeypatch):
     return save_result("discover", {}, hysteresis, {}, {}, REGISTRY, "runs")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*TEXTS, pytest.param("fmu", marks=needs_a_compiler)])
 def test_a_saved_run_is_exported(saved, kind, capsys):
     assert main(["export", saved[:20], "--to", kind, "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -193,24 +136,13 @@ def test_identifiers_are_ascii_words_that_differ():
     assert found == ["a_b", "a_b_", "for_", "n2nd", "x", "temp_rature", "the_part_1"]
 
 
-EVIL = '"; import os \\\n*/ evil() /* \'\'\'"""\r\u2028 %} ??/ \\input{evil} <evil> ]]> $(evil)'
-
-
-@pytest.fixture(scope="module")
-def hostile():
-    """A model as a run.json of anyone may name its parts: a label that holds code."""
-    effect = REGISTRY.effect_from_label("cubic_stiffness", {"variant": EVIL})
-    model = seed_model(REGISTRY.make("system", "oscillator"), (effect,))
-    return replace(model, values={k: 1.0 for k, _ in model.pairs})
-
-
 def test_texts_end_no_comment_and_no_string():
     marks = ('"', "\\", "*/", "/*", "\n", "\r", "\u2028", "'''", "??")
     assert not any(mark in plain(EVIL) for mark in marks)
 
 
-def test_a_hostile_name_stays_a_text_in_python(hostile, tmp_path):
-    text = spiral.export(hostile, "python")
+def test_a_hostile_name_stays_a_text_in_python(tmp_path):
+    text = spiral.export(hostile_model(), "python")
     calls = {ast.unparse(n.func) for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call)}
     assert "evil" not in calls
     module = module_of(text, tmp_path)
@@ -218,7 +150,6 @@ def test_a_hostile_name_stays_a_text_in_python(hostile, tmp_path):
     assert module.rhs(0.0, [2.0, 0.0], [0.0])[1] == -2 - 8
 
 
-needs_a_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc here")
 STRICT = ("-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic")
 
 
@@ -231,10 +162,6 @@ def compiled(text, folder):
     return ctypes.CDLL(str(folder / "model.so"))
 
 
-def doubles(array):
-    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-
-
 @needs_a_compiler
 def test_the_c_file_runs_as_we_do(machine, tmp_path):
     library = compiled(spiral.export(machine.model, "c"), tmp_path)
@@ -243,7 +170,7 @@ def test_the_c_file_runs_as_we_do(machine, tmp_path):
         "step", "readings", "jacobian", "readings_jacobian")}  # fmt: skip
     p = ctypes.byref(ctypes.c_double.in_dll(library, f"{name}_estimates"))
     double = ctypes.c_double
-    grid, step = machine.grid, (TIME[1] - TIME[0]) / SUBSTEPS
+    grid = machine.grid
     u = np.ascontiguousarray(grid[:, :-1])
     x, y = machine.states[0].copy(), np.empty(machine.readings.shape[1])
     states, readings = [], []
@@ -254,7 +181,7 @@ def test_the_c_file_runs_as_we_do(machine, tmp_path):
             readings.append(y.copy())
         if 2 * k + 2 < len(u):
             rows = u[2 * k : 2 * k + 3]
-            call["step"](double(grid[2 * k, -1]), double(step), doubles(rows), p, doubles(x))
+            call["step"](double(grid[2 * k, -1]), double(STEP), doubles(rows), p, doubles(x))
     same(states, machine.states)
     same(readings, machine.readings)
     x, u = machine.point
@@ -269,35 +196,26 @@ def test_the_c_file_runs_as_we_do(machine, tmp_path):
 
 
 @needs_a_compiler
-def test_a_hostile_name_compiles(hostile, tmp_path):
-    compiled(spiral.export(hostile, "c"), tmp_path)
+def test_a_hostile_name_compiles(tmp_path):
+    compiled(spiral.export(hostile_model(), "c"), tmp_path)
 
 
 def test_the_casadi_file_runs_as_we_do(machine, tmp_path):
     pytest.importorskip("casadi", reason="CasADi is not installed")
     module = module_of(spiral.export(machine.model, "casadi"), tmp_path, "exported_casadi")
-    p, step = list(module.PARAMETERS.values()), (TIME[1] - TIME[0]) / SUBSTEPS
+    p = list(module.PARAMETERS.values())
     grid, x, states = machine.grid, machine.states[0], []
     for k in range(SUBSTEPS * (len(TIME) - 1)):
         if k % SUBSTEPS == 0:
             states.append(np.array(x).ravel())
-        x = module.step(grid[2 * k, -1], step, x, grid[2 * k : 2 * k + 3, :-1].T, p)
+        x = module.step(grid[2 * k, -1], STEP, x, grid[2 * k : 2 * k + 3, :-1].T, p)
     same(np.array(states), machine.states[:-1])
     x, u = machine.point
     given = (u[-1], x, u[:-1], p)
     slopes = (*module.jacobian(*given), *module.readings_jacobian(*given))
     for found, wanted in zip(slopes, machine.jacobians, strict=True):
         same(found.full(), wanted)
-    same(module.readings(*given).full(), rates_of(machine)[1])
-
-
-def rates_of(machine):
-    """f and h at the point, as the fit uses them."""
-    compiled, p = compile_model(machine.traced), machine.model.row("", "")
-    (x, u), found = machine.point, (np.empty(len(machine.traced.x)), machine.readings[0].copy())
-    compiled.rate_value(x, u, p, found[0])
-    compiled.output_value(x, u, p, found[1])
-    return found
+    same(module.readings(*given).full(), machine.values(*machine.point)[1])
 
 
 MATLAB = {".*": "*", "./": "/", ".^": "**", "~=": "!=", "&": " and ", "|": " or ", "~": " not "}
@@ -323,7 +241,9 @@ def test_the_matlab_file_says_what_is_integrated(machine):
     x, u = machine.point
     p = SimpleNamespace(**{k: float(v) for k, v in values.items()})
     known = {"x": lambda i: x[i - 1], "u": lambda i: u[i - 1], "p": p, "t": u[-1]}
-    for name, array, wanted in zip(("rhs", "readings"), "fy", rates_of(machine), strict=True):
+    for name, array, wanted in zip(
+        ("rhs", "readings"), "fy", machine.values(*machine.point), strict=True
+    ):
         body = re.search(rf"= {name}\(.*?\n%.*?\n(.*?)\nend", text, re.DOTALL)[1].splitlines()
         found = calculated([line for line in body if "zeros(" not in line], MATLAB, known)
         same(np.array([found[f"{array}({i + 1})"] for i in range(len(wanted))]), wanted)
@@ -340,7 +260,7 @@ def test_octave_runs_the_matlab_file(machine, tmp_path):
     done = subprocess.run(
         ["octave-cli", "--eval", ask], cwd=tmp_path, capture_output=True, text=True, check=True
     )
-    same(np.array(done.stdout.split(), float), rates_of(machine)[0])
+    same(np.array(done.stdout.split(), float), machine.values(*machine.point)[0])
 
 
 def test_the_modelica_model_says_what_is_integrated(machine):
@@ -357,15 +277,15 @@ def test_the_modelica_model_says_what_is_integrated(machine):
     marks = {"noEvent(if ": "pick(", "(if ": "pick(", " then ": ", ", " else ": ", ", "^": "**",
              "<>": "!="}  # fmt: skip
     found = calculated(text.split("equation\n")[1].split("end ")[0].splitlines(), marks, known)
-    rates, readings = rates_of(machine)
+    rates, readings = machine.values(*machine.point)
     same(np.array([found[f"der({s})"] for s in states]), rates)
     same(np.array([found[o] for o in outputs]), readings)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_hostile_name_is_nowhere_code(hostile, kind, tmp_path):
+@pytest.mark.parametrize("kind", TEXTS)
+def test_a_hostile_name_is_nowhere_code(kind, tmp_path):
     """Outside comments and strings its words are at most parts of an identifier."""
-    file = spiral.export(hostile, kind, tmp_path / "model")
+    file = spiral.export(hostile_model(), kind, tmp_path / "model")
     text = file.read_text(encoding="utf-8")
     assert "\u2028" not in text or kind == "text"
     comments = {"c": r"/\*.*?\*/", "modelica": r'/\*.*?\*/|"[^"\n]*"',

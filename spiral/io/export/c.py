@@ -31,7 +31,7 @@ _MATHEMATICS = (
 )  # fmt: skip
 _RESERVED = (
     *reserved_words, *reserved_words_c99, *_MATHEMATICS, "linux", "unix",
-    "t", "x", "u", "p", "f", "y", "by_x", "by_p",
+    "t", "x", "u", "p", "f", "y", "by_x", "by_p", "rates", "outputs",
 )  # fmt: skip
 
 
@@ -65,8 +65,9 @@ def c(found: Program) -> str:
         errors=_initial((n, "NAN" if p.error is None else repr(p.error)) for n, p in rows),
         rhs=_values(found, found.rate, "f"),
         output=_values(found, found.output, "y"),
-        rhs_slopes=_slopes(found, found.rate_x, found.rate_p),
-        output_slopes=_slopes(found, found.output_x, found.output_p),
+        rhs_slopes=_slopes(found, by_x=found.rate_x, by_p=found.rate_p),
+        output_slopes=_slopes(found, by_x=found.output_x, by_p=found.output_p),
+        input_slopes=_slopes(found, rates=found.rate_u, outputs=found.output_u),
     )
 
 
@@ -83,11 +84,10 @@ def _values(found: Program, values: Sequence[sp.Expr], array: str) -> str:
     return _body(found, places)
 
 
-def _slopes(found: Program, by_x: list[list[sp.Expr]], by_p: list[list[sp.Expr]]) -> str:
-    """Both matrices, entry by entry, zeros too."""
-    places = entries(by_x, by_p, lambda name, i, j, width: f"{name}[{i * width + j}]", zeros=True)
-    unused = [name for name, rows in (("by_x", by_x), ("by_p", by_p)) if not any(rows)]
-    return _body(found, places, unused)
+def _slopes(found: Program, **matrices: list[list[sp.Expr]]) -> str:
+    """Matrices by the names of their arrays, entry by entry, zeros too."""
+    places = entries(matrices, lambda name, i, j, width: f"{name}[{i * width + j}]", zeros=True)
+    return _body(found, places, [name for name, rows in matrices.items() if not any(rows)])
 
 
 def _body(found: Program, places: Mapping[str, sp.Expr], unused: Sequence[str] = ()) -> str:

@@ -64,6 +64,7 @@ KINDS = {
     ),
     "modelica": Kind("a Modelica model", ".mo", _printed("modelica")),
     "casadi": Kind("a Python file of CasADi functions", ".py", _printed("casadi")),
+    "fmu": Kind("an FMU (FMI 2.0): source, and a binary of this machine", ".fmu", _printed("fmu")),
 }
 
 

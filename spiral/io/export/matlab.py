@@ -76,7 +76,9 @@ def _values(found: Program, values: Sequence[sp.Expr], array: str) -> str:
 
 
 def _slopes(found: Program, by_x: list[list[sp.Expr]], by_p: list[list[sp.Expr]]) -> str:
-    places = entries(by_x, by_p, lambda name, i, j, _: f"{name}({i + 1}, {j + 1})")
+    places = entries(
+        {"by_x": by_x, "by_p": by_p}, lambda name, i, j, _: f"{name}({i + 1}, {j + 1})"
+    )
     lines, texts = _computed(found, list(places.values()))
     lines += [f"by_x = zeros({len(by_x)}, {len(found.states)});",
               f"by_p = zeros({len(by_p)}, {len(found.parameters)});"]  # fmt: skip

@@ -1,6 +1,6 @@
 """A model as every exported program is printed from it: names, units, values, expressions.
 
-    x' = f(t, x, u, p),    y = h(t, x, u, p),    and f_x, f_p, h_x, h_p
+    x' = f(t, x, u, p),    y = h(t, x, u, p),    and f_x, f_p, f_u, h_x, h_p, h_u
 
 Names of anyone's run get into a file as ``identifiers`` and as ``described`` lines alone.
 """
@@ -80,6 +80,16 @@ class Program:
     def rate_p(self) -> list[list[sp.Expr]]:
         """f_p, n rows of as many as parameters."""
         return slopes(self.rate, [p.symbol for p in self.parameters])
+
+    @cached_property
+    def rate_u(self) -> list[list[sp.Expr]]:
+        """f_u, n rows of as many as inputs."""
+        return slopes(self.rate, [i.symbol for i in self.inputs])
+
+    @cached_property
+    def output_u(self) -> list[list[sp.Expr]]:
+        """h_u, a row for each reading."""
+        return slopes(self.output, [i.symbol for i in self.inputs])
 
     @cached_property
     def output_x(self) -> list[list[sp.Expr]]:
@@ -267,18 +277,17 @@ def assignments(
 
 
 def entries(
-    by_x: list[list[sp.Expr]],
-    by_p: list[list[sp.Expr]],
+    matrices: Mapping[str, list[list[sp.Expr]]],
     place: Callable[[str, int, int, int], str],
     zeros: bool = False,
 ) -> dict[str, sp.Expr]:
-    """Where each entry of two Jacobians goes, and what it is; those that are zero where asked.
+    """Where each entry of some Jacobians goes, and what it is; those that are zero where asked.
 
     ``place`` writes where from the name, the row, the column and the width of a matrix.
     """
     return {
         place(name, i, j, len(row)): entry
-        for name, rows in (("by_x", by_x), ("by_p", by_p))
+        for name, rows in matrices.items()
         for i, row in enumerate(rows)
         for j, entry in enumerate(row)
         if zeros or entry != 0

@@ -129,7 +129,7 @@ def _values(found: Program, values: Sequence[sp.Expr]) -> str:
 
 
 def _slopes(found: Program, by_x: list[list[sp.Expr]], by_p: list[list[sp.Expr]]) -> str:
-    places = entries(by_x, by_p, lambda name, i, j, _: f"{name}[{i}, {j}]")
+    places = entries({"by_x": by_x, "by_p": by_p}, lambda name, i, j, _: f"{name}[{i}, {j}]")
     lines, texts = _computed(found, list(places.values()))
     lines.append(f"by_x = np.zeros(({len(by_x)}, {len(found.states)}, *x.shape[1:]))")
     lines.append(f"by_p = np.zeros(({len(by_p)}, {len(found.parameters)}, *x.shape[1:]))")
