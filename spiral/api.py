@@ -11,10 +11,11 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 from spiral.inference.problem import Problem, Progress, Settings
 from spiral.io import question
+from spiral.io.export.kinds import export as export
 from spiral.io.registry import Registry, load_registry
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, did_you_mean
@@ -266,34 +267,6 @@ def report(run: Run, path: str | Path = "report.html") -> Path:
     html, _ = page(saved_form(run), curves_of(run))
     write_whole(target, html)
     return target
-
-
-@overload
-def export(model: Model | Run, to: str = "text", path: None = None) -> str: ...
-@overload
-def export(model: Model | Run, to: str, path: str | Path) -> Path: ...
-def export(model: Model | Run, to: str = "text", path: str | Path | None = None) -> str | Path:
-    """A model as an equation or a program that needs nothing of this one.
-
-    Parameters
-    ----------
-    to : ``text`` in plain Unicode, ``latex``, or a program; all are in ``KINDS`` of
-        ``spiral.io.export.kinds``.
-    path : a file to write, whose path is returned; without it the text is.
-
-    Raises
-    ------
-    ConfigError : an unknown kind, one that is no text without a path, or a model that cannot be
-        written so. InputError : a file that cannot be written.
-    """
-    from spiral.io.export.kinds import exported_text, write_export
-
-    run = model if isinstance(model, Run) else None
-    origin = f"run {run.run_id}" if run and run.run_id else ""
-    known = model.model if isinstance(model, Run) else model
-    if path is None:
-        return exported_text(known, to, origin)
-    return write_export(known, to, path, origin)
 
 
 def load(run: str = "latest", folder: str | Path = "runs", *, plugins: Plugins = None) -> Model:

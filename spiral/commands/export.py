@@ -22,7 +22,8 @@ def export(request: Request, registry: Registry) -> Outcome:
         a local plugin that is not the one that the run recorded.
     InputError : a file that cannot be written.
     """
-    from spiral.io.export.kinds import KINDS, kind_of, write_export
+    from spiral.io.export.kinds import KINDS, kind_of
+    from spiral.io.export.kinds import export as written
     from spiral.io.overrides import parse
     from spiral.io.storage import load_run
 
@@ -42,7 +43,7 @@ def export(request: Request, registry: Registry) -> Outcome:
     model = saved.model(registry)
     beside = saved.file.with_name(f"{model.system.plugin_name()}{kind.suffix}")
     origin = f"run {saved.run_id}"
-    target = write_export(model, request.to, request.out or beside, origin)
+    target = written(model, request.to, request.out or beside, origin)
     result = {"run": saved.run_id, "to": request.to, "meaning": kind.meaning, "file": str(target),
               "bytes": target.stat().st_size}  # fmt: skip
     return Outcome(OK, result, {"request": request})

@@ -9,23 +9,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 
 if TYPE_CHECKING:
     from spiral.types.model import Model
+    from spiral.types.run import Run
 
 Writer = Callable[["Model", str], str | bytes]
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What is written, with which suffix, by which function."""
+    """What is written, under which name and suffix, by which function; ``archive`` is no text."""
 
+    label: str
     meaning: str
     suffix: str
     write: Writer
+    archive: bool = False
 
 
 def _text(model: Model, origin: str) -> str:
@@ -55,47 +58,65 @@ def _printed(name: str) -> Writer:
 
 
 KINDS = {
-    "text": Kind("the equation in plain Unicode", ".txt", _text),
-    "latex": Kind("the equation as a LaTeX align environment", ".tex", _latex),
-    "python": Kind("one Python module: NumPy, Jacobians, a free run", ".py", _printed("python")),
-    "c": Kind("one C99 file: libm, Jacobians, a Runge-Kutta step", ".c", _printed("c")),
-    "matlab": Kind(
-        "a MATLAB function file: Jacobians, a Runge-Kutta step", ".m", _printed("matlab")
+    "text": Kind("Equation", "the equation in plain Unicode", ".txt", _text),
+    "latex": Kind("LaTeX", "the equation as a LaTeX align environment", ".tex", _latex),
+    "python": Kind(
+        "Python", "one Python module: NumPy, Jacobians, a free run", ".py", _printed("python")
     ),
-    "modelica": Kind("a Modelica model", ".mo", _printed("modelica")),
-    "casadi": Kind("a Python file of CasADi functions", ".py", _printed("casadi")),
-    "fmu": Kind("an FMU (FMI 2.0): source, and a binary of this machine", ".fmu", _printed("fmu")),
+    "c": Kind("C", "one C99 file: libm, Jacobians, a Runge-Kutta step", ".c", _printed("c")),
+    "fmu": Kind(
+        "FMU", "FMI 2.0: source, and a binary of this machine", ".fmu", _printed("fmu"), True
+    ),
+    "matlab": Kind(
+        "MATLAB", "a function file: Jacobians, a Runge-Kutta step", ".m", _printed("matlab")
+    ),
+    "modelica": Kind("Modelica", "a Modelica model", ".mo", _printed("modelica")),
+    "casadi": Kind("CasADi", "a Python file of CasADi functions", "_casadi.py", _printed("casadi")),
 }
 
 
-def exported_text(model: Model, to: str, origin: str = "") -> str:
-    """A model in one of the ``KINDS`` that are text; ``origin`` says where it comes from.
+@overload
+def export(model: Model | Run, to: str = "text", path: None = None, origin: str = "") -> str: ...
+@overload
+def export(model: Model | Run, to: str, path: str | Path, origin: str = "") -> Path: ...
+def export(
+    model: Model | Run, to: str = "text", path: str | Path | None = None, origin: str = ""
+) -> str | Path:
+    """A model as an equation, or as a program that needs nothing of this one.
+
+    Parameters
+    ----------
+    to : ``text`` (plain Unicode), ``latex``, ``python``, ``c``, ``matlab``, ``modelica``,
+        ``casadi``, ``fmu``.
+    path : the file to write, whole or not at all; its path is returned. Without it the text is.
+    origin : where the model comes from, in words; of a saved run its id.
 
     Raises
     ------
-    ConfigError : an unknown kind, an archive, or a model that cannot be written so.
+    ConfigError : an unknown kind, an archive without a path, or a model that cannot be written so.
+    InputError : a file that cannot be written.
     """
-    content = kind_of(to).write(model, origin)
-    if isinstance(content, str):
-        return content
-    raise ConfigError(
-        f"export to {to} as a text", "a file for it", f"path='model{KINDS[to].suffix}'"
-    )
+    from spiral.types.run import Run
 
-
-def write_export(model: Model, to: str, path: str | Path, origin: str = "") -> Path:
-    """A model in one of ``KINDS`` as a file, written whole or not at all; returns its path.
-
-    Raises
-    ------
-    ConfigError : an unknown kind, or a model that cannot be written so. InputError : a file that
-        cannot be written.
-    """
-    from spiral.io.writing import write_whole
-
-    target, content = Path(path).expanduser(), kind_of(to).write(model, origin)
+    kind = kind_of(to)
+    if path is None and kind.archive:
+        raise ConfigError(
+            f"export to {to} as a text", "a file for it", f"path='model{kind.suffix}'"
+        )
+    if isinstance(model, Run):
+        origin = origin or (f"run {model.run_id}" if model.run_id else "")
+        model = model.model
+    content = kind.write(model, origin)
+    if path is None:
+        return str(content)
     if isinstance(content, str):
         content = content.rstrip("\n") + "\n"
+    return _written(Path(path).expanduser(), content)
+
+
+def _written(target: Path, content: str | bytes) -> Path:
+    from spiral.io.writing import write_whole
+
     try:
         write_whole(target, content)
     except OSError as error:
