@@ -28,6 +28,9 @@ _RESERVED = (*_WORDS, "t", "x", "u", "p", "f", "y", "by_x", "by_p", "pick")
 class _Printer(OctaveCodePrinter):
     """Cases by a function of two values: a product with the condition makes NaN of 0 times Inf."""
 
+    def _print_Float(self, expr: sp.Float) -> str:
+        return repr(float(expr))
+
     def _print_Piecewise(self, expr: Any) -> str:
         text = "NaN"
         for value, condition in reversed(expr.args):
