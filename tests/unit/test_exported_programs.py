@@ -36,7 +36,7 @@ from tests.exported import (
     same,
 )
 
-TEXTS = [kind for kind in KINDS if kind != "fmu"]
+TEXTS = [name for name, kind in KINDS.items() if not kind.archive]
 needs_a_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc here")
 
 

@@ -43,15 +43,15 @@ def _latex(model: Model, origin: str) -> str:
     return latex(model)
 
 
-def _printed(name: str) -> Writer:
-    """The function ``spiral.io.export.NAME.NAME`` of a ``Program``, imported when it is asked."""
+def _printed(name: str, module: str = "") -> Writer:
+    """The function NAME of a ``Program`` in the module of that name, imported when it is asked."""
 
     def write(model: Model, origin: str) -> str | bytes:
         from importlib import import_module
 
         from spiral.io.export.program import program
 
-        printer = getattr(import_module(f"spiral.io.export.{name}"), name)
+        printer = getattr(import_module(f"spiral.io.export.{module or name}"), name)
         return printer(program(model, origin))
 
     return write
@@ -67,6 +67,7 @@ KINDS = {
     "fmu": Kind(
         "FMU", "FMI 2.0: source, and a binary of this machine", ".fmu", _printed("fmu"), True
     ),
+    "fmu3": Kind("FMU, FMI 3.0", "the same for FMI 3.0", "_3.fmu", _printed("fmu3", "fmu"), True),
     "matlab": Kind(
         "MATLAB", "a function file: Jacobians, a Runge-Kutta step", ".m", _printed("matlab")
     ),
@@ -87,7 +88,7 @@ def export(
     Parameters
     ----------
     to : ``text`` (plain Unicode), ``latex``, ``python``, ``c``, ``matlab``, ``modelica``,
-        ``casadi``, ``fmu``.
+        ``casadi``, ``fmu`` and ``fmu3``.
     path : the file to write, whole or not at all; its path is returned. Without it the text is.
     origin : where the model comes from, in words; of a saved run its id.
 
