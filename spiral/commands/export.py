@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from spiral.commands.study import Tell
 from spiral.io.request import OK, Outcome, Request
 from spiral.types.errors import ConfigError, did_you_mean
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 _KEYS = ("run", "out")
 
 
-def export(request: Request, registry: Registry) -> Outcome:
+def export(request: Request, registry: Registry, tell: Tell) -> Outcome:
     """One file, by default in the folder of the run and named after its system.
 
     Raises
@@ -43,6 +44,7 @@ def export(request: Request, registry: Registry) -> Outcome:
     model = saved.model(registry)
     beside = saved.file.with_name(f"{model.system.plugin_name()}{kind.suffix}")
     origin = f"run {saved.run_id}"
+    tell(f"writing {kind.label}")
     target = written(model, request.to, request.out or beside, origin)
     result = {"run": saved.run_id, "to": request.to, "meaning": kind.meaning, "file": str(target),
               "bytes": target.stat().st_size}  # fmt: skip

@@ -34,10 +34,10 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
         return plugins.list_plugins(request, registry)
     if request.verb == "check":
         return plugins.check(request, registry, tell)
-    if request.verb == "export":
-        return export.export(request, registry)
     for failure in registry.failures:
         tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
+    if request.verb == "export":
+        return export.export(request, registry, tell)
     config = configured(request, registry)
     registry = bound(config, registry)
     steps = {

@@ -30,7 +30,8 @@ _MATHEMATICS = (
     "signbit", "sin", "sinh", "sqrt", "tan", "tanh", "tgamma", "trunc", "y0", "y1", "yn",
 )  # fmt: skip
 _RESERVED = (
-    *reserved_words, *reserved_words_c99, *_MATHEMATICS, "linux", "unix",
+    *reserved_words, *reserved_words_c99, *_MATHEMATICS, "linux", "unix", "bool", "true", "false",
+    "NAN", "INFINITY", "HUGE_VAL", "NULL", "errno",
     "t", "x", "u", "p", "f", "y", "by_x", "by_p", "rates", "outputs",
 )  # fmt: skip
 

@@ -9,7 +9,7 @@ from typing import Any
 import sympy as sp
 from sympy.printing.str import StrPrinter
 
-from spiral.io.export.names import latex_text
+from spiral.io.export.names import latex_text, plain
 from spiral.physics.trace import Traced, trace
 from spiral.types.effect import SensorEffect
 from spiral.types.model import Model
@@ -74,7 +74,7 @@ def equation(model: Model) -> str:
     blocks = []
     for item in equations(model)[0]:
         left = _left(item.left)
-        lines = [(_signed(t.value), t.owner or "system") for t in item.terms] or [("0", "")]
+        lines = [(_signed(t.value), plain(t.owner or "system")) for t in item.terms] or [("0", "")]
         wide = min(max(len(text) for text, _ in lines), 60)
         pad = " " * (len(left) + 3)
         lines[0] = (lines[0][0].removeprefix("+ "), lines[0][1])

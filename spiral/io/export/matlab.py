@@ -23,6 +23,7 @@ _WORDS = (
     "zeros",
 )  # fmt: skip
 _RESERVED = (*_WORDS, "t", "x", "u", "p", "f", "y", "by_x", "by_p", "pick")
+_FUNCTIONS = ("model", "rhs", "readings", "jacobian", "readings_jacobian", "step")
 
 
 class _Printer(OctaveCodePrinter):
@@ -53,7 +54,7 @@ def matlab(found: Program) -> str:
         errors.append(f"model.standard_errors.{name} = {error};")
     return filled(
         "export_matlab",
-        name=found.name,
+        name=f"{found.name}_" if found.name in (*_RESERVED, *_FUNCTIONS) else found.name,
         head="\n".join(f"% {line}".rstrip() for line in described(found)),
         states=_cell(s.name for s in found.states),
         inputs=_cell(i.name for i in found.inputs),

@@ -57,8 +57,8 @@ class PythonPrinter(NumPyPrinter):
         name = fqn.rsplit(".", 1)[-1]
         return f"{self._library.name}.{self._library.renamed.get(name, name)}"
 
-    def _print_Float(self, e: Any) -> str:
-        return repr(float(e))
+    def _print_Float(self, expr: Any) -> str:
+        return repr(float(expr))
 
     def _print_Piecewise(self, expr: Any) -> str:
         cases = self._module_format(self._library.cases)
