@@ -9,6 +9,7 @@ import spiral
 from spiral.engine.kernel import trajectories
 from spiral.physics.compile import compile_model
 from spiral.types.errors import ConfigError
+from spiral.types.units import base_form
 from tests.exported import (
     STEP,
     SUBSTEPS,
@@ -235,6 +236,22 @@ def test_a_hostile_name_is_a_text_in_the_description(kind, tmp_path):
     assert validate_fmu(str(file)) == []
     names = [v.name for v in fmpy.read_model_description(str(file)).modelVariables]
     assert any("evil()" in name and '"' not in name for name in names)
+
+
+@pytest.mark.parametrize(
+    ("unit", "base"),
+    [
+        ("mN/um", (1e3, {"kg": 1, "s": -2})),
+        ("degC", (1.0, {"K": 1})),
+        ("rad/s", (1.0, {"rad": 1, "s": -1})),
+        ("V^0.5/s", None),
+        ("count", None),
+        ("dB", None),
+    ],
+)
+def test_units_have_their_base_form(unit, base):
+    found = base_form(unit)
+    assert found == (base and (pytest.approx(base[0]), base[1]))
 
 
 def test_without_a_compiler_it_is_refused(monkeypatch):

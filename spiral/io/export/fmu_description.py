@@ -149,16 +149,16 @@ def _unknowns(rows: list[_Variable]) -> tuple[list[int], list[int]]:
 
 
 def _units(root: Xml.Element, found: Program) -> None:
-    """Units with their base units; those with broken exponents by name alone."""
+    """Units with their base units; those that have no such form by name alone."""
     items = (*found.states, *found.inputs, *found.outputs, *found.parameters)
     rates = (_rate_unit(s) for s in found.states)
     place = Xml.SubElement(root, "UnitDefinitions")
     for unit in dict.fromkeys(filter(None, ("s", *(i.unit for i in items), *rates))):
-        factor, exponents = base_form(unit)
-        written = Xml.SubElement(place, "Unit", name=plain(unit))
-        if all(e.is_integer() for e in exponents.values()):
-            base = {k: str(int(e)) for k, e in exponents.items()}
-            Xml.SubElement(written, "BaseUnit", base | {"factor": repr(factor)})
+        written, base = Xml.SubElement(place, "Unit", name=plain(unit)), base_form(unit)
+        if base is not None:
+            factor, powers = base
+            powers = {name: str(power) for name, power in powers.items()}
+            Xml.SubElement(written, "BaseUnit", powers | {"factor": repr(factor)})
 
 
 def _rate_unit(state: Item) -> str:
