@@ -241,12 +241,19 @@ def test_the_matlab_file_says_what_is_integrated(machine):
     x, u = machine.point
     p = SimpleNamespace(**{k: float(v) for k, v in values.items()})
     known = {"x": lambda i: x[i - 1], "u": lambda i: u[i - 1], "p": p, "t": u[-1]}
-    for name, array, wanted in zip(
-        ("rhs", "readings"), "fy", machine.values(*machine.point), strict=True
-    ):
-        body = re.search(rf"= {name}\(.*?\n%.*?\n(.*?)\nend", text, re.DOTALL)[1].splitlines()
-        found = calculated([line for line in body if "zeros(" not in line], MATLAB, known)
+
+    def body(name):
+        lines = re.search(rf"= {name}\(.*?\n%.*?\n(.*?)\nend", text, re.DOTALL)[1].splitlines()
+        return calculated([line for line in lines if "zeros(" not in line], MATLAB, known)
+
+    for name, array, wanted in zip(("rhs", "readings"), "fy", machine.values(x, u), strict=True):
+        found = body(name)
         same(np.array([found[f"{array}({i + 1})"] for i in range(len(wanted))]), wanted)
+    slopes = [body(name) for name in ("jacobian", "readings_jacobian") for _ in range(2)]
+    arrays = ("by_x", "by_p") * 2
+    for found, array, wanted in zip(slopes, arrays, machine.jacobians, strict=True):
+        places = np.ndindex(*wanted.shape)
+        same(np.array([found.get(f"{array}({i + 1}, {j + 1})", 0) for i, j in places]), wanted)
 
 
 @pytest.mark.skipif(shutil.which("octave-cli") is None, reason="no Octave here")
