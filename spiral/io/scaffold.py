@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from spiral.io.writing import filled, write_whole
+from spiral.io.writing import filled
 from spiral.types.errors import ConfigError, did_you_mean, near_misses
 from spiral.types.plugin import snake_case
 
@@ -110,6 +110,8 @@ def _not_taken(kind: str, name: str, registry: Registry) -> None:
 
 def _write(folder: Path, texts: dict[Path, str]) -> None:
     """All files or none."""
+    from spiral.io.writing import write_whole
+
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     done: list[Path] = []
     try:
