@@ -7,7 +7,7 @@ may stand as well: its effects and values are where the next step begins.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from spiral.inference.problem import Problem, Progress, Settings
 from spiral.io import question
+from spiral.io.export.kinds import export as export
 from spiral.io.registry import Registry, load_registry
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, did_you_mean
@@ -266,18 +267,6 @@ def report(run: Run, path: str | Path = "report.html") -> Path:
     html, _ = page(saved_form(run), curves_of(run))
     write_whole(target, html)
     return target
-
-
-def export(model: Model | Run, to: str = "text") -> str:
-    """A model as an equation: ``text`` in plain Unicode, or ``latex``."""
-    from spiral.io.export import equation, latex
-
-    kinds: dict[str, Callable[[Model], str]] = {"text": equation, "latex": latex}
-    if to not in kinds:
-        raise ConfigError(
-            f"export to {to!r}", f"one of {', '.join(kinds)}", did_you_mean(to, kinds)
-        )
-    return kinds[to](model.model if isinstance(model, Run) else model)
 
 
 def load(run: str = "latest", folder: str | Path = "runs", *, plugins: Plugins = None) -> Model:

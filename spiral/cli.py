@@ -35,12 +35,13 @@ VERBS = {
     "simulate": "make a record from a model and write it to a file",
     "app": "the page on 127.0.0.1: see where the model fails, click Add, watch the error fall",
     "report": "one HTML file of a saved run (run=ID, by default the latest), figures and all",
+    "export": "the model of a saved run as a program or a text: export RUN --to KIND",
     "plugins": "list systems, effects and sources",
     "check": "verify a plugin: units, derivatives, behaviour at rest",
     "new": "write a working skeleton of a plugin and its test: new KIND NAME",
 }
 
-_PLAIN = ("app", "report", "plugins", "check", "new")  # verbs without a configuration
+_PLAIN = ("app", "report", "export", "plugins", "check", "new")  # verbs without a configuration
 
 _EPILOG = """\
 first steps:
@@ -162,6 +163,12 @@ def _options(verb: argparse.ArgumentParser, name: str) -> None:
         verb.add_argument("--token", metavar="TOKEN", help=words)
     if name == "report":
         verb.add_argument("--out", metavar="FILE", help="the page to write: .html")
+    if name == "export":
+        from spiral.io.export.kinds import KINDS
+
+        kinds = "; ".join(f"{kind}: {k.meaning}" for kind, k in KINDS.items())
+        verb.add_argument("--to", metavar="KIND", help=kinds)
+        verb.add_argument("--out", metavar="FILE", help="the file to write; else beside the run")
     if name in ("simulate", "estimate"):
         verb.add_argument("--out", metavar="FILE", help="the table to write: .csv or .parquet")
     if name not in (*_PLAIN, "simulate"):
@@ -237,6 +244,7 @@ def _request(options: argparse.Namespace) -> Request:
         overrides=tuple(w for w in options.words if is_override(w)),
         plugins=options.plugins,
         out=getattr(options, "out", None),
+        to=getattr(options, "to", None),
     )
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from spiral.app.session import Session
 from spiral.app.study import Turn
 from spiral.app.viewer import Viewer
+from spiral.io.export.kinds import KINDS, export
 from spiral.io.storage import own_file, run_folder
 from spiral.io.tracking.store import Tracking
 from spiral.types.errors import ConfigError, SpiralError
@@ -54,15 +55,17 @@ def written(session: Session, ident: str, serial: int, name: str) -> Path:
     ConfigError : no such study, turn or file, or a turn that is not saved yet.
     """
     turn = _saved(session, ident, serial)
-    makers = {REPORT: _report, "model.tex": _latex, "model.txt": _equation, "run.json": None}
-    if name not in makers:
-        raise ConfigError(f"file {name}", f"one of {', '.join(makers)}")
+    exports = {f"model{kind.suffix}": to for to, kind in KINDS.items()}
+    known = (REPORT, *exports, "run.json")
+    if name not in known:
+        raise ConfigError(f"file {name}", f"one of {', '.join(known)}")
     file = own_file(run_folder(session.out, turn.run_id), name)
-    make = makers[name]
-    if make is not None and not file.is_file():
+    if name in exports:  # anew each time: a folder from elsewhere may hold a program of that name
+        return export(_model(session, turn), exports[name], file, f"run {turn.run_id}")
+    if name == REPORT and not file.is_file():
         from spiral.io.writing import write_whole
 
-        write_whole(file, make(session, turn))
+        write_whole(file, _report(session, turn))
     return file
 
 
@@ -82,20 +85,10 @@ def _report(session: Session, turn: Turn) -> str:
     return page(saved.data, read_curves(saved.file.parent))[0]
 
 
-def _latex(session: Session, turn: Turn) -> str:
-    from spiral.io.export import latex
-
-    return latex(_model(session, turn)) + "\n"
-
-
-def _equation(session: Session, turn: Turn) -> str:
-    from spiral.io.export import equation
-
-    return equation(_model(session, turn)) + "\n"
-
-
 def _model(session: Session, turn: Turn) -> Any:
     from spiral.io.registry import load_registry
     from spiral.io.storage import load_run
 
-    return load_run(turn.run_id, session.out).model(load_registry(session.plugins))
+    saved, registry = load_run(turn.run_id, session.out), load_registry(session.plugins)
+    saved.local_files(registry)  # refused where a plugin is not the one that the run recorded
+    return saved.model(registry)

@@ -15,6 +15,7 @@ from spiral.app import panels
 from spiral.app.session import Scene, Session
 from spiral.app.study import Study
 from spiral.app.stylesheet import STYLE
+from spiral.io.export.kinds import KINDS
 from spiral.types.errors import SpiralError
 from spiral.view.report.style import BLUE
 from spiral.view.terminal.shell import option_lines
@@ -133,8 +134,9 @@ def links(session: Session, scene: Scene) -> None:
         return
     ident = scene.study.ident
     with ui.button("Take away", icon="download").props("outline padding='4px 12px'"), ui.menu():
-        for name, said in (("report.html", "Report, one HTML file"), ("model.tex", "LaTeX"),
-                           ("model.txt", "Equation"), ("run.json", "All numbers")):  # fmt: skip
+        models = ((f"model{kind.suffix}", kind.label) for kind in KINDS.values())
+        for name, said in (("report.html", "Report, one HTML file"), *models,
+                           ("run.json", "All numbers")):  # fmt: skip
             ui.menu_item(said, lambda n=name: ui.navigate.to(f"/take/{ident}/{turn.serial}/{n}"))
     if turn.tracked:
         ui.link("MLflow", f"/mlflow/{ident}/{turn.serial}", new_tab=True).classes("quiet").tooltip(

@@ -21,7 +21,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     ------
     SpiralError : bad input; the caller makes it exit 2.
     """
-    from spiral.commands import estimate, foresight, plugins, report, study
+    from spiral.commands import estimate, export, foresight, plugins, report, study
     from spiral.io.custom import bound
     from spiral.io.registry import load_registry
 
@@ -36,6 +36,8 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
         return plugins.check(request, registry, tell)
     for failure in registry.failures:
         tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
+    if request.verb == "export":
+        return export.export(request, registry, tell)
     config = configured(request, registry)
     registry = bound(config, registry)
     steps = {

@@ -11,7 +11,7 @@ import numpy as np
 from spiral.types.record import Array, Record
 from spiral.types.system import System
 
-_SPEED_RATE_KNOTS = 64  # samples between the knots of the smooth curve a rate is taken from
+SPEED_RATE_KNOTS = 64  # samples between the knots of the smooth curve a rate is taken from
 
 
 _MOST_PIECES = 60
@@ -159,13 +159,13 @@ def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
     coarse = np.arange(record.samples, dtype=float)
     fine = np.arange(count) / (2.0 * substeps)
     columns = [
-        _interpolated(
+        between_samples(
             record.inputs[i.name], coarse, fine, record.hold.get(i.name, i.interpolation), substeps
         )
         for i in system.inputs
     ]
     columns += [
-        _rate(record.inputs[i.name], coarse, fine) / record.dt
+        rate_per_sample(record.inputs[i.name], coarse, fine) / record.dt
         for i in system.inputs
         if i.derivative
     ]
@@ -173,19 +173,20 @@ def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
     return np.ascontiguousarray(np.column_stack(columns))
 
 
-def _interpolated(values: Array, coarse: Array, fine: Array, how: str, substeps: int) -> Array:
+def between_samples(values: Array, coarse: Array, fine: Array, how: str, substeps: int) -> Array:
+    """An input on the half-step grid, run between its samples as ``Input.interpolation`` says."""
+    if how == "zero_order":
+        return held_values(values, substeps)
     from scipy.interpolate import CubicSpline
     from scipy.signal import resample_poly
 
-    if how == "zero_order":
-        return _stepped(values, substeps)
     if how == "band_limited":
         dense = resample_poly(values, 2 * substeps, 1, window=("kaiser", 8.0), padtype="line")
         return dense[: len(fine)]
     return CubicSpline(coarse, values)(fine)
 
 
-def _stepped(values: Array, substeps: int) -> Array:
+def held_values(values: Array, substeps: int) -> Array:
     """Each value until the next one; at the jump the mean of both, which keeps the integral.
 
     A Runge-Kutta step weighs its two ends alike: with the later value there, every step would begin
@@ -196,11 +197,11 @@ def _stepped(values: Array, substeps: int) -> Array:
     return held
 
 
-def _rate(values: Array, coarse: Array, fine: Array) -> Array:
+def rate_per_sample(values: Array, coarse: Array, fine: Array) -> Array:
     """Rate per sample of a least-squares cubic spline with knots about 64 samples apart."""
     from scipy.interpolate import make_lsq_spline
 
-    pieces = max(1, len(values) // _SPEED_RATE_KNOTS)
+    pieces = max(1, len(values) // SPEED_RATE_KNOTS)
     inner = np.linspace(coarse[0], coarse[-1], pieces + 1)[1:-1]
     knots = np.concatenate([[coarse[0]] * 4, inner, [coarse[-1]] * 4])
     return make_lsq_spline(coarse, values, knots, k=3, method="norm-eq").derivative()(fine)

@@ -344,7 +344,7 @@ def _meta(
     final: Model,
     equation: bool,
 ) -> dict[str, Any]:
-    from spiral.io import export
+    from spiral.io.export.equation import equation as written
     from spiral.io.mathml import mathml
 
     system = problem.model.system
@@ -361,7 +361,7 @@ def _meta(
         "states": states,
         "records": records,
         "models": about,
-        "equation": export.equation(final) if equation else "",
+        "equation": written(final) if equation else "",
         "mathml": mathml(final) if equation else [],
         "latent": LatentForce.meaning(),
     }

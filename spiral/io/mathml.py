@@ -8,7 +8,7 @@ from typing import Any
 import sympy as sp
 from sympy.printing.mathml import MathMLPresentationPrinter
 
-from spiral.io.export import equations
+from spiral.io.export.equation import equations
 from spiral.types.model import Model
 
 _LETTERS = {"alpha": "α", "beta": "β", "phase": "θ", "speed": "Ω"}  # noqa: RUF001

@@ -17,13 +17,17 @@ OK, BAD_INPUT, REFUSED = 0, 2, 3
 
 @dataclass(frozen=True)
 class Request:
-    """What was asked: a verb, names (effects, kinds), overrides, and where plugins lie."""
+    """What was asked: a verb, names (effects, kinds), overrides, and where plugins lie.
+
+    ``out`` is the file to write, ``to`` the kind of an export.
+    """
 
     verb: str
     names: tuple[str, ...] = ()
     overrides: tuple[str, ...] = ()
     plugins: str | None = None
     out: str | None = None
+    to: str | None = None
 
 
 @dataclass(frozen=True)

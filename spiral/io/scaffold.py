@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from spiral.io.writing import filled
 from spiral.types.errors import ConfigError, did_you_mean, near_misses
 from spiral.types.plugin import snake_case
 
@@ -35,8 +36,10 @@ def new_plugin(kind: str, name: str, folder: Path, registry: Registry) -> tuple[
     class_name = _class_name(kind, name)
     _not_taken(kind, name, registry)
     texts = {
-        folder / f"{name}.py": _filled(kind, kind, name, class_name),
-        folder / f"test_{name}.py": _filled(f"test_{kind}", kind, name, class_name),
+        folder / f"{name}.py": filled(kind, kind=kind, name=name, class_name=class_name),
+        folder / f"test_{name}.py": filled(
+            f"test_{kind}", kind=kind, name=name, class_name=class_name
+        ),
     }
     for file in texts:
         if file.exists():
@@ -86,7 +89,7 @@ def _installed(name: str) -> bool:
 
 def _imported(kind: str) -> set[str]:
     """Names that a skeleton imports, which its class must not hide."""
-    tree = ast.parse(_filled(kind, kind, "name", "Name"))
+    tree = ast.parse(filled(kind, kind=kind, name="name", class_name="Name"))
     return {
         alias.asname or alias.name
         for node in ast.walk(tree)
@@ -103,14 +106,6 @@ def _not_taken(kind: str, name: str, registry: Registry) -> None:
                 "a name that no plugin has",
                 f"another name, or spiral check {name} for the one that is there",
             )
-
-
-def _filled(template: str, kind: str, name: str, class_name: str) -> str:
-    from importlib.resources import files
-    from string import Template
-
-    text = files("spiral").joinpath("templates", f"{template}.template").read_text("utf-8")
-    return Template(text).substitute(kind=kind, name=name, class_name=class_name)
 
 
 def _write(folder: Path, texts: dict[Path, str]) -> None:

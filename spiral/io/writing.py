@@ -33,13 +33,22 @@ def finite(value: Any) -> Any:
     return plain(value) if hasattr(value, "plugin_name") else str(value)
 
 
-def write_whole(file: Path, text: str) -> None:
-    """Write to a temporary name beside the file, then move into place."""
+def filled(template: str, **fields: str) -> str:
+    """A text of ``spiral/templates`` with its ``$names`` replaced."""
+    from importlib.resources import files
+    from string import Template
+
+    text = files("spiral").joinpath("templates", f"{template}.template").read_text("utf-8")
+    return Template(text).substitute(fields)
+
+
+def write_whole(file: Path, content: str | bytes) -> None:
+    """Write to a temporary name beside the file, then move into place; text as UTF-8."""
     temporary = file.parent / f".{file.name}.{secrets.token_hex(6)}.tmp"
     handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as out:
-            out.write(text)
+        with os.fdopen(handle, "wb") as out:
+            out.write(content.encode() if isinstance(content, str) else content)
             out.flush()
             os.fsync(out.fileno())
         os.replace(temporary, file)

@@ -41,6 +41,27 @@ def short_form(unit: str) -> str:
     return text.replace("**", "^")
 
 
+def base_form(unit: str) -> tuple[float, dict[str, int]] | None:
+    """A difference of one unit as a factor and the powers of kg, m, s, A, K, mol, cd and rad.
+
+    Nothing where it has no such form: broken powers, a count, a level.
+    """
+    import pint
+
+    try:
+        one, two, three = (registry().Quantity(n, _parse(unit)).to_base_units() for n in (1, 2, 3))
+    except (pint.PintError, ValueError, TypeError):
+        return None
+    names = {"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K",
+             "mole": "mol", "candela": "cd", "radian": "rad"}  # fmt: skip
+    powers = {names.get(str(k), ""): float(v) for k, v in two.unit_items()}
+    step, other = (float(b.magnitude - a.magnitude) for a, b in ((one, two), (two, three)))
+    straight = math.isclose(step, other, rel_tol=1e-9)
+    if "" in powers or not straight or not all(v.is_integer() for v in powers.values()):
+        return None
+    return step, {k: int(v) for k, v in powers.items()}
+
+
 def _parse(unit: str) -> Any:
     """A unit; where a port has none, its place in a relative unit is empty: ``()/()``."""
     import pint

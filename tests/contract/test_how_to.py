@@ -9,6 +9,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from spiral.cli import main
@@ -113,3 +114,24 @@ def test_the_page_about_python_runs():
         exec(code, names)
     assert names["run"].missing == ("cubic_stiffness",)
     assert names["states"]["x_rate"].relative < 0.05
+
+
+def test_the_page_about_exports_runs(tmp_path, monkeypatch, capsys):
+    """In one process: its commands, then its program: its free run is the record less noise."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    text = (PAGES / "export.md").read_text(encoding="utf-8")
+    names: dict = {}
+    for language, code in BLOCK.findall(text):
+        if language == "python":
+            exec(code, names)
+            continue
+        for line in code.replace("\\\n", "").splitlines():
+            assert main([*shlex.split(line)[1:], "--json", "-"]) == 0
+    assert (tmp_path / "model.py").is_file()
+    told = [
+        json.loads(part)
+        for part in re.findall(r"^\{$.*?^\}$", capsys.readouterr().out, re.M | re.S)
+    ]
+    assert told[-1]["file"].endswith("oscillator.c")
+    assert np.std(names["left"]) < 0.02 * np.std(names["readings"])

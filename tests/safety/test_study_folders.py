@@ -16,11 +16,13 @@ from spiral.app.run_writer import RunWriter
 from spiral.app.session import Session
 from spiral.app.study import Turn
 from spiral.io.mathml import mathml
+from spiral.io.storage import run_folder, save_result
 from spiral.io.tracking.track import Tracked
 from spiral.types.errors import ConfigError, InputError
 from spiral.view.report import evidence, text
 from spiral.view.report.markup import safe_mathml
 from spiral.view.report.page import Shown, single
+from tests.exported import REGISTRY, machine_of
 from tests.unit.test_session import Idle
 
 EVIL = "\"'><img src=x onerror=alert(1)></script><script>alert(2)</script>`${alert(3)}`"
@@ -130,6 +132,18 @@ def test_a_link_among_a_runs_files_is_not_taken_away(session, ident, tmp_path):
     again = rewritten(session, ident, turns=[plain_turn(run_id=run.name)])
     with pytest.raises(InputError, match="link out of its folder"):
         written(again, ident, 0, "run.json")
+
+
+def test_a_program_that_lies_in_a_runs_folder_is_not_taken_away(session, ident, tmp_path):
+    """It may come from anywhere under the name of an export; the export is made anew."""
+    model = replace(machine_of("hysteresis").model, errors={})
+    run_id = save_result("discover", {}, model, {}, {}, REGISTRY, session.out)
+    planted = run_folder(session.out, run_id) / "model.py"
+    planted.write_text("import os  # evil")
+    again = rewritten(session, ident, turns=[plain_turn(run_id=run_id)])
+    text = written(again, ident, 0, "model.py").read_text()
+    assert "evil" not in text
+    assert "PARAMETERS" in text
 
 
 class Asked:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from spiral.io.export import equation, equations, latex
+from spiral.io.export.equation import equation, equations, latex
 from spiral.io.registry import load_registry
 from spiral.physics.trace import trace
 from spiral.types.model import Model, seed_model

@@ -1,4 +1,4 @@
-"""What a person sees of plugins (a list, checks, files of a new one) and of ``identify``."""
+"""What a person sees of plugins (a list, checks, files of a new one), ``identify`` and files."""
 
 from __future__ import annotations
 
@@ -25,15 +25,22 @@ if TYPE_CHECKING:
     from spiral.io.request import Outcome
     from spiral.io.testing import Check
 
-VERBS = ("plugins", "check", "new", "identify", "report")
+VERBS = ("plugins", "check", "new", "identify", "report", "export")
 
 
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
     console = Screen(highlight=False)
     drawn = {"plugins": _plugins, "check": _check, "new": _new, "identify": _identify,
-             "report": _report}  # fmt: skip
+             "report": _report, "export": _export}  # fmt: skip
     drawn[verb](console, outcome)
+
+
+def _export(console: Console, outcome: Outcome) -> None:
+    found = outcome.result
+    text = f"{found['file']}: the model of run {found['run']}, {found['bytes'] / 1e3:.1f} kB"
+    console.print(Text(text), soft_wrap=True)
+    console.print(Text(found["meaning"], "dim"), soft_wrap=True)
 
 
 def _report(console: Console, outcome: Outcome) -> None:

@@ -101,7 +101,7 @@ def _added(item: Round) -> Text:
 
 
 def _model(console: Console, run: Run) -> None:
-    from spiral.io.export import equation
+    from spiral.io.export.equation import equation
 
     heading(console, "Model")
     console.print(Text(equation(run.model)), soft_wrap=True)

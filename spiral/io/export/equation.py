@@ -9,6 +9,7 @@ from typing import Any
 import sympy as sp
 from sympy.printing.str import StrPrinter
 
+from spiral.io.export.names import latex_text, plain
 from spiral.physics.trace import Traced, trace
 from spiral.types.effect import SensorEffect
 from spiral.types.model import Model
@@ -73,7 +74,7 @@ def equation(model: Model) -> str:
     blocks = []
     for item in equations(model)[0]:
         left = _left(item.left)
-        lines = [(_signed(t.value), t.owner or "system") for t in item.terms] or [("0", "")]
+        lines = [(_signed(t.value), plain(t.owner or "system")) for t in item.terms] or [("0", "")]
         wide = min(max(len(text) for text, _ in lines), 60)
         pad = " " * (len(left) + 3)
         lines[0] = (lines[0][0].removeprefix("+ "), lines[0][1])
@@ -91,7 +92,7 @@ def latex(model: Model) -> str:
         for index, term in enumerate(item.terms):
             text = sp.latex(_named(term.value, _latex_name), mul_symbol=r"\,")
             text = text if text.startswith("-") or index == 0 else f"+ {text}"
-            owner = (term.owner or "system").replace("_", r"\_")
+            owner = latex_text(term.owner or "system")
             left = _latex_left(item.left) + " &= " if index == 0 else "&\\quad "
             rows.append(rf"{left}{text} && \text{{{owner}}} \\")
     return "\n".join([r"\begin{align*}", *rows, r"\end{align*}"])
@@ -149,7 +150,7 @@ def _left(text: str) -> str:
 
 def _latex_left(text: str) -> str:
     if not text.endswith("'"):
-        return rf"\text{{{text}}}"
+        return rf"\text{{{latex_text(text)}}}"
     name = text[:-1]
     if name.endswith("_rate"):
         return rf"\ddot{{{_latex_name(name.removesuffix('_rate'))}}}"
@@ -167,8 +168,7 @@ def _latex_name(name: str) -> str:
     if name.endswith("_rate"):
         return rf"\dot{{{_latex_name(name.removesuffix('_rate'))}}}"
     words = {"speed": r"\Omega", "phase": r"\theta", "alpha": r"\alpha", "beta": r"\beta"}
-    text = name.replace("_", r"\_")
-    return words.get(name, name if len(name) == 1 else rf"\mathrm{{{text}}}")
+    return words.get(name, name if len(name) == 1 else rf"\mathrm{{{latex_text(name)}}}")
 
 
 def _named(value: Any, name: Any) -> Any:

@@ -1,0 +1,1 @@
+"""A model as text or a program: equations, source in other languages, an FMU (``kinds``)."""

@@ -1,0 +1,111 @@
+"""A model as one C file: equations, Jacobians, estimates in a struct, a Runge-Kutta step."""
+
+# ruff: noqa: N802  (SymPy's printers look methods up by class name)
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import sympy as sp
+from sympy.printing.c import C99CodePrinter, reserved_words, reserved_words_c99
+
+from spiral.io.export.names import plain
+from spiral.io.export.program import (
+    Constant,
+    Program,
+    assignments,
+    described,
+    entries,
+    identifiers,
+    used,
+)
+from spiral.io.writing import filled
+
+_MATHEMATICS = (
+    "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign",
+    "cos", "cosh", "erf", "erfc", "exp", "exp2", "expm1", "fabs", "fdim", "floor", "fma",
+    "fmax", "fmin", "fmod", "frexp", "hypot", "ilogb", "isfinite", "isinf", "isnan", "j0", "j1",
+    "jn", "ldexp", "lgamma", "log", "log10", "log1p", "log2", "logb", "lrint", "lround", "modf",
+    "nan", "nearbyint", "pow", "remainder", "remquo", "rint", "round", "scalbln", "scalbn",
+    "signbit", "sin", "sinh", "sqrt", "tan", "tanh", "tgamma", "trunc", "y0", "y1", "yn",
+)  # fmt: skip
+_RESERVED = (
+    *reserved_words, *reserved_words_c99, *_MATHEMATICS, "linux", "unix", "bool", "true", "false",
+    "NAN", "INFINITY", "HUGE_VAL", "NULL", "errno",
+    "t", "x", "u", "p", "f", "y", "by_x", "by_p", "rates", "outputs",
+)  # fmt: skip
+
+
+class _Printer(C99CodePrinter):
+    """C99 with cases as conditional expressions."""
+
+    def _print_Piecewise(self, expr: Any) -> str:
+        text = "NAN"
+        for value, condition in reversed(expr.args):
+            if condition == sp.true:
+                text = self._print(value)
+            else:
+                text = f"({self._print(condition)} ? {self._print(value)} : {text})"
+        return f"({text})"
+
+
+def c(found: Program) -> str:
+    """The file's text."""
+    fields = identifiers(found.parameters, _RESERVED)
+    rows = [(fields[p.symbol], p) for p in found.parameters]
+    return filled(
+        "export_c",
+        name=found.name,
+        head="\n".join(f" * {line}".rstrip() for line in described(found)),
+        states=str(len(found.states)),
+        inputs=str(len(found.inputs)),
+        readings=str(len(found.outputs)),
+        parameters=str(len(found.parameters)),
+        fields="\n".join(f"    double {n}; /* {_about(p)} */" for n, p in rows) or "    char none;",
+        estimates=_initial((n, repr(p.value)) for n, p in rows),
+        errors=_initial((n, "NAN" if p.error is None else repr(p.error)) for n, p in rows),
+        rhs=_values(found, found.rate, "f"),
+        output=_values(found, found.output, "y"),
+        rhs_slopes=_slopes(found, by_x=found.rate_x, by_p=found.rate_p),
+        output_slopes=_slopes(found, by_x=found.output_x, by_p=found.output_p),
+        input_slopes=_slopes(found, rates=found.rate_u, outputs=found.output_u),
+    )
+
+
+def _about(parameter: Constant) -> str:
+    return plain(f"{parameter.name} [{parameter.unit or '1'}], {parameter.about}")
+
+
+def _initial(values: Any) -> str:
+    return "\n".join(f"    .{name} = {value}," for name, value in values) or "    0"
+
+
+def _values(found: Program, values: Sequence[sp.Expr], array: str) -> str:
+    places = {f"{array}[{i}]": value for i, value in enumerate(values)}
+    return _body(found, places)
+
+
+def _slopes(found: Program, **matrices: list[list[sp.Expr]]) -> str:
+    """Matrices by the names of their arrays, entry by entry, zeros too."""
+    places = entries(matrices, lambda name, i, j, width: f"{name}[{i * width + j}]", zeros=True)
+    return _body(found, places, [name for name, rows in matrices.items() if not any(rows)])
+
+
+def _body(found: Program, places: Mapping[str, sp.Expr], unused: Sequence[str] = ()) -> str:
+    """What is given, what is common, and the entries; arguments that none of it needs are named."""
+    values = list(places.values())
+    names = identifiers((*found.states, *found.inputs), _RESERVED)
+    given = []
+    for array, items in (("x", found.states), ("u", found.inputs)):
+        some = used(values, items)
+        given += [f"const double {names[i.symbol]} = {array}[{items.index(i)}];" for i in some]
+        unused = unused if some else [*unused, array]
+    fields = identifiers(found.parameters, _RESERVED)
+    names |= {s: f"p->{name}" for s, name in fields.items()} | {found.time: "t"}
+    free = set().union(*(v.free_symbols for v in values))
+    unused = [*unused, *(["p"] if free.isdisjoint(fields) else [])]
+    unused = [*unused, *([] if found.time in free else ["t"])]
+    parts, texts = assignments(values, _Printer({"strict": True}).doprint, names)
+    lines = [*given, *(f"const double {name} = {text};" for name, text, _ in parts)]
+    lines += [f"{place} = {text};" for place, text in zip(places, texts, strict=True)]
+    return "\n".join(f"    {line}" for line in [*(f"(void){name};" for name in unused), *lines])

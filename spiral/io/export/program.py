@@ -1,0 +1,343 @@
+"""A model as every exported program is printed from it: names, units, values, expressions.
+
+    x' = f(t, x, u, p),    y = h(t, x, u, p),    and f_x, f_p, f_u, h_x, h_p, h_u
+
+Names of anyone's run get into a file as ``identifiers`` and as ``described`` lines alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import sympy as sp
+from sympy.logic.boolalg import Boolean
+from sympy.printing.codeprinter import PrintMethodNotImplementedError
+
+from spiral.io.export.names import plain, word
+from spiral.physics.trace import Traced, own_states, trace
+from spiral.types.errors import ConfigError
+from spiral.types.model import Model
+from spiral.types.placement import TIME
+from spiral.types.units import short_form
+
+BETWEEN = {
+    "smooth": "a cubic spline through the samples",
+    "band_limited": "band-limited interpolation (polyphase FIR)",
+    "zero_order": "held until the next sample",
+}
+"""How an input runs between its samples in fits and free runs of this program."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """A state, input, reading or parameter; ``symbol`` stands for it in the expressions."""
+
+    name: str
+    unit: str
+    symbol: sp.Symbol
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Constant(Item):
+    """A parameter with its value and standard error (nothing where it was not fitted)."""
+
+    value: float = math.nan
+    error: float | None = None
+
+
+@dataclass(frozen=True)
+class Program:
+    """What a printer needs of a model; ``inputs`` include the rates that are used, not time.
+
+    ``rates`` names the input that each such rate belongs to, ``between`` how each input runs
+    between samples (a key of ``BETWEEN``).
+    """
+
+    title: str
+    origin: str
+    name: str
+    states: tuple[Item, ...]
+    inputs: tuple[Item, ...]
+    outputs: tuple[Item, ...]
+    parameters: tuple[Constant, ...]
+    time: sp.Symbol
+    rates: Mapping[str, str]
+    between: Mapping[str, str]
+    rate: tuple[sp.Expr, ...]
+    output: tuple[sp.Expr, ...]
+
+    @cached_property
+    def rate_x(self) -> list[list[sp.Expr]]:
+        """f_x, n rows of n."""
+        return slopes(self.rate, [s.symbol for s in self.states])
+
+    @cached_property
+    def rate_p(self) -> list[list[sp.Expr]]:
+        """f_p, n rows of as many as parameters."""
+        return slopes(self.rate, [p.symbol for p in self.parameters])
+
+    @cached_property
+    def rate_u(self) -> list[list[sp.Expr]]:
+        """f_u, n rows of as many as inputs."""
+        return slopes(self.rate, [i.symbol for i in self.inputs])
+
+    @cached_property
+    def output_u(self) -> list[list[sp.Expr]]:
+        """h_u, a row for each reading."""
+        return slopes(self.output, [i.symbol for i in self.inputs])
+
+    @cached_property
+    def output_x(self) -> list[list[sp.Expr]]:
+        """h_x, a row for each reading."""
+        return slopes(self.output, [s.symbol for s in self.states])
+
+    @cached_property
+    def output_p(self) -> list[list[sp.Expr]]:
+        """h_p, a row for each reading."""
+        return slopes(self.output, [p.symbol for p in self.parameters])
+
+
+def program(model: Model, origin: str = "") -> Program:
+    """A model ready for a printer; ``origin`` says in words where it comes from.
+
+    Raises
+    ------
+    ConfigError : a parameter without a finite value. PluginError : an equation that is not traced.
+    """
+    system, traced = model.system, trace(model.system, model.effects)
+    values = model.row("model", "fit it first, or give values={{'{}': 1.0}}")
+    rates = {f"{i.name}_rate": i.name for i in system.inputs if i.derivative}
+    return Program(
+        title=model.name,
+        origin=origin,
+        name=word(system.plugin_name()) or "model",
+        states=_states(model, traced),
+        inputs=_inputs(model, traced, rates),
+        outputs=tuple(
+            Item(
+                name,
+                _unit(lambda n=name: short_form(system.unit_of(n)), name),
+                sp.Symbol(f"y{i}", real=True),
+                "reading",
+            )
+            for i, name in enumerate(traced.channels)
+        ),
+        parameters=tuple(
+            _constant(model, key, symbol, float(value))
+            for key, symbol, value in zip(traced.keys, traced.p, values, strict=True)
+        ),
+        time=traced.u[traced.inputs.index(TIME)],
+        rates=rates,
+        between={i.name: i.interpolation for i in system.inputs},
+        rate=tuple(map(_printable, traced.rate)),
+        output=tuple(map(_printable, traced.output)),
+    )
+
+
+def _states(model: Model, traced: Traced) -> tuple[Item, ...]:
+    system = model.system
+    units = {s.name: s.unit for s in system.states} | own_states(system, model.effects)
+    found = []
+    for name, symbol in zip(traced.states, traced.x, strict=True):
+        own = "of an effect" if "." in name else "hidden"
+        about = "measured" if name in system.observed else own
+        found.append(Item(name, _unit(lambda n=name: short_form(units[n]), name), symbol, about))
+    return tuple(found)
+
+
+def _inputs(model: Model, traced: Traced, rates: Mapping[str, str]) -> tuple[Item, ...]:
+    known = {i.name: i for i in model.system.inputs}
+    found = []
+    for name, symbol in zip(traced.inputs, traced.u, strict=True):
+        if name in rates:
+            unit = _unit(lambda n=name: short_form(f"({known[rates[n]].unit})/s"), name)
+            found.append(Item(name, unit, symbol, f"time derivative of {rates[name]}"))
+        elif name != TIME:
+            how = BETWEEN[known[name].interpolation]
+            found.append(
+                Item(
+                    name,
+                    _unit(lambda n=name: short_form(known[n].unit), name),
+                    symbol,
+                    f"between samples: {how}",
+                )
+            )
+    return tuple(found)
+
+
+def _constant(model: Model, key: str, symbol: sp.Symbol, value: float) -> Constant:
+    if not math.isfinite(value):
+        raise ConfigError(
+            f"{plain(key)} = {value}", "a number for every parameter", "export a run that converged"
+        )
+    error = model.errors.get(key)
+    known = error is not None and math.isfinite(error)
+    about = f"standard error {error:.4g}" if known else "no standard error"
+    unit = _unit(lambda: model.unit(key), key)
+    return Constant(key, unit, symbol, about, value, error if known else None)
+
+
+def _unit(read: Callable[[], str], whose: str) -> str:
+    """A unit in its short form; only what is read as one gets into a file."""
+    try:
+        return read()
+    except Exception as error:  # pint's parser raises what Python's tokenizer does
+        raise ConfigError(
+            f"unit of {plain(whose)}: {plain(str(error))}", "a unit, such as 'kg*m^2' or 'rad/s'"
+        ) from error
+
+
+# --- expressions ---------------------------------------------------------------------------------
+
+
+class _Magnitude(sp.Function):
+    """|a| of a real value, whose slope is its sign; SymPy's own asks whether it is real."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return _Direction(self.args[0])
+
+
+class _Direction(sp.Function):
+    """The sign of a real value, whose slope is zero."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return sp.Integer(0)
+
+
+class _Step(sp.Function):
+    """A rounded value (``floor``, ``ceiling``), whose slope is zero."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return sp.Integer(0)
+
+
+def slopes(values: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> list[list[sp.Expr]]:
+    """Exact derivatives, a row for each value; those of a corner as ``physics.emit`` takes them."""
+    found = []
+    given: Sequence[Any] = values
+    for value in given:
+        smooth: Any = value.replace(sp.Abs, _Magnitude).replace(sp.sign, _Direction)
+        for kind in (sp.floor, sp.ceiling):
+            smooth = smooth.replace(kind, lambda a, kind=kind: _Step(a, sp.Dummy(kind.__name__)))
+        free = smooth.free_symbols
+        row = [smooth.diff(s) if s in free else sp.Integer(0) for s in symbols]
+        found.append([_restored(entry) for entry in row])
+    return found
+
+
+def _restored(value: Any) -> sp.Expr:
+    """SymPy's own functions in place of those that are differentiated."""
+    rounded = {"floor": sp.floor, "ceiling": sp.ceiling}
+    value = value.replace(_Step, lambda a, kind: rounded[kind.name](a))
+    return value.replace(_Magnitude, sp.Abs).replace(_Direction, sp.sign)
+
+
+def _printable(value: Any) -> sp.Expr:
+    """The larger and the smaller of several as cases, whose slopes every language has."""
+    return sp.sympify(value).replace(
+        lambda e: isinstance(e, sp.Max | sp.Min), lambda e: e.rewrite(sp.Piecewise)
+    )
+
+
+class Part(NamedTuple):
+    """A common part of expressions, computed once: its name, its text, and whether it is a case."""
+
+    name: str
+    text: str
+    logical: bool
+
+
+def assignments(
+    values: Sequence[sp.Expr], write: Callable[[Any], Any], names: Mapping[sp.Symbol, str]
+) -> tuple[list[Part], list[str]]:
+    """Common parts in the order in which they are needed, and the texts of the values.
+
+    Raises
+    ------
+    ConfigError : a function that the language has not.
+    """
+    named = [v.xreplace({s: sp.Symbol(n, real=True) for s, n in names.items()}) for v in values]
+    parts, left = sp.cse(named, symbols=sp.numbered_symbols("part_"), list=True, order="none")
+    try:
+        return (
+            [Part(s.name, write(e), isinstance(e, Boolean)) for s, e in parts],
+            [write(e) for e in left],
+        )
+    except PrintMethodNotImplementedError as error:
+        raise ConfigError(
+            f"an equation with a function that this language has not ({error})",
+            "functions of spiral.math",
+            "another kind, or spiral.export(run, 'text')",
+        ) from error
+
+
+def entries(
+    matrices: Mapping[str, list[list[sp.Expr]]],
+    place: Callable[[str, int, int, int], str],
+    zeros: bool = False,
+) -> dict[str, sp.Expr]:
+    """Where each entry of some Jacobians goes, and what it is; those that are zero where asked.
+
+    ``place`` writes where from the name, the row, the column and the width of a matrix.
+    """
+    return {
+        place(name, i, j, len(row)): entry
+        for name, rows in matrices.items()
+        for i, row in enumerate(rows)
+        for j, entry in enumerate(row)
+        if zeros or entry != 0
+    }
+
+
+def used(values: Iterable[sp.Expr], items: Iterable[Item]) -> list[Item]:
+    """Those items that occur in expressions."""
+    free: set[Any] = set().union(*(v.free_symbols for v in values))
+    return [item for item in items if item.symbol in free]
+
+
+# --- names and texts -----------------------------------------------------------------------------
+
+
+def identifiers(items: Iterable[Item], reserved: Iterable[str] = ()) -> dict[sp.Symbol, str]:
+    """A name of ASCII letters, digits and underscores for each item, different from all others.
+
+    ``linear_stiffness@bearing_1.stiffness_x`` becomes ``linear_stiffness_bearing_1_stiffness_x``;
+    a word that is taken or reserved gets underscores behind it.
+    """
+    taken = {*reserved}
+    found: dict[sp.Symbol, str] = {}
+    for item in items:
+        own = word(item.name) or "value"
+        if own.startswith("part_"):  # names of common parts
+            own = f"the_{own}"
+        while own in taken:
+            own += "_"
+        taken.add(own)
+        found[item.symbol] = own
+    return found
+
+
+def described(found: Program) -> list[str]:
+    """What the head of a file says: what it is, its quantities, and what it leaves out."""
+    from spiral.version import __version__
+
+    source = f", {found.origin}" if found.origin else ""
+    lines = [f"{found.title}{source} (SPIRAL {__version__})", "",
+             "x' = f(t, x, u, p),   y = h(t, x, u, p),   t in s", ""]  # fmt: skip
+    for head, items in (("states x", found.states), ("inputs u", found.inputs),
+                        ("readings y", found.outputs)):  # fmt: skip
+        lines += [f"{head}:", *(_row(i.name, i.unit, i.about) for i in items), ""]
+    lines.append("parameters p:")
+    lines += [_row(p.name, p.unit, f"{p.value:.6g}, {p.about}") for p in found.parameters]
+    lines += ["", "Not in it: noise of the sensors and of the process, states at the start of a",
+              "record, and a correction of the phase where a fit made one."]  # fmt: skip
+    return [plain(line) if not line.startswith("  ") else f"  {plain(line)}" for line in lines]
+
+
+def _row(name: str, unit: str, about: str) -> str:
+    return f"  {name} [{unit or '1'}]  {about}"
