@@ -13,9 +13,11 @@ Everything heavy is imported where it is used first: ``import spiral`` takes a f
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spiral.former_names import accept
+from spiral.types import kernel_cache
 from spiral.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -87,6 +89,7 @@ _HOMES = {
 """Where the types are defined; the functions are in ``spiral.api``."""
 
 accept()
+kernel_cache.provide(Path(__file__).parent)
 
 
 def __getattr__(name: str) -> Any:

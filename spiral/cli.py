@@ -15,6 +15,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from spiral.commands import memory
 from spiral.commands.perform import in_worker, perform
 from spiral.io.registry import NO_FOLDER
 from spiral.io.request import BAD_INPUT, Outcome, Request
@@ -84,6 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if getattr(options, "help", False):
             return _verb_help(options)
         request = _request(options)
+        if request.verb not in ("plugins", "new"):
+            memory.check_limit()
         if options.verb == "app":
             return _app(request, options.port, not options.no_browser, options.token)
         if options.multirun:
@@ -91,6 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _single(request, options.json)
     except SpiralError as error:
         return _told(error, target)
+    except MemoryError:
+        return _told(memory.exhausted(), target)
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return 130

@@ -18,7 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spiral.io.storage import new_run_id, own_file, unwritable
+from spiral.io.storage import new_run_id, own_file, own_text, unwritable
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError, InputError
 
@@ -196,7 +196,7 @@ def load(out: Path, ident: str) -> Study:
             f"study {ident}", f"a study in {out / FOLDER}", "choose one from the list"
         )
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(own_text(file.parent, file.name))
         study = typed().structure({**data, "ident": ident}, Study)
         for turn in study.turns:
             float(turn.result.get("test_error") or 0.0)  # which the list of all studies shows

@@ -33,6 +33,7 @@ FORMAT = 1
 FILE = "run.json"
 LATEST = "latest"
 MAKE_A_MODEL = ("discover", "add")  # verbs whose runs are meant by ``latest``
+_MOST = 50 * 10**6  # bytes of text; what a study writes has less than one million
 _ID = re.compile(r"\w[\w.-]{0,79}", re.ASCII)
 
 
@@ -295,7 +296,7 @@ def read_run(file: Path) -> SavedRun:
     InputError : a file that is not a saved run, or lies elsewhere.
     """
     try:
-        data = json.loads(own_file(file.parent, file.name).read_text(encoding="utf-8"))
+        data = json.loads(own_text(file.parent, file.name))
         if data["format"] > FORMAT:
             raise InputError(
                 f"{file}: format {data['format']}", f"at most {FORMAT}", "update this program"
@@ -321,6 +322,22 @@ def own_file(folder: Path, name: str) -> Path:
             "copy the file there",
         )
     return found
+
+
+def own_text(folder: Path, name: str) -> str:
+    """The text of a file of a folder.
+
+    Raises
+    ------
+    InputError : a link leads out of the folder, or more than any study writes. OSError : no file.
+    """
+    file = own_file(folder, name)
+    if file.stat().st_size > _MOST:
+        raise InputError(
+            f"{file}: {file.stat().st_size / 1e6:.3g} MB of text",
+            f"at most {_MOST / 1e6:.3g} MB", "a folder that this program wrote",
+        )  # fmt: skip
+    return file.read_text(encoding="utf-8")
 
 
 def run_folder(folder: str | os.PathLike[str], run_id: str) -> Path:
