@@ -11,6 +11,7 @@ import contextlib
 import gc
 import io
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -109,6 +110,7 @@ def entry() -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal may know fewer letters than we write
+    signal.signal(signal.SIGTERM, _terminated)
     code = main()
     try:
         sys.stdout.flush()
@@ -116,6 +118,12 @@ def entry() -> NoReturn:
         _nobody_reads()
     gc.freeze()
     sys.exit(code)
+
+
+def _terminated(number: int, frame: object) -> NoReturn:
+    """End as by Ctrl-C: what is half done is taken away, workers are ended."""
+    print("stopped", file=sys.stderr)
+    raise SystemExit(128 + number)
 
 
 def _nobody_reads() -> None:

@@ -136,8 +136,9 @@ class FileSetup:
         """An order with what it may take, the more the larger the file is."""
         file = Path(setup.path)
         size = file.stat().st_size if file.is_file() else 0
-        return {"do": do, "study": setup.ident, "plugins": self._plugins, "overrides": [],
-                "seconds": _SECONDS + size / _SPEED, "memory": _MEMORY + _COPIES * size}  # fmt: skip
+        most = {"seconds": _SECONDS + size / _SPEED, "memory": _MEMORY + _COPIES * size}
+        about = {"study": setup.ident, "plugins": self._plugins, "overrides": []}
+        return {"do": do, **about, **most}
 
     def _put(self, opened: OpenFile) -> None:
         self._open[opened.setup.ident] = replace(opened, version=opened.version + 1)

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from spiral.app.study import FOLDER, UPLOADS, typed
-from spiral.io.storage import new_run_id, own_text
+from spiral.io.run_id import new_run_id
+from spiral.io.storage import own_text
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError
 

@@ -99,12 +99,25 @@ def keeper(
     except OSError as error:
         raise unwritable(out, error) from error
     try:
+        _remove_left(place.parent)
         yield Keeper(place, registry)
     finally:
         lock.release()
         Path(f"{place}.lock").unlink(missing_ok=True)
         _remove_empty(place.parent)
         _remove_empty(place.parent.parent)  # made here, and nothing was saved
+
+
+def _remove_left(folder: Path) -> None:
+    """Remove the lock files that killed processes left: those that nobody holds."""
+    from filelock import FileLock, Timeout
+
+    for file in folder.glob("*.lock"):
+        try:
+            with FileLock(file, blocking=False):
+                file.unlink(missing_ok=True)
+        except (Timeout, OSError):
+            continue
 
 
 def fingerprint(config: Mapping[str, Any], problem: Problem, registry: Registry) -> str:

@@ -11,13 +11,13 @@ from __future__ import annotations
 import json
 import os
 import re
-import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from spiral.io.run_id import new_run_id
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 from spiral.types.fields import plain
@@ -115,12 +115,6 @@ class SavedRun:
         return config
 
 
-def new_run_id(now: datetime | None = None) -> str:
-    """Sorts by time, and ends in a few random characters: ``20250131-142501-3fa9c2``."""
-    moment = now or datetime.now(UTC)
-    return f"{moment:%Y%m%d-%H%M%S}-{moment.microsecond // 1000:03d}{secrets.token_hex(4)}"
-
-
 def save_run(
     run: Run,
     config: Mapping[str, Any],
@@ -135,7 +129,7 @@ def save_run(
     ------
     InputError : the folder cannot be written.
     """
-    named = replace(run, run_id=run.run_id or new_run_id())
+    named = replace(run, run_id=run.run_id or new_run_id(others=run_ids(folder)))
     save_result(verb, named.as_dict(), named.model, config, records, registry, folder)
     return named
 
@@ -156,8 +150,9 @@ def save_result(
     ------
     InputError : the folder cannot be written.
     """
-    content = content_of(verb, result, model, config, records, registry, overrides)
-    run_id = content["run_id"]
+    run_id = str(result.get("run_id") or new_run_id(others=run_ids(folder)))
+    named = {**result, "run_id": run_id}
+    content = content_of(verb, named, model, config, records, registry, overrides)
     target = Path(folder).expanduser() / run_id / FILE
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
