@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import secrets
 from collections.abc import Iterable
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 
 _STAMP = re.compile(r"\d{8}-\d{6}-\d{3}")
@@ -20,10 +21,8 @@ def new_run_id(now: datetime | None = None, others: Iterable[str] = ()) -> str:
     stamp = _stamp(now or datetime.now(UTC))
     last = max((found[0] for name in others if (found := _STAMP.match(name))), default="")
     if stamp <= last:
-        try:
+        with suppress(ValueError, OverflowError):  # no time at all, or the last there is
             stamp = _stamp(datetime.strptime(last, _FORM) + timedelta(milliseconds=1))
-        except (ValueError, OverflowError):  # no time at all, or the last there is
-            pass
     return stamp + secrets.token_hex(4)
 
 
