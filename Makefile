@@ -28,7 +28,7 @@ FIND_PYTHON = for python in python3.11 python3 /usr/bin/python3.11 /usr/bin/pyth
 		>/dev/null 2>&1; then echo "$$python"; exit; fi; done; \
 	echo 'needed: Python 3.11 or newer with venv (Debian: apt install python3.11-venv)' >&2; exit 1
 
-.PHONY: help setup demo app test test-slow docs pictures bench lint format lock clean
+.PHONY: help setup demo app test test-slow docs pictures bench lint licenses format lock clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -97,6 +97,9 @@ lint: setup ## Check format, rules, types and layers
 	check 'types (pyright)' $(BIN)/pyright; \
 	check 'layers (lint-imports)' $(BIN)/lint-imports --no-logo; \
 	if [ -n "$$failed" ]; then echo "lint: failed:$$failed" >&2; exit 1; fi; echo 'lint: clean'
+
+licenses: setup ## List the licence of every package it runs with; fail where one is copyleft
+	@$(BIN)/python .ci/licenses.py
 
 format: setup ## Format the code and apply the safe fixes
 	@$(BIN)/ruff check --quiet --fix-only .
