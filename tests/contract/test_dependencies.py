@@ -79,6 +79,16 @@ def test_every_dependency_is_locked() -> None:
     assert _declared() <= locked, f"run `make lock`: {sorted(_declared() - locked)}"
 
 
+def test_the_lock_with_hashes_is_the_lock() -> None:
+    text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    hashed = (ROOT / "requirements.hashes.lock").read_text(encoding="utf-8")
+    pins = {line for line in text.splitlines() if "==" in line}
+    entries = re.findall(
+        r"^(\S+==\S+) \\((?:\n    --hash=sha256:[0-9a-f]{64}(?: \\)?)+)$", hashed, re.M
+    )
+    assert {pin for pin, _ in entries} == pins, "run `make lock`"
+
+
 @pytest.fixture(scope="module")
 def licenses():
     """The program of ``make licenses``."""

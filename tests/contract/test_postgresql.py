@@ -73,18 +73,19 @@ class Server:
     """``mlflow server`` on a port of its own."""
 
     def __init__(self, store, folder):
-        self.port, self.address = free_port(), ""
+        self.port = free_port()
         self.address = f"http://127.0.0.1:{self.port}"
         self._command = [
             sys.executable, "-m", "mlflow", "server", "--backend-store-uri", store,
             "--artifacts-destination", str(folder), "--host", "127.0.0.1",
             "--port", str(self.port), "--workers", "1",
         ]  # fmt: skip
-        self._process = None
+        self._log, self._process = folder.with_suffix(".log"), None
 
     def start(self):
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self._process = subprocess.Popen(self._command, start_new_session=True, **quiet)
+        with self._log.open("ab") as log:
+            told = {"stdout": log, "stderr": subprocess.STDOUT}
+            self._process = subprocess.Popen(self._command, start_new_session=True, **told)
         until = time.monotonic() + 180
         while time.monotonic() < until:
             with contextlib.suppress(OSError):
