@@ -42,7 +42,7 @@ $(BIN)/pip:
 
 $(VENV)/.locked: requirements.lock | $(BIN)/pip
 	@echo "setup: $$(grep -c == $<) locked packages (a minute or so the first time)"
-	@$(PIP) install $(if $(HASHES),--require-hashes --requirement requirements.hashes.lock,--requirement $<)
+	@$(PIP) install $(if $(HASHES),--require-hashes --no-deps --requirement requirements.hashes.lock,--requirement $<)
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml setup.py

@@ -3,31 +3,25 @@
     python .ci/hashes.py requirements.lock > requirements.hashes.lock
 
 Hashes are those of the wheels that pip would install here: this system, this Python. Where the
-index at hand serves a build of its own (a version such as ``2.13.0+cpu``), the public one is added.
+index at hand serves another build than the public one (as ``2.13.0+cpu``), a comment says so.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import unquote
 
-PLAIN = {**{k: v for k, v in os.environ.items() if not k.startswith("PIP_")},
-         "PIP_CONFIG_FILE": os.devnull}  # fmt: skip
-"""An environment in which pip asks the public index."""
 
-
-def report(wanted: list[str], environment: Mapping[str, str]) -> list[tuple[str, str, str]]:
+def report(lock: str) -> list[tuple[str, str, str]]:
     """Name, address and SHA-256 of what pip would install; nothing is installed."""
     options = ["--no-deps", "--ignore-installed", "--dry-run", "-qq", "--report", "-"]
     done = subprocess.run(
-        [sys.executable, "-m", "pip", "install", *options, *wanted],
-        check=True, stdout=subprocess.PIPE, text=True, env=environment,
+        [sys.executable, "-m", "pip", "install", *options, "--requirement", lock],
+        check=True, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     return [
         (item["metadata"]["name"], unquote(item["download_info"]["url"]),
@@ -42,15 +36,11 @@ def main(lock: str) -> None:
     pinned = {re.sub(r"[-_.]+", "-", x.partition("==")[0]).lower(): x for x in lines}
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     print(f"# {lock} with hashes, for Linux on x86_64 and Python {version}. Made by `make lock`.")
-    for name, address, found in sorted(
-        report(["--requirement", lock], os.environ), key=lambda i: i[0].lower()
-    ):
-        line = pinned[re.sub(r"[-_.]+", "-", name).lower()]
-        hashes = [found]
-        if "+" in address.rpartition("/")[2]:
-            print(f"# {line}: {address.rpartition('/')[2]}, then the public build")
-            hashes += [other for *_, other in report([line], PLAIN)]
-        print(" \\\n    ".join([line, *(f"--hash=sha256:{one}" for one in hashes)]))
+    for name, address, found in sorted(report(lock), key=lambda item: item[0].lower()):
+        line, wheel = pinned[re.sub(r"[-_.]+", "-", name).lower()], address.rpartition("/")[2]
+        if "+" in wheel:
+            print(f"# {wheel}: not the build of the public index")
+        print(f"{line} \\\n    --hash=sha256:{found}")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.request
 from concurrent.futures import ProcessPoolExecutor
@@ -42,19 +43,17 @@ def free_port():
 
 
 @pytest.fixture
-def database(tmp_path_factory):
+def database():
     """The address of a database in a cluster of its own, in a folder of its own."""
-    place = tmp_path_factory.mktemp("postgresql")
+    # Not below pytest's own folder, which is for one user, and PostgreSQL refuses to run as root.
+    place = Path(tempfile.mkdtemp(prefix="spiral-postgresql-"))
     password, data = place / "password", place / "data"
     password.write_text("hush")
     user = []
-    if os.geteuid() == 0:  # which PostgreSQL refuses to run as
+    if os.geteuid() == 0:
         if shutil.which("runuser") is None:
             pytest.skip("needs runuser, or another user than root")
         user = ["runuser", "-u", "postgres", "--"]
-        for folder in (place, *place.parents):
-            if folder.stat().st_mode & 0o001 == 0:
-                folder.chmod(folder.stat().st_mode | 0o001)
         shutil.chown(place, "postgres")
         shutil.chown(password, "postgres")
     programs, port = FOUND[-1].parent, free_port()
@@ -67,6 +66,7 @@ def database(tmp_path_factory):
         yield f"postgresql+psycopg://me:hush@127.0.0.1:{port}/postgres"
     finally:
         subprocess.run([*control, "-m", "immediate", "stop"], check=False, capture_output=True)
+        shutil.rmtree(place, ignore_errors=True)
 
 
 class Server:

@@ -7,6 +7,7 @@ import json
 import os
 import queue
 import random
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -71,9 +72,11 @@ def test_discover_killed_at_random_moments_gives_the_same_answer(tmp_path):
     whole = spiral(tmp_path, *words, "out=whole")
     seconds = time.monotonic() - began
     chance = random.Random(19)
-    moments = [chance.uniform(0.3, 1.0) * seconds for _ in range(KILLS)]
-    killed = sum(killed_after(m, tmp_path, *words, f"out=k{i}") for i, m in enumerate(moments))
-    assert killed >= KILLS // 2
+    for i in range(KILLS):
+        moment = chance.uniform(0.2, 0.9) * seconds
+        while not killed_after(moment, tmp_path, *words, f"out=k{i}"):
+            shutil.rmtree(tmp_path / f"k{i}")
+            moment *= 0.7  # it was done before: the machine is faster now
     for i in range(KILLS):
         again = spiral(tmp_path, *words, f"out=k{i}")
         assert answer(json.loads(again.stdout)) == answer(json.loads(whole.stdout))

@@ -9,12 +9,14 @@ import sys
 import pytest
 
 from spiral import cli
+from spiral.app import viewer
 from spiral.io.registry import load_registry
 from spiral.io.request import Request
 from spiral.io.storage import save_result
 from spiral.io.tracking.store import Tracking
 from spiral.io.writing import write_whole
 from spiral.types import kernel_cache
+from spiral.types.errors import InputError
 from spiral.types.masking import without_passwords
 from spiral.view.terminal.parts import command
 
@@ -55,6 +57,27 @@ def test_no_password_is_printed_or_saved(question, tmp_path):
     assert "hush" not in command("compare", Request("compare", overrides=given))
     assert "hush" not in Tracking(uri=URI).page("runs")
     assert Tracking(uri=URI).where("runs") == URI  # what is used is whole
+
+
+def test_mlflows_page_is_given_the_password_where_no_list_of_processes_shows_it(monkeypatch):
+    started = {}
+
+    class Ended:
+        def __init__(self, command, env, **more):
+            started.update(command=command, env=env)
+
+        def poll(self):
+            return 1
+
+        def terminate(self):
+            pass
+
+    monkeypatch.setattr(viewer.subprocess, "Popen", Ended)
+    with pytest.raises(InputError) as caught:
+        viewer.Viewer().address(URI, "experiments/1/runs/2")
+    assert started["env"]["MLFLOW_BACKEND_STORE_URI"] == URI
+    assert "hush" not in " ".join(started["command"])
+    assert "hush" not in str(caught.value)
 
 
 @pytest.mark.parametrize(("mask", "mode"), [(0o077, 0o600), (0o022, 0o644), (0o027, 0o640)])
