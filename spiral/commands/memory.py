@@ -25,7 +25,7 @@ def check_limit() -> None:
         raise ConfigError(
             f"a limit of {limit / 1e9:.2g} GB of memory (ulimit -v {limit // 1024})",
             f"at least {NEEDED / 1e9:.2g} GB, which the numerical libraries take to start",
-            f"ulimit -v unlimited, or {NEEDED // 1024} and more",
+            f"ulimit -v unlimited, or {-(-NEEDED // 1024)} and more",
         )
 
 

@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import shutil
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 FOLDER = ".unfinished"
 FILE = "checkpoint.json"
+_YOUNG = 60.0  # s
 _NO_INFLUENCE = ("out", "n_jobs", "run", "tracking", "sweep")  # on the result of a study
 
 
@@ -109,11 +111,13 @@ def keeper(
 
 
 def _remove_left(folder: Path) -> None:
-    """Remove the lock files that killed processes left: those that nobody holds."""
+    """Remove the lock files that killed processes left: those of some age that nobody holds."""
     from filelock import FileLock, Timeout
 
     for file in folder.glob("*.lock"):
         try:
+            if time.time() - file.stat().st_mtime < _YOUNG:  # a study that is about to hold it
+                continue
             with FileLock(file, blocking=False):
                 file.unlink(missing_ok=True)
         except (Timeout, OSError):

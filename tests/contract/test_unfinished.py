@@ -121,6 +121,7 @@ def test_a_signal_leaves_the_checkpoint_and_no_lock(tmp_path):
     left = tmp_path / "runs" / FOLDER
     left.mkdir(parents=True)
     (left / "0123456789.lock").touch()
+    os.utime(left / "0123456789.lock", (0, 0))
     words = [*GIVEN, "tracking.enabled=false"]
     process = subprocess.Popen(
         [sys.executable, "-m", "spiral", "discover", *words],

@@ -122,16 +122,14 @@ def parquet_columns(path: Path, allowance: Allowance) -> list[tuple[str, Any]]:
     with pq.ParquetFile(path, read_dictionary=text) as opened:
         frame = opened.read(columns=[n for n in schema.names if n not in nested]).to_pandas()
     found = []
-    for name in map(str, frame.columns):
-        words = (
-            frame[name].dtype.categories
-            if isinstance(frame[name].dtype, pd.CategoricalDtype)
-            else ()
-        )
-        if max(map(len, map(str, words)), default=0) > _LONGEST:
+    for column in frame.columns:
+        name, values = str(column), frame[column]
+        shared = isinstance(values.dtype, pd.CategoricalDtype)
+        words = map(str, values.dtype.categories) if shared else ()
+        if max(map(len, words), default=0) > _LONGEST:
             allowance.left_out.append(f"{name} (long texts)")
             continue
-        found.append((name, frame[name].astype(object) if name in text else frame[name]))
+        found.append((name, values.astype(object) if name in text else values))
     return found
 
 
