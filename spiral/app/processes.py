@@ -145,15 +145,13 @@ def _within(memory: int | None) -> Iterator[None]:
     ------
     InputError : the work needed more.
     """
-    try:
-        import resource
-
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    except (ImportError, OSError):
-        memory = None
-    if memory is None:
+    statm = Path("/proc/self/statm")  # of Linux
+    if memory is None or not statm.is_file():
         yield
         return
+    import resource
+
+    pages = int(statm.read_text(encoding="ascii").split()[0])
     before = resource.getrlimit(resource.RLIMIT_AS)
     wanted = pages * resource.getpagesize() + memory
     usual = before[0] if before[0] != resource.RLIM_INFINITY else wanted
