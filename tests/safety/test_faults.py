@@ -7,7 +7,6 @@ import json
 import os
 import queue
 import random
-import shutil
 import signal
 import sqlite3
 import subprocess
@@ -37,68 +36,11 @@ def spiral(place, *words, **more):
     )
 
 
-def killed_after(seconds, place, *words):
-    """Start, kill -9 after so long; whether it was killed at work."""
-    process = subprocess.Popen([*SPIRAL, *words], cwd=place, stdout=subprocess.DEVNULL,
-                               stderr=subprocess.DEVNULL, start_new_session=True)  # fmt: skip
-    try:
-        process.wait(seconds)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        return True
-    return False
-
-
-def answer(result):
-    """A result without what differs from run to run."""
-    if isinstance(result, dict):
-        no = ("seconds", "run_id", "report", "created", "sweep_id", "out", "worker")
-        return {k: answer(v) for k, v in result.items() if k not in no}
-    return [answer(v) for v in result] if isinstance(result, list) else result
-
-
 def sound(folder):
     """Every saved run reads, and none is half there."""
     for name in run_ids(folder):
         assert json.loads((folder / name / FILE).read_text())["run_id"] == name
     return True
-
-
-@pytest.mark.slow
-def test_discover_killed_at_random_moments_gives_the_same_answer(tmp_path):
-    words = ["discover", *STUDY, "tracking.enabled=false", "--json", "-"]
-    began = time.monotonic()
-    whole = spiral(tmp_path, *words, "out=whole")
-    seconds = time.monotonic() - began
-    chance = random.Random(19)
-    for i in range(KILLS):
-        moment = chance.uniform(0.2, 0.9) * seconds
-        while not killed_after(moment, tmp_path, *words, f"out=k{i}"):
-            shutil.rmtree(tmp_path / f"k{i}")
-            moment *= 0.7  # it was done before: the machine is faster now
-    for i in range(KILLS):
-        again = spiral(tmp_path, *words, f"out=k{i}")
-        assert answer(json.loads(again.stdout)) == answer(json.loads(whole.stdout))
-        assert sound(tmp_path / f"k{i}")
-        assert not list((tmp_path / f"k{i}").rglob("*.lock"))
-
-
-@pytest.mark.slow
-def test_a_sweep_killed_at_random_moments_keeps_every_row_that_ended(tmp_path):
-    words = ["compare", *RECORD, "record.seed=range(0,6)", "n_jobs=2", "-m",
-             "tracking.enabled=false", "--json", "-"]  # fmt: skip
-    began = time.monotonic()
-    whole = json.loads(spiral(tmp_path, *words, "out=whole").stdout)
-    seconds = time.monotonic() - began
-    chance = random.Random(7)
-    for _ in range(KILLS):
-        killed_after(chance.uniform(0.4, 1.0) * seconds, tmp_path, *words, "out=swept")
-    again = json.loads(spiral(tmp_path, *words, "out=swept").stdout)
-    first, last = ([answer(row["result"]) for row in sweep["runs"]] for sweep in (whole, again))
-    assert len(first) == 6
-    assert last == first
-    assert sound(tmp_path / "swept")
 
 
 @pytest.mark.slow
