@@ -28,12 +28,12 @@ FIND_PYTHON = for python in python3.11 python3 /usr/bin/python3.11 /usr/bin/pyth
 		>/dev/null 2>&1; then echo "$$python"; exit; fi; done; \
 	echo 'needed: Python 3.11 or newer with venv (Debian: apt install python3.11-venv)' >&2; exit 1
 
-.PHONY: help setup demo app test test-slow docs pictures bench lint format lock clean
+.PHONY: help setup demo app test test-slow docs pictures bench lint licenses format lock clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
-setup: $(VENV)/.installed ## Make .venv with the locked versions and install the package
+setup: $(VENV)/.installed ## Make .venv with the locked versions and install the package (HASHES=1: of these very wheels)
 
 # ensurepip writes pip last, so its presence means a complete environment.
 $(BIN)/pip:
@@ -42,7 +42,7 @@ $(BIN)/pip:
 
 $(VENV)/.locked: requirements.lock | $(BIN)/pip
 	@echo "setup: $$(grep -c == $<) locked packages (a minute or so the first time)"
-	@$(PIP) install --requirement $<
+	@$(PIP) install $(if $(HASHES),--require-hashes --no-deps --requirement requirements.hashes.lock,--requirement $<)
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml setup.py
@@ -98,6 +98,9 @@ lint: setup ## Check format, rules, types and layers
 	check 'layers (lint-imports)' $(BIN)/lint-imports --no-logo; \
 	if [ -n "$$failed" ]; then echo "lint: failed:$$failed" >&2; exit 1; fi; echo 'lint: clean'
 
+licenses: setup ## List the licence of every package it runs with; fail where one is copyleft
+	@$(BIN)/python .ci/licenses.py
+
 format: setup ## Format the code and apply the safe fixes
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
@@ -110,7 +113,9 @@ lock: ## Resolve every version anew into requirements.lock
 	"$$folder/bin/python" -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; print(*p["dependencies"], *p["optional-dependencies"]["dev"], sep="\n")' > "$$folder/wanted"; \
 	$$pip install --upgrade --requirement "$$folder/wanted" $(HELD_BACK); \
 	{ head -1 requirements.lock; "$$folder/bin/python" -m pip freeze --all | sed 's/+cpu$$//'; } > "$$folder/lock"; \
-	mv "$$folder/lock" requirements.lock; echo "lock: $$(grep -c == requirements.lock) versions"
+	mv "$$folder/lock" requirements.lock; \
+	"$$folder/bin/python" .ci/hashes.py requirements.lock > "$$folder/hashes"; \
+	mv "$$folder/hashes" requirements.hashes.lock; echo "lock: $$(grep -c == requirements.lock) versions"
 
 clean: ## Remove the environment, caches and build folders
 	@rm -rf $(VENV) build dist site docs/tools/.cache *.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -13,9 +13,11 @@ Everything heavy is imported where it is used first: ``import spiral`` takes a f
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spiral.former_names import accept
+from spiral.types import kernel_cache
 from spiral.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -92,6 +94,7 @@ _HOMES = {
 """Where names are defined; the other functions are in ``spiral.api``."""
 
 accept()
+kernel_cache.provide(Path(__file__).parent)
 
 
 def __getattr__(name: str) -> Any:

@@ -11,10 +11,12 @@ import contextlib
 import gc
 import io
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from spiral.commands import memory
 from spiral.commands.perform import in_worker, perform
 from spiral.io.registry import NO_FOLDER
 from spiral.io.request import BAD_INPUT, Outcome, Request
@@ -85,6 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if getattr(options, "help", False):
             return _verb_help(options)
         request = _request(options)
+        if request.verb not in ("plugins", "new"):
+            memory.check_limit()
         if options.verb == "app":
             return _app(request, options.port, not options.no_browser, options.token)
         if options.multirun:
@@ -92,6 +96,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _single(request, options.json)
     except SpiralError as error:
         return _told(error, target)
+    except MemoryError:
+        return _told(memory.exhausted(), target)
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return 130
@@ -105,6 +111,7 @@ def entry() -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal may know fewer letters than we write
+    signal.signal(signal.SIGTERM, _terminated)
     code = main()
     try:
         sys.stdout.flush()
@@ -112,6 +119,12 @@ def entry() -> NoReturn:
         _nobody_reads()
     gc.freeze()
     sys.exit(code)
+
+
+def _terminated(number: int, frame: object) -> NoReturn:
+    """End as by Ctrl-C: what is half done is taken away, workers are ended."""
+    print("stopped", file=sys.stderr)
+    raise SystemExit(128 + number)
 
 
 def _nobody_reads() -> None:

@@ -17,6 +17,8 @@ from spiral.types.errors import ConfigError
 
 Give = Callable[[Mapping[str, Any]], None]
 DOES = ("describe_file", "check")
+_SECONDS, _SPEED = 30.0, 10**6  # to read any file, and bytes in each second more
+_MEMORY, _COPIES = 4 * 10**9, 12  # bytes to read any file, and for each byte of it
 
 
 @dataclass(frozen=True)
@@ -122,13 +124,21 @@ class FileSetup:
                 setup = replace(setup, seen=tuple(data["records"]))
             elif kind == "failed":
                 setup = replace(setup, trouble=dict(data))
-            elif kind not in ("done", "cancelled"):
+            elif kind == "cancelled":
+                said = f"Cancelled: {opened.busy.lower() or 'reading'}"
+                setup = replace(setup, trouble={"given": said, "expected": "", "try": ""})
+            elif kind != "done":
                 return
             busy = "" if kind in ("done", "failed", "cancelled") else opened.busy
             self._put(replace(opened, setup=setup, busy=busy))
 
     def _order(self, setup: RecordSetup, do: str) -> dict[str, Any]:
-        return {"do": do, "study": setup.ident, "plugins": self._plugins, "overrides": []}
+        """An order with what it may take, the more the larger the file is."""
+        file = Path(setup.path)
+        size = file.stat().st_size if file.is_file() else 0
+        most = {"seconds": _SECONDS + size / _SPEED, "memory": _MEMORY + _COPIES * size}
+        about = {"study": setup.ident, "plugins": self._plugins, "overrides": []}
+        return {"do": do, **about, **most}
 
     def _put(self, opened: OpenFile) -> None:
         self._open[opened.setup.ident] = replace(opened, version=opened.version + 1)

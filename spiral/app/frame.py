@@ -75,7 +75,7 @@ def bare(file: Path, name: str) -> bool:
     """A figure from its file, without words; whether there is one."""
     try:
         plot(json.loads(file.read_text(encoding="utf-8")), name)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
     return True
 

@@ -63,11 +63,16 @@ class Form:
             with ui.element("div").classes("working"):
                 ui.spinner(size="20px")
                 ui.label(opened.busy + " …").classes("words")
+                ui.button("Cancel", on_click=self._cancel).props("flat dense")
         if opened.setup.trouble:
             with ui.element("div").classes("trouble").props('role="alert"'):
                 ui.html(panels.trouble(opened.setup.trouble), sanitize=False)
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
+
+    def _cancel(self) -> None:
+        """Stop reading; what was read and chosen before stays."""
+        self.session.cancel(self.ident)
 
     def _columns(self, opened: OpenFile) -> None:
         setup = opened.setup

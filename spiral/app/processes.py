@@ -1,7 +1,8 @@
 """The processes beside the page: one for fits, one that writes down. Started anew, never forked.
 
 An order goes in as plain data, events come back as plain data; cancelling ends the process, so that
-no fit can hold the page up, and the next one finds its study on disk.
+no fit can hold the page up, and the next one finds its study on disk. An order may have a limit of
+``seconds``, counted from its first event, and of ``memory``, in bytes beyond what the process has.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ import multiprocessing
 import os
 import re
 import threading
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from spiral.types.errors import SpiralError
+from spiral.types.errors import InputError, SpiralError
 
 Event = Mapping[str, Any]
 OnEvent = Callable[[Mapping[str, Any], str, Event], None]
@@ -97,10 +100,17 @@ class Process:
     def _one(self, order: Mapping[str, Any]) -> None:
         """Send one order and pass its events on, until it is done or its process is gone."""
         assert self._pipe is not None
+        ends = None
+        overdue = False
         try:
             self._pipe.send(dict(order))
             while True:
+                overdue = not self._pipe.poll(None if ends is None else max(ends - _now(), 0.0))
+                if overdue:
+                    self._process.kill()
                 kind, data = self._pipe.recv()
+                if ends is None and "seconds" in order:
+                    ends = _now() + order["seconds"]
                 self._on_event(order, kind, data)
                 if kind in ("done", "failed"):
                     return
@@ -111,7 +121,50 @@ class Process:
             with self._lock:
                 cancelled, self._cancelled = self._cancelled, False
                 self._spawn()
-            self._on_event(order, *(("cancelled", {}) if cancelled else ("failed", _ENDED)))
+            ended = _overdue(order["seconds"]) if overdue else _ENDED
+            self._on_event(order, *(("cancelled", {}) if cancelled else ("failed", ended)))
+
+
+_now = time.monotonic
+
+
+def _overdue(seconds: float) -> dict[str, str]:
+    """The message for an order that took longer than it may."""
+    return InputError(
+        f"work on a file that had not ended after {seconds:.0f} s",
+        "a file that is read in less",
+        "keep the columns and rows you need; the command line has no such limit",
+    ).as_dict()
+
+
+@contextmanager
+def _within(memory: int | None) -> Iterator[None]:
+    """At most so many bytes more than the process has now, where the system can say so.
+
+    Raises
+    ------
+    InputError : the work needed more.
+    """
+    statm = Path("/proc/self/statm")  # of Linux
+    if memory is None or not statm.is_file():
+        yield
+        return
+    import resource
+
+    pages = int(statm.read_text(encoding="ascii").split()[0])
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    wanted = pages * resource.getpagesize() + memory
+    usual = before[0] if before[0] != resource.RLIM_INFINITY else wanted
+    resource.setrlimit(resource.RLIMIT_AS, (min(wanted, usual), before[1]))
+    try:
+        yield
+    except MemoryError as error:
+        raise InputError(
+            f"a file that takes more than {memory / 1e9:.2g} GB of memory to read",
+            "one that takes less", "keep the columns and rows you need",
+        ) from error  # fmt: skip
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def serve(kind: str, out: str, pipe: Connection, parent: int) -> None:
@@ -131,7 +184,8 @@ def serve(kind: str, out: str, pipe: Connection, parent: int) -> None:
         except (EOFError, OSError):
             return
         try:
-            getattr(worker, order["do"])(order)
+            with _within(order.get("memory")):
+                getattr(worker, order["do"])(order)
         except SpiralError as error:
             tell("failed", _without(out, error.as_dict()))
         except Exception as error:  # a defect costs one order, and says so
@@ -176,7 +230,6 @@ def _defect(error: Exception) -> dict[str, str]:
 
 def _leave_with(parent: int) -> None:
     """Do not outlive the page."""
-    import time
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from spiral.app.study import FOLDER, UPLOADS, typed
-from spiral.io.storage import new_run_id, own_file
+from spiral.io.run_id import new_run_id
+from spiral.io.storage import own_text
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError
 
@@ -100,7 +101,7 @@ def load(out: Path, ident: str) -> RecordSetup:
     ConfigError : no such setup.
     """
     try:
-        data = json.loads(own_file(place(out, ident), FILE).read_text(encoding="utf-8"))
+        data = json.loads(own_text(place(out, ident), FILE))
         return typed().structure({**data, "ident": ident}, RecordSetup)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ConfigError(f"file {ident}", "one that was dropped here", "drop it again") from error

@@ -18,6 +18,7 @@ from typing import Any
 from spiral.types.errors import ConfigError
 
 HOST, PORT = "127.0.0.1", 8765
+LOCK = ".page.lock"
 TOKEN_VARIABLE = "SPIRAL_TOKEN"
 _TOKEN = re.compile(r"[A-Za-z0-9_.~-]{16,200}")
 
@@ -74,8 +75,43 @@ def run(out: Path, port: int | None, browser: bool, plugins: str | None, token: 
 
     Raises
     ------
-    ConfigError : a port that is taken.
+    ConfigError : a port that is taken, or a folder that another page works in.
+    InputError : a folder that cannot be written.
     """
+    with alone(out):
+        _serve(out, port, browser, plugins, token)
+
+
+@contextmanager
+def alone(out: Path) -> Iterator[None]:
+    """Hold a folder of runs for one page: two would overwrite each other's studies.
+
+    Raises
+    ------
+    ConfigError : another page holds it. InputError : a folder that cannot be written.
+    """
+    from filelock import FileLock, Timeout
+
+    from spiral.io.storage import unwritable
+
+    lock = FileLock(out / LOCK, blocking=False)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout as error:
+        raise ConfigError(
+            f"a second page on {str(out)!r}", "one page for a folder, in as many tabs as you like",
+            "open the address that the first one printed, end it, or out=FOLDER",
+        ) from error  # fmt: skip
+    except OSError as error:
+        raise unwritable(out, error) from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _serve(out: Path, port: int | None, browser: bool, plugins: str | None, token: str) -> None:
     listening = _listening(port)
     number = int(listening.getsockname()[1])
     import uvicorn
@@ -84,7 +120,6 @@ def run(out: Path, port: int | None, browser: bool, plugins: str | None, token: 
     from spiral.app.session import Session
     from spiral.app.viewer import Viewer
 
-    out.mkdir(parents=True, exist_ok=True)
     viewer = Viewer()
     session = Session(out.resolve(), plugins)
     address = f"http://{HOST}:{number}/?{TOKEN}={token}"

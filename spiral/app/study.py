@@ -18,7 +18,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spiral.io.storage import new_run_id, own_file, unwritable
+from spiral.io.run_id import new_run_id
+from spiral.io.storage import own_file, own_text, unwritable
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError, InputError
 
@@ -150,7 +151,8 @@ def new_study(out: Path, title: str, overrides: tuple[str, ...]) -> Study:
     InputError : the folder of runs cannot be written.
     """
     now = datetime.now(UTC)
-    study = Study(new_run_id(now), title, overrides, now.isoformat(timespec="seconds"))
+    there = (p.name for p in (out / FOLDER).glob("*"))
+    study = Study(new_run_id(now, there), title, overrides, now.isoformat(timespec="seconds"))
     try:
         place(out, study.ident).mkdir(parents=True)
         save(out, study)
@@ -196,7 +198,7 @@ def load(out: Path, ident: str) -> Study:
             f"study {ident}", f"a study in {out / FOLDER}", "choose one from the list"
         )
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(own_text(file.parent, file.name))
         study = typed().structure({**data, "ident": ident}, Study)
         for turn in study.turns:
             float(turn.result.get("test_error") or 0.0)  # which the list of all studies shows

@@ -10,9 +10,10 @@ import threading
 import time
 
 from spiral.types.errors import InputError
+from spiral.types.masking import without_passwords
 
 _PATIENCE = 40.0  # s until its page answers
-HOST = "127.0.0.1"
+HOST, STORE_VARIABLE = "127.0.0.1", "MLFLOW_BACKEND_STORE_URI"
 
 
 class Viewer:
@@ -49,9 +50,10 @@ class Viewer:
         with socket.socket() as free:
             free.bind((HOST, 0))
             port = free.getsockname()[1]
-        command = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", store,
+        command = [sys.executable, "-m", "mlflow", "server",
                    "--host", HOST, "--port", str(port), "--workers", "1"]  # fmt: skip
-        quiet = {**os.environ, "MLFLOW_DISABLE_TELEMETRY": "true"}
+        # The address may hold a password, and the list of processes shows command lines to all.
+        quiet = {**os.environ, "MLFLOW_DISABLE_TELEMETRY": "true", STORE_VARIABLE: store}
         self._server = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=quiet
         )
@@ -64,4 +66,6 @@ class Viewer:
                     return
             time.sleep(0.2)
         self.close()
-        raise InputError("MLflow's page does not start", "a server", f"mlflow ui on {store}")
+        raise InputError(
+            "MLflow's page does not start", "a server", f"mlflow ui on {without_passwords(store)}"
+        )

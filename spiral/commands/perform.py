@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from spiral.commands.memory import exhausted
 from spiral.io.request import BAD_INPUT, Outcome, Request, configured
 from spiral.types.errors import ConfigError, SpiralError
 
@@ -66,4 +67,6 @@ def in_worker(
         outcome = perform(Request(verb, names, overrides, plugins), lambda message: None)
     except SpiralError as error:
         return BAD_INPUT, {"error": error.as_dict()}
+    except MemoryError:
+        return BAD_INPUT, {"error": exhausted().as_dict()}
     return outcome.exit, outcome.result

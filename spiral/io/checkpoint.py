@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import shutil
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 FOLDER = ".unfinished"
 FILE = "checkpoint.json"
+_YOUNG = 60.0  # s
 _NO_INFLUENCE = ("out", "n_jobs", "run", "tracking", "sweep")  # on the result of a study
 
 
@@ -99,12 +101,27 @@ def keeper(
     except OSError as error:
         raise unwritable(out, error) from error
     try:
+        _remove_left(place.parent)
         yield Keeper(place, registry)
     finally:
         lock.release()
         Path(f"{place}.lock").unlink(missing_ok=True)
         _remove_empty(place.parent)
         _remove_empty(place.parent.parent)  # made here, and nothing was saved
+
+
+def _remove_left(folder: Path) -> None:
+    """Remove the lock files that killed processes left: those of some age that nobody holds."""
+    from filelock import FileLock, Timeout
+
+    for file in folder.glob("*.lock"):
+        try:
+            if time.time() - file.stat().st_mtime < _YOUNG:  # a study that is about to hold it
+                continue
+            with FileLock(file, blocking=False):
+                file.unlink(missing_ok=True)
+        except (Timeout, OSError):
+            continue
 
 
 def fingerprint(config: Mapping[str, Any], problem: Problem, registry: Registry) -> str:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.where.latent import LatentForce, smoothed_states, with_latent
 from spiral.inference.where.regions import Seen, seen, where
 from spiral.inference.where.surface import shapes
+from spiral.io.readers.containers import npz_arrays
 from spiral.io.storage import own_file
 from spiral.types.errors import InputError
 from spiral.types.model import Model
@@ -92,10 +94,9 @@ def read_curves(folder: Path) -> Curves | None:
     if not file.is_file():
         return None
     try:
-        with np.load(file) as found:
-            arrays = {k: found[k] for k in found.files if k != "meta"}
-            meta = json.loads(bytes(found["meta"]).decode())
-    except (OSError, ValueError, KeyError) as error:
+        arrays = npz_arrays(str(file), file)
+        meta = json.loads(bytes(arrays.pop("meta")).decode())
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise InputError(f"{file}: {error}", "curves saved by this program") from error
     return Curves(meta, arrays)
 

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 from spiral.types.errors import ConfigError, did_you_mean
+
+_LONGEST, _DEEPEST = 20_000, 50  # letters, and brackets in one another
 
 
 @dataclass(frozen=True)
@@ -58,15 +61,27 @@ def _parsed(texts: Sequence[str]) -> list[Any]:
     parser = OverridesParser.create()
     found = []
     for text in texts:
+        if len(text) > _LONGEST or _depth(text) > _DEEPEST:
+            raise ConfigError(
+                f"an override of {len(text)} letters, {text[:40]}...",
+                f"at most {_LONGEST} letters, and {_DEEPEST} brackets in one another",
+                "a preset: a file in experiment/",
+            )
         try:
             found.append(parser.parse_override(_formula_quoted(text)))
-        except HydraException as error:
+        except (HydraException, ValueError) as error:  # a number of thousands of digits
             raise ConfigError(
-                f"{text!r}: {str(error).splitlines()[0]}",
+                f"{text[:200]!r}: {str(error).splitlines()[0]}",
                 "KEY=VALUE, KEY=[a,b] or KEY='{a: b}'",
                 "quote values with special characters: KEY='\"...\"'",
             ) from error
     return found
+
+
+def _depth(text: str) -> int:
+    """How deep brackets of any kind lie in one another, at most."""
+    steps = ((letter in "[{(") - (letter in "]})") for letter in text)
+    return max(accumulate(steps), default=0)
 
 
 def _formula_quoted(text: str) -> str:

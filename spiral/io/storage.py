@@ -11,13 +11,13 @@ from __future__ import annotations
 import json
 import os
 import re
-import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from spiral.io.run_id import new_run_id
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 from spiral.types.fields import plain
@@ -33,6 +33,7 @@ FORMAT = 1
 FILE = "run.json"
 LATEST = "latest"
 MAKE_A_MODEL = ("discover", "add")  # verbs whose runs are meant by ``latest``
+_MOST = 50 * 10**6  # bytes of text; what a study writes has less than one million
 _ID = re.compile(r"\w[\w.-]{0,79}", re.ASCII)
 
 
@@ -115,12 +116,6 @@ class SavedRun:
         return config
 
 
-def new_run_id(now: datetime | None = None) -> str:
-    """Sorts by time, and ends in a few random characters: ``20250131-142501-3fa9c2``."""
-    moment = now or datetime.now(UTC)
-    return f"{moment:%Y%m%d-%H%M%S}-{moment.microsecond // 1000:03d}{secrets.token_hex(4)}"
-
-
 def save_run(
     run: Run,
     config: Mapping[str, Any],
@@ -135,7 +130,7 @@ def save_run(
     ------
     InputError : the folder cannot be written.
     """
-    named = replace(run, run_id=run.run_id or new_run_id())
+    named = replace(run, run_id=run.run_id or new_run_id(others=run_ids(folder)))
     save_result(verb, named.as_dict(), named.model, config, records, registry, folder)
     return named
 
@@ -156,8 +151,9 @@ def save_result(
     ------
     InputError : the folder cannot be written.
     """
-    content = content_of(verb, result, model, config, records, registry, overrides)
-    run_id = content["run_id"]
+    run_id = str(result.get("run_id") or new_run_id(others=run_ids(folder)))
+    named = {**result, "run_id": run_id}
+    content = content_of(verb, named, model, config, records, registry, overrides)
     target = Path(folder).expanduser() / run_id / FILE
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -296,7 +292,7 @@ def read_run(file: Path) -> SavedRun:
     InputError : a file that is not a saved run, or lies elsewhere.
     """
     try:
-        data = json.loads(own_file(file.parent, file.name).read_text(encoding="utf-8"))
+        data = json.loads(own_text(file.parent, file.name))
         if data["format"] > FORMAT:
             raise InputError(
                 f"{file}: format {data['format']}", f"at most {FORMAT}", "update this program"
@@ -322,6 +318,22 @@ def own_file(folder: Path, name: str) -> Path:
             "copy the file there",
         )
     return found
+
+
+def own_text(folder: Path, name: str) -> str:
+    """The text of a file of a folder.
+
+    Raises
+    ------
+    InputError : a link leads out of the folder, or more than any study writes. OSError : no file.
+    """
+    file = own_file(folder, name)
+    if file.stat().st_size > _MOST:
+        raise InputError(
+            f"{file}: {file.stat().st_size / 1e6:.3g} MB of text",
+            f"at most {_MOST / 1e6:.3g} MB", "a folder that this program wrote",
+        )  # fmt: skip
+    return file.read_text(encoding="utf-8")
 
 
 def run_folder(folder: str | os.PathLike[str], run_id: str) -> Path:

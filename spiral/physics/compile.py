@@ -83,7 +83,7 @@ def compile_model(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled
 
     Raises
     ------
-    TypeError : a function that has no machine code.
+    PluginError : a function that has no machine code.
     """
     wanted = traced.keys if by is None else by
     module = ir.Module("model")

@@ -14,6 +14,8 @@ from typing import Any
 import sympy as sp
 from llvmlite import ir
 
+from spiral.types.errors import PluginError
+
 DOUBLE = ir.DoubleType()
 INDEX = ir.IntType(64)
 _INTRINSIC = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log"}
@@ -62,7 +64,7 @@ class Emitter:
 
         Raises
         ------
-        TypeError : a function that has no machine code here.
+        PluginError : a function or symbol that has no machine code here.
         """
         known = self._nodes.get(expression)
         if known is None:
@@ -86,7 +88,7 @@ class Emitter:
             return self._elementary(e.func, self.node(e.args[0]))
         if isinstance(e, sp.atan2):
             return self._angle(*(self.node(a) for a in e.args))
-        raise _unknown(e.func)
+        raise _unknown(e if isinstance(e, sp.Symbol) else e.func)
 
     # --- values --------------------------------------------------------------------------------
 
@@ -282,6 +284,12 @@ def _is(value: Any, number: float) -> bool:
     return isinstance(value, ir.Constant) and value.constant == number
 
 
-def _unknown(function: Any) -> TypeError:
-    name = getattr(function, "__name__", str(function))
-    return TypeError(f"{name} has no machine code; write it with the functions of spiral.math")
+def _unknown(met: Any) -> PluginError:
+    """The error for a function or a symbol that an equation may not hold."""
+    name = str(met) if isinstance(met, sp.Symbol) else getattr(met, "__name__", str(met))
+    known = sorted(f.__name__ for f in (*_INTRINSIC, *_LIBRARY))
+    return PluginError(
+        f"{name} in an equation, which has no machine code",
+        f"numbers, the symbols given, + - * / **, {', '.join(known)}, Abs, sign, Piecewise",
+        "write it with the functions of spiral.math",
+    )

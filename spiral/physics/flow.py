@@ -68,7 +68,7 @@ def compile_flow(traced: Traced, by: tuple[str, ...]) -> Flow:
 
     Raises
     ------
-    TypeError : a function that has no machine code.
+    PluginError : a function that has no machine code.
     """
     module = ir.Module("flow")
     columns = [traced.keys.index(k) for k in by]

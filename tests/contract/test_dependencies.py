@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 import sys
 import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 OWN = {"spiral", "spiral_plugins", "spiral_conf"}
@@ -74,3 +77,39 @@ def test_every_dependency_is_locked() -> None:
     lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
     locked = {_plain(line.split("==")[0]) for line in lines if "==" in line}
     assert _declared() <= locked, f"run `make lock`: {sorted(_declared() - locked)}"
+
+
+def test_the_lock_with_hashes_is_the_lock() -> None:
+    text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    hashed = (ROOT / "requirements.hashes.lock").read_text(encoding="utf-8")
+    pins = {line for line in text.splitlines() if "==" in line}
+    entries = re.findall(
+        r"^(\S+==\S+) \\((?:\n    --hash=sha256:[0-9a-f]{64}(?: \\)?)+)$", hashed, re.M
+    )
+    assert {pin for pin, _ in entries} == pins, "run `make lock`"
+
+
+@pytest.fixture(scope="module")
+def licenses():
+    """The program of ``make licenses``."""
+    return runpy.run_path(str(ROOT / ".ci" / "licenses.py"))
+
+
+@pytest.mark.parametrize(
+    ("said", "kind"),
+    [
+        ("MIT", "free"), ("BSD-3-Clause AND MIT", "free"), ("Apache Software License", "free"),
+        ("GPL-3.0-or-later", "copyleft"), ("GNU Lesser General Public License v3", "copyleft"),
+        ("AGPL-3.0", "copyleft"), ("MIT OR GPL-2.0", "free"), ("MIT AND LGPL-2.1", "copyleft"),
+        ("MPL-2.0", "by file"), ("", "unknown"), ("Our own terms", "unknown"),
+    ],
+)  # fmt: skip
+def test_a_licence_is_what_it_says(licenses, said, kind):
+    assert licenses["kind"](said) == kind
+
+
+def test_nothing_that_the_program_runs_with_is_copyleft_or_of_unknown_licence(licenses, capsys):
+    assert licenses["main"]() == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {"numpy", "mlflow-skinny", "starlette"} <= {line.split()[0] for line in lines[:-1]}
+    assert " 0 copyleft, 0 unknown" in lines[-1]

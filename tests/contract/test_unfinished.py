@@ -119,6 +119,25 @@ def test_killed_in_the_middle_and_started_again(study, tmp_path, monkeypatch, ca
     assert not (tmp_path / "runs" / FOLDER).exists()
 
 
+def test_a_signal_leaves_the_checkpoint_and_no_lock(tmp_path):
+    """And locks that processes killed earlier left go with the next start."""
+    left = tmp_path / "runs" / FOLDER
+    left.mkdir(parents=True)
+    (left / "0123456789.lock").touch()
+    os.utime(left / "0123456789.lock", (0, 0))
+    words = [*GIVEN, "tracking.enabled=false"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "spiral", "discover", *words],
+        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    _wait(lambda: _rounds_kept(tmp_path) >= 1, process)
+    process.send_signal(signal.SIGTERM)
+    assert "Traceback" not in process.communicate()[1]
+    assert process.returncode == 128 + signal.SIGTERM
+    assert _rounds_kept(tmp_path) >= 1
+    assert not list(left.glob("*.lock"))
+
+
 def _rounds_kept(folder):
     for file in (folder / "runs" / FOLDER).glob(f"*/{FILE}"):
         return len(json.loads(file.read_text())["rounds"])

@@ -1,14 +1,21 @@
-"""HDF5 and NPZ files that would hang, flood the memory or read another file."""
+"""Files of numbers that would hang, flood the memory, run code or read another file."""
 
+import pickle
+import struct
 import subprocess
 import sys
 import time
 import zipfile
+import zlib
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+import scipy.io
 
-from spiral.io.readers import containers
+from spiral.io.readers import containers, matlab
 from spiral.io.readers.readers import read_table
 from spiral.types.errors import InputError
 
@@ -136,3 +143,155 @@ def test_a_plain_large_file_is_no_flood():
     containers.Allowance("a.npz", 5 * 10**9).take(5 * 10**9)
     with pytest.raises(InputError):
         containers.Allowance("a.npz", 10**9).take(5 * 10**9)
+
+
+# --- MATLAB and Parquet --------------------------------------------------------------------------
+
+
+def element(kind, content):
+    """An element of a MATLAB file of version 5: its tag, its content, padding."""
+    return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
+
+
+def matrix(kind, sizes, *content):
+    """A variable x of a class (1 cell, 2 struct, 6 double) and so many rows and columns."""
+    flags = element(6, struct.pack("<II", kind, 0))
+    shape = element(5, struct.pack(f"<{len(sizes)}i", *sizes))
+    return element(14, b"".join((flags, shape, element(1, b"x"), *content)))
+
+
+def mat(file, *variables, deflated=True):
+    """A MATLAB file of these variables."""
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x100) + b"IM"
+    packed = (zlib.compress(v) if deflated else v for v in variables)
+    tagged = (struct.pack("<II", 15, len(v)) + v if deflated else v for v in packed)
+    file.write_bytes(head + b"".join(tagged))
+    return str(file)
+
+
+FIELDS = element(5, struct.pack("<i", 8)), element(1, b"a".ljust(8, b"\0") + b"b".ljust(8, b"\0"))
+
+
+@pytest.mark.parametrize(
+    "variable",
+    [
+        matrix(1, (2**31 - 1, 1)),  # cells: 17 GB of empty places
+        matrix(2, (2**20, 2**10), *FIELDS),
+        matrix(6, (2**15, 2**15), element(2, bytes(100))),  # doubles kept as single bytes
+        matrix(1, (1, 1), matrix(1, (1, 1), matrix(6, (10**5, 10**5)))),  # declared deep inside
+        matrix(5, (10, 10)).replace(struct.pack("<II", 5, 0), struct.pack("<II", 5, 2**31), 1),
+        matrix(4, (2**15, 2**15)),
+    ],
+    ids=["cells", "structs", "bytes", "nested", "sparse", "text"],
+)
+@pytest.mark.parametrize("deflated", [True, False])
+def test_a_small_matlab_file_that_unpacks_to_much_is_refused_before(tmp_path, variable, deflated):
+    with pytest.raises(InputError, match="that unpack to"):
+        read_table(mat(tmp_path / "a.mat", variable, deflated=deflated))
+
+
+def test_a_name_of_a_matlab_file_is_not_unpacked_without_end(tmp_path):
+    long = element(14, element(6, bytes(8)) + element(5, bytes(2 * 10**6)))
+    with pytest.raises(InputError, match="a name of 2 MB"):
+        read_table(mat(tmp_path / "a.mat", long))
+
+
+def test_a_matlab_file_that_breaks_off_is_no_traceback(tmp_path):
+    whole = matrix(6, (100, 1), element(9, NUMBERS.tobytes()))
+    file = mat(tmp_path / "a.mat", whole)
+    assert list(read_table(file).columns) == ["x"]
+    packed = Path(file).read_bytes()
+    for size in range(128, len(packed), 7):
+        Path(file).write_bytes(packed[:size])
+        with pytest.raises(InputError):
+            read_table(file)
+
+
+def test_what_a_matlab_file_declares_is_what_it_unpacks_to(tmp_path):
+    """Of cells, structs, texts and numbers as SciPy writes them, deflated and not."""
+    inner = {
+        "a": NUMBERS,
+        "b": np.ones((3, 40), np.float32),
+        "c": np.array([NUMBERS, "word"], object),
+    }
+    allowances = []
+    for deflated in (True, False):
+        file = tmp_path / f"{deflated}.mat"
+        scipy.io.savemat(file, {"s": inner, "z": 1j * NUMBERS}, do_compression=deflated)
+        allowances.append(containers.Allowance(str(file), 1))
+        with file.open("rb") as opened:
+            matlab._Declared(opened, allowances[-1]).count()
+        assert {"s.a", "s.b[2]", "s.c[0]"} <= set(read_table(str(file)).columns)
+    numbers = 8 * 100 + 4 * 120 + 8 * 100 + 16 * 100
+    references = 8 * 3 + 8 * 2
+    assert [a.bytes for a in allowances] == [numbers + references + 4 * len("word")] * 2
+
+
+def test_parquet_that_unpacks_to_much_is_refused_before(tmp_path, monkeypatch):
+    """A column of one value takes a few bytes for any number of rows."""
+    monkeypatch.setattr(containers, "UNPACKED", 10**7)
+    pq.write_table(pa.table({"t": np.zeros(10**6)}), tmp_path / "a.parquet", compression="zstd")
+    assert (tmp_path / "a.parquet").stat().st_size < 10**5
+    with pytest.raises(InputError, match="that unpack to"):
+        read_table(str(tmp_path / "a.parquet"))
+
+
+def test_long_texts_and_lists_of_a_parquet_file_are_left_out_and_named(tmp_path):
+    """A text of 1 MB in each of 1500 rows took 4.5 GB and 53 s."""
+    rows = 1500
+    columns = {"words": ["y" * 10**5] * rows, "lists": [[1.0, 2.0]] * rows,
+               "t": np.arange(float(rows)), "typed": ["1.5"] * rows}  # fmt: skip
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    table = read_table(str(tmp_path / "a.parquet"))
+    assert table.columns == ("t", "typed")
+    assert table.column("typed", "record.time", 0, 2).tolist() == [1.5, 1.5]
+    assert "words (long texts)" in " ".join(table.notes)
+    assert "lists (lists or structs)" in " ".join(table.notes)
+
+
+# --- pickles, and names that promise another file ------------------------------------------------
+
+
+class Runs:
+    """Whoever unpickles this writes a file."""
+
+    def __init__(self, trace):
+        self.trace = trace
+
+    def __reduce__(self):
+        return (Path.write_text, (self.trace, "ran"))
+
+
+def test_no_pickle_is_loaded(tmp_path, trace):
+    pickled = pickle.dumps(Runs(trace))
+    for name in ("a.npz", "a.mat", "a.h5", "a.parquet", "a.csv"):
+        (tmp_path / name).write_bytes(pickled)
+        with pytest.raises(InputError):
+            read_table(str(tmp_path / name))
+    np.savez(tmp_path / "b.npz", x=np.array([Runs(trace)], dtype=object))
+    with pytest.raises(InputError, match="allow_pickle"):
+        read_table(str(tmp_path / "b.npz"))
+    assert not trace.exists()
+
+
+@pytest.mark.parametrize("suffix", [".gz", ".bz2", ".zip", ".xz", ".zst", ".tar"])
+def test_a_text_file_is_not_unpacked_because_of_its_name(tmp_path, suffix):
+    """pandas unpacks by the name: a packed file of any size, or a traceback."""
+    file = tmp_path / f"a.csv{suffix}"
+    file.write_text("t,x\n" + "".join(f"{i},{i}\n" for i in range(100)))
+    assert list(read_table(str(file)).columns) == ["t", "x"]
+
+
+def test_curves_of_a_saved_run_are_counted_before_they_are_unpacked(tmp_path, monkeypatch):
+    from spiral.io.curves import FILE, read_curves
+
+    monkeypatch.setattr(containers, "UNPACKED", 10**6)
+    flood(tmp_path / FILE, 0.02)
+    with pytest.raises(InputError, match="that unpack to"):
+        read_curves(tmp_path)
+    (tmp_path / FILE).write_bytes(b"PK\3\4" + bytes(100))
+    with pytest.raises(InputError):
+        read_curves(tmp_path)
+    (tmp_path / FILE).write_bytes(pickle.dumps(NUMBERS))
+    with pytest.raises(InputError, match="no NPZ file"):
+        read_curves(tmp_path)

@@ -1,14 +1,17 @@
 """What fails leaves nothing behind, and costs little time."""
 
 import time
+from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
 
-from spiral.io import curves
+from spiral.io import curves, run_id
 from spiral.io.curves import Curves, write_curves
+from spiral.io.storage import load_run, run_ids
 from spiral.io.tracking.store import Tracking, opened
 from spiral.types.errors import InputError
+from tests.safety.conftest import saved
 
 
 def test_curves_that_cannot_be_written_leave_no_file(tmp_path, monkeypatch):
@@ -31,3 +34,21 @@ def test_a_server_that_does_not_run_is_tried_once_and_shortly(tmp_path):
     ):
         raise AssertionError
     assert time.monotonic() - began < 20  # importing MLflow takes most of it
+
+
+class Yesterday(datetime):
+    """A clock that was set back."""
+
+    @classmethod
+    def now(cls, zone=None):
+        return datetime.now(zone) - timedelta(days=1)
+
+
+def test_latest_is_the_run_saved_last_though_the_clock_was_set_back(
+    question, tmp_path, monkeypatch
+):
+    first = saved(question, tmp_path).name
+    monkeypatch.setattr(run_id, "datetime", Yesterday)
+    second = saved(question, tmp_path).name
+    assert load_run("latest", tmp_path).run_id == second
+    assert run_ids(tmp_path) == [first, second]

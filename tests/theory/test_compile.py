@@ -11,6 +11,7 @@ from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import Traced, trace
+from spiral.types.errors import PluginError
 from tests.scenes import registry
 
 SYSTEMS = (PlanarRotor(), TiltingRotor(), Oscillator(), Pendulum(), CascadedTanks())
@@ -110,9 +111,16 @@ def test_columns_of_parameters_not_asked_for_are_left_alone():
     assert np.isfinite(b[:, 1]).any()
 
 
-def test_a_function_without_machine_code_is_named():
-    with pytest.raises(TypeError, match="gamma"):
-        compile_model(alone(sp.gamma(X), Y))
+@pytest.mark.parametrize(
+    ("expression", "named"),
+    [(sp.gamma(X), "gamma"), (sp.besselj(1, X), "besselj"), (sp.Heaviside(X), "Heaviside"),
+     (sp.Symbol("own") * X, "own"), (sp.I * X, "ImaginaryUnit"),
+     (sp.Piecewise((X, sp.Xor(X > 0, Y > 0)), (0, True)), "Xor")],
+)  # fmt: skip
+def test_what_has_no_machine_code_is_named(expression, named):
+    with pytest.raises(PluginError, match=named) as caught:
+        compile_model(alone(expression, Y))
+    assert "spiral.math" in caught.value.try_
 
 
 def test_a_shape_of_zero_gives_no_number_rather_than_an_exception():

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from spiral.io import storage
 from spiral.io.config import build_problem, compose
 from spiral.io.registry import load_registry
-from spiral.io.storage import load_run, new_run_id, run_ids, save_run
+from spiral.io.run_id import new_run_id
+from spiral.io.storage import load_run, run_ids, save_run
 from spiral.io.writing import to_json
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.run import ChannelError, Comparison, Round, Run
@@ -135,6 +136,11 @@ def test_ids_sort_by_time():
     start = datetime(2025, 1, 31, 23, 59, 59, 999000, tzinfo=UTC)
     ids = [new_run_id(start + timedelta(milliseconds=7 * i)) for i in range(50)]
     assert ids == sorted(ids)
+    back = start - timedelta(days=400)  # a clock that was set back
+    for _ in range(3):
+        ids.append(new_run_id(back, ids))
+    assert sorted(ids) == ids
+    assert new_run_id(start, ["run.json", "99991231-235959-999", "77777777-777777-777"]) < ids[1]
     assert len({new_run_id(start) for _ in range(20)}) > 15
 
 

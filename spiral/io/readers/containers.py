@@ -1,4 +1,4 @@
-"""Arrays inside HDF5 and NPZ files from anywhere: no cycle, no other file, no flood.
+"""Arrays inside HDF5, NPZ and Parquet files from anywhere: no cycle, no other file, no flood.
 
 What a file declares is counted before it is unpacked. Links that lead nowhere, in a circle or into
 another file are left out and named.
@@ -20,6 +20,8 @@ UNPACKED = 2 * 10**9  # bytes that any file may unpack to, however small it is
 _RATIO = 4  # of unpacked to packed bytes, which measured numbers hardly exceed
 _ITEMS = 20_000  # groups, datasets and cells that are looked at
 _DEPTH = 12
+_NUMBER, _OBJECT = 16, 100  # bytes of a number and of an object in a column, read and handed on
+_LONGEST = 400  # letters of a cell of text that may stand for a number or a time
 _NAMED = 5  # items left out that are named
 
 
@@ -76,22 +78,59 @@ def series_of(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
         yield from ((f"{name}[{i}]", line) for i, line in enumerate(lines))
 
 
-def npz_series(given: str, path: Path) -> list[tuple[str, np.ndarray]]:
-    """Series of an NPZ file, whose table of contents says how large each array is.
+def npz_arrays(given: str, path: Path) -> dict[str, np.ndarray]:
+    """Arrays of an NPZ file, whose table of contents says how large each is.
 
     Raises
     ------
-    InputError : an array without a name, or more than may be unpacked.
+    InputError : no NPZ file, or more than may be unpacked.
     """
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"{given}: no NPZ file", "named arrays in an NPZ file", "numpy.savez")
     allowance = Allowance(given, path.stat().st_size)
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as packed:
-            for member in packed.infolist():
-                allowance.take(member.file_size)
+    with zipfile.ZipFile(path) as packed:
+        for member in packed.infolist():
+            allowance.take(member.file_size)
     with np.load(path, allow_pickle=False) as arrays:
-        if not isinstance(arrays, np.lib.npyio.NpzFile):
-            raise InputError(f"{given}: one array without a name", "an NPZ file", "numpy.savez")
-        return [pair for name in arrays.files for pair in series_of(name, arrays[name])]
+        return {name: arrays[name] for name in arrays.files}
+
+
+def parquet_columns(path: Path, allowance: Allowance) -> list[tuple[str, Any]]:
+    """Columns of a Parquet file, whose footer says how many rows there are.
+
+    A column of one value takes a few bytes, however many rows it has. Text is read as a dictionary,
+    so that a value that repeats is held once; columns of lists and structs are left out and named.
+
+    Raises
+    ------
+    InputError : more than may be unpacked.
+    """
+    import pandas as pd
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(path) as opened:
+        about, schema = opened.metadata, opened.schema_arrow
+    nested = [f.name for f in schema if pa.types.is_nested(f.type)]
+    allowance.left_out += [f"{name} (lists or structs)" for name in nested]
+    plain = [f.name for f in schema if pa.types.is_primitive(f.type)]
+    text = [name for name in schema.names if name not in {*nested, *plain}]
+    for group in map(about.row_group, range(about.num_row_groups)):
+        columns = map(group.column, range(group.num_columns))
+        allowance.take(sum(column.total_uncompressed_size for column in columns))
+    allowance.take(about.num_rows * (_NUMBER * len(plain) + _OBJECT * len(text)))
+    with pq.ParquetFile(path, read_dictionary=text) as opened:
+        frame = opened.read(columns=[n for n in schema.names if n not in nested]).to_pandas()
+    found = []
+    for column in frame.columns:
+        name, values = str(column), frame[column]
+        shared = isinstance(values.dtype, pd.CategoricalDtype)
+        words = map(str, values.dtype.categories) if shared else ()
+        if max(map(len, words), default=0) > _LONGEST:
+            allowance.left_out.append(f"{name} (long texts)")
+            continue
+        found.append((name, values.astype(object) if name in text else values))
+    return found
 
 
 def _followed(group: Any, key: str) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ DATA_VARIABLE = "SPIRAL_DATA"
 MISSING = frozenset(("", "nan", "na", "nat", "none", "null", "<na>", "inf", "-inf", "+inf"))
 """Cells that stand for a number that is not there, in lower case."""
 _LISTED = 12
+_NAME = 256  # letters that a file's name may have
 
 
 def find_file(given: str) -> Path:
@@ -34,15 +36,16 @@ def find_file(given: str) -> Path:
     if folder and not path.is_absolute():
         places.append(Path(folder).expanduser() / path)
     for place in places:
-        if place.is_file():
-            return place
-    if any(place.is_dir() for place in places):
+        with suppress(OSError):  # a name that is too long for one
+            if place.is_file():
+                return place
+    if any(len(place.name) < _NAME and place.is_dir() for place in places):
         raise InputError(f"{given}: a folder", "a file", f"name one file: {_inside(places)}")
     looked = " or ".join(str(p.parent) for p in places)
     hint = _near(places)
     if not hint and not folder and not path.is_absolute():
         hint = f"give the full path, or set {DATA_VARIABLE} to the folder that holds it"
-    raise InputError(f"file {given!r}", f"a file in {looked}", hint or "check the path")
+    raise InputError(f"file {given[:200]!r}", f"a file in {looked}", hint or "check the path")
 
 
 def _inside(places: list[Path]) -> str:

@@ -16,14 +16,20 @@ from typing import Any
 
 import numpy as np
 
-from spiral.io.readers.containers import Allowance, Hdf5, npz_series, series_of
+from spiral.io.readers.containers import (
+    Allowance,
+    Hdf5,
+    npz_arrays,
+    parquet_columns,
+    series_of,
+)
 from spiral.io.readers.dialect import find_dialect, units_in
 from spiral.io.readers.files import Table, find_file, first_line_of
+from spiral.io.readers.matlab import read_mat
 from spiral.types.errors import ConfigError, InputError
 
 EXTRA = "formats"
 _HEAD = 65536
-_DEPTH = 12
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _EXTENSIONS = {
     ".mat": "mat", ".npz": "npz", ".parquet": "parquet", ".h5": "hdf5", ".hdf5": "hdf5",
@@ -49,6 +55,7 @@ def read_table(
     ------
     InputError : a missing, empty or broken file, or one with no column of numbers.
     ConfigError : a library that reads this format is not installed.
+    MemoryError : more numbers than there is memory.
     """
     path = find_file(given)
     head = _head(given, path)
@@ -59,7 +66,7 @@ def read_table(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             table = _READERS[kind](given, path)
-    except (InputError, ConfigError):
+    except (InputError, ConfigError, MemoryError):
         raise
     except Exception as error:  # each library raises a family of its own
         raise InputError(
@@ -111,10 +118,12 @@ def read_text(
                 path, sep=found.separator, decimal=found.decimal, skipinitialspace=True,
                 low_memory=False, skip_blank_lines=False, encoding=encoding, index_col=False,
                 encoding_errors="replace", header=None, names=[*found.names, *padding],
-                skiprows=found.first,
+                skiprows=found.first, compression=None,
             )  # fmt: skip
     except (pd.errors.EmptyDataError, pd.errors.ParserError, pd.errors.ParserWarning,
             ValueError, TypeError, OverflowError) as error:  # fmt: skip
+        if "out of memory" in str(error):
+            raise MemoryError from error
         raise InputError(
             f"{given}: rows with other numbers of cells than the line of names "
             f"({first_line_of(error)})",
@@ -168,41 +177,25 @@ def _table(given: str, kind: str, series: Iterator[tuple[str, Any]], **more: Any
 
 
 def _read_parquet(given: str, path: Path) -> Table:
-    import pandas as pd
-
-    frame = pd.read_parquet(path)
-    return _table(given, "parquet", ((str(c), frame[c]) for c in frame.columns))
+    allowance = Allowance(given, path.stat().st_size)
+    table = _table(given, "parquet", iter(parquet_columns(path, allowance)))
+    return replace(table, notes=(*table.notes, *allowance.notes()))
 
 
 def _read_npz(given: str, path: Path) -> Table:
-    return _table(given, "npz", iter(npz_series(given, path)))
+    return _table(
+        given,
+        "npz",
+        (
+            pair
+            for name, array in npz_arrays(given, path).items()
+            for pair in series_of(name, array)
+        ),
+    )
 
 
 def _read_mat(given: str, path: Path) -> Table:
-    from scipy.io import loadmat
-
-    variables = loadmat(path, struct_as_record=True)
-    found = (
-        pair for k, v in variables.items() if not k.startswith("__") for pair in _of_matlab(k, v)
-    )
-    return _table(given, "mat", found)
-
-
-def _of_matlab(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
-    """Series inside a variable: cells as ``name[0]``, structs as ``name.field``."""
-    if not isinstance(value, np.ndarray) or depth > _DEPTH:
-        return
-    if value.dtype.names is None and value.dtype != object:
-        yield from series_of(name, value)
-        return
-    items = value.ravel(order="F")
-    for position, item in enumerate(items):
-        if value.dtype.names is None:
-            yield from _of_matlab(f"{name}[{position}]", item, depth + 1)
-            continue
-        place = name if len(items) == 1 else f"{name}[{position}]"
-        for part in value.dtype.names:
-            yield from _of_matlab(f"{place}.{part}", item[part], depth + 1)
+    return _table(given, "mat", iter(read_mat(given, path)))
 
 
 def _read_hdf5(given: str, path: Path) -> Table:

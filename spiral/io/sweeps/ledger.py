@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spiral.io.storage import new_run_id
+from spiral.io.run_id import new_run_id
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import InputError
 
@@ -105,7 +105,7 @@ def open_ledger(
 def _new(place: Path, asked: Mapping[str, Any]) -> Ledger:
     place.mkdir(parents=True, exist_ok=True)
     while True:
-        folder = place / new_run_id()
+        folder = place / new_run_id(others=(p.name for p in place.iterdir()))
         try:
             folder.mkdir()
         except FileExistsError:

@@ -1,0 +1,154 @@
+"""A real PostgreSQL and a real ``mlflow server`` in front of it: 20 runs by 8 processes, none lost.
+
+make test-slow PYTEST=tests/contract/test_postgresql.py
+"""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+
+from spiral.commands.perform import in_worker
+from spiral.io.storage import FILE, run_ids
+from spiral.io.tracking.store import Tracking, opened
+from spiral.io.tracking.track import MARK, track
+from tests.sweep_jobs import RECORD
+
+FOUND = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
+RUNS, PROCESSES = 20, 8
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not FOUND, reason="needs Debian's postgresql")]
+
+
+@pytest.fixture(autouse=True)
+def untracked():
+    """These runs are tracked for real."""
+
+
+def free_port():
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+@pytest.fixture
+def database():
+    """The address of a database in a cluster of its own, in a folder of its own."""
+    # Not below pytest's own folder, which is for one user, and PostgreSQL refuses to run as root.
+    place = Path(tempfile.mkdtemp(prefix="spiral-postgresql-"))
+    password, data = place / "password", place / "data"
+    password.write_text("hush")
+    user = []
+    if os.geteuid() == 0:
+        if shutil.which("runuser") is None:
+            pytest.skip("needs runuser, or another user than root")
+        user = ["runuser", "-u", "postgres", "--"]
+        shutil.chown(place, "postgres")
+        shutil.chown(password, "postgres")
+    programs, port = FOUND[-1].parent, free_port()
+    made = ["-D", str(data), "-U", "me", "--auth=scram-sha-256", f"--pwfile={password}"]
+    subprocess.run([*user, str(programs / "initdb"), *made], check=True, capture_output=True)
+    listen = f"-p {port} -k {place} -c listen_addresses=127.0.0.1"
+    control = [*user, str(programs / "pg_ctl"), "-D", str(data), "-w", "-l", str(place / "log")]
+    subprocess.run([*control, "-o", listen, "start"], check=True, stdout=subprocess.DEVNULL)
+    try:
+        yield f"postgresql+psycopg://me:hush@127.0.0.1:{port}/postgres"
+    finally:
+        subprocess.run([*control, "-m", "immediate", "stop"], check=False, capture_output=True)
+        shutil.rmtree(place, ignore_errors=True)
+
+
+class Server:
+    """``mlflow server`` on a port of its own."""
+
+    def __init__(self, store, folder):
+        self.port = free_port()
+        self.address = f"http://127.0.0.1:{self.port}"
+        self._command = [
+            sys.executable, "-m", "mlflow", "server", "--backend-store-uri", store,
+            "--artifacts-destination", str(folder), "--host", "127.0.0.1",
+            "--port", str(self.port), "--workers", "1",
+        ]  # fmt: skip
+        self._log, self._process = folder.with_suffix(".log"), None
+
+    def start(self):
+        with self._log.open("ab") as log:
+            told = {"stdout": log, "stderr": subprocess.STDOUT}
+            self._process = subprocess.Popen(self._command, start_new_session=True, **told)
+        until = time.monotonic() + 180
+        while time.monotonic() < until:
+            with contextlib.suppress(OSError):
+                urllib.request.urlopen(f"{self.address}/health", timeout=2).close()
+                return
+            time.sleep(0.3)
+        raise AssertionError("mlflow server did not start")
+
+    def kill(self):
+        os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
+
+@pytest.fixture
+def server(database, tmp_path):
+    found = Server(database, tmp_path / "artifacts")
+    found.start()
+    yield found
+    found.kill()
+
+
+def one(out, seed, uri):
+    """A run by a process of its own, told to the server; what became of the telling."""
+    words = (*RECORD, f"record.seed={seed}", f"out={out}", "curves=false")
+    code, result = in_worker("compare", (), words, None)
+    assert code == 0
+    return track(Tracking(uri=uri, model=False), out, (result["run_id"],)).failure
+
+
+def test_no_run_is_lost_or_mixed_though_the_server_dies_in_between(server, tmp_path):
+    places = [tmp_path / f"out{i}" for i in range(RUNS)]
+    with ProcessPoolExecutor(PROCESSES, get_context("spawn")) as pool:
+        told = [pool.submit(one, str(p), i, server.address) for i, p in enumerate(places)]
+        while sum(f.done() for f in told) < RUNS // 4:
+            time.sleep(0.1)
+        server.kill()
+        time.sleep(5)
+        server.start()
+        failures = [f.result(timeout=500) for f in told]
+    print(f"{sum(f is not None for f in failures)} of {RUNS} were not told at first")
+    tracking = Tracking(uri=server.address, model=False)
+    for place in places:  # the next start
+        assert track(tracking, place).failure is None
+    with opened(tracking, places[0]) as store:
+        found = store.client.search_runs([store.experiment], max_results=1000)
+    parents = {r.data.tags["spiral.run_id"]: r for r in found if "spiral.run_id" in r.data.tags}
+    assert len(parents) == RUNS
+    assert all(r.info.status == "FINISHED" for r in found)
+    for place in places:
+        (name,) = run_ids(place)
+        saved = json.loads((place / name / FILE).read_text())
+        assert parents[name].data.metrics["test_error"] == saved["result"]["test_error"]
+        mark = json.loads((place / name / MARK).read_text())
+        assert mark["mlflow_run_id"] == parents[name].info.run_id
+    children = [r for r in found if "mlflow.parentRunId" in r.data.tags]
+    numbers = {r.info.run_id for r in parents.values()}
+    assert {r.data.tags["mlflow.parentRunId"] for r in children} <= numbers
+    assert len(found) == len(parents) + len(children)
+
+
+def test_the_database_itself_is_a_store_and_its_password_is_not_shown(database, tmp_path):
+    assert one(str(tmp_path / "out"), 0, database) is None
+    found = track(Tracking(uri=database, model=False), tmp_path / "out")
+    assert "hush" not in f"{found.uri} {found.page}"
+    (name,) = run_ids(tmp_path / "out")
+    assert "hush" not in (tmp_path / "out" / name / MARK).read_text()

@@ -1,0 +1,159 @@
+"""Faults to survive: nothing lost but the round under way, nothing corrupt, the same answer after.
+
+make test-slow PYTEST=tests/safety/test_faults.py
+"""
+
+import json
+import os
+import queue
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from spiral.app.processes import Process
+from spiral.app.serve import alone
+from spiral.app.study import load, new_study, turn_place
+from spiral.io.storage import FILE, run_ids
+from spiral.io.tracking.track import MARK
+from spiral.types.errors import ConfigError, InputError
+from tests.sweep_jobs import RECORD
+
+SPIRAL = [sys.executable, "-m", "spiral"]
+STUDY = (*RECORD, "candidates=[cubic_stiffness,quadratic_damping]", "holdout=0.3")
+KILLS = 10
+
+
+def spiral(place, *words, **more):
+    return subprocess.run(
+        [*SPIRAL, *words], cwd=place, capture_output=True, text=True, check=False, **more
+    )
+
+
+def sound(folder):
+    """Every saved run reads, and none is half there."""
+    for name in run_ids(folder):
+        assert json.loads((folder / name / FILE).read_text())["run_id"] == name
+    return True
+
+
+@pytest.mark.slow
+def test_the_pages_worker_killed_at_random_moments_costs_its_step_alone(tmp_path):
+    told = queue.Queue()
+    process = Process("fits", tmp_path, lambda order, kind, data: told.put((kind, data)))
+    study = new_study(tmp_path, "a study", STUDY)
+    order = {"do": "start", "study": study.ident, "serial": 0, "plugins": None,
+             "overrides": list(STUDY)}  # fmt: skip
+
+    def ended():
+        while (event := told.get(timeout=300))[0] not in ("done", "failed"):
+            pass
+        return event
+
+    try:
+        began = time.monotonic()
+        process.give(order)
+        assert ended()[0] == "done"
+        seconds, chance, failed = time.monotonic() - began, random.Random(3), 0
+        for _ in range(KILLS):
+            process.give(order)
+            time.sleep(chance.uniform(0.05, 0.6) * seconds)
+            worker = process._process
+            os.kill(worker.pid, signal.SIGKILL)
+            kind, data = ended()
+            worker.join(10)
+            if kind == "failed":
+                failed += 1
+                assert "ended in the middle" in data["given"]
+        assert failed >= KILLS // 2
+        process.give(order)
+        assert ended()[0] == "done"
+    finally:
+        process.close()
+    assert load(tmp_path, study.ident).title == "a study"
+    assert not list(turn_place(tmp_path, study.ident, 0).rglob("*.tmp"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", ["discover", "compare"])
+def test_files_that_may_grow_no_further_are_one_message(tmp_path, verb):
+    """As on a full disk, at every write: no file may be longer than so many bytes."""
+    resource = pytest.importorskip("resource")
+    before = spiral(tmp_path, verb, *STUDY, "tracking.enabled=false")
+    kept = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    assert before.returncode == 0
+    for most in (0, 100, 4096, 16384, 65536):
+        done = spiral(
+            tmp_path, verb, *STUDY, "record.seed=1", "tracking.enabled=false",
+            preexec_fn=lambda most=most: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)),
+        )  # fmt: skip
+        assert "Traceback" not in done.stderr
+        assert done.returncode in (0, 2)
+        if done.returncode:
+            assert "File too large" in done.stderr
+        assert not [p for p in tmp_path.rglob("*") if ".tmp" in p.name]
+        assert all(p.read_bytes() == content for p, content in kept.items())
+        assert sound(tmp_path / "runs")
+
+
+@pytest.mark.slow
+def test_a_database_locked_for_30_s_by_another_program_is_waited_for_or_caught_up(tmp_path):
+    words = ("compare", *RECORD, "tracking.model=false")
+    assert spiral(tmp_path, *words).returncode == 0
+    database = sqlite3.connect(tmp_path / "runs" / "mlflow.db", check_same_thread=False)
+    database.execute("BEGIN EXCLUSIVE")
+    threading.Timer(30.0, database.rollback).start()
+    done = spiral(tmp_path, *words, "record.seed=1")
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr
+    time.sleep(1)
+    assert spiral(tmp_path, *words, "record.seed=2").returncode == 0
+    runs = run_ids(tmp_path / "runs")
+    assert len(runs) == 3
+    assert all((tmp_path / "runs" / name / MARK).is_file() for name in runs)
+
+
+@pytest.mark.slow
+def test_a_record_that_changes_while_a_study_runs_is_told_apart_by_its_hash(tmp_path):
+    rng = np.random.default_rng(0)
+    rows = np.column_stack([np.arange(2000) / 500, rng.normal(size=(2000, 2))])
+
+    def write(values):
+        header = "t,x,force"
+        np.savetxt(tmp_path / "a.csv", values, delimiter=",", header=header, comments="")
+
+    write(rows)
+    words = [*SPIRAL, "compare", "system=oscillator", "record=csv", "record.path=a.csv",
+             "record.time=t", "record.channels={x: x}", "record.inputs={force: force}",
+             "tracking.enabled=false"]  # fmt: skip
+    process = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL,
+                               stderr=subprocess.PIPE, text=True)  # fmt: skip
+    while "compiling" not in (line := process.stderr.readline()):
+        assert line, "it ended before it had read the record"
+    write(rows * 2)
+    assert process.wait() == 0
+    assert spiral(tmp_path, *words[len(SPIRAL) :]).returncode == 0
+    first, second = (
+        json.loads((tmp_path / "runs" / name / FILE).read_text())["data"]["records"][0]["sha256"]
+        for name in run_ids(tmp_path / "runs")
+    )
+    assert first != second
+
+
+def test_a_second_page_on_one_folder_is_refused(tmp_path):
+    with alone(tmp_path), pytest.raises(ConfigError, match="a second page"), alone(tmp_path):
+        raise AssertionError
+    with alone(tmp_path):  # the first has ended
+        pass
+
+
+def test_a_page_on_a_folder_that_cannot_be_made_is_one_message(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="folder of runs"), alone(tmp_path / "file" / "runs"):
+        raise AssertionError
