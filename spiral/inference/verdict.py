@@ -4,12 +4,14 @@ A model is *near its noise* where all of these hold:
 
     1 / L <= chi2 / dof <= L          on the samples that were fitted,
     p >= level or Q / N <= s^2        what is left is white, or its colour harmless,
-    (test error)^2 <= L (floor)^2     on samples that no fit has seen,
+    (test error)^2 <= L (floor)^2 + 4 d^2     on samples that no fit has seen,
 
-with L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box. Q/N is about the share of what
-is left that its own past predicts: below s^2 it is smaller than the smallest effect that counts.
-Where a filter's likelihood is the evidence chi2 is that of the innovations, and the test error is
-not asked: process noise moves what runs freely.
+with L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box, d what the fitted random forces
+are expected to make of a free run (``engine.likelihood.free_spread``; a record has few stretches
+that are independent of one another, so that twice as much is no wonder). Q/N is about the share of
+what is left that its own past predicts: below s^2 it is smaller than the smallest effect that
+counts. Where a filter's likelihood is the evidence chi2 is that of the innovations; with
+``strategy=innovation`` the test error is not asked: process noise moves what runs freely.
 
 An admitted effect is *determined* where one of its amplitudes has |t| >= ``least_t`` and does not
 lie at a bound. Only such an effect is named as what was missing.
@@ -26,6 +28,7 @@ from spiral.types.formatting import number, percent
 from spiral.types.model import Model
 from spiral.types.run import Comparison, Round, Stopped, Verdict
 
+_STRETCHES = 4.0  # times the variance that random forces are expected to make of one free run
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
 
 _VERDICTS = {
@@ -100,9 +103,9 @@ def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
             where = name.partition(".")[2]
             reasons.append(f"the noise of {where} would be {percent(share)} of what it shows")
     modelled = found.innovation_chi2 is None or found.random is not None
-    free = modelled and not forces  # else process noise moves what runs freely
-    if free and not found.test_error**2 <= limit * floor**2:
-        made = percent(floor)
+    allowed = limit * floor**2 + _STRETCHES * found.disturbed**2
+    if modelled and not found.test_error**2 <= allowed:
+        made = percent(float(np.hypot(floor, found.disturbed)))
         reasons.append(f"the test error is {percent(found.test_error)} where noise makes {made}")
     return tuple(reasons)
 
@@ -147,6 +150,8 @@ def random_sentence(found: Comparison) -> str:
             said.append(
                 f"the noise of sensor {where} is not white: {percent(share)} of its motion{lasting}"
             )
+    if random_forces(found) and np.isfinite(found.disturbed):
+        said.append(f"random forces make {percent(found.disturbed)} of the motion")
     text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
 

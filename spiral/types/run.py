@@ -63,7 +63,8 @@ class Comparison(Readable):
     force its share of the rate that it acts on, of a reading its share of the channel's deviation;
     nothing where no such model was fitted; ``random_times`` its correlation time in s, where it
     has one; ``spoilt`` says in words which readings are no measurement, ``departures`` what neither
-    the model nor its noise can hold (a parameter that drifts, noise that grows with its reading).
+    the model nor its noise can hold (a parameter that drifts, noise that grows with its reading);
+    ``disturbed`` is the error that the random forces are expected to make of the test's free run.
     ``traces`` are what the errors were computed from, while the program that did is running; no
     file keeps them.
     """
@@ -86,6 +87,7 @@ class Comparison(Readable):
     random_times: Mapping[str, float] = field(default_factory=dict)
     spoilt: tuple[str, ...] = ()
     departures: tuple[str, ...] = ()
+    disturbed: float = 0.0
     traces: Traces | None = field(default=None, compare=False, repr=False)
 
     def _shown(self) -> Summary:
@@ -109,6 +111,7 @@ class Comparison(Readable):
             "random_times": dict(self.random_times),
             "spoilt": list(self.spoilt),
             "departures": list(self.departures),
+            "disturbed": self.disturbed,
             "channels": {k: v.as_dict() for k, v in self.channels.items()},
             "chi2_per_dof": self.chi2_per_dof,
             "whiteness_p": self.whiteness_p,

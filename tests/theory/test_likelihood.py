@@ -15,6 +15,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral.engine.filter.setup import prepared
 from spiral.engine.filter.task import linearised, prepare_task
 from spiral.engine.likelihood.fit import maximise
+from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, matrices
 from spiral.engine.likelihood.own_states import own_of, own_states_along
 from spiral.engine.likelihood.predict import log_likelihood, predicted
@@ -211,6 +212,17 @@ def shaken(seed, level):
     return disturbed(task, {"observed": level}, 0.02, np.random.default_rng(seed))
 
 
+def test_random_forces_move_a_free_run_as_far_as_it_says():
+    """Against 40 simulated records; the motion without forces is that of the model."""
+    misses = []
+    for seed in range(40):
+        record = shaken(seed, 0.05)
+        task, settings = task_of(record)
+        misses.append(record.truth["x"] - states_alone(task, settings)[:, 0])
+    expected = free_spread(task, settings, first_noise(task, 0.05), task.series.samples)
+    assert np.sqrt(np.mean(np.square(misses))) == pytest.approx(expected[0], rel=0.15)
+
+
 @pytest.mark.parametrize("kind", ["white", "coloured", "alone", "drift"])
 def test_the_ladder_takes_up_the_noise_that_is_there(kind):
     """``alone``: no white noise beside the coloured one."""
@@ -248,6 +260,21 @@ def laddered(record) -> NoiseModel:
     assembly = compiled_with(Problem(model, (record,), ()), (), 4)
     state = FitState(model.labels, first_row(assembly), corrected=False)
     return climbed_ladder(assembly, refitted(assembly, state), silent).estimate.noise
+
+
+def test_integration_steps_are_as_short_as_the_record_can_tell():
+    """Hardly any noise: the stiffness is off by less than its error, and by far more without."""
+    import spiral
+
+    truth = {**TRUTH, "linear_stiffness.stiffness": 4000.0}
+    record = replace(record_of(11, 4000, 1e-4, values=truth), noise={})
+    found = spiral.compare(record, "oscillator", values=truth).model.estimates()
+    stiffness = found["linear_stiffness"]["stiffness"]
+    assert abs(stiffness.estimate - 4000.0) < 3 * stiffness.se
+    task, settings = task_of(record, values=truth, substeps=1)
+    coarse = maximise(((task, settings),), KEYS, first_noise(task, 1e-4))
+    miss = abs(coarse.values["linear_stiffness.stiffness"] - 4000.0)
+    assert miss > 5 * stiffness.se
 
 
 def test_a_hidden_friction_is_named_and_measured():

@@ -18,6 +18,7 @@ from spiral.engine.filter.task import Task, linearised
 from spiral.engine.fit import fit
 from spiral.engine.growth import Stage, layouts_for
 from spiral.engine.likelihood.fit import Maximum
+from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import predicted
 from spiral.engine.study import Point
@@ -81,7 +82,8 @@ def compared_by_likelihood(
         forecaster = _forecaster(state, nuisances(assembly, state, model), starts)
         unseen = at_horizons(other, model, run, forecaster)
     errors, problem = run.errors(names), assembly.problem
-    sizes, times = acting(estimate)
+    disturbed = _disturbed(estimate, run)
+    sizes, times = acting(estimate, disturbed)
     tested = () if other is None else run.predicted
     return state, Comparison(
         model=model,
@@ -98,9 +100,21 @@ def compared_by_likelihood(
         unseen=unseen,
         random=sizes,
         random_times=times,
+        disturbed=disturbed,
         departures=departures(model, estimate, is_white(assembly, found), sizes),
         traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
     )
+
+
+def _disturbed(estimate: Maximum, run: FreeRun) -> float:
+    """The error that random forces make of a free run, over its deviation, mean over channels."""
+    if not estimate.finite:
+        return 0.0
+    task, settings = estimate.prepared[0]
+    samples = max(len(p) for p in run.predicted)
+    spread = free_spread(task, settings, estimate.noise, samples)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.mean(spread / run.deviations()))
 
 
 def _left(assembly: Assembly, found: LikelihoodFit) -> dict[str, float]:
@@ -132,8 +146,11 @@ def _settling(other: Assembly, task: Task) -> float:
     return float(max(asked, min(_PERIODS * slowest, shortest / 3)))
 
 
-def acting(estimate: Maximum) -> tuple[dict[str, float], dict[str, float]]:
-    """What acts at random beside white noise, and its times: sizes that matter and are told."""
+def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[str, float]]:
+    """What acts at random beside white noise, and its times: sizes that matter and are told.
+
+    A force matters by its share of the machine's own or by what forces make of a free run.
+    """
     noise, errors = estimate.noise, estimate.noise_errors
     task = estimate.prepared[0][0]
     channels, length = task.compiled.traced.channels, task.series.dt * task.series.samples
@@ -146,7 +163,8 @@ def acting(estimate: Maximum) -> tuple[dict[str, float], dict[str, float]]:
         if term.kind == "drift":
             size *= np.sqrt(length)
         share = size / spread[term.where] if term.where in spread else size
-        if share >= _COUNTS:
+        most = max(share, disturbed) if term.kind in ("force", "gust") else share
+        if most >= _COUNTS:
             sizes[term.size] = float(share)
             if term.time:
                 times[term.size] = float(noise.values[term.time])

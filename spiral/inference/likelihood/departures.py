@@ -70,7 +70,9 @@ def _noisy_inputs(estimate: Maximum, random: Iterable[str]) -> tuple[str, ...]:
     traced, members = task.compiled.traced, groups(task)
     pushed = [members[w] for k, _, w in (r.partition(".") for r in random) if k == "force"]
     symbols = {s for rows in pushed for i in rows for s in traced.rate[i].free_symbols}
-    names = [n for n, u in zip(traced.inputs, traced.u, strict=True) if u in symbols]
+    given = {i.name for i in task.model.system.inputs}
+    columns = zip(traced.inputs, traced.u, strict=True)
+    names = [n for n, u in columns if u in symbols and n in given]
     if not names:
         return ()
     many = "inputs" if len(names) > 1 else "input"

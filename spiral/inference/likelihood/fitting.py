@@ -24,7 +24,7 @@ LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by 
 _SMALL = 0.05  # level of a random force that is a small one
 _HEAD = 2048  # samples that tell where a record begins
 _ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
-_MOST_SUBSTEPS = 32
+MOST_SUBSTEPS = 32
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def finer(found: LikelihoodFit) -> int:
         for k in spread_out(states):
             matrix = linearised(task.compiled, task.values, inputs[k], states[k])
             fastest = max(fastest, float(np.abs(np.linalg.eigvals(matrix)).max()) * task.series.dt)
-    return int(np.clip(np.ceil(fastest / _ADVANCE), 1, _MOST_SUBSTEPS))
+    return int(np.clip(np.ceil(fastest / _ADVANCE), 1, MOST_SUBSTEPS))
 
 
 def refitted(

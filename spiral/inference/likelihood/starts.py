@@ -25,6 +25,7 @@ from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import FitState, all_samples, stage_lengths
 from spiral.inference.likelihood.fitting import (
     LEVEL,
+    MOST_SUBSTEPS,
     LikelihoodFit,
     explains,
     finer,
@@ -40,6 +41,7 @@ from spiral.inference.problem import Progress
 _HEAT = 8  # scoring steps of each start
 _SAME = 0.02  # log-likelihood a reading up to which two starts have led to one place
 _WINDOWS = 2  # window lengths of a start from windows
+_SHOWN = 0.1  # standard errors by which steps of half the length may move an estimate
 _QUIET = 1e-3  # level of a random force that does next to nothing
 
 
@@ -96,6 +98,38 @@ def on_finer_steps(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
     if wanted <= found.estimate.prepared[0][0].series.substeps:
         return found
     return refitted(assembly, replace(found.state, substeps=wanted), rough=True)
+
+
+def resolved_in_time(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
+    """The fit on integration steps whose error no parameter shows.
+
+    Steps of half the length change the whitened misses by d, and with them the estimates by
+    V X^T d, X the misses' slopes and V the inverse of their information; where that is a share of a
+    standard error that counts, the fit goes on with the shorter ones.
+    """
+    while found.estimate.finite and found.estimate.keys:
+        at, keys, solved = found.estimate, found.estimate.keys, found.estimate.solved
+        steps = 2 * at.prepared[0][0].series.substeps
+        if solved is None or steps > MOST_SUBSTEPS:
+            break
+        state = replace(found.state, substeps=steps)
+        finer_ones = subjects(assembly, state)
+        trial = all_predicted([(finer_ones, at.noise)])[0]
+        if not all(p.whole for p in trial):
+            break
+        inverse = solved.inverse[: len(keys)]
+        pulled = sum(
+            (np.einsum("kjp,kj->p", p.columns, (t.misses - p.misses) * p.weight)
+             for p, t in zip(at.parts, trial, strict=True)), np.zeros(len(keys)),
+        )  # fmt: skip
+        moved = np.abs(inverse @ (inverse.T @ pulled)) / np.array(list(at.errors.values()))
+        if not np.max(moved) > _SHOWN:
+            break
+        again = refitted(assembly, state, at.noise)
+        if not again.estimate.finite:
+            break
+        found = again
+    return found
 
 
 def _starts(

@@ -41,7 +41,12 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.identify import untold
 from spiral.inference.likelihood.ladder import climbed_ladder, pruned, quieted
 from spiral.inference.likelihood.scores import ranking
-from spiral.inference.likelihood.starts import best_fit, on_finer_steps, rebalanced
+from spiral.inference.likelihood.starts import (
+    best_fit,
+    on_finer_steps,
+    rebalanced,
+    resolved_in_time,
+)
 from spiral.inference.problem import Problem, Progress, Settings, silent
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy, second_order
 from spiral.inference.strategies.retire import let_go
@@ -179,7 +184,7 @@ def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Li
     if not found.estimate.finite or colour(assembly, found).p < _LAST:
         return found
     progress("polishing the fit")
-    return taken_on(assembly, quieted(assembly, found))
+    return resolved_in_time(assembly, taken_on(assembly, quieted(assembly, found)))
 
 
 def _promising(found: Ranking) -> list[Ranked]:
