@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import Any
 
 FORMER = {
     **{
@@ -37,6 +38,10 @@ FORMER = {
 """Former name -> present one, both below ``spiral``; the modules of a package with it."""
 
 
+CALLED = {"spiral.types.system": "spiral.io.own_model"}
+"""Present modules whose former name is a function's of ``spiral`` now, and where that one is."""
+
+
 def present(name: str) -> str | None:
     """The present full name of a module by its former one; nothing where it never moved."""
     package, _, below = name.partition(".")
@@ -44,6 +49,15 @@ def present(name: str) -> str | None:
     if package != "spiral" or parts[0] not in FORMER:
         return None
     return ".".join(("spiral", FORMER[parts[0]], *parts[1:]))
+
+
+class _Called(ModuleType):
+    """A module under a name that is a function's as well; importing it would hide the function."""
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        """The function of ``spiral`` with the module's former name."""
+        home = importlib.import_module(CALLED[self.__name__])
+        return getattr(home, self.__name__.rpartition(".")[2])(*given, **named)
 
 
 class _Loader(Loader):
@@ -61,6 +75,8 @@ class _Loader(Loader):
     def exec_module(self, module: ModuleType) -> None:
         """It has run already; the import system has put the former name on it."""
         module.__spec__ = self.spec
+        if self.name in CALLED:
+            module.__class__ = _Called
 
 
 class FormerNames(MetaPathFinder):

@@ -83,6 +83,7 @@ class BoucWen(ForceEffect):
     depends on where the motion last turned round.
     """
 
+    special = ("coulomb_friction",)
     states = (State("slip", "position", per_axis=True),)
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0, per_axis=True),

@@ -155,10 +155,7 @@ class Registry:
         return self.make("effect", name, given)
 
     def candidates(self, system: System, everywhere: bool = False) -> tuple[Effect, ...]:
-        """Every effect with a physical name that fits the system's first port.
-
-        ``everywhere``: at every port, and on every input.
-        """
+        """Named effects that fit the system's first port, or (``everywhere``) any port or input."""
         from spiral.types.effect import FlowEffect, ForceEffect, InputEffect, SensorEffect
         from spiral.types.placement import check_effect
         from spiral.types.units import units_fit

@@ -93,9 +93,9 @@ def signatures(
     system = along.system
     port = check_effect(system, effect)
     count, n = along.states.shape
-    m = len(system.observed)
     units = _unit_amplitudes(effect, port, shapes)
-    rates, readings = np.zeros((count, n, len(units))), np.zeros((count, m, len(units)))
+    rates = np.zeros((count, n, len(units)))
+    readings = np.zeros((count, len(system.observed), len(units)))
     u = inputs_seen(along, shift)
     if isinstance(effect, SensorEffect):
         at = At(
@@ -110,12 +110,10 @@ def signatures(
         return rates, readings
     hidden = SimpleNamespace(**(own or {}))
     if isinstance(effect, InputEffect):
-        recorded = _input(along, port)
-        at, slope = At((recorded,), (), hidden), along.by_input[port.axes[0]]
-        for j, p in enumerate(units):
-            change = asked(effect, "drive", effect.drive, at, u, p) - recorded
-            rates[:, :, j] = slope * change[:, None]
-        return rates, readings
+        recorded, slope = _input(along, port), along.by_input[port.axes[0]]
+        at = At((recorded,), (), hidden)
+        driven = [asked(effect, "drive", effect.drive, at, u, p) for p in units]
+        return slope[:, :, None] * (np.stack(driven, axis=1) - recorded[:, None])[:, None], readings
     gain = along.once("pushed", lambda: _matrix(
         _pushed(system)(*along.states.T, *along.inputs.T, *along.parameters), count
     ))  # fmt: skip

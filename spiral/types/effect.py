@@ -24,6 +24,8 @@ class Effect(Plugin):
     channels : states that the system must have, by name; none where any system will do.
     leaves : names of effects that it leaves beyond leading order where it acts through hidden
         coordinates: what is then found of them is its own next order.
+    special : names of effects that it becomes at the ends of its shapes. They are tried wherever it
+        is, because the simpler one is the answer where both explain a record.
     bare : a monomial of a library without a physical name; no candidate unless it is asked for.
 
     Fields
@@ -39,6 +41,7 @@ class Effect(Plugin):
     inputs: ClassVar[tuple[str, ...]] = ()
     channels: ClassVar[tuple[str, ...]] = ()
     leaves: ClassVar[tuple[str, ...]] = ()
+    special: ClassVar[tuple[str, ...]] = ()
     bare: ClassVar[bool] = False
 
     port: str = ""

@@ -39,12 +39,14 @@ def softening(time):
 def study(served, chromium, tmp_path_factory):
     """The address of a study whose first proposal makes predictions worse.
 
-    With ``shooting``: the likelihood of the whole record does not admit it in the first place.
+    With ``shooting``: the likelihood of the whole record does not admit it in the first place. The
+    true effect (``preload``) is no candidate.
     """
     file = tmp_path_factory.mktemp("steps") / "softening.csv"
     rows = softening(np.arange(SAMPLES) / RATE)
     np.savetxt(file, rows, "%.9g", delimiter=",", header="t,x,force", comments="")
-    words = ("system=oscillator", "record=csv", f"record.path={file}", "strategy=shooting")
+    known = "candidates=[cubic_stiffness,quadratic_stiffness,clearance,coulomb_friction]"
+    words = ("system=oscillator", "record=csv", f"record.path={file}", "strategy=shooting", known)
     made = new_study(served.out, "softening", words)
     page = served.enter(chromium.new_page())
     page.set_default_timeout(120_000)

@@ -68,5 +68,5 @@ def test_wheel_names_its_entry_points(built: tuple[Path, zipfile.ZipFile]) -> No
     (points,) = (n for n in wheel.namelist() if n.endswith(".dist-info/entry_points.txt"))
     assert Parser().parsestr(wheel.read(metadata).decode())["Name"] == "spiral-po"
     text = wheel.read(points).decode()
-    assert "spiral = spiral.cli:main" in text
+    assert "spiral = spiral.cli:entry" in text
     assert "shipped = spiral_plugins" in text

@@ -11,6 +11,7 @@ from spiral.io.registry import load_registry
 from spiral.types.errors import SpiralError
 
 REGISTRY = load_registry(local=False)
+FILE = "file:"  # an address of the disk
 
 
 @pytest.mark.parametrize(
@@ -44,7 +45,7 @@ def test_what_is_no_override_is_refused_at_once(given):
         "record=../../../etc/passwd",
         "system=os",
         "experiment=../../secret",
-        "hydra.searchpath=[file:///tmp]",
+        f"hydra.searchpath=[{FILE}///tmp]",
         "hydra.run.dir=/tmp/elsewhere",
         "hydra.job.env_set={PATH: /tmp}",
     ],
@@ -71,7 +72,7 @@ def test_nothing_is_put_into_a_text(monkeypatch):
         "/dev/stdin",
         "/",
         "http://127.0.0.1:9/a.csv",
-        "file:///etc/passwd",
+        f"{FILE}///etc/passwd",
         "s3://bucket/a.csv",
         "\x00",
         "a" * 5000,

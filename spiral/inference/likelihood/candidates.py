@@ -66,10 +66,13 @@ class Rival:
 def race(
     assembly: Assembly, base: LikelihoodFit, found: list[Ranked], masks: Masks, progress: Progress
 ) -> tuple[list[Rival], list[Rival]]:
-    """Candidates refitted on the blocks that select, best first; beside them those left behind."""
+    """Candidates refitted on the blocks that select, best first; beside them those left behind.
+
+    ``found`` are all, the best first; those whose score is not worth their price are not refitted.
+    """
     far = [] if explains(base) else from_afar(assembly, base.state, found)
     runners = []
-    for ranked in [*found[:_RIVALS], *far]:
+    for ranked in [*_first(found), *far]:
         progress(f"refitting with {ranked.variant.original.label}")
         runners.append(_refit(assembly, base, ranked, masks, ranked in far))
     runners = [r for r in runners if r.fit.estimate.finite]
@@ -85,6 +88,18 @@ def race(
     last = [_further(base, r, masks, _RACE) for r in again if r.worth >= least]
     behind = [r for r in runners if all(r.ranked is not other.ranked for other in last)]
     return sorted(last, key=lambda r: -r.worth), sorted(behind, key=lambda r: -r.worth)
+
+
+def _first(found: list[Ranked]) -> list[Ranked]:
+    """The promising ones that come first, and the special cases of these."""
+    chosen = [r for r in found if r.rank < 0 and not r.whole][:_RIVALS]
+    known = {(type(e := r.variant.original).plugin_name(), e.port): r for r in found}
+    places = [
+        (name, r.variant.original.port) for r in chosen for name in r.variant.original.special
+    ]
+    return chosen + [
+        known[x] for x in dict.fromkeys(places) if x in known and known[x] not in chosen
+    ]
 
 
 def refit_alone(assembly: Assembly, base: LikelihoodFit, ranked: Ranked) -> Rival:

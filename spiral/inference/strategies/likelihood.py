@@ -117,7 +117,7 @@ def _propose(
     ranked = ranking(assembly, base, base.estimate.noise, select)
     if ranked is None:
         return Step((), {}, stopped="diverged")
-    rivals, behind = race(assembly, base, _promising(ranked), select, progress)
+    rivals, behind = race(assembly, base, list(ranked.ranked), select, progress)
     tried = (*rivals, *behind)
     rejected: dict[str, str] = {}
     level = spent(assembly.problem.settings.level, number) / _ASKED
@@ -185,11 +185,6 @@ def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Li
         return found
     progress("polishing the fit")
     return resolved_in_time(assembly, taken_on(assembly, quieted(assembly, found)))
-
-
-def _promising(found: Ranking) -> list[Ranked]:
-    """Candidates whose score is worth their price, the best first."""
-    return [r for r in found.ranked if r.rank < 0 and not r.whole]
 
 
 def _refused(

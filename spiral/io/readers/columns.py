@@ -130,9 +130,8 @@ class Columns(Source):
             raise ConfigError("both record.resample and record.hold", "one of them", told)
         for name in ("pulse_level", "pulse_edge"):
             if getattr(self, name) is not None and self.pulse is None:
-                raise ConfigError(
-                    f"record.{name} without a pulse", "record.pulse=COLUMN", "or leave it out"
-                )
+                given = f"record.{name} without a pulse"
+                raise ConfigError(given, "record.pulse=COLUMN", "or leave it out")
         self._slow_roll()
 
     def as_test(self) -> Source:
