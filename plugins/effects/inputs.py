@@ -6,10 +6,9 @@ an effect is there: 1 where the actuator is as the equation says.
 
 from __future__ import annotations
 
-from spiral_plugins.effects.restoring import WIDTH
+from spiral_plugins.effects.restoring import WIDTH, beyond
 from spiral_plugins.effects.sensors import half_a_sample
 
-from spiral.math import ramp
 from spiral.types.effect import InputEffect
 from spiral.types.parameter import Parameter, State
 
@@ -31,8 +30,7 @@ class InputDeadZone(InputEffect):
     def drive(self, at, u, p):
         """u - s clip(u, -g, g)."""
         (given,) = at.position
-        beyond = ramp(given - p.gap, p.width) - ramp(-given - p.gap, p.width)
-        return given - p.share * (given - beyond)
+        return given - p.share * (given - beyond(given, p.gap, p.width))
 
 
 class InputSaturation(InputEffect):
@@ -50,8 +48,7 @@ class InputSaturation(InputEffect):
     def drive(self, at, u, p):
         """u - s sign(u) (|u| - l)_+."""
         (given,) = at.position
-        beyond = ramp(given - p.limit, p.width) - ramp(-given - p.limit, p.width)
-        return given - p.share * beyond
+        return given - p.share * beyond(given, p.limit, p.width)
 
 
 class ActuatorLag(InputEffect):

@@ -10,6 +10,11 @@ WIDTH = Parameter("width", "position", lower=0.0, start=0.0, role="shape", grid=
 """Half the stretch over which a corner is rounded: 2 % of the largest motion while a candidate."""
 
 
+def beyond(value, gap, width):
+    """What of a value lies beyond +-gap, with its sign; corners are rounded over +-w."""
+    return ramp(value - gap, width) - ramp(-value - gap, width)
+
+
 class LinearStiffness(ForceEffect):
     """Linear spring: F_i = -k_i q_i."""
 
@@ -55,9 +60,7 @@ class Clearance(ForceEffect):
 
     def force(self, at, u, p):
         """-k (|q_i| - g)_+ sign q_i per axis."""
-        above = [ramp(q - p.gap, p.width) for q in at.position]
-        below = [ramp(-q - p.gap, p.width) for q in at.position]
-        return [-p.stiffness * (a - b) for a, b in zip(above, below, strict=True)]
+        return [-p.stiffness * beyond(q, p.gap, p.width) for q in at.position]
 
 
 class Stop(ForceEffect):

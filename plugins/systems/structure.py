@@ -36,13 +36,14 @@ class Structure(MechanicalSystem):
 
     def __post_init__(self):
         """Read and reduce, so that what is wrong is said at once."""
-        from spiral.physics.structures.description import described, structure_of
+        from spiral.io.readers.matrices import read_structure
+        from spiral.physics.structures.description import structure_of
 
         object.__setattr__(self, "band", tuple(self.band))
         if not self.text:
             source, nodes = (self.path, self.nodes) if self.path else _chain()
             band = self.band if self.path else (0.0, 0.3)
-            text = described(source, nodes, self.size, band, self.pairs, self.damping_ratio)
+            text = read_structure(source, nodes, self.size, band, self.pairs, self.damping_ratio)
             object.__setattr__(self, "text", text)
         object.__setattr__(self, "pairs", None)  # they are in the text
         structure_of(self.text)

@@ -118,11 +118,7 @@ def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) ->
         dt=record.dt,
         substeps=substeps,
         splines=splines(record, substeps, knot if wanted else 0.0),
-        held=tuple(
-            k
-            for k, i in enumerate(system.inputs)
-            if record.hold.get(i.name, i.interpolation) == "zero_order"
-        ),
+        held=tuple(k for k, i in enumerate(system.inputs) if record.between(i) == "zero_order"),
         seen=seen_readings(record, system.observed),
     )
 
@@ -159,9 +155,7 @@ def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
     coarse = np.arange(record.samples, dtype=float)
     fine = np.arange(count) / (2.0 * substeps)
     columns = [
-        between_samples(
-            record.inputs[i.name], coarse, fine, record.hold.get(i.name, i.interpolation), substeps
-        )
+        between_samples(record.inputs[i.name], coarse, fine, record.between(i), substeps)
         for i in system.inputs
     ]
     columns += [

@@ -44,9 +44,9 @@ def structure(
     ------
     InputError, ConfigError : a file, a matrix or a node that cannot be used.
     """
-    from spiral.physics.structures.description import described
+    from spiral.io.readers.matrices import read_structure
 
-    text = described(source, nodes, size, band, pairs, damping_ratio)
+    text = read_structure(source, nodes, size, band, pairs, damping_ratio)
     return load_registry(NO_FOLDER).make("system", "structure", {"text": text})
 
 

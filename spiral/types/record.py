@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from spiral.types.errors import InputError, did_you_mean
-from spiral.types.parameter import Interpolation
+from spiral.types.parameter import Input, Interpolation
 from spiral.types.spoilt import Spoilt, bridged, clipping, spoilt_readings
 
 if TYPE_CHECKING:
@@ -87,6 +87,10 @@ class Record:
             truth={k: v[cut] for k, v in self.truth.items()},
             spoilt={k: tuple(s.part(cut) for s in v) for k, v in self.spoilt.items()},
         )
+
+    def between(self, known: Input) -> Interpolation:
+        """How an input runs between its samples: as the record says, else as its system does."""
+        return self.hold.get(known.name, known.interpolation)
 
     def gone(self, channel: str) -> Array | None:
         """(samples,) True where a channel's reading is no measurement; nothing where all are."""

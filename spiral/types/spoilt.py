@@ -29,6 +29,7 @@ _REPEATS = 0.002  # share of repeated values from which a signal repeats them by
 _MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how it moves
 _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
 _PAIRS = np.array([(i, i + d) for d in (1, 2, 3) for i in range(-3, 4 - d)])  # that may meet
+_WEIGHTS = np.array([6, -4, 1, 0]) / 6  # of a reading in the r of those so many away
 _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are noise
 
 
@@ -148,16 +149,16 @@ def _spikes(values: Array) -> Array:
         last = np.zeros(len(y), dtype=bool)
         off = _off(y)
         for k in _peaks(off, found, scale):
-            last[k] = _mended(y, [k], scale) is not None
+            last[k] = _amounts(y, [k], scale) is not None
         y[last] -= off[last]
         found |= last
     met = _peaks(_off(y), found, scale)
-    pairs = np.zeros(len(values), dtype=bool)
     for k in met if 2 * len(met) <= found.sum() else ():
-        trials = (_mended(y, pair, scale) for pair in _PAIRS + k)
-        better = next((trial for trial in trials if trial is not None), y)
-        y, pairs = better, pairs | (better != y)
-    return found | pairs
+        trials = ((pair, _amounts(y, pair, scale)) for pair in _PAIRS + k)
+        pair, amounts = next((t for t in trials if t[1] is not None), (np.zeros(0, int), 0.0))
+        y[pair] -= amounts
+        found[pair] = True
+    return found
 
 
 def _peaks(off: Array, found: Array, scale: float) -> list[int]:
@@ -166,25 +167,24 @@ def _peaks(off: Array, found: Array, scale: float) -> list[int]:
     return [int(k) for k in far if np.abs(off[k]) >= np.abs(off[max(k - 2, 0) : k + 3]).max()]
 
 
-def _mended(values: Array, at: Sequence[int], scale: float) -> Array | None:
-    """The readings with those ``at`` brought onto the cubics through their neighbours.
+def _amounts(values: Array, at: Sequence[int], scale: float) -> Array | None:
+    """How far the readings ``at`` are from the cubics through their neighbours.
 
-    None where the neighbours do not agree then, or where one of them is not far off itself.
+    None where the neighbours do not agree without them, or where one of them is not far off itself.
     """
     low, high = int(min(at)), int(max(at))
     if low < 4 or high >= len(values) - 4:
         return None
-    around = slice(low - 4, high + 5)
-    places = [k - around.start for k in at]
-    units = [_off(np.eye(high - low + 9)[p])[places] for p in places]
-    amounts = np.linalg.solve(np.array(units), _off(values[around])[places])
-    better = values.copy()
-    better[list(at)] -= amounts
-    near = {k + d for k in at for d in (-2, -1, 1, 2)} - set(at)
-    left = np.abs(_off(better[around]))[[k - around.start for k in sorted(near)]]
+    around = values[low - 4 : high + 5].copy()
+    places = np.asarray(at) - (low - 4)
+    apart = np.abs(np.subtract.outer(places, places))
+    amounts = np.linalg.solve(_WEIGHTS[apart], _off(around)[places])
+    around[places] -= amounts
+    near = {p + d for p in places for d in (-2, -1, 1, 2)} - set(places)
+    left = np.abs(_off(around))[sorted(near)]
     # another spike four readings on leaves one neighbour off
     agree = np.sum(left > _AGREE * scale) <= 1 and np.median(left) <= _AGREE * scale
-    return better if agree and np.all(np.abs(amounts) > _OUT * scale) else None
+    return amounts if agree and np.all(np.abs(amounts) > _OUT * scale) else None
 
 
 def _off(values: Array) -> Array:

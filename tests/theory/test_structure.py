@@ -11,12 +11,13 @@ from scipy.linalg import eigh
 
 import spiral
 from spiral.io.config import build_system, compose
+from spiral.io.readers import containers
 from spiral.io.registry import NO_FOLDER, load_registry
 from spiral.io.storage import model_data, model_from
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
-from spiral.types.errors import SpiralError
+from spiral.types.errors import InputError, SpiralError
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
 
@@ -202,3 +203,11 @@ def test_a_hidden_spring_is_found_at_its_node(full, small):
     found = run.model.values["cubic_stiffness@middle.stiffness"]
     assert found == pytest.approx(STIFFNESS, rel=0.05)
     print(small.report, found, run, sep="\n")
+
+
+def test_a_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
+    """By what its table of contents declares, as files of records are."""
+    monkeypatch.setattr(containers, "UNPACKED", 1000)
+    np.savez_compressed(tmp_path / "large.npz", M=np.eye(200), K=np.eye(200))
+    with pytest.raises(InputError, match="unpack"):
+        spiral.structure(tmp_path / "large.npz", {"a": 0}, size=1, band=(0, 1))

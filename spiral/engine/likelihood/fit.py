@@ -19,6 +19,7 @@ are judged ever more by the model.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -190,12 +191,11 @@ def informed(at: Maximum) -> Maximum:
         return at
     search = _Search(at.keys)
     at = search.with_differences(at)
-    names, solved = search.sizes(at), solve_triangle(*search.rows(at))
-    beside = [[at.kept.sizes[n][r] for n in names] for r in range(len(at.parts))]
-    block = block_for(tuple(p.whitened for p in at.parts))
-    factors = widening(at.parts, search.columns(at), beside, solved, block)
+    rows = search.rows(at)
+    solved = solve_triangle(*triangle(itertools.chain(*rows)))
+    factors = widening(at.parts, rows, solved, block_for(tuple(p.whitened for p in at.parts)))
     widened = tuple(map(float, factors[: len(at.keys)]))
-    return replace(at, solved=solved, sizes=names, widened=widened)
+    return replace(at, solved=solved, sizes=search.sizes(at), widened=widened)
 
 
 @dataclass(frozen=True)
@@ -300,21 +300,21 @@ class _Search:
             mine[:, :, ~np.isfinite(mine).all(axis=(0, 1))] = 0.0
         return found
 
-    def rows(self, at: Maximum) -> tuple[Array, int]:
-        """The scoring regression as a triangle."""
-        blocks = []
+    def rows(self, at: Maximum) -> list[list[Array]]:
+        """The scoring regression's rows of every record."""
+        found = []
         names, columns = self.sizes(at), self.columns(at)
         for r, part in enumerate(at.parts):
             chosen = None if self.masks is None else self.masks[r]
             mask = slice(None) if chosen is None else chosen
             beside = [at.kept.sizes[n][r] for n in names]
-            blocks += regression_rows(part, columns[r], beside, mask)
-        return triangle(blocks)
+            found.append(regression_rows(part, columns[r], beside, mask))
+        return found
 
     def climb(self, at: Maximum, damping: float) -> _Step:
         """The first damped step that rises."""
         names = (*self.keys, *self.sizes(at))
-        upper, count = self.rows(at)
+        upper, count = triangle(itertools.chain(*self.rows(at)))
         solved = solve_triangle(upper, count)
         norms = np.linalg.norm(upper[:, :-1], axis=0)
         before = float(np.sum(upper[:, -1] ** 2))

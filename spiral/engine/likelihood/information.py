@@ -46,23 +46,18 @@ def regression_rows(
 
 
 def widening(
-    parts: Sequence[Prediction],
-    columns: Sequence[Array],
-    beside: Sequence[Beside],
-    solved: Fit,
-    block: int,
+    parts: Sequence[Prediction], rows: Sequence[Sequence[Array]], solved: Fit, block: int
 ) -> Array:
     """(columns of the regression,) factors from I's standard errors to those of blocks.
 
-    1 where the blocks do not contradict the model of the noise, or say less.
+    ``rows`` are those of every record. 1 where the blocks do not contradict the model of the noise,
+    or say less.
     """
     scores, shares = [], []
-    for part, own, sizes in zip(parts, columns, beside, strict=True):
-        samples = np.repeat(np.arange(len(own))[:, None], own.shape[1], axis=1)[part.spreads > 0]
-        edges = np.flatnonzero(np.diff(samples // block, prepend=-1))
-        moved = [r[:, :-1] @ solved.inverse for r in regression_rows(part, own, sizes)]
-        last = [r[:, -1:] for r in regression_rows(part, own, sizes)]
-        each = sum((m * t for m, t in zip(moved, last, strict=True)), np.zeros_like(moved[0]))
+    for part, own in zip(parts, rows, strict=True):
+        edges = np.flatnonzero(np.diff(np.nonzero(part.spreads > 0)[0] // block, prepend=-1))
+        moved = [r[:, :-1] @ solved.inverse for r in own]
+        each = sum((m * r[:, -1:] for m, r in zip(moved, own, strict=True)), np.zeros(1))
         scores.append(np.add.reduceat(each, edges) @ solved.inverse.T)
         spread = sum(((m @ solved.inverse.T) ** 2 for m in moved), np.zeros(1))
         shares.append(np.add.reduceat(spread, edges))

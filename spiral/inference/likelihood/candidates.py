@@ -93,13 +93,11 @@ def race(
 def _first(found: list[Ranked]) -> list[Ranked]:
     """The promising ones that come first, and the special cases of these."""
     chosen = [r for r in found if r.rank < 0 and not r.whole][:_RIVALS]
-    known = {(type(e := r.variant.original).plugin_name(), e.port): r for r in found}
-    places = [
-        (name, r.variant.original.port) for r in chosen for name in r.variant.original.special
-    ]
-    return chosen + [
-        known[x] for x in dict.fromkeys(places) if x in known and known[x] not in chosen
-    ]
+    known = {r.variant.original.label: r for r in found}
+    effects = [r.variant.original for r in chosen]
+    labels = [f"{name}@{e.port}" if e.port else name for e in effects for name in e.special]
+    special = (known[label] for label in dict.fromkeys(labels) if label in known)
+    return chosen + [r for r in special if r not in chosen]
 
 
 def refit_alone(assembly: Assembly, base: LikelihoodFit, ranked: Ranked) -> Rival:

@@ -45,7 +45,6 @@ from spiral.inference.likelihood.fitting import (
     colour,
     force_levels,
     innovations,
-    is_white,
     on_steps,
     settled_values,
 )
@@ -74,8 +73,7 @@ def compared_by_likelihood(
     assembly = on_steps(assembly, state.substeps)  # as fine as the filter's
     progress("free run on the test record")
     own, _ = _runs(assembly, state, model, None)
-    names = model.system.observed
-    run, unseen = own, ()
+    names, run, unseen = model.system.observed, own, ()
     other = with_test(assembly, state.values)
     if other is not None:
         run, starts = _runs(other, state, model, _settling(other, estimate.prepared[0][0]))
@@ -84,6 +82,7 @@ def compared_by_likelihood(
     errors, problem = run.errors(names), assembly.problem
     disturbed = _disturbed(estimate, run)
     sizes, times = acting(estimate, disturbed)
+    left, white = _left(assembly, found)
     tested = () if other is None else run.predicted
     return state, Comparison(
         model=model,
@@ -91,7 +90,7 @@ def compared_by_likelihood(
         test_error=_mean(e.relative for e in errors.values()),
         channels=errors,
         noise_floor=_floor(state.noise, names, run, problem),
-        **_left(assembly, found),
+        **left,
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
         notes=tuple(n for r in problem.records for n in r.remarks),
@@ -101,7 +100,7 @@ def compared_by_likelihood(
         random=sizes,
         random_times=times,
         disturbed=disturbed,
-        departures=departures(model, estimate, is_white(assembly, found), sizes),
+        departures=departures(model, estimate, white, sizes),
         traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
     )
 
@@ -117,15 +116,16 @@ def _disturbed(estimate: Maximum, run: FreeRun) -> float:
         return float(np.mean(spread / run.deviations()))
 
 
-def _left(assembly: Assembly, found: LikelihoodFit) -> dict[str, float]:
-    """Chi2 and whiteness of what is left."""
+def _left(assembly: Assembly, found: LikelihoodFit) -> tuple[dict[str, float], bool]:
+    """Chi2 and whiteness of what is left, and whether it is white."""
     estimate = found.estimate
     chi2 = estimate.chi2 if estimate.finite else np.inf
     told = {"chi2_per_dof": chi2, "innovation_chi2": chi2}
     if not estimate.finite:
-        return told | {"whiteness_p": 0.0, "whiteness_effect": np.inf}
-    white = colour(assembly, found)
-    return told | {"whiteness_p": white.p, "whiteness_effect": white.effect * _weight(estimate)}
+        return told | {"whiteness_p": 0.0, "whiteness_effect": np.inf}, False
+    seen = colour(assembly, found)
+    told |= {"whiteness_p": seen.p, "whiteness_effect": seen.effect * _weight(estimate)}
+    return told, seen.p >= assembly.problem.settings.whiteness_level
 
 
 def _settling(other: Assembly, task: Task) -> float:

@@ -89,7 +89,10 @@ def _drifts(estimate: Maximum) -> tuple[str, ...]:
     m = parts[0].misses.shape[1]
     times = [np.repeat(np.linspace(-0.5, 0.5, len(p.misses)), m) for p in parts]
     t, width = np.concatenate(times), block_for(tuple(p.whitened for p in parts)) * m
-    found = {k: _drift(x, e, t * x[:, j], width) for j, k in enumerate(keys) if values[k]}
+    slopes, inverse = t[:, None] * x, least_squares(x, e).inverse
+    beyond = slopes - x @ (inverse @ (inverse.T @ (x.T @ slopes)))
+    found = {k: _drift(e, slopes[:, j], beyond[:, j], width)
+             for j, k in enumerate(keys) if values[k]}  # fmt: skip
     told = {k: d for k, d in found.items()
             if d.ratio**2 > _TOLD and abs(d.change) > _COUNTS * abs(values[k])}  # fmt: skip
     if not told:
@@ -114,9 +117,11 @@ class _Drift:
     ratio: float = 0.0
 
 
-def _drift(x: Array, e: Array, column: Array, width: int) -> _Drift:
-    """The drift whose slopes are ``column``; blocks are of ``width`` rows."""
-    beyond = column - x @ least_squares(x, column).b
+def _drift(e: Array, column: Array, beyond: Array, width: int) -> _Drift:
+    """The drift whose slopes are ``column``, ``beyond`` what parameters that stay leave of it.
+
+    Blocks are of ``width`` rows.
+    """
     energy = float(beyond @ beyond)
     if energy <= 1e-9 * float(column @ column):
         return _Drift(0.0)

@@ -8,25 +8,19 @@ from collections.abc import Sequence
 import sympy as sp
 
 from spiral.io.export.program import Program, assignments, described, identifiers, used
-from spiral.io.export.python import Library, PythonPrinter, indented, literal
+from spiral.io.export.python import Dialect, PythonPrinter, indented, tables
 from spiral.io.writing import filled
 
-_CASADI = Library("ca", "if_else", "logic_and", "logic_or", "logic_not", renamed={"abs": "fabs"})
+_CASADI = Dialect("ca", "if_else", "logic_and", "logic_or", "logic_not", renamed={"abs": "fabs"})
 _RESERVED = (*keyword.kwlist, "t", "x", "u", "p", "ca")
 
 
 def casadi(found: Program) -> str:
     """The file's text."""
-    named = (*found.states, *found.inputs, *found.outputs, *found.parameters)
     return filled(
         "export_casadi",
         head="\n".join(described(found)),
-        states=literal(tuple(s.name for s in found.states)),
-        inputs=literal(tuple(i.name for i in found.inputs)),
-        readings=literal(tuple(o.name for o in found.outputs)),
-        units=literal({i.name: i.unit for i in named}),
-        parameters=literal({p.name: p.value for p in found.parameters}),
-        errors=literal({p.name: p.error for p in found.parameters}),
+        **tables(found),
         rhs=_values(found, found.rate),
         output=_values(found, found.output),
     )

@@ -28,7 +28,7 @@ _RESERVED = (*keyword.kwlist, "t", "x", "u", "p", "np", "found", "by_x", "by_p")
 
 
 @dataclass(frozen=True)
-class Library:
+class Dialect:
     """How a Python library that computes with arrays or symbols is called.
 
     ``cases`` is its choice between two values, ``renamed`` are functions that it calls differently
@@ -43,13 +43,13 @@ class Library:
     renamed: Mapping[str, str] = field(default_factory=dict)
 
 
-_NUMPY = Library("np", "where", "logical_and", "logical_or", "logical_not")
+_NUMPY = Dialect("np", "where", "logical_and", "logical_or", "logical_not")
 
 
 class PythonPrinter(NumPyPrinter):
     """Expressions by functions of a library, cases by its choice, comparisons by operators."""
 
-    def __init__(self, library: Library) -> None:
+    def __init__(self, library: Dialect) -> None:
         super().__init__({"strict": True})
         self._library = library
 
@@ -93,18 +93,12 @@ def python(found: Program) -> str:
     """The module's text."""
     between = (series.between_samples, series.held_values, series.rate_per_sample)
     given = [i for i in found.inputs if i.name not in found.rates]
-    named = (*found.states, *found.inputs, *found.outputs, *found.parameters)
     return filled(
         "export_python",
         head="\n".join(described(found)),
         inputs_example=", ".join(f"{plain(i.name)!r}: samples" for i in given),
         start_example=f"{plain(found.states[0].name)!r}: 0.0",
-        states=literal(tuple(s.name for s in found.states)),
-        inputs=literal(tuple(i.name for i in found.inputs)),
-        readings=literal(tuple(o.name for o in found.outputs)),
-        units=literal({i.name: i.unit for i in named}),
-        parameters=literal({p.name: p.value for p in found.parameters}),
-        errors=literal({p.name: p.error for p in found.parameters}),
+        **tables(found),
         between=literal(dict(found.between)),
         rates=literal(dict(found.rates)),
         rhs=_values(found, found.rate),
@@ -114,6 +108,19 @@ def python(found: Program) -> str:
         knots=str(series.SPEED_RATE_KNOTS),
         interpolation="\n\n".join(inspect.getsource(f) for f in between).rstrip(),
     )
+
+
+def tables(found: Program) -> dict[str, str]:
+    """Names, units, estimates and standard errors as literals, by their places in a template."""
+    named = (*found.states, *found.inputs, *found.outputs, *found.parameters)
+    return {
+        "states": literal(tuple(s.name for s in found.states)),
+        "inputs": literal(tuple(i.name for i in found.inputs)),
+        "readings": literal(tuple(o.name for o in found.outputs)),
+        "units": literal({i.name: i.unit for i in named}),
+        "parameters": literal({p.name: p.value for p in found.parameters}),
+        "errors": literal({p.name: p.error for p in found.parameters}),
+    }
 
 
 def literal(value: Any) -> str:

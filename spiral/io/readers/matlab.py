@@ -37,6 +37,16 @@ def read_mat(given: str, path: Path) -> list[tuple[str, np.ndarray]]:
     ------
     InputError : more than may be unpacked.
     """
+    return [pair for k, v in mat_variables(given, path).items() for pair in _series(k, v)]
+
+
+def mat_variables(given: str, path: Path) -> dict[str, Any]:
+    """Variables of a MATLAB file by name.
+
+    Raises
+    ------
+    InputError : more than may be unpacked.
+    """
     from scipy.io import loadmat
 
     allowance = Allowance(given, path.stat().st_size)
@@ -44,7 +54,7 @@ def read_mat(given: str, path: Path) -> list[tuple[str, np.ndarray]]:
         if file.read(10) == b"MATLAB 5.0":
             _Declared(file, allowance).count()
     variables = loadmat(path, struct_as_record=True)
-    return [pair for k, v in variables.items() if not k.startswith("__") for pair in _series(k, v)]
+    return {k: v for k, v in variables.items() if not k.startswith("__")}
 
 
 def _series(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:

@@ -119,9 +119,8 @@ def text_of_file(path: str | Path) -> str:
             raise InputError(f"{path}, {place.stat().st_size} bytes", f"at most {LARGEST}")
         text = place.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"system file {str(path)!r}: {error}", "a file that can be read"
-        ) from error
+        said = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"system file {str(path)!r}: {said}", "a file that can be read") from error
     if place.suffix.lower() != ".toml":
         return text
     import tomllib

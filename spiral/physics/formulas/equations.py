@@ -23,7 +23,7 @@ from spiral.physics.formulas.rows import (
     FIRST,
     SECOND,
     TIME,
-    Row,
+    EquationRow,
     checked_units,
     negative,
     primed,
@@ -75,7 +75,7 @@ def equations_of(text: str) -> StandardForm:
     return _arranged(given, rows)
 
 
-def _arranged(given: SystemDefinition, rows: Sequence[Row]) -> StandardForm:
+def _arranged(given: SystemDefinition, rows: Sequence[EquationRow]) -> StandardForm:
     second = {s.name for s in given.states if any(_has(r, s.name + SECOND) for r in rows)}
     pairs = _pairs(given, rows, second)
     taken = {row.place for _, row in pairs.values()}
@@ -112,15 +112,15 @@ def _arranged(given: SystemDefinition, rows: Sequence[Row]) -> StandardForm:
     )  # fmt: skip
 
 
-def _has(row: Row, name: str) -> bool:
+def _has(row: EquationRow, name: str) -> bool:
     return symbol(name) in row.value.free_symbols
 
 
 def _pairs(
-    given: SystemDefinition, rows: Sequence[Row], second: set[str]
-) -> dict[str, tuple[str, Row]]:
+    given: SystemDefinition, rows: Sequence[EquationRow], second: set[str]
+) -> dict[str, tuple[str, EquationRow]]:
     """Coordinate -> its rate and the equation that says so, of equations ``x' = v``."""
-    found: dict[str, tuple[str, Row]] = {}
+    found: dict[str, tuple[str, EquationRow]] = {}
     names = [s.name for s in given.states if s.name not in second]
     for row in rows:
         for name in names:

@@ -25,7 +25,7 @@ _PRIMED = re.compile(r"\b([A-Za-z_]\w*)('{1,2})(?!')")
 
 
 @dataclass(frozen=True)
-class Row:
+class EquationRow:
     """One equation: its place, its text, left minus right as a formula and as an expression."""
 
     place: str
@@ -33,7 +33,7 @@ class Row:
     value: Any
 
 
-def read_row(given: SystemDefinition, number: int) -> Row:
+def read_row(given: SystemDefinition, number: int) -> EquationRow:
     """The equation of this number.
 
     Raises
@@ -58,7 +58,7 @@ def read_row(given: SystemDefinition, number: int) -> Row:
         value = evaluated(given, formula)
     except ConfigError as error:
         raise ConfigError(f"{place}: {primed(error.given)}", error.expected, error.try_) from error
-    return Row(place, formula, value)
+    return EquationRow(place, formula, value)
 
 
 def unprimed(text: str) -> str:
@@ -100,7 +100,7 @@ def symbol(name: str) -> sp.Symbol:
 
 
 def checked_units(
-    given: SystemDefinition, rows: Sequence[Row], velocity: Mapping[str, str]
+    given: SystemDefinition, rows: Sequence[EquationRow], velocity: Mapping[str, str]
 ) -> dict[str, str]:
     """Name -> unit, once every equation has terms of one unit and of one size."""
     states = {s.name: s.unit for s in given.states}
@@ -148,7 +148,7 @@ def size_of(unit: str) -> float:
         )
 
 
-def _check_sizes(row: Row, units: Mapping[str, str], sizes: Mapping[str, float]) -> None:
+def _check_sizes(row: EquationRow, units: Mapping[str, str], sizes: Mapping[str, float]) -> None:
     """Terms of one size: in SI units the whole equation is the same but for a factor."""
     names = sorted(map(str, row.value.free_symbols))
     function = sp.lambdify([symbol(n) for n in names], row.value, _PLAIN)

@@ -15,6 +15,16 @@ from spiral.types.record import Array
 
 
 @dataclass(frozen=True)
+class KeptNode:
+    """A degree of freedom that is kept: its row in the matrices, its unit, what it is used for."""
+
+    name: str
+    dof: int
+    uses: tuple[str, ...]
+    unit: str = "m"
+
+
+@dataclass(frozen=True)
 class StructureForm:
     """Matrices of the coordinates, which are nodes first, then modes.
 
@@ -37,24 +47,21 @@ class StructureForm:
 
 
 def described(
-    source: Any,
-    nodes: Any,
+    matrices: Mapping[str, Any],
+    table: Sequence[KeptNode],
     size: int,
     band: Sequence[float],
     pairs: Mapping[str, Any] | None,
     damping_ratio: float,
 ) -> str:
-    """The text of a structure from its matrices and its table of nodes, reduced.
+    """The text of a structure from its matrices (sparse, by name) and its kept nodes, reduced.
 
     Raises
     ------
-    InputError, ConfigError : what cannot be used (``matrices``, ``reduction``).
+    ConfigError : what cannot be used (``reduction``).
     """
-    from spiral.physics.structures.matrices import matrices_of, nodes_of
     from spiral.physics.structures.reduction import reduced
 
-    matrices = matrices_of(source)
-    table = nodes_of(nodes, matrices["M"].shape[0])
     sensors = [i for i, n in enumerate(table) if "sensor" in n.uses]
     forces = [i for i, n in enumerate(table) if {"input", "port"} & {*n.uses}] or sensors
     kept = [n.dof for n in table]

@@ -54,7 +54,7 @@ def reduced(
 
     Parameters
     ----------
-    matrices : sparse, by name (``matrices.NAMES``, parts ``K_NAME`` on top of K).
+    matrices : sparse, by name (M, K, C, G, parts ``K_NAME`` on top of K).
     kept : rows of the nodes. sensors, forces : places among them.
     band : low and high end of the comparison, Hz.
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
+from spiral.io.readers.containers import npz_arrays
+from spiral.io.readers.matlab import mat_variables
+from spiral.physics.structures.description import KeptNode, described
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 
 NAMES = ("M", "K", "C", "G")
@@ -19,14 +21,23 @@ USES = ("sensor", "input", "port")
 _COLUMNS = ("name", "dof", "use", "unit")
 
 
-@dataclass(frozen=True)
-class Node:
-    """A degree of freedom that is kept: its row in the matrices, its unit, what it is used for."""
+def read_structure(
+    source: str | Path | Mapping[str, Any],
+    nodes: str | Path | Mapping[str, Any],
+    size: int,
+    band: Sequence[float],
+    pairs: Mapping[str, Any] | None,
+    damping_ratio: float,
+) -> str:
+    """The text of a reduced structure (``physics.structures.description``) from its files.
 
-    name: str
-    dof: int
-    uses: tuple[str, ...]
-    unit: str = "m"
+    Raises
+    ------
+    InputError, ConfigError : what cannot be read or used.
+    """
+    matrices = matrices_of(source)
+    table = nodes_of(nodes, matrices["M"].shape[0])
+    return described(matrices, table, size, band, pairs, damping_ratio)
 
 
 def matrices_of(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
@@ -64,12 +75,11 @@ def _is_name(name: str) -> bool:
 def _file(path: Path) -> dict[str, Any]:
     try:
         if path.suffix.lower() == ".npz":
-            with np.load(path, allow_pickle=False) as file:
-                return {k: file[k] for k in file.files}
+            return npz_arrays(str(path), path)
         if path.suffix.lower() == ".mat":
-            from scipy.io import loadmat
-
-            return {k: v for k, v in loadmat(path).items() if not k.startswith("_")}
+            return mat_variables(str(path), path)
+    except InputError:
+        raise
     except Exception as error:  # the readers raise what their formats' parsers do
         raise InputError(f"{path}: {error}", "an NPZ or MAT file with matrices") from error
     raise InputError(
@@ -105,7 +115,7 @@ def _check(found: Mapping[str, Any]) -> None:
             )
 
 
-def nodes_of(source: str | Path | Mapping[str, Any], size: int) -> tuple[Node, ...]:
+def nodes_of(source: str | Path | Mapping[str, Any], size: int) -> tuple[KeptNode, ...]:
     """The nodes that are kept.
 
     Parameters
@@ -142,7 +152,7 @@ def _table(path: Path) -> list[dict[str, Any]]:
         raise InputError(f"table of nodes {str(path)!r}: {error}", "a CSV file") from error
 
 
-def _node(row: Mapping[str, Any], size: int) -> Node:
+def _node(row: Mapping[str, Any], size: int) -> KeptNode:
     for key in row:
         if key not in _COLUMNS:
             raise ConfigError(
@@ -161,4 +171,4 @@ def _node(row: Mapping[str, Any], size: int) -> Node:
             raise ConfigError(
                 f"use {use!r} of node {name}", f"of {', '.join(USES)}", did_you_mean(use, USES)
             )
-    return Node(name, dof, uses, str(row.get("unit") or "m"))
+    return KeptNode(name, dof, uses, str(row.get("unit") or "m"))
