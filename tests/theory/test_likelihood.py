@@ -19,9 +19,14 @@ from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, matrices
 from spiral.engine.likelihood.own_states import own_of, own_states_along
 from spiral.engine.likelihood.predict import log_likelihood, predicted
+from spiral.inference.likelihood.fitting import refitted
 from spiral.inference.likelihood.ladder import climbed_ladder
-from spiral.inference.likelihood.scores import motion_of
+from spiral.inference.likelihood.scores import motion_of, ranking
+from spiral.inference.problem import silent
 from spiral.inference.simulate import simulate
+from spiral.inference.strategies.likelihood import LIKELIHOOD
+from spiral.io.question import put
+from spiral.io.registry import load_registry
 from spiral.physics.signatures import Along, signatures
 from spiral.types.model import seed_model
 
@@ -141,7 +146,7 @@ def test_signatures_are_the_slopes_of_the_compiled_effect(effect):
     n, p = len(task.states), len(task.keys)
     for k in range(0, 300, 50):
         b, d = np.zeros((n, p)), np.zeros((1, p))
-        x, u = part.means[k, :n].copy(), along.inputs[k].copy()
+        x, u = part.expected[k, :n].copy(), along.inputs[k].copy()
         task.compiled.rate(x, u, task.values, np.empty(n), np.zeros((n, n)), b)
         task.compiled.output(x, u, task.values, np.empty(1), np.zeros((1, n)), d)
         np.testing.assert_allclose(rates[k, :, 0], b[:, at], rtol=1e-9, atol=1e-12)
@@ -159,6 +164,24 @@ def along_of(task, part):
         problem = type("Problem", (), {"model": task.model})
 
     return motion_of(Bare, task, part)
+
+
+def test_scores_of_effects_that_are_not_there_are_chi2():
+    """With a random force the filter follows the readings: what scores see must not hold them.
+
+    The fall of the sum of squares by a candidate's step is chi2 with its independent directions.
+    """
+    registry, falls = load_registry(), {}
+    for seed in range(3):
+        seed_of = seed_model(Oscillator(), values=TRUTH)
+        begun = LIKELIHOOD.begin(put(registry, seed_of, (shaken(seed, 0.1),), None), silent)
+        fit = refitted(begun.assembly, begun.standing)
+        ranked = ranking(begun.assembly, fit, fit.estimate.noise, None).ranked
+        for one in (r for r in ranked if r.score.rank and r.variant.searched == 1):
+            fall = one.score.gain / one.score.rank
+            falls.setdefault(one.variant.original.label, []).append(fall)
+    assert {"gain", "delay", "sensor_lag", "cubic_stiffness"} <= set(falls)
+    assert {k: v for k, v in falls.items() if np.mean(v) > 4} == {}  # chi2_3 / 3: p = 0.007
 
 
 def test_own_states_follow_the_motion_as_the_compiled_effect_has_them():

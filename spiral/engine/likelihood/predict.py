@@ -61,6 +61,11 @@ class Prediction:
         return self.misses * self.weight
 
     @property
+    def expected(self) -> Array:
+        """(samples, N) means before each sample's readings, where ``means`` and gains were kept."""
+        return self.means - np.einsum("kj,kji->ki", self.misses, self.gains)
+
+    @property
     def columns(self) -> Array:
         """(samples, channels, parameters) d / s^(1/2)."""
         return self.slopes * self.weight[..., None]

@@ -1,4 +1,4 @@
-"""Candidates scored by their signatures along the filtered motion; nothing is compiled for them.
+"""Candidates scored by their signatures along the predicted motion; nothing is compiled for them.
 
 The whitened misses e of the model as it is are regressed on their slopes by what moves and by every
 candidate's amplitudes, on the blocks that select: the fall of |e|^2 is twice the gain in
@@ -65,7 +65,7 @@ def ranking(
 ) -> Ranking | None:
     """Candidates by their score on some blocks; nothing where the filter runs away.
 
-    They are not compiled: their signatures are carried along the filtered motion.
+    They are not compiled: their signatures are carried along the predicted motion.
     """
     passage = _passage(assembly, fit, noise, masks)
     if passage is None:
@@ -205,13 +205,17 @@ def _carried(passage: Passage, record: int, groups: Sequence[Group]) -> Array:
 
 
 def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
-    """The filtered motion of a record: states of the system, rates and readings of the model."""
+    """The motion that the filter expects: states of the system, rates and readings of the model.
+
+    It is that before each sample's readings. One that has taken them in holds their noise, which
+    scores would take for what a sensor does.
+    """
     from spiral.engine.likelihood.signatures_kernel import evaluate_along
 
     system = assembly.problem.model.system
     n, count = len(system.states), len(task.states)
     inputs = np.ascontiguousarray(task.inputs[:: 2 * task.series.substeps])
-    rows = np.ascontiguousarray(part.means[:, :count])
+    rows = np.ascontiguousarray(part.expected[:, :count])
 
     def evaluated(u: Array) -> tuple[Array, Array]:
         rates, readings = np.empty((len(rows), count)), np.empty_like(task.series.y)
