@@ -94,8 +94,9 @@ def signatures(
     port = check_effect(system, effect)
     count, n = along.states.shape
     units = _unit_amplitudes(effect, port, shapes)
-    rates = np.zeros((count, n, len(units)))
-    readings = np.zeros((count, len(system.observed), len(units)))
+    # One amplitude after the other in memory: callers take them out one by one.
+    rates = np.moveaxis(np.zeros((len(units), count, n)), 0, 2)
+    readings = np.moveaxis(np.zeros((len(units), count, len(system.observed))), 0, 2)
     u = inputs_seen(along, shift)
     if isinstance(effect, SensorEffect):
         at = At(
@@ -114,13 +115,22 @@ def signatures(
         at = At((recorded,), (), hidden)
         driven = [asked(effect, "drive", effect.drive, at, u, p) for p in units]
         return slope[:, :, None] * (np.stack(driven, axis=1) - recorded[:, None])[:, None], readings
-    gain = along.once("pushed", lambda: _matrix(
+    gain = along.once("pushed", lambda: _steady(_matrix(
         _pushed(system)(*along.states.T, *along.inputs.T, *along.parameters), count
-    ))  # fmt: skip
+    )))  # fmt: skip
     for j, p in enumerate(units):
-        pushes = _injected(along, effect, port, u, p, hidden)
-        rates[:, :, j] = np.einsum("tij,tj->ti", gain, pushes)
+        rates[:, :, j] = _applied(gain, _injected(along, effect, port, u, p, hidden))
     return rates, readings
+
+
+def _steady(matrix: Array) -> Array:
+    """(rows, columns) of a matrix that is the same at every sample, else (samples, ..) as it is."""
+    return matrix[0] if (matrix == matrix[:1]).all() else matrix
+
+
+def _applied(matrix: Array, vectors: Array) -> Array:
+    """(samples, rows) of a matrix, steady or for each sample, times (samples, columns)."""
+    return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
 
 
 def at_port_along(along: Along, effect: Effect) -> tuple[Array, Array]:
@@ -159,8 +169,7 @@ def _injected(
     if isinstance(effect, ForceEffect):
         position, velocity, jacobian = along.once(port.name, lambda: _moved(along, port))
         at = At(tuple(position.T), tuple(velocity.T), own)
-        force = _columns(asked(effect, "force", effect.force, at, u, p), count)
-        return np.einsum("tai,ta->ti", jacobian, force)
+        return _applied(jacobian, _columns(asked(effect, "force", effect.force, at, u, p), count))
     assert isinstance(effect, FlowEffect)
     x = SimpleNamespace(
         **{s.name: along.states[:, i] for i, s in enumerate(system.states)}, own=own
@@ -173,12 +182,13 @@ def _injected(
 
 
 def _moved(along: Along, port: Port) -> tuple[Array, Array, Array]:
-    """(samples, axes) positions and velocities of a port, and its Jacobian by the coordinates."""
+    """(samples, axes) positions and velocities of a port, and its Jacobian's transpose."""
     count = len(along.states)
     position, velocity, jacobian = _geometry(along.system, port.name)(
         *along.states.T, *along.parameters
     )
-    return _columns(position, count), _columns(velocity, count), _matrix(jacobian, count)
+    turned = np.swapaxes(_matrix(jacobian, count), 1, 2)
+    return _columns(position, count), _columns(velocity, count), _steady(turned)
 
 
 def _unit_amplitudes(

@@ -10,6 +10,23 @@ from spiral.physics.compile import VALUE_FUNCTION
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _FAST = {"contract", "reassoc"}
+_TILE = 16  # samples whose columns are put side by side at a time
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _side_by_side(pushes, readings, first, b, h):
+    """The columns of some samples next to one another: b (tile + 1, n, width), h (tile, m, width).
+
+    Samples that are not there are zero.
+    """
+    count = pushes.shape[1]
+    for a in range(pushes.shape[0]):
+        for k in range(b.shape[0]):
+            for i in range(b.shape[1]):
+                b[k, i, a] = pushes[a, first + k, i] if first + k < count else 0.0
+        for k in range(h.shape[0]):
+            for j in range(h.shape[1]):
+                h[k, j, a] = readings[a, first + k, j] if first + k < count else 0.0
 
 
 @nb.njit(
@@ -24,18 +41,23 @@ def carry_signatures(transitions, gains, rows, pushes, readings, s, half, slopes
     Parameters
     ----------
     transitions, gains, rows : F, K and c as ``predict_record`` left them, of this stretch.
-    pushes : (samples + 1, n, width) slopes B of the rates; readings : (samples, channels, width) H.
+    pushes : (width, samples or one more, n) slopes B of the rates, that after the last sample zero
+        where it is not there; readings : (width, samples or one more, channels) H.
     s : (N, width) before the stretch, and after it on return. half : dt / 2.
     slopes : (samples, channels, width) out: d.
     """
     samples, m, width = slopes.shape
-    size, n = s.shape[0], pushes.shape[1]
+    size, n = s.shape[0], pushes.shape[2]
     out = np.zeros((size, width))
+    push, told = np.zeros((_TILE + 1, n, width)), np.zeros((_TILE, m, width))
     for k in range(samples):
+        if k % _TILE == 0:
+            _side_by_side(pushes, readings, k, push, told)
+        at = k % _TILE
         for j in range(m):
             d = slopes[k, j]
             for a in range(width):
-                d[a] = readings[k, j, a]
+                d[a] = told[at, j, a]
             for i in range(size):
                 value = rows[k, j, i]
                 if value != 0.0:
@@ -47,7 +69,7 @@ def carry_signatures(transitions, gains, rows, pushes, readings, s, half, slopes
                     s[i, a] -= value * d[a]
         for i in range(n):
             for a in range(width):
-                s[i, a] += half * pushes[k, i, a]
+                s[i, a] += half * push[at, i, a]
         for i in range(size):
             for a in range(width):
                 out[i, a] = 0.0
@@ -59,7 +81,7 @@ def carry_signatures(transitions, gains, rows, pushes, readings, s, half, slopes
         s[:] = out
         for i in range(n):
             for a in range(width):
-                s[i, a] += half * pushes[k + 1, i, a]
+                s[i, a] += half * push[at + 1, i, a]
 
 
 @nb.njit(

@@ -44,7 +44,7 @@ from spiral.types.record import Array
 _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
 _STEP = 1e-5  # of an input's largest value, for the slopes of the rates by it
-_FINE = STEP ** np.linspace(-0.9, 0.9, 13)  # refinement of a peak
+_FINE = (STEP ** np.linspace(-0.8, 0.8, 5), STEP ** np.linspace(-0.3, 0.3, 5))  # around a peak
 
 
 @dataclass(frozen=True)
@@ -112,12 +112,25 @@ def resonances(passage: Passage, effect: Effect) -> list[Variant]:
     band = frequencies(max(passage.tasks, key=lambda t: t.series.samples).series)
     usual, others = others_of(effect)
     share = _shares(passage, effect, [{**usual, **spectral(effect, f)} for f in band])
-    chosen = []
-    for peak in peaks(share)[:_PEAKS]:
-        trials = [{**o, **spectral(effect, f)} for f in band[peak] * _FINE for o in others]
-        chosen.append(trials[int(np.argmax(_shares(passage, effect, trials)))])
+    top = [float(band[k]) for k in peaks(share)[:_PEAKS]]
+    coarse = _best_near(
+        passage, effect, [[(f * s, o) for s in _FINE[0] for o in others] for f in top]
+    )
+    chosen = [
+        {**o, **spectral(effect, f)}
+        for f, o in _best_near(passage, effect, [[(f * s, o) for s in _FINE[1]] for f, o in coarse])
+    ]
     searched = max(len(band) // max(len(chosen), 1), 1)
     return [variant_of(effect, str(i + 1), c, searched) for i, c in enumerate(chosen)]
+
+
+def _best_near(
+    passage: Passage, effect: Effect, trials: Sequence[Sequence[tuple[float, dict[str, float]]]]
+) -> list[tuple[float, dict[str, float]]]:
+    """Of the trials (frequency, other shapes) at each peak the one that explains most."""
+    flat = [{**o, **spectral(effect, f)} for some in trials for f, o in some]
+    shares = iter(_shares(passage, effect, flat))
+    return [max(((next(shares), t) for t in some), key=lambda x: x[0])[1] for some in trials]
 
 
 def _shares(passage: Passage, effect: Effect, trials: Sequence[Mapping[str, float]]) -> Array:
@@ -195,11 +208,9 @@ def _carried(passage: Passage, record: int, groups: Sequence[Group]) -> Array:
         last = min(first + chunk, samples)
         where = slice(first, min(last + 1, samples))
         pushes, readings = _columns(along.part(where), groups, owns, where, record, width)
-        whole = np.zeros((last - first + 1, n, width))
-        whole[: len(pushes), : pushes.shape[1]] = pushes
         carry_signatures(
-            part.transitions[first:last], part.gains[first:last], part.rows[first:last], whole,
-            np.ascontiguousarray(readings[: last - first]), slopes, 0.5 * dt, found[first:last],
+            part.transitions[first:last], part.gains[first:last], part.rows[first:last],
+            pushes, readings, slopes, 0.5 * dt, found[first:last],
         )  # fmt: skip
     return found
 
@@ -246,9 +257,9 @@ def _columns(
     record: int,
     width: int,
 ) -> tuple[Array, Array]:
-    """Slopes of rates (samples, n, columns) and readings (samples, channels, columns)."""
+    """Slopes of rates (columns, samples, n) and readings (columns, samples, channels)."""
     count, n = along.states.shape
-    rates, readings = np.zeros((count, n, width)), np.zeros((count, along.readings.shape[1], width))
+    rates, readings = np.zeros((width, count, n)), np.zeros((width, count, along.readings.shape[1]))
     at = 0
     for group in groups:
         variant = group.variant
@@ -265,7 +276,7 @@ def _columns(
         place = at + record if copies > 1 else at
         for pushes, told in parts:
             for j in range(pushes.shape[2]):
-                rates[:, :, place], readings[:, :, place] = pushes[:, :, j], told[:, :, j]
+                rates[place], readings[place] = pushes[:, :, j], told[:, :, j]
                 place += copies
         at += len(group.keys)
     return rates, readings
