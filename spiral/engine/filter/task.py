@@ -131,6 +131,16 @@ def task_with(
     )
 
 
+def on_scales(task: Task, other: Task) -> Task:
+    """A task with another's scales of the states that both have."""
+    found = {name: getattr(task, name).copy() for name in ("spread", "centre", "scales", "rates")}
+    for i, state in enumerate(task.states):
+        if state in other.states:
+            for name, values in found.items():
+                values[i] = getattr(other, name)[other.states.index(state)]
+    return replace(task, **found)
+
+
 def enough_substeps(compiled: Compiled, values: Array, series: Series) -> int:
     """Steps per sample that keep |eigenvalue| dt below 0.7 at rest, at the largest inputs."""
     matrix = linearised(compiled, values, np.abs(series.inputs).max(axis=0, initial=0.0))

@@ -10,7 +10,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import stats
@@ -63,10 +64,63 @@ class Rival:
         return self.ranked.variant.original.label
 
 
+@dataclass
+class Race:
+    """Candidates refitted on the blocks that select, and taken on as long as they keep up.
+
+    ``runners`` have been taken a few steps, best first; ``finalists`` to the likelihood's maximum.
+    """
+
+    base: LikelihoodFit
+    masks: Masks
+    progress: Progress
+    runners: list[Rival]
+    finalists: list[Rival] = field(default_factory=list)
+
+    @property
+    def behind(self) -> list[Rival]:
+        """Those that are in no final, nor another variant of their effect."""
+        gone = {r.label for r in self.finalists}
+        return [r for r in self.runners if r.label not in gone]
+
+    @property
+    def tried(self) -> tuple[Rival, ...]:
+        """All: the finalists, then those behind."""
+        return (*self.finalists, *self.behind)
+
+    def winners(self) -> Iterator[tuple[Rival, list[Rival]]]:
+        """One after the other with the rivals that are left in its final, most likely first.
+
+        After a final, those it left behind run theirs: one that makes the most of the blocks that
+        select may be nothing on the others.
+        """
+        while self.behind:
+            last = self._final(self.behind)
+            self.finalists += last
+            if not last[0].worth > 0:
+                return
+            for place, rival in enumerate(last):
+                yield rival, last[place:]
+
+    def _final(self, runners: list[Rival]) -> list[Rival]:
+        promised = _PROMISED * runners[0].ranked.score.gain
+        least = _KEEP * runners[0].worth
+        near = [r for r in runners if r.worth >= least or r.ranked.score.gain >= promised]
+        for runner in near:
+            self.progress(f"refitting with {runner.label}")
+        again = [_freed(self.base, self._further(r, _HEAT), self.masks) for r in near]
+        least = _NEAR * max(r.worth for r in again)
+        last = [self._further(r, _RACE) for r in again if r.worth >= least]
+        return sorted(last, key=lambda r: -r.worth)
+
+    def _further(self, rival: Rival, steps: int) -> Rival:
+        return _further(self.base, rival, self.masks, steps)
+
+
 def race(
     assembly: Assembly, base: LikelihoodFit, found: list[Ranked], masks: Masks, progress: Progress
-) -> tuple[list[Rival], list[Rival]]:
-    """Candidates refitted on the blocks that select, best first; beside them those left behind.
+) -> Race:
+    """The candidates that may be missing after their first steps.
 
     ``found`` are all, the best first; those whose score is not worth their price are not refitted.
     """
@@ -76,18 +130,7 @@ def race(
         progress(f"refitting with {ranked.variant.original.label}")
         runners.append(_refit(assembly, base, ranked, masks, ranked in far))
     runners = [r for r in runners if r.fit.estimate.finite]
-    if not runners:
-        return [], []
-    promised = _PROMISED * max(runners, key=lambda r: r.worth).ranked.score.gain
-    least = _KEEP * max(r.worth for r in runners)
-    near = [r for r in runners if r.worth >= least or r.ranked.score.gain >= promised]
-    for runner in near:
-        progress(f"refitting with {runner.label}")
-    again = [_freed(base, _further(base, r, masks, _HEAT), masks) for r in near]
-    least = _NEAR * max(r.worth for r in again)
-    last = [_further(base, r, masks, _RACE) for r in again if r.worth >= least]
-    behind = [r for r in runners if all(r.ranked is not other.ranked for other in last)]
-    return sorted(last, key=lambda r: -r.worth), sorted(behind, key=lambda r: -r.worth)
+    return Race(base, masks, progress, sorted(runners, key=lambda r: -r.worth))
 
 
 def _first(found: list[Ranked]) -> list[Ranked]:
@@ -139,7 +182,9 @@ def _refit(
     own = with_variants(assembly, [ranked.variant])
     wider = added(own, carried_to(base.state, assembly, own), ranked, far)
     at = base.estimate
-    fit = refitted(own, wider, at.noise, masks, _HEAT, True, at.kept, differences=False)
+    fit = refitted(
+        own, wider, at.noise, masks, _HEAT, True, at.kept, differences=False, like=at.prepared
+    )
     return _rival(own, base, ranked, fit)
 
 
@@ -166,7 +211,8 @@ def _further(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Riv
     noise, plain = fit.estimate.noise, fit.estimate.noise.without(*EXTRA)
     for trial in (plain, noise) if len(plain.terms) < len(noise.terms) else (noise,):
         kept = fit.estimate.kept
-        found = refitted(own, fit.state, trial, masks, steps, rough=True, kept=kept)
+        like = fit.estimate.prepared
+        found = refitted(own, fit.state, trial, masks, steps, rough=True, kept=kept, like=like)
         if found.height >= fit.height:
             fit = found
             break
@@ -180,7 +226,7 @@ def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
         return rival
     freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *tuned))))
     at = fit.estimate
-    loose = refitted(own, freer, at.noise, masks, _RACE, rough=True, kept=at.kept)
+    loose = refitted(own, freer, at.noise, masks, _RACE, rough=True, kept=at.kept, like=at.prepared)
     if not (loose.estimate.finite and told(loose, tuned, rival.ranked.variant)):
         return rival
     return _rival(own, base, rival.ranked, loose)
@@ -214,8 +260,9 @@ def _rival(assembly: Assembly, base: LikelihoodFit, ranked: Ranked, fit: Likelih
 class Judged:
     """The winner on the blocks that did not select, in log-likelihood.
 
-    ``predicted`` its gain where both models have their values from the blocks that did,
-    ``refitted`` where both have their most likely ones; ``terms`` the parameters that it has beyond
+    ``predicted`` its gain where both models have their values from the blocks that did, the noise
+    of each as these blocks have it; ``refitted`` where both have their most likely values;
+    ``terms`` the parameters that it has beyond
     the model as it is; ``searched`` among how many values its shapes were looked for.
     """
 
@@ -242,23 +289,23 @@ def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) 
     ----------
     base : the model as it is. masks : the blocks that did not select.
     """
-    theirs = log_likelihood(rival.fit.estimate.parts, masks)
-    ours = log_likelihood(base.estimate.parts, masks)
-    before = max(_most_likely(assembly, base, masks), ours)
-    after = max(_most_likely(rival.assembly, rival.fit, masks), theirs)
+    theirs, ours = (_most_likely(f, masks, {}) for f in (rival.fit, base))
+    before = max(_most_likely(base, masks, bounds_of(assembly, base.estimate.keys)), ours)
+    own = bounds_of(rival.assembly, rival.fit.estimate.keys)
+    after = max(_most_likely(rival.fit, masks, own), theirs)
     freed = set(rival.fit.state.freed) - set(base.state.freed)
     terms = len(rival.ranked.columns) + len(freed)
     searched = rival.ranked.variant.searched if freed else 1
     return Judged(theirs - ours, after - before, terms, searched)
 
 
-def _most_likely(assembly: Assembly, fit: LikelihoodFit, masks: Masks) -> float:
-    """The highest log-likelihood of a model on some blocks."""
-    keys = fit.estimate.keys
-    bounds = bounds_of(assembly, keys)
+def _most_likely(
+    fit: LikelihoodFit, masks: Masks, bounds: Mapping[str, tuple[float, float]]
+) -> float:
+    """The highest log-likelihood of a model on some blocks, by its noise and what has bounds."""
     at = fit.estimate
-    found = maximise(at.prepared, keys, at.noise, bounds, masks, _RACE, kept=at.kept)
-    return found.log_likelihood
+    known = maximise(at.prepared, tuple(bounds), at.noise, bounds, masks, _RACE, kept=at.kept)
+    return known.log_likelihood
 
 
 def alike(rivals: list[Rival]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.setup import smoothed
-from spiral.engine.filter.task import Task, linearised, task_with
+from spiral.engine.filter.task import Task, linearised, on_scales, task_with
 from spiral.engine.likelihood.fit import Kept, Maximum, maximise
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import Masks, Prepared, predicted
@@ -72,23 +72,26 @@ def bounds_of(assembly: Assembly, keys: tuple[str, ...]) -> dict[str, tuple[floa
     return {k: (float(a), float(b)) for k, a, b in zip(keys, low, high, strict=True)}
 
 
-def subjects(assembly: Assembly, state: FitState) -> Prepared:
-    """Every record with the state's values and integration steps."""
+def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) -> Prepared:
+    """Every record with the state's values and integration steps.
+
+    ``like`` : whose scales of the states are taken, so that sizes of the noise mean the same.
+    """
     model, traced = assembly.problem.model, assembly.study.compiled.traced
     followed = tracked(assembly, state)
     compiled = assembly.study.compiled
     rows = np.ascontiguousarray(state.values[:, : len(traced.keys)])
     known = doubts(followed) if state.noise is not None else {}
     begins = state.starts or (None,) * len(rows)
-    return tuple(
-        filter_prepared(
-            task_with(model, compiled, row.copy(), series.record, start, series=series),
-            followed, known,
-        )
+    tasks = [
+        task_with(model, compiled, row.copy(), series.record, start, series=series)
         for row, start, series in zip(
             rows, begins, on_steps(assembly, state.substeps).study.series, strict=True
         )
-    )  # fmt: skip
+    ]
+    if like is not None:
+        tasks = [on_scales(t, other) for t, (other, _) in zip(tasks, like, strict=True)]
+    return tuple(filter_prepared(task, followed, known) for task in tasks)
 
 
 def on_steps(assembly: Assembly, substeps: int) -> Assembly:
@@ -120,6 +123,7 @@ def refitted(
     rough: bool = False,
     kept: Kept | None = None,
     differences: bool = True,
+    like: Prepared | None = None,
 ) -> LikelihoodFit:
     """The most likely values of a state's parameters and of its noise.
 
@@ -128,9 +132,9 @@ def refitted(
     noise : to start from; left out, the state's own, or white noise as the record has it with
         much process noise.
     masks : samples of each record that count. steps : at most so many; ``rough``, ``kept``
-        and ``differences`` as in ``maximise``.
+        and ``differences`` as in ``maximise``; ``like`` as in ``subjects``.
     """
-    prepared = subjects(assembly, state)
+    prepared = subjects(assembly, state, like)
     noise = noise or state.noise or first_noise(prepared[0][0], LEVEL)
     keys = moving(assembly, state)
     bounds = bounds_of(assembly, keys)

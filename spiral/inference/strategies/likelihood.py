@@ -9,6 +9,7 @@ Windows (``strategy=shooting``) are one of the starts.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -117,16 +118,15 @@ def _propose(
     ranked = ranking(assembly, base, base.estimate.noise, select)
     if ranked is None:
         return Step((), {}, stopped="diverged")
-    rivals, behind = race(assembly, base, list(ranked.ranked), select, progress)
-    tried = (*rivals, *behind)
+    run = race(assembly, base, list(ranked.ranked), select, progress)
     rejected: dict[str, str] = {}
     level = spent(assembly.problem.settings.level, number) / _ASKED
-    for place, rival in enumerate(rivals[:_ASKED]):
+    for rival, rivals in itertools.islice(run.winners(), _ASKED):
         reason = _refused(assembly, base, rival, judge, level)
         if reason:
             rejected[rival.label] = reason
             continue
-        chosen, aliases = machine_first(rival, alike(rivals[place:]), rivals)
+        chosen, aliases = machine_first(rival, alike(rivals), rivals)
         progress(f"most likely values with {chosen.label}")
         settled = _with(chosen.assembly, chosen.fit.state, chosen.ranked.variant.label, progress)
         reason = _unhelpful(comparison, settled.comparison, assembly.problem.settings)
@@ -135,14 +135,14 @@ def _propose(
             continue
         effect = chosen.ranked.variant.original
         return Step(
-            _suggestions(tried, ranked, effect.label, aliases)[:_LISTED], rejected,
+            _suggestions(run.tried, ranked, effect.label, aliases)[:_LISTED], rejected,
             (effect.label,), {effect.label: aliases}, second_order(effect, assembly, state),
-            effect.meaning(), found=Scored(ranked, tried, settled),
+            effect.meaning(), found=Scored(ranked, run.tried, settled),
         )  # fmt: skip
     near = near_noise(comparison, assembly.problem.settings)
     stopped: Stopped = "whiteness" if near else "no_candidate"
-    step = Step(_suggestions(tried, ranked, "", ())[:_LISTED], rejected, stopped=stopped,
-                found=Scored(ranked, tried))  # fmt: skip
+    step = Step(_suggestions(run.tried, ranked, "", ())[:_LISTED], rejected, stopped=stopped,
+                found=Scored(ranked, run.tried))  # fmt: skip
     return step if near else _with_curve(assembly, state, step, (select, judge), number, progress)
 
 
