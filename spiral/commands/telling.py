@@ -1,6 +1,6 @@
-"""Telling MLflow of the run that a command saved, by a process that the command does not wait for.
+"""MLflow is told of the run that a command saved, by a process that nobody waits for.
 
-``python -m spiral.commands.telling`` is that process; its order is one JSON object on standard input.
+``python -m spiral.commands.telling`` is that process; its order is JSON on standard input.
 """
 
 from __future__ import annotations

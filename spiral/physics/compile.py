@@ -82,7 +82,9 @@ def _with_slopes(function, x, u, p, f, a, b):
 
 
 @nb.njit(
-    types.void(MODEL_FUNCTION, _MATRIX, _MATRIX, _VECTOR, types.int64[::1], types.float64[:, :, ::1]),
+    types.void(
+        MODEL_FUNCTION, _MATRIX, _MATRIX, _VECTOR, types.int64[::1], types.float64[:, :, ::1]
+    ),
     cache=True,
 )
 def _along(function, x, u, p, columns, found):

@@ -16,7 +16,8 @@ from spiral.io.tracking.content import metric_name, parameters
 from spiral.io.tracking.store import URI_VARIABLE, Store, Tracking, import_mlflow, in_force, opened
 from spiral.io.tracking.track import MARK, Failed, track
 
-STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2")
+STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
+         "candidates=[cross_stiffness,cubic_stiffness,gyroscopic]")  # fmt: skip
 BEFORE = os.environ.get(URI_VARIABLE)
 
 
@@ -177,7 +178,8 @@ def test_a_locked_database_is_said_and_caught_up_by_the_next_start(place, result
         pass  # made and migrated
     lock = sqlite3.connect(out / "mlflow.db", isolation_level=None)
     lock.execute("BEGIN EXCLUSIVE")
-    said = track(Tracking(model=False), out, (result["run_id"],))
+    impatient = f"sqlite:///{out / 'mlflow.db'}?timeout=0.5"
+    said = track(Tracking(uri=impatient, model=False), out, (result["run_id"],))
     assert "locked" in str(said.failure)
     assert not (out / result["run_id"] / MARK).exists()
     assert read_run(out / result["run_id"] / FILE).run_id == result["run_id"]
@@ -255,7 +257,7 @@ def test_figures_of_a_filter_are_metrics_beside_the_static_map(tmp_path, monkeyp
 
 def test_a_sweep_is_tracked_by_the_parent_alone_and_failed_jobs_with_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = ["compare", "experiment=rotor_coastdown", "record.duration=2"]
+    words = ["compare", "experiment=rotor_coastdown", "record.duration=2", "strategy=shooting"]
     swept = ["record.seed=1,2", "holdout=0.2,2", "n_jobs=2", "-m", "--json", "rows.json"]
     assert main([*words, *swept]) == 2
     rows = json.loads((tmp_path / "rows.json").read_text())

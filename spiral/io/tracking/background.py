@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from spiral.io.storage import FILE, own_file
-from spiral.io.tracking.store import Draw, Tracking, tracking_of
+from spiral.io.tracking.store import Draw, tracking_of
 from spiral.io.tracking.track import Tracked, track
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import InputError
