@@ -11,10 +11,13 @@ import pandas as pd
 import pytest
 
 from spiral.cli import main
-from spiral.io.storage import FILE, load_run, read_run
+from spiral.commands import telling
+from spiral.io.storage import FILE, load_run, read_run, run_ids
+from spiral.io.tracking import background
 from spiral.io.tracking.content import metric_name, parameters
 from spiral.io.tracking.store import URI_VARIABLE, Store, Tracking, import_mlflow, in_force, opened
 from spiral.io.tracking.track import MARK, Failed, track
+from tests.sweep_jobs import RECORD
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
          "candidates=[cross_stiffness,cubic_stiffness,gyroscopic]")  # fmt: skip
@@ -204,6 +207,61 @@ def test_an_unreachable_server_loses_nothing_and_little_time(place, result, tmp_
     assert time.monotonic() - began < 10  # MLflow's client alone tries for minutes
     assert "no answer from http://me:***@127.0.0.1:9" in str(said.failure)
     assert read_run(out / result["run_id"] / FILE)
+
+
+def until(reached, seconds=120.0):
+    end = time.monotonic() + seconds
+    while not reached():
+        assert time.monotonic() < end, "MLflow was not told"
+        time.sleep(0.1)
+
+
+def test_a_process_of_its_own_tells_mlflow_and_the_next_command_what_it_could_not(
+    tmp_path, monkeypatch, capsys
+):
+    """A server that is down: said by the next command, whose process tells both runs."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv(background.WAIT_VARIABLE)
+    monkeypatch.setattr(telling, "_in_the_foreground", None)
+    # A file of the folder that a command is called in is no module of the process.
+    (tmp_path / "mlflow.py").write_text("raise RuntimeError('it ran')")
+    words = ["compare", *RECORD, "strategy=shooting", "tracking.model=false"]
+    address = "http://me:secret@127.0.0.1:9"
+    assert main([*words, f"tracking.uri={address}"]) == 0
+    assert "MLflow" not in capsys.readouterr().err
+    until((tmp_path / "runs" / background.FAILURE).is_file)
+    assert main(words) == 0
+    said = capsys.readouterr().err
+    assert "not told to MLflow: no answer from http://me:***@127.0.0.1:9" in said
+    runs = run_ids("runs")
+    until(lambda: all((tmp_path / "runs" / name / MARK).is_file() for name in runs))
+    assert len(runs) == 2
+    assert not (tmp_path / "runs" / background.FAILURE).exists()
+
+
+def test_what_a_failure_says_is_one_plain_line(tmp_path):
+    """The folder of runs may be anyone's."""
+    assert background.last_failure(tmp_path) == ""
+    said = json.dumps({"failure": "\x1b[31mred\n\nline" + "x" * 10_000})
+    (tmp_path / background.FAILURE).write_text(said)
+    assert background.last_failure(tmp_path)[:20] == "[31mred linexxxxxxxx"
+    (tmp_path / background.FAILURE).write_text(said[:1000])
+    assert background.last_failure(tmp_path) == ""
+    (tmp_path / background.FAILURE).unlink()
+    (tmp_path / background.FAILURE).symlink_to(Path(__file__))
+    assert background.last_failure(tmp_path) == ""
+
+
+def test_runs_saved_after_an_order_are_left_to_their_own_commands(place, result, tmp_path):
+    """They may still write their curves."""
+    out = copy_of(place, result, tmp_path)
+    later = out / f"9{result['run_id'][1:]}"
+    later.mkdir()
+    (later / FILE).write_bytes((out / result["run_id"] / FILE).read_bytes())
+    assert track(Tracking(model=False), out, (result["run_id"],)).failure is None
+    assert not (later / MARK).exists()
+    assert track(Tracking(model=False), out).failure is None
+    assert (later / MARK).exists()
 
 
 def test_a_failed_job_is_a_failed_run_and_told_again_is_still_one(tmp_path):
