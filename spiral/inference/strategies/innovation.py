@@ -286,9 +286,9 @@ def _suggestions(
                 effect=effect.label,
                 meaning=effect.meaning(),
                 aliases=alike if effect.label in admitted else (),
-                p_value=float(special.chdtrc(len(group), statistic)),
+                p_value=float(special.chdtrc(len(group), max(statistic, 0.0))),
                 statistic=statistic,
-                wald_p_value=float(special.chdtrc(len(group), offered.scores[i])),
+                wald_p_value=float(special.chdtrc(len(group), max(offered.scores[i], 0.0))),
                 explains=offered.scores[i] / max(offered.energy, 1e-300),
             )
         )
