@@ -68,9 +68,11 @@ warm: setup
 	@echo "test: compiled kernels"
 	@$(BIN)/python -c '$(foreach module,$(COMPILED),import $(module);)'
 
+# Files in the order of tests/conftest.py, not by their number of tests.
 test: warm ## Run the tests (without the slow ones)
 	@echo "test: pytest with $(WORKERS) workers, slow tests left out"
-	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) --dist loadfile $(PYTEST)
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) \
+		--dist loadfile --no-loadscope-reorder $(PYTEST)
 
 test-slow: warm ## Run the slow statistical tests
 	@echo "test: pytest with $(WORKERS) workers, slow tests only"

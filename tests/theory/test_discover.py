@@ -87,11 +87,12 @@ def _constant_speed(settled: bool, seed: int):
 
 
 def test_constant_speed_in_steady_state_is_refused_with_groups_and_advice():
-    run = discover(planar_problem(_constant_speed(True, 1), _constant_speed(True, 2)))
+    problem = planar_problem(_constant_speed(True, 1), _constant_speed(True, 2))
+    run = discover(problem)
     assert run.verdict == run.stopped == "not_identifiable"
     assert any({"linear_stiffness", "unbalance"} <= set(g) for g in run.alias_groups)
     assert "weep the speed" in run.advice
-    told = diagnose(planar_problem(_constant_speed(True, 1), _constant_speed(True, 2)))
+    told = diagnose(problem)
     assert told.verdict == "not_identifiable"
 
 
