@@ -6,7 +6,7 @@ All are whole commands as a user runs them (``spiral discover experiment=rotor_c
 it with three candidates, one noise seed for each job), each in a fresh process, one after another;
 compiled models are cached by a run before. ``n_jobs=1`` is measured twice: kept to one core, and
 free to use both, which it does, since a study shares its windows between threads: more processes
-can gain less then. The load of the machine stands beside each figure: a busy machine hides the gain.
+can gain less then. The load of the machine stands beside each figure: a busy one hides the gain.
 """
 
 from __future__ import annotations
