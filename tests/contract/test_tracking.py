@@ -20,7 +20,7 @@ from spiral.io.tracking.track import MARK, Failed, track
 from tests.sweep_jobs import RECORD
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
-         "candidates=[cross_stiffness,cubic_stiffness,gyroscopic]")  # fmt: skip
+         "strategy=shooting", "candidates=[cross_stiffness,cubic_stiffness]")  # fmt: skip
 BEFORE = os.environ.get(URI_VARIABLE)
 
 
@@ -99,7 +99,8 @@ def test_terms_come_with_t_and_standard_error(client, parent, result):
 
 
 def test_a_run_is_named_by_what_tells_it_from_others(parent):
-    assert parent.info.run_name == "duration=4 max_rounds=2 discover rotor_coastdown"
+    own = "duration=4 max_rounds=2 strategy=shooting candidates=[cross_stiffness,cubic_stiffness]"
+    assert parent.info.run_name == f"{own} discover rotor_coastdown"
 
 
 def test_configuration_data_and_plugins_are_kept(client, parent, place, result):
@@ -315,7 +316,7 @@ def test_figures_of_a_filter_are_metrics_beside_the_static_map(tmp_path, monkeyp
 
 def test_a_sweep_is_tracked_by_the_parent_alone_and_failed_jobs_with_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = ["compare", "experiment=rotor_coastdown", "record.duration=2", "strategy=shooting"]
+    words = ["compare", *RECORD]
     swept = ["record.seed=1,2", "holdout=0.2,2", "n_jobs=2", "-m", "--json", "rows.json"]
     assert main([*words, *swept]) == 2
     rows = json.loads((tmp_path / "rows.json").read_text())
