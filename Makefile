@@ -57,15 +57,22 @@ demo: setup ## Find what the rotor's model is missing, on the embedded record
 app: setup ## Open the page: see where the model fails, click Add, watch the error fall
 	@$(BIN)/spiral app
 
+# Every module with a loop that Numba compiles and keeps.
+COMPILED := spiral.physics.compile spiral.engine.kernel spiral.engine.filter.kernel spiral.engine.filter.smoother \
+	spiral.engine.filter.slopes_kernel spiral.engine.filter.stochastic_kernel spiral.engine.filter.unscented \
+	spiral.engine.likelihood.kernel spiral.engine.likelihood.signatures_kernel
+
 # Compiled once here, so that the workers find the cache instead of compiling side by side.
 .PHONY: warm
 warm: setup
 	@echo "test: compiled kernels"
-	@$(BIN)/python -c 'import spiral.engine.kernel, spiral.engine.filter.kernel, spiral.engine.filter.smoother, spiral.engine.likelihood.kernel'
+	@$(BIN)/python -c '$(foreach module,$(COMPILED),import $(module);)'
 
+# Files in the order of tests/conftest.py, not by their number of tests.
 test: warm ## Run the tests (without the slow ones)
 	@echo "test: pytest with $(WORKERS) workers, slow tests left out"
-	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) --dist loadfile $(PYTEST)
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) \
+		--dist loadfile --no-loadscope-reorder $(PYTEST)
 
 test-slow: warm ## Run the slow statistical tests
 	@echo "test: pytest with $(WORKERS) workers, slow tests only"

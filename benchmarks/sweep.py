@@ -2,11 +2,11 @@
 
     python benchmarks/sweep.py [JOBS] [REPEATS]
 
-All are whole commands as a user runs them (``spiral discover experiment=rotor_coastdown``, one
-noise seed for each job), each in a fresh process, one after another; compiled models are cached by
-a run before. ``n_jobs=1`` is measured twice: kept to one core, and free to use both, which it does,
-since a study shares its windows between threads: more processes can gain less then. The load of the
-machine stands beside each figure: a busy machine hides the gain.
+All are whole commands as a user runs them (``spiral discover experiment=rotor_coastdown`` on 4 s of
+it with three candidates, one noise seed for each job), each in a fresh process, one after another;
+compiled models are cached by a run before. ``n_jobs=1`` is measured twice: kept to one core, and
+free to use both, which it does, since a study shares its windows between threads: more processes
+can gain less then. The load of the machine stands beside each figure: a busy one hides the gain.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ def sweep(
     """Wall-clock seconds of a whole command, perhaps kept to some cores, and its rows."""
     command = [
         sys.executable, "-m", "spiral", "discover", "experiment=rotor_coastdown",
+        "record.duration=4", "candidates=[cross_stiffness,cubic_stiffness,gyroscopic]",
         f"record.seed=range(0,{jobs})", "-m", f"n_jobs={n_jobs}", "--json", "-",
     ]  # fmt: skip
     clock = time.perf_counter()

@@ -14,17 +14,15 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from spiral.commands import memory
 from spiral.commands.perform import in_worker, perform
+from spiral.commands.telling import say_told, tell_mlflow
 from spiral.io.registry import NO_FOLDER
-from spiral.io.request import BAD_INPUT, Outcome, Request
+from spiral.io.request import BAD_INPUT, Request
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
 from spiral.version import __version__
-
-if TYPE_CHECKING:
-    from spiral.io.tracking.track import Tracked
 
 VERBS = {
     "discover": "find what the model is missing, add it, and repeat: the main job",
@@ -282,41 +280,8 @@ def _single(request: Request, target: str | None) -> int:
 
         screens = {v: s for s in (plugins, estimate, plan) for v in s.VERBS}
         screens.get(request.verb, study).show(request.verb, outcome)
-    _say_tracked(_tracked(outcome), target)
+    say_told(tell_mlflow(outcome), target)
     return outcome.exit
-
-
-def _tracked(outcome: Outcome) -> Tracked | None:
-    """Tell MLflow about the run that was saved, where there is one."""
-    if "run_id" not in outcome.result:
-        return None
-    from spiral.io.tracking.store import tracking_of
-    from spiral.io.tracking.track import track
-    from spiral.view.report.page import report_of
-    from spiral.view.terminal.parts import progress
-
-    config = outcome.parts["config"]
-    tracking = tracking_of(config)
-    if not tracking.enabled:
-        return None
-    with progress() as tell:
-        tell("telling MLflow")
-        known, wanted = outcome.parts["registry"], (outcome.result["run_id"],)
-        return track(tracking, config["out"], wanted, draw=report_of, registry=known)
-
-
-def _say_tracked(tracked: Tracked | None, target: str | None) -> None:
-    """Where MLflow shows the run, or why it does not know of it."""
-    if tracked is None:
-        return
-    if tracked.failure is not None:
-        print(
-            f"spiral: saved, but not told to MLflow ({tracked.uri}): {tracked.failure}\n"
-            "the next start tells it; tracking.enabled=false does without",
-            file=sys.stderr,
-        )
-    elif tracked.page and target != "-":
-        print(f"  {tracked.page}\n      this run beside others, in MLflow's page")
 
 
 def _multirun(request: Request, target: str | None) -> int:
@@ -339,7 +304,7 @@ def _multirun(request: Request, target: str | None) -> int:
         screen.show(sweep)
     elif sweep.error:
         print("\n".join(f"{k + ':':<10}{v}" for k, v in sweep.error.items()), file=sys.stderr)
-    _say_tracked(tracked, target)
+    say_told(tracked, target)
     return sweep.exit
 
 

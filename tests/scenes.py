@@ -1,6 +1,7 @@
 """Records and problems that several tests share: each is one simulated machine."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
@@ -74,6 +75,7 @@ def planar_problem(record, test, model: Model | None = None, **settings) -> Prob
     )
 
 
+@cache
 def coastdown_problem(seed: int = 11, **fields) -> Problem:
     """The embedded record, as ``experiment=rotor_coastdown`` makes it."""
     model = seed_model(PlanarRotor())

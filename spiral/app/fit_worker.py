@@ -33,7 +33,8 @@ from spiral.inference.rounds import (
 from spiral.inference.strategies.base import Begun, Step, Strategy
 from spiral.inference.unknown.holding import having, holding
 from spiral.io.checkpoint import read_checkpoint, write_checkpoint
-from spiral.io.curves import FINAL, Curves, beside, free_curves, read_curves, write_curves
+from spiral.io.curves import FINAL, Curves, beside, read_curves, write_curves
+from spiral.io.gather import free_curves
 from spiral.io.registry import Registry
 from spiral.io.writing import finite, to_json, write_whole
 from spiral.types.run import Round, Run

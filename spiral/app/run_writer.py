@@ -16,7 +16,8 @@ from spiral.app.study import turn_place
 from spiral.inference.problem import Problem
 from spiral.inference.rounds import Checkpoint, concluded
 from spiral.io.checkpoint import read_checkpoint
-from spiral.io.curves import FINAL, SEED, Curves, alone, gather, write_curves
+from spiral.io.curves import FINAL, SEED, Curves, alone, write_curves
+from spiral.io.gather import gather
 from spiral.io.registry import Registry
 from spiral.io.storage import save_result
 from spiral.types.run import Run

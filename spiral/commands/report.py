@@ -32,7 +32,8 @@ def with_curves(study: Command, step: Callable[[Command], Outcome]) -> Outcome:
         return outcome
     if not options(study.config).curves:
         return outcome
-    from spiral.io.curves import gather, write_curves
+    from spiral.io.curves import write_curves
+    from spiral.io.gather import gather
 
     folder = Path(study.config["out"]).expanduser() / outcome.result["run_id"]
     try:

@@ -161,7 +161,7 @@ def adjusted_r2(y: Array, fit: Fit) -> float:
 
 def partial_f(before: Fit, after: Fit) -> tuple[float, float]:
     """F = [(RSS_0 - RSS_1)/q] / [RSS_1/(N - p)] and its p-value (paper, eq. Ftest)."""
-    from scipy import stats
+    from scipy import special
 
     q = after.parameters - before.parameters
     if q <= 0:
@@ -170,4 +170,4 @@ def partial_f(before: Fit, after: Fit) -> tuple[float, float]:
     if after.rss <= 0:
         return (np.inf, 0.0) if gain > 0 else (0.0, 1.0)
     value = (gain / q) / (after.rss / after.dof)
-    return float(value), float(stats.f.sf(value, q, after.dof))
+    return float(value), float(special.fdtrc(q, after.dof, value))

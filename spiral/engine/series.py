@@ -171,12 +171,13 @@ def between_samples(values: Array, coarse: Array, fine: Array, how: str, substep
     """An input on the half-step grid, run between its samples as ``Input.interpolation`` says."""
     if how == "zero_order":
         return held_values(values, substeps)
-    from scipy.interpolate import CubicSpline
-    from scipy.signal import resample_poly
-
     if how == "band_limited":
+        from scipy.signal import resample_poly
+
         dense = resample_poly(values, 2 * substeps, 1, window=("kaiser", 8.0), padtype="line")
         return dense[: len(fine)]
+    from scipy.interpolate import CubicSpline
+
     return CubicSpline(coarse, values)(fine)
 
 

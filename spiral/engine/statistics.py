@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from spiral.types.record import Array
 
@@ -32,7 +32,7 @@ def whiteness(residuals: tuple[Array, ...], lags: int) -> Whiteness:
             if len(kept) <= lags + 1 or not np.all(np.isfinite(kept)):
                 return Whiteness(0.0, np.inf)
             statistic = ljung_box(kept, lags)
-            p_values.append(float(stats.chi2.sf(statistic, lags)))
+            p_values.append(float(special.chdtrc(lags, statistic)))
             effects.append(statistic / len(kept))
     smallest = min(p_values) if p_values else 1.0
     return Whiteness(min(1.0, smallest * len(p_values)), max(effects, default=0.0))
@@ -94,7 +94,7 @@ def paired_errors(first: tuple[Array, ...], second: tuple[Array, ...], block: in
     t = (share - 0.5) / max(spread, 1e-300)
     degrees = max(len(sums) - 1, 1)
     fall = 2.0 * energy * (share - 0.5)
-    p_fall, p_differ = float(stats.t.sf(t, degrees)), float(2 * stats.t.sf(abs(t), degrees))
+    p_fall, p_differ = float(special.stdtr(degrees, -t)), float(2 * special.stdtr(degrees, -abs(t)))
     return Paired(fall, share, t, p_fall, p_differ, energy)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from spiral.engine.growth import Stage
 from spiral.engine.score import cosine
@@ -223,7 +223,7 @@ def _alike(assembly: Assembly, paired: Paired) -> bool:
     Twins differ by what their fits left to converge, of which a paired test may make anything.
     """
     level = _alias_level(assembly)
-    return paired.p_differ >= level or paired.energy < 4 * float(stats.norm.isf(level / 2)) ** 2
+    return paired.p_differ >= level or paired.energy < 4 * float(special.ndtri(level / 2)) ** 2
 
 
 def _refused(

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numba as nb
+import numpy as np
 import sympy as sp
 from llvmlite import binding, ir
 from numba import types
@@ -61,12 +62,38 @@ class ModelFunction(types.WrapperAddressProtocol):
         caller = _with_slopes if self._kind is MODEL_FUNCTION else _value
         caller(self, *arrays)
 
+    def parameter_slopes(self, x: Any, u: Any, p: Any, columns: Sequence[int]) -> Any:
+        """B = f_p at every row of x and u, these columns alone: (rows, equations, columns).
+
+        ``p`` is one value of every parameter; ``f`` has as many equations as ``x`` has columns.
+        """
+        wanted = np.array(columns, dtype=np.int64)
+        x, u, p = (np.ascontiguousarray(values, dtype=float) for values in (x, u, p))
+        found = np.zeros((*x.shape, len(wanted)))
+        _along(self, x, u, p, wanted, found)
+        return found
+
 
 @nb.njit(
     types.void(MODEL_FUNCTION, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _MATRIX), cache=True
 )
 def _with_slopes(function, x, u, p, f, a, b):
     function(x, u, p, f, a, b)
+
+
+@nb.njit(
+    types.void(
+        MODEL_FUNCTION, _MATRIX, _MATRIX, _VECTOR, types.int64[::1], types.float64[:, :, ::1]
+    ),
+    cache=True,
+)
+def _along(function, x, u, p, columns, found):
+    rows, n = x.shape
+    f, a, b = np.empty(n), np.zeros((n, n)), np.zeros((n, len(p)))
+    for row in range(rows):
+        function(x[row], u[row], p, f, a, b)
+        for k in range(len(columns)):
+            found[row, :, k] = b[:, columns[k]]
 
 
 @nb.njit(types.void(VALUE_FUNCTION, _VECTOR, _VECTOR, _VECTOR, _VECTOR), cache=True)

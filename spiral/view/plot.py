@@ -63,7 +63,8 @@ def figures(run: Run) -> dict[str, go.Figure]:
 
 @lru_cache(maxsize=8)
 def _gathered(key: _Key) -> Curves:
-    from spiral.io.curves import FINAL, SEED, gather
+    from spiral.io.curves import FINAL, SEED
+    from spiral.io.gather import gather
 
     run = key.run
     done = [r.comparison for r in run.rounds]

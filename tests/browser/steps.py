@@ -32,6 +32,18 @@ def ready(page, effect):
     page.wait_for_selector(f"button[aria-label='Add {effect}']:enabled")
 
 
+def filled(page):
+    """Names of all Add buttons that are the primary one."""
+    wanted = "button[aria-label^='Add ']:not(.q-btn--outline)"
+    return page.eval_on_selector_all(wanted, "all => all.map(b => b.getAttribute('aria-label'))")
+
+
+def judged(page, where):
+    """Horizon -> word, of a table or a list of trials."""
+    text = page.inner_text(where)
+    return re.findall(r"(better|same|worse)", text)
+
+
 def choose(page, label, option):
     """Choose a column for a series in the mapping."""
     page.click(f"[data-for='{label}'] .q-select")

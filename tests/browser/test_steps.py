@@ -1,15 +1,12 @@
 """What a step does to data that it did not see: said, not proposed where it is worse, undone."""
 
-import os
-import re
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from spiral.app.study import Turn, new_study, save
-from tests.browser.steps import FIRST, SECOND, add, error, ready, shows
+from tests.browser.steps import SECOND, add, error, filled, judged, ready, shows
 
 RATE, SAMPLES = 500.0, 3000
 
@@ -58,18 +55,6 @@ def study(served, chromium, tmp_path_factory):
     return address
 
 
-def filled(page):
-    """Names of all Add buttons that are the primary one."""
-    wanted = "button[aria-label^='Add ']:not(.q-btn--outline)"
-    return page.eval_on_selector_all(wanted, "all => all.map(b => b.getAttribute('aria-label'))")
-
-
-def judged(page, where):
-    """Horizon -> word, of a table or a list of trials."""
-    text = page.inner_text(where)
-    return re.findall(r"(better|same|worse)", text)
-
-
 def test_an_effect_that_predicts_worse_is_not_the_filled_button(tab, study, picture):
     tab.goto(study)
     tab.wait_for_selector("#proposal.worse")
@@ -101,29 +86,6 @@ def test_a_step_that_turned_out_worse_says_so_and_is_undone_with_one_click(tab, 
     tab.wait_for_selector("#worse", state="detached")
     shows(tab, before)
     assert tab.inner_text("#horizons") == fitted
-
-
-def test_a_step_that_helps_is_the_filled_button_and_costs_no_second_fit(tab, served, picture):
-    """The rotor: what was tried for the button is there at once when it is clicked."""
-    tab.goto(served.address)
-    tab.click(".choice:has-text('Rotor coastdown')")
-    tab.wait_for_selector("#proposal.good")
-    ready(tab, FIRST)
-    assert filled(tab) == [f"Add {FIRST}"]
-    assert judged(tab, ".effect.first .tried") == ["better"] * 3
-    shares = [float(x) for x in re.findall(r"explains ([\d.]+) %", tab.inner_text("main"))]
-    assert len(shares) == 5
-    assert shares == sorted(shares, reverse=True)
-    assert "Ordered by the share" in tab.inner_text(".order")
-    foretold = tab.inner_text(".effect.first .tried")
-    began = time.monotonic()
-    add(tab, FIRST)
-    tab.wait_for_selector("#error-now small")
-    assert time.monotonic() - began < 5 or os.getloadavg()[0] > 2 * os.cpu_count()
-    assert judged(tab, "#horizons") == ["better"] * 3
-    for figure in re.findall(r"→ ([\d.]+ %)", foretold):
-        assert figure in tab.inner_text("#horizons")
-    picture(tab, "step-better")
 
 
 def test_an_effect_that_was_let_go_is_no_part_of_the_model(tab, served, picture):

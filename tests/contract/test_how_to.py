@@ -19,13 +19,8 @@ BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture(autouse=True)
-def untracked():
-    """Pages are run as a reader runs them: nothing is put in MLflow's place."""
-
-
-@pytest.fixture(autouse=True)
 def without_curves():
-    """Nor in the curves' place."""
+    """Pages are run as a reader runs them, MLflow apart (test_tracking.py)."""
 
 
 @pytest.mark.parametrize("page", ["own-effect.md", "own-system.md", "../../README.md"])

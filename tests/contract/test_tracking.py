@@ -11,12 +11,16 @@ import pandas as pd
 import pytest
 
 from spiral.cli import main
-from spiral.io.storage import FILE, load_run, read_run
+from spiral.commands import telling
+from spiral.io.storage import FILE, load_run, read_run, run_ids
+from spiral.io.tracking import background
 from spiral.io.tracking.content import metric_name, parameters
 from spiral.io.tracking.store import URI_VARIABLE, Store, Tracking, import_mlflow, in_force, opened
 from spiral.io.tracking.track import MARK, Failed, track
+from tests.sweep_jobs import RECORD
 
-STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2")
+STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
+         "strategy=shooting", "candidates=[cross_stiffness,cubic_stiffness]")  # fmt: skip
 BEFORE = os.environ.get(URI_VARIABLE)
 
 
@@ -95,7 +99,8 @@ def test_terms_come_with_t_and_standard_error(client, parent, result):
 
 
 def test_a_run_is_named_by_what_tells_it_from_others(parent):
-    assert parent.info.run_name == "duration=4 max_rounds=2 discover rotor_coastdown"
+    own = "duration=4 max_rounds=2 strategy=shooting candidates=[cross_stiffness,cubic_stiffness]"
+    assert parent.info.run_name == f"{own} discover rotor_coastdown"
 
 
 def test_configuration_data_and_plugins_are_kept(client, parent, place, result):
@@ -177,7 +182,8 @@ def test_a_locked_database_is_said_and_caught_up_by_the_next_start(place, result
         pass  # made and migrated
     lock = sqlite3.connect(out / "mlflow.db", isolation_level=None)
     lock.execute("BEGIN EXCLUSIVE")
-    said = track(Tracking(model=False), out, (result["run_id"],))
+    impatient = f"sqlite:///{out / 'mlflow.db'}?timeout=0.5"
+    said = track(Tracking(uri=impatient, model=False), out, (result["run_id"],))
     assert "locked" in str(said.failure)
     assert not (out / result["run_id"] / MARK).exists()
     assert read_run(out / result["run_id"] / FILE).run_id == result["run_id"]
@@ -202,6 +208,61 @@ def test_an_unreachable_server_loses_nothing_and_little_time(place, result, tmp_
     assert time.monotonic() - began < 10  # MLflow's client alone tries for minutes
     assert "no answer from http://me:***@127.0.0.1:9" in str(said.failure)
     assert read_run(out / result["run_id"] / FILE)
+
+
+def until(reached, seconds=120.0):
+    end = time.monotonic() + seconds
+    while not reached():
+        assert time.monotonic() < end, "MLflow was not told"
+        time.sleep(0.1)
+
+
+def test_a_process_of_its_own_tells_mlflow_and_the_next_command_what_it_could_not(
+    tmp_path, monkeypatch, capsys
+):
+    """A server that is down: said by the next command, whose process tells both runs."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv(background.WAIT_VARIABLE)
+    monkeypatch.setattr(telling, "_in_the_foreground", None)
+    # A file of the folder that a command is called in is no module of the process.
+    (tmp_path / "mlflow.py").write_text("raise RuntimeError('it ran')")
+    words = ["compare", *RECORD, "strategy=shooting", "tracking.model=false"]
+    address = "http://me:secret@127.0.0.1:9"
+    assert main([*words, f"tracking.uri={address}"]) == 0
+    assert "MLflow" not in capsys.readouterr().err
+    until((tmp_path / "runs" / background.FAILURE).is_file)
+    assert main(words) == 0
+    said = capsys.readouterr().err
+    assert "not told to MLflow: no answer from http://me:***@127.0.0.1:9" in said
+    runs = run_ids("runs")
+    until(lambda: all((tmp_path / "runs" / name / MARK).is_file() for name in runs))
+    assert len(runs) == 2
+    assert not (tmp_path / "runs" / background.FAILURE).exists()
+
+
+def test_what_a_failure_says_is_one_plain_line(tmp_path):
+    """The folder of runs may be anyone's."""
+    assert background.last_failure(tmp_path) == ""
+    said = json.dumps({"failure": "\x1b[31mred\n\nline" + "x" * 10_000})
+    (tmp_path / background.FAILURE).write_text(said)
+    assert background.last_failure(tmp_path)[:20] == "[31mred linexxxxxxxx"
+    (tmp_path / background.FAILURE).write_text(said[:1000])
+    assert background.last_failure(tmp_path) == ""
+    (tmp_path / background.FAILURE).unlink()
+    (tmp_path / background.FAILURE).symlink_to(Path(__file__))
+    assert background.last_failure(tmp_path) == ""
+
+
+def test_runs_saved_after_an_order_are_left_to_their_own_commands(place, result, tmp_path):
+    """They may still write their curves."""
+    out = copy_of(place, result, tmp_path)
+    later = out / f"9{result['run_id'][1:]}"
+    later.mkdir()
+    (later / FILE).write_bytes((out / result["run_id"] / FILE).read_bytes())
+    assert track(Tracking(model=False), out, (result["run_id"],)).failure is None
+    assert not (later / MARK).exists()
+    assert track(Tracking(model=False), out).failure is None
+    assert (later / MARK).exists()
 
 
 def test_a_failed_job_is_a_failed_run_and_told_again_is_still_one(tmp_path):
@@ -255,7 +316,7 @@ def test_figures_of_a_filter_are_metrics_beside_the_static_map(tmp_path, monkeyp
 
 def test_a_sweep_is_tracked_by_the_parent_alone_and_failed_jobs_with_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = ["compare", "experiment=rotor_coastdown", "record.duration=2"]
+    words = ["compare", *RECORD]
     swept = ["record.seed=1,2", "holdout=0.2,2", "n_jobs=2", "-m", "--json", "rows.json"]
     assert main([*words, *swept]) == 2
     rows = json.loads((tmp_path / "rows.json").read_text())

@@ -20,7 +20,7 @@ def result(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def result_of(*words: str) -> dict:
-        code = main([*words, "tracking.enabled=false", "--json", "-"])
+        code = main([*words, "tracking.enabled=false", "curves=false", "--json", "-"])
         out, said = capsys.readouterr()
         assert code == 0, said
         return json.loads(out)

@@ -10,7 +10,7 @@ from spiral.commands.perform import perform
 from spiral.io.request import Request
 
 SHORT = ("experiment=rotor_coastdown", "record.duration=3", "record.start_hz=25",
-         "record.stop_hz=10")  # fmt: skip
+         "record.stop_hz=10", "curves=false")  # fmt: skip
 PAPER = ("strategy=paper", *SHORT, "library=core", "paper.points=20000", "learner.epochs=20")
 
 
@@ -42,9 +42,9 @@ def test_a_table_is_made_of_saved_runs(tmp_path):
 
 def test_diagnose_asks_the_strategy_that_was_chosen(tmp_path):
     """Its suggestions are those of the loop's first round by the same evidence."""
-    request = Request("diagnose", (), (*PAPER, f"out={tmp_path}", "curves=false"))
+    request = Request("diagnose", (), (*PAPER, f"out={tmp_path}"))
     diagnosis = perform(request, lambda message: None).result
-    first = ran(tmp_path, *PAPER, "settings.max_rounds=1", "curves=false")["rounds"][0]
+    first = ran(tmp_path, *PAPER, "settings.max_rounds=1")["rounds"][0]
     assert first["suggestions"]
     same = ("effect", "p_value", "statistic", "explains")
     told = [{k: s[k] for k in same} for s in diagnosis["suggestions"]]

@@ -10,6 +10,8 @@ import pytest
 from spiral.cli import main
 
 ROOT = Path(__file__).parents[2]
+# tests/contract shows both: what MLflow is told (test_tracking), the curves (test_report).
+WITHOUT = ("tracking.enabled=false", "curves=false")
 
 
 def _commands() -> list[list[str]]:
@@ -31,7 +33,7 @@ def results(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("tutorial"))
         for words in _commands():
-            assert main([*words, "--json", "found.json"]) == 0
+            assert main([*words, *WITHOUT, "--json", "found.json"]) == 0
             found.append((words, json.loads(Path("found.json").read_text())))
     return found
 
@@ -41,7 +43,10 @@ def test_the_tutorial_has_its_six_steps(results):
 
 
 def test_diagnose_names_what_is_then_added(results):
-    assert results[1][1]["suggestions"][0]["effect"] == results[2][0][1] == "cross_stiffness"
+    first = results[1][1]["suggestions"][0]
+    assert first["effect"] == results[2][0][1] == "cross_stiffness"
+    assert results[1][1]["verdict"] == "effect_missing"
+    assert first["test_error_after"] < first["test_error_before"]
     assert results[4][1]["suggestions"][0]["effect"] == results[5][0][1] == "gyroscopic"
 
 

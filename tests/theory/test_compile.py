@@ -61,6 +61,20 @@ def test_every_effect_computes_what_it_says(system):
     same(trace(system, (*system.seed, *others)))
 
 
+def test_slopes_along_a_motion_are_those_of_its_samples():
+    """In any order of the columns, which is how a fit asks for them."""
+    compiled = compile_model(trace(Oscillator(), Oscillator().seed))
+    traced, rng = compiled.traced, np.random.default_rng(0)
+    x, u = (rng.uniform(0.1, 1.0, (7, len(g))) for g in (traced.x, traced.u))
+    p = rng.uniform(0.1, 1.0, len(traced.p))
+    columns = list(range(len(p)))[::-1]
+    found = compiled.rate.parameter_slopes(x, u, p, columns)
+    for row in range(len(x)):
+        _, _, b = compiled_at(compiled.rate, compiled.rate_value, x.shape[1], x[row], u[row], p)
+        np.testing.assert_array_equal(found[row], b[:, columns])
+    assert np.abs(found).max() > 0
+
+
 def alone(*rates):
     """A model of two states and one parameter with these rates."""
     return Traced(("x", "y"), (), (), ("p",), (), (X, Y), (), (K,), rates, (), (), ())

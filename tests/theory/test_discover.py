@@ -87,11 +87,12 @@ def _constant_speed(settled: bool, seed: int):
 
 
 def test_constant_speed_in_steady_state_is_refused_with_groups_and_advice():
-    run = discover(planar_problem(_constant_speed(True, 1), _constant_speed(True, 2)))
+    problem = planar_problem(_constant_speed(True, 1), _constant_speed(True, 2))
+    run = discover(problem)
     assert run.verdict == run.stopped == "not_identifiable"
     assert any({"linear_stiffness", "unbalance"} <= set(g) for g in run.alias_groups)
     assert "weep the speed" in run.advice
-    told = diagnose(planar_problem(_constant_speed(True, 1), _constant_speed(True, 2)))
+    told = diagnose(problem)
     assert told.verdict == "not_identifiable"
 
 
@@ -101,12 +102,9 @@ def test_constant_speed_with_its_start_up_transient_is_judged_by_its_signatures(
     assert admitted(run)[0] == "cross_stiffness"
 
 
-def test_the_manual_way_leads_to_the_same_place():
+def test_three_effects_added_at_once_lead_to_the_same_place():
+    """What ``diagnose`` says before, tests/experiments/test_tutorial.py shows on this record."""
     problem = coastdown_problem(11)
-    told = diagnose(problem)
-    assert told.verdict == "effect_missing"
-    assert told.suggestions[0].effect == "cross_stiffness"
-    assert told.suggestions[0].test_error_after < told.suggestions[0].test_error_before
     three = tuple(effect(e) for e in ("cross_stiffness", "cubic_stiffness", "gyroscopic"))
     before, after, run = add(problem, three)
     assert after.test_error < 0.05 * before.test_error

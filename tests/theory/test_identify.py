@@ -118,7 +118,7 @@ def test_a_signature_is_the_force_of_one_unit_of_its_coefficient() -> None:
 
 
 def run_json(capsys, *words: str) -> tuple[int, dict]:
-    code = main([*words, "--json", "-"])
+    code = main([*words, "tracking.enabled=false", "--json", "-"])
     return code, json.loads(capsys.readouterr().out)
 
 

@@ -14,7 +14,8 @@ from spiral.inference.strategies.base import Begun
 from spiral.inference.suggest import by_evidence, listed
 from spiral.inference.unknown.holding import holding
 from spiral.io.config import build_problem, compose
-from spiral.io.curves import FINAL, free_curves
+from spiral.io.curves import FINAL
+from spiral.io.gather import free_curves
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from spiral.engine.gate import Trial
 from spiral.engine.leastsquares import (
@@ -132,7 +132,7 @@ def suggestions(
             aliases=aliases.get(label, ()),
             p_value=p,
             statistic=value,
-            wald_p_value=float(2 * stats.norm.sf(abs(t[i]))),
+            wald_p_value=float(2 * special.ndtr(-abs(t[i]))),
             explains=float(alone / trial.before.rss) if trial.before.rss > 0 else 0.0,
         )
         if label not in found or found[label].explains < item.explains:

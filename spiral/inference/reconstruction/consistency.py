@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from spiral.engine.filter.observer import Reconstruction
 from spiral.engine.statistics import whiteness
@@ -86,7 +86,7 @@ class Consistency:
 def bounded(values: Array, dof: int) -> Bounded:
     """Mean of chi2(dof) values with 95 % bounds of that mean."""
     count = max(len(values), 1)
-    low, high = stats.chi2.ppf([0.025, 0.975], count * dof) / count
+    low, high = special.chdtri(count * dof, [0.975, 0.025]) / count
     mean = float(np.mean(values)) if len(values) else np.nan
     return Bounded(mean, float(low), float(high))
 

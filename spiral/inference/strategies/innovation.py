@@ -270,7 +270,7 @@ def _suggestions(
     alike: tuple[str, ...],
 ) -> tuple[Suggestion, ...]:
     """The best candidates, those admitted first; by twice the gain in log L where refitted."""
-    from scipy import stats
+    from scipy import special
 
     def rank(i: int) -> tuple[bool, float, float]:
         group = offered.groups[i]
@@ -286,9 +286,9 @@ def _suggestions(
                 effect=effect.label,
                 meaning=effect.meaning(),
                 aliases=alike if effect.label in admitted else (),
-                p_value=float(stats.chi2.sf(statistic, len(group))),
+                p_value=float(special.chdtrc(len(group), max(statistic, 0.0))),
                 statistic=statistic,
-                wald_p_value=float(stats.chi2.sf(offered.scores[i], len(group))),
+                wald_p_value=float(special.chdtrc(len(group), max(offered.scores[i], 0.0))),
                 explains=offered.scores[i] / max(offered.energy, 1e-300),
             )
         )

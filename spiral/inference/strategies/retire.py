@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from scipy import stats
+from scipy import special
 
 from spiral.engine.growth import Stage
 from spiral.engine.statistics import paired_errors
@@ -97,5 +97,5 @@ def _weak(model: Model, label: str, level: float) -> bool:
     names = {p.name for e in model.effects if e.label == label for p in e.amplitudes()}
     rows = model.estimates()[label]
     tested = [e for n, e in rows.items() if any(n == k or n.startswith(f"{k}_") for k in names)]
-    largest = stats.norm.isf(level / (2 * max(len(tested), 1)))
+    largest = -special.ndtri(level / (2 * max(len(tested), 1)))
     return bool(tested) and all(e.t is not None and abs(e.t) < largest for e in tested)

@@ -84,17 +84,13 @@ def best_shape(found: tuple[Shape, ...], axes: tuple[str, ...]) -> Shape | None:
 def _own_columns(missing: MissingForce, active: tuple[str, ...], at: Array) -> Array:
     """(samples, axes, columns): forces at the port that the model's own parameters stand for."""
     task = missing.task
-    n, count = len(task.states), len(task.keys)
     latent = [i for i, k in enumerate(task.keys) if k.startswith(f"{LatentForce().label}.")]
     wanted = [task.keys.index(k) for k in {*active, ORIGIN} if k in task.keys]
     inputs = task.inputs[:: 2 * task.series.substeps]
-    a, b, slope = np.zeros((n, n)), np.zeros((n, count)), np.empty(n)
-    columns = np.zeros((len(at), len(latent), len(wanted)))
-    for row, sample in enumerate(at):
-        state = np.ascontiguousarray(missing.states[sample])
-        task.compiled.rate(state, inputs[sample], task.values, slope, a, b)
-        columns[row] = np.linalg.pinv(b[:, latent]) @ b[:, wanted]
-    return columns
+    slopes = task.compiled.rate.parameter_slopes(
+        missing.states[at], inputs[at], task.values, [*latent, *wanted]
+    )
+    return np.linalg.pinv(slopes[..., : len(latent)]) @ slopes[..., len(latent) :]
 
 
 def _candidates(missing: MissingForce, number: int, at: Array) -> Iterator[tuple[_Named, Array]]:

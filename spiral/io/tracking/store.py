@@ -98,13 +98,13 @@ def opened(
 
     folder = Path(out).expanduser().resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    import_mlflow()
-    from mlflow import MlflowClient
-
     uri = tracking.where(out)
     if uri.startswith("http"):
         _reach(uri)
-    with FileLock(folder / LOCK, timeout=_PATIENCE), _quiet():
+    with FileLock(folder / LOCK, timeout=_PATIENCE), _quiet():  # who waits has not imported MLflow
+        import_mlflow()
+        from mlflow import MlflowClient
+
         client = MlflowClient(tracking_uri=uri)
         known = client.get_experiment_by_name(tracking.experiment)
         if known is not None:
@@ -161,6 +161,23 @@ def in_force(store: Store) -> Iterator[None]:
         mlflow.set_tracking_uri(before or "")
         if before is None:
             os.environ.pop(URI_VARIABLE, None)
+
+
+@contextlib.contextmanager
+def requirements_as_given() -> Iterator[None]:
+    """Model requirements are logged as they are given.
+
+    MLflow lists every file of every installed package (2 s) to find the module of each requirement,
+    only to warn where another version is installed; here they name this very version.
+    """
+    from mlflow.utils import requirements_utils as found
+
+    before = getattr(found, "_MODULES_TO_PACKAGES", None)
+    found._MODULES_TO_PACKAGES = before or {}
+    try:
+        yield
+    finally:
+        found._MODULES_TO_PACKAGES = before
 
 
 @contextlib.contextmanager

@@ -18,7 +18,7 @@ from typing import Any
 from spiral.io.registry import LocalFile, Registry, load_registry, told
 from spiral.io.storage import FILE, SavedRun, read_run, run_ids
 from spiral.io.tracking import content
-from spiral.io.tracking.store import Draw, Store, Tracking, in_force, opened
+from spiral.io.tracking.store import Draw, Store, Tracking, in_force, opened, requirements_as_given
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.masking import without_passwords
@@ -88,15 +88,21 @@ def track(
             for job in failed:
                 _log_failure(store, job)
             if catch_up:
-                _catch_up(store, tracking, folder, registry)
+                _catch_up(store, tracking, folder, registry, max(wanted, default=""))
     except Exception as error:  # of whatever store: the result is saved and must not be lost
         return Tracked(runs, uri, page, without_passwords(told(error)))
     return Tracked(runs, uri, page, experiment=experiment)
 
 
-def _catch_up(store: Store, tracking: Tracking, folder: Path, registry: Registry) -> None:
-    """Log what an earlier start could not; a folder that holds no readable run is passed over."""
+def _catch_up(
+    store: Store, tracking: Tracking, folder: Path, registry: Registry, last: str
+) -> None:
+    """Log what an earlier start could not; a folder that holds no readable run is passed over.
+
+    Runs behind ``last`` are of commands that may still be at work on them.
+    """
     left = [i for i in run_ids(folder) if not (folder / i / MARK).is_file()]
+    left = [i for i in left if not last or i <= last]
     for run_id in left[-_CAUGHT_UP:]:
         try:
             saved = read_run(folder / run_id / FILE)
@@ -257,6 +263,7 @@ def _log_model(store: Store, number: str, saved: SavedRun, registry: Registry) -
     with (
         tempfile.TemporaryDirectory() as place,
         in_force(store),
+        requirements_as_given(),
         mlflow.start_run(run_id=number),
     ):
         mlflow.pyfunc.log_model(

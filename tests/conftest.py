@@ -1,0 +1,32 @@
+"""For all tests: commands wait for what they tell MLflow; long files are begun first."""
+
+from pathlib import Path
+
+import pytest
+
+from spiral.io.tracking.background import WAIT_VARIABLE
+
+# Over half a minute each, longest first: with two workers none of them is begun last.
+LONG = (
+    "experiments/test_tutorial.py", "browser/test_story.py", "theory/test_discover.py",
+    "browser/test_files.py", "theory/test_speed_errors.py", "contract/test_third_party.py",
+    "contract/test_unfinished.py", "docs/test_notebooks.py", "contract/test_tracking.py",
+    "experiments/test_hidden_effects.py", "contract/test_how_to.py",
+    "experiments/test_paper_evidence.py", "contract/test_report.py", "browser/test_steps.py",
+    "theory/test_compile.py", "theory/test_unknown.py", "experiments/test_configs.py",
+    "contract/test_dask.py", "contract/test_plugins.py", "theory/test_calibrate.py",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items):
+    """Long files first, each with its tests in their own order."""
+    rank = {Path(__file__).parent / name: number for number, name in enumerate(LONG)}
+    items.sort(key=lambda item: rank.get(item.path, len(rank)))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def nothing_in_the_background():
+    """For commands in processes of their own, too; a test of the background says otherwise."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(WAIT_VARIABLE, "1")
+        yield
