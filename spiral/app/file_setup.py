@@ -126,7 +126,7 @@ class FileSetup:
                 setup = replace(setup, trouble=dict(data))
             elif kind == "cancelled":
                 said = f"Cancelled: {opened.busy.lower() or 'reading'}"
-                setup = replace(setup, trouble={"given": said, "expected": "", "try": ""})
+                setup = replace(setup, trouble={"given": said, "at": kind})
             elif kind != "done":
                 return
             busy = "" if kind in ("done", "failed", "cancelled") else opened.busy

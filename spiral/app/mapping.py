@@ -22,6 +22,7 @@ from spiral.view.report import text
 _TICK = 0.2
 _NONE = "none"
 _CLOCK = "sample rate"
+_BLOCKS = "holdout_blocks=5"
 
 
 @dataclass
@@ -65,8 +66,7 @@ class Form:
                 ui.label(opened.busy + " …").classes("words")
                 ui.button("Cancel", on_click=self._cancel).props("flat dense")
         if opened.setup.trouble:
-            with ui.element("div").classes("trouble").props('role="alert"'):
-                ui.html(panels.trouble(opened.setup.trouble), sanitize=False)
+            with frame.told(opened.setup.trouble):
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
 
@@ -113,7 +113,8 @@ class Form:
                 self._series(setup, series, "measured")
             for series in system["inputs"]:
                 self._series(setup, series, "input" if series["required"] else "input, if measured")
-        with ui.expansion("More: rows, offsets, candidates, the system's fields").classes("w-full"):
+        with ui.expansion("More: rows, offsets, candidates, the system's fields",
+                          value=bool(setup.choice.more)).classes("w-full"):  # fmt: skip
             ui.textarea(
                 "One KEY=VALUE on each line, as on the command line", value=setup.choice.more,
                 placeholder="record.rows=[0,5000]\nholdout=0.3",
@@ -195,12 +196,29 @@ class Form:
                     sanitize=False)  # fmt: skip
         elif setup.seen:
             ui.html(panels.records(setup.seen), sanitize=False)
-            ui.html("<p class='soft' style='margin-top:8px'>The last part is kept apart as the "
-                    "test record: no fit sees it. Are the ranges those of your machine?</p>",
+            said = f"{panels.apart(setup.seen)} Are the ranges those of your machine?"
+            ui.html(f"<p class='soft' style='margin-top:8px' id='apart'>{escape(said)}</p>",
                     sanitize=False)  # fmt: skip
+            self._quiet(setup)
         begin = ui.button("Compare with the model", icon="play_arrow", on_click=self._begin)
         begin.props("unelevated color=primary").style("margin-top:12px")
         begin.set_enabled(bool(setup.seen) and not setup.trouble)
+
+    def _quiet(self, setup: RecordSetup) -> None:
+        """A warning where the test record hardly moves, and another split with one click."""
+        said = panels.quiet(setup.seen)
+        if not said:
+            return
+        ui.html(said, sanitize=False)
+        if panels.kept_apart(setup.seen):
+            more = f"{setup.choice.more.rstrip()}\n{_BLOCKS}".strip()
+            button = ui.button("Keep parts of five blocks apart instead")
+            button.on_click(lambda: self._add_line(more)).props("outline")
+
+    def _add_line(self, more: str) -> None:
+        """Another text in *More*, shown there too."""
+        self.drawn.pop("form", None)
+        self._change(more=more)
 
     def _change(self, **values: Any) -> None:
         now: Choice = self.session.file_setup.look(self.ident).setup.choice

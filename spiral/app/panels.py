@@ -11,6 +11,7 @@ from spiral.app.study import LEARNED, Study, Turn
 from spiral.types.formatting import number, percent, probability
 from spiral.view.report import text
 from spiral.view.report.style import symbols, words
+from spiral.view.terminal.preview import kept_apart, quiet_test
 
 _BOTH = "the larger of the classical p-value and the robust one"
 _NET = (
@@ -27,13 +28,27 @@ ENDINGS = {
 }
 
 
-FORMULA = (
-    "<p class='soft' style='margin-bottom:10px'>A formula of displacements (<code>x</code>), "
-    "velocities (<code>x_rate</code>), the axis at hand (<code>q</code>, <code>v</code>) and "
-    "inputs (<code>speed</code>, <code>phase</code>). Every other name is a coefficient that the "
-    "fit finds; a spring is <code>-k*q</code>. One inside a function, as the width of a friction "
-    "<code>-F*tanh(v/w)</code>, needs a value.</p>"
-)
+def formula(about: Mapping[str, Any]) -> str:
+    """What a formula of one's own may name on this machine."""
+    known = "".join(
+        f"<br>{escape(kind)}: {', '.join(f'<code>{escape(n)}</code>' for n in names)}"
+        for kind, names in about.get("names", ())
+        if names
+    )
+    return (
+        f"<p class='soft' style='margin-bottom:10px'>A formula may name {known}<br>Every other "
+        "name is a coefficient that the fit finds; a spring is <code>-k*q</code>. One inside a "
+        "function, as the width of a friction <code>-F*tanh(v/w)</code>, needs a value. Formulas "
+        "that differ are named: <code>x: -k*y; y: k*x</code>.</p>"
+    )
+
+
+def caveats(said: Sequence[str]) -> str:
+    """What is to be held against a verdict; nothing where there is nothing."""
+    if not said:
+        return ""
+    items = "".join(f"<li>{escape(one)}</li>" for one in said)
+    return f'<div class="note caveats" id="caveats"><b>Hold against it</b><ul>{items}</ul></div>'
 
 
 def ending(study: Study, turn: Turn) -> str:
@@ -68,7 +83,14 @@ def headline(study: Study) -> str:
         '<p class="label">Free-run error on the test record</p>'
         f'<div class="number" id="error-now">{value}{before}</div>'
         f'<p class="soft">Share of each channel\'s deviation; this record chose nothing.{noise}</p>'
+        + quiet(study.records)
     )
+
+
+def quiet(records: Sequence[Mapping[str, Any]]) -> str:
+    """What to hold against a test record that misses what was excited; else nothing."""
+    said = quiet_test(records)
+    return f'<p class="note quiet">{escape(said)}</p>' if said else ""
 
 
 def _shown(error: float | None) -> str:
@@ -225,6 +247,16 @@ def contrast(rows: Sequence[Mapping[str, Any]], windows: int) -> str:
 def model(turn: Turn) -> str:
     """The equation and its coefficients with their standard errors."""
     return plain(text.coefficients_table(turn.result, turn.equation))
+
+
+def apart(records: Sequence[Mapping[str, Any]]) -> str:
+    """Where the test record comes from, in a sentence."""
+    tests = [r["name"] for r in records if r["part"] == "test"]
+    if not kept_apart(records):
+        return f"No fit sees the test record: {unseen.listed(tests)}."
+    where = "The last part" if len(tests) == 1 else f"The last part of each of {len(tests)} records"
+    where = f"The end of each of {len(tests)} blocks" if "(block " in tests[0] else where
+    return f"{where} is kept apart as the test record: no fit sees it."
 
 
 def records(found: Sequence[Mapping[str, Any]]) -> str:

@@ -62,6 +62,13 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .worse {{ border-left-color:var(--vermilion); background:#fdf1ea; }}
 #worse {{ margin-top:12px; display:grid; gap:8px; justify-items:start; }}
 #proposal {{ margin-bottom:10px; }} #proposal.soft {{ padding:0; }}
+.caveats {{ margin:8px 0 10px; font-size:14px; }}
+.caveats ul {{ margin:2px 0 0; padding-left:18px; }}
+.branches, .branches ul {{ list-style:none; margin:2px 0 0; padding:0; }}
+.branches ul {{ padding-left:14px; border-left:2px solid var(--line); margin-left:6px; }}
+.branches .q-btn {{ font-weight:500; text-align:left; }}
+.branches .here {{ font-weight:700; opacity:1 !important; }}
+.branches .on-line {{ font-weight:650; }}
 .order {{ margin:0 0 8px; }} .gone {{ margin-top:6px; font-size:13.5px; }}
 #horizons {{ margin-top:12px; }} #horizons td, #horizons th {{ padding-right:8px; }}
 #horizons td:last-child, #horizons th:last-child {{ padding-right:0; }}
