@@ -27,7 +27,7 @@ def describe_file(order: Mapping[str, Any], tell: Callable[[str, Mapping[str, An
     InputError : a file that cannot be read, or in which there is no column of numbers.
     """
     tell("progress", {"words": "reading the file"})
-    table = read_table(order["path"])
+    table = read_table(order["path"], order.get("separator"), order.get("decimal"))
     numbers = {n: v for n in table.columns[:_MOST] if (v := _numbers(table, n)) is not None}
     if not numbers:
         name, found = Path(order["path"]).name, ", ".join(table.columns[:9])
@@ -58,7 +58,7 @@ def _numbers(table: Table, name: str) -> Any:
 
 def _draw(numbers: Mapping[str, Any], table: Table, target: Path) -> None:
     """The first columns over row number, thinned."""
-    from spiral.view.report.style import CYCLE, blank, line, titled
+    from spiral.view.report.style import CYCLE, blank, hovering, line, titled
 
     shown = list(numbers)[:_DRAWN]
     figure = blank(len(shown), 1, 70 + 120 * len(shown), shared_xaxes=True, vertical_spacing=0.045)
@@ -71,7 +71,7 @@ def _draw(numbers: Mapping[str, Any], table: Table, target: Path) -> None:
         figure.update_yaxes(title_text=title, title_font_size=13, row=row, col=1)
     figure.update_xaxes(title_text="row", row=len(shown), col=1)
     figure.update_layout(margin={"t": 12})
-    write_whole(target, figure.to_json())
+    write_whole(target, hovering(figure).to_json())
 
 
 def _systems(plugins: str | None) -> list[dict[str, Any]]:

@@ -49,12 +49,18 @@ class FileSetup:
     def arrived(self, setup: RecordSetup) -> None:
         """The file is there: read it."""
         with self._lock:
-            kept.save(self._out, setup)
-            self._open[setup.ident] = OpenFile(setup, busy="Reading the file")
+            version = self._open[setup.ident].version if setup.ident in self._open else 0
+            self._put(OpenFile(setup, version, busy="Reading the file"))
             folder = str(kept.place(self._out, setup.ident))
-            self._give(
-                {**self._order(setup, "describe_file"), "path": setup.path, "folder": folder}
-            )
+            layout = {"separator": setup.separator or None, "decimal": setup.decimal or None}
+            order = self._order(setup, "describe_file")
+            self._give({**order, **layout, "path": setup.path, "folder": folder})
+
+    def read_as(self, ident: str, separator: str, decimal: str) -> None:
+        """Read a text file again, told what stands between its columns and before fractions."""
+        setup = self.look(ident).setup
+        told = {"separator": separator, "decimal": decimal.strip(), "trouble": None}
+        self.arrived(replace(setup, **told))
 
     def there(self, path: str) -> str:
         """A file on this machine, read where it lies; returns the setup's name.

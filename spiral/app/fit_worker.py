@@ -72,6 +72,18 @@ class FitWorker:
 
         file_preview.describe_file(order, self.tell)
 
+    def plugins(self, order: Order) -> None:
+        """Run the local plugins, to tell those that cannot be used."""
+        self._loaded(order)
+
+    def _loaded(self, order: Order) -> Registry:
+        """All plugins as they are now; files that cannot be used are told."""
+        from spiral.io.registry import load_registry
+
+        found = load_registry(order.get("plugins"))
+        self.tell("broken", {"broken": [f"{f.file}: {f.message}" for f in found.failures]})
+        return found
+
     def check(self, order: Order) -> None:
         """What a mapping makes of a file; the records are kept for the study that may follow."""
         self._open(order)
@@ -161,7 +173,6 @@ class FitWorker:
         """Read the records and compile, unless this study is at hand."""
         from spiral.io.config import build_problem, compose
         from spiral.io.custom import bound
-        from spiral.io.registry import load_registry
         from spiral.types.errors import ConfigError
 
         overrides = tuple(order["overrides"])
@@ -173,7 +184,7 @@ class FitWorker:
             return
         self.ident, self.overrides, self.begun, self.standing, self.tried = "", (), None, {}, {}
         self._progress("reading the record")
-        self.registry = load_registry(order.get("plugins"))
+        self.registry = self._loaded(order)
         config = compose(overrides, self.registry)
         self.registry = bound(config, self.registry)
         self.problem = build_problem(config, self.registry)

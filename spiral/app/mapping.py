@@ -69,6 +69,19 @@ class Form:
             with frame.told(opened.setup.trouble):
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
+            if not opened.setup.columns:
+                self._layout(opened.setup)
+
+    def _layout(self, setup: RecordSetup) -> None:
+        """What to say of a text file whose columns were not found: ``record.separator`` and so."""
+        with ui.row().classes("items-center gap-2").style("margin-top:10px"):
+            between = ui.input("Between columns (record.separator)", value=setup.separator)
+            mark = ui.input("Before fractions (record.decimal)", value=setup.decimal)
+            for box in (between, mark):
+                box.props("outlined dense").style("width:250px")
+            button = ui.button("Read it so", on_click=lambda: self.session.file_setup.read_as(
+                self.ident, between.value or "", mark.value or ""))  # fmt: skip
+            button.props("outline")
 
     def _cancel(self) -> None:
         """Stop reading; what was read and chosen before stays."""
@@ -87,7 +100,9 @@ class Form:
         table = text.table(("column", "unit", "first rows", "range"), rows)
         ui.html(panels.plain(table), sanitize=False)
         if setup.drawn:
-            frame.bare(kept.place(self.session.out, self.ident) / PICTURE, "columns")
+            data = frame.figure_of(kept.place(self.session.out, self.ident) / PICTURE)
+            if data is not None:
+                frame.plot(data, "columns", f"The first columns of {setup.name}, row by row")
 
     def _form(self, opened: OpenFile) -> None:
         setup = opened.setup

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import quote
 
 from nicegui import ui
 
 from spiral.app import branches, frame, panels, unseen
+from spiral.app.figures import Figures
 from spiral.app.missing import OWN, Missing
 from spiral.app.session import Scene, Session
-from spiral.app.study import Turn, turn_place
+from spiral.app.study import Turn
 from spiral.types.errors import SpiralError
 from spiral.view.report.evidence import error_falling
 
@@ -28,7 +31,8 @@ TABS = (
     ("Model", ("coefficients", "campbell")),
 )
 WHERE, MODEL = "Where it fails", "Model"
-FALLING = "falling"
+FALLING, PANEL = "falling", "figures-panel"
+FALLING_SAID = "Free-run errors of fit and test after each step, with the noise floor"
 
 
 @dataclass
@@ -45,8 +49,10 @@ class StudyView:
     regions: dict[str, ui.element] = field(default_factory=dict)
     tab: str = TABS[0][0]
     fall: ui.plotly | None = None
+    said: ui.label | None = None
 
     def __post_init__(self) -> None:
+        self.figures = Figures(self.session, self.ident)
         self.missing = Missing(self.session, self.ident, self._ask, lambda: self.again("missing"))
 
     def scene(self) -> Scene:
@@ -128,6 +134,8 @@ class StudyView:
     def _hero(self, scene: Scene) -> None:
         study = scene.study
         ui.html(panels.headline(study), sanitize=False)
+        if self.said is not None and study.turn is not None:
+            self.said.set_text(panels.spoken(study.turn))
         ui.html(panels.chips(study), sanitize=False)
         if study.turn is not None:
             self._step(scene, study.turn)
@@ -156,10 +164,9 @@ class StudyView:
         figure = error_falling(result, least=1)
         if figure is None:
             return
-        figure.update_layout(height=FALL_HEIGHT, margin={"l": 60, "r": 16, "t": 44, "b": 48},
-                             legend={"x": 1, "xanchor": "right"})  # fmt: skip
+        figure.update_layout(height=FALL_HEIGHT, margin={"l": 60, "r": 16, "t": 44, "b": 48})
         if self.fall is None:
-            self.fall = frame.plot(figure.to_plotly_json(), "error-falling")
+            self.fall = frame.plot(figure.to_plotly_json(), "error-falling", FALLING_SAID)
         else:
             self.fall.update_figure(frame.drawn(figure.to_plotly_json()))
 
@@ -174,25 +181,30 @@ class StudyView:
         have = {name for name, _, _ in turn.figures}
         known = [t for t, names in TABS if have & set(names) or t == MODEL]
         shown = self.tab if self.tab in known else known[0]
+        ui.html("<h2 class='unseen'>Figures</h2>", sanitize=False)
         with ui.tabs().props(
             "align=left no-caps outside-arrows mobile-arrows inline-label"
         ) as tabs:
             for title in known:
-                ui.tab(title)
+                ui.tab(title).props(f'aria-controls="{PANEL}"')
         tabs.set_value(shown)
         tabs.on_value_change(self._choose_tab)
-        self.regions["tab"] = ui.element("div").style("width:100%")
+        panel = ui.element("div").style("width:100%").props(f'id="{PANEL}" role="tabpanel"')
+        self.regions["tab"] = panel.props('tabindex="0"')
         self._tab(shown)
 
     def _choose_tab(self, event: Any) -> None:
         if event.value and event.value != self.tab:
             self.tab = event.value
+            address = f"?tab={quote(event.value)}"
+            ui.run_javascript(f"history.replaceState(null, '', {json.dumps(address)})")
             self._tab(event.value)
 
     def _tab(self, title: str) -> None:
         """Only the figures of the chosen tab travel to the browser."""
         turn = self.scene().study.turn
         region = self.regions["tab"]
+        region.props["aria-label"] = title
         region.clear()
         if turn is None:
             return
@@ -201,11 +213,9 @@ class StudyView:
                 ui.label(turn.sentence).classes("sentence")
             if title == MODEL:
                 ui.html(panels.model(turn), sanitize=False).style("width:100%")
-            wanted = dict(TABS)[title]
-            folder = turn_place(self.session.out, self.ident, turn.serial) / "figures"
             for name, heading, caption in turn.figures:
-                if name in wanted:
-                    frame.figure(folder / f"{name}.json", name, heading, caption)
+                if name in dict(TABS)[title]:
+                    self.figures.show(turn.serial, name, heading, caption)
 
     def _data(self, scene: Scene) -> None:
         study = scene.study
@@ -241,18 +251,19 @@ class StudyView:
 _NEVER = object()
 
 
-def study_page(session: Session, ident: str) -> None:
-    """Build the page of one study."""
+def study_page(session: Session, ident: str, tab: str = "") -> None:
+    """Build the page of one study, with a tab of its figures open."""
     try:
         scene = session.scene(ident)
     except SpiralError as error:
         frame.nothing_here(error)
         return
-    view = StudyView(session, ident)
+    view = StudyView(session, ident, tab=tab or TABS[0][0])
     with frame.bar(scene.study.title):
         view.regions["links"] = ui.row().classes("items-center gap-2")
     with frame.progress_bar():
-        view.regions["working"] = ui.element("div").style("width:100%")
+        view.regions["working"] = ui.element("div").style("width:100%").props('role="status"')
+    view.said = ui.label("").classes("unseen").props('role="status"')
     with ui.element("main").classes("wrap"):
         view.regions["trouble"] = ui.element("div")
         with ui.element("div").classes("split").style("align-items:stretch"):

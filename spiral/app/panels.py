@@ -87,6 +87,11 @@ def headline(study: Study) -> str:
     )
 
 
+def spoken(turn: Turn) -> str:
+    """What those hear who do not see the large number."""
+    return f"Free-run error on the test record: {_shown(turn.result.get('test_error'))}"
+
+
 def quiet(records: Sequence[Mapping[str, Any]]) -> str:
     """What to hold against a test record that misses what was excited; else nothing."""
     said = quiet_test(records)

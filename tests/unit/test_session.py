@@ -275,6 +275,13 @@ OSCILLATOR = {
 }
 
 
+PENDULUM = {
+    "name": "pendulum",
+    "channels": [{"name": "theta", "unit": "rad"}],
+    "inputs": [{"name": "torque", "unit": "rad/s^2", "required": True}],
+}
+
+
 @pytest.mark.parametrize(
     ("system", "columns", "time", "chosen", "units"),
     [
@@ -286,6 +293,10 @@ OSCILLATOR = {
         (OSCILLATOR, {"Zeit [ms]": "ms", "Kraft [N]": "N", "Weg [mm]": "mm"}, "Zeit [ms]",
          {"force": "Kraft [N]", "x": "Weg [mm]"}, {}),
         (OSCILLATOR, {"a": "", "b": ""}, "", {"x": "a"}, {}),
+        (OSCILLATOR, {"t": "s", "angle": "deg", "u": "V"}, "t", {}, {}),
+        (OSCILLATOR, {"t": "s", "angle_rad": "", "load": "kN", "disp": "mm"}, "t",
+         {"x": "disp", "force": "load"}, {}),
+        (PENDULUM, {"t": "s", "angle": "", "voltage": ""}, "t", {"theta": "angle"}, {}),
     ],
 )  # fmt: skip
 def test_columns_are_guessed_by_name_and_by_unit(system, columns, time, chosen, units):

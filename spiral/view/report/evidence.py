@@ -89,7 +89,8 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], share: floa
                         range=[-0.15, numbers[-1] + max(0.8, 0.28 * numbers[-1])])  # fmt: skip
     values = _known(found)
     low, high = min([*values, floor or math.inf]), max(values)
-    span = [math.log10(low) - 0.25, math.log10(high) + 0.45]
+    bottom, top = math.log10(low) - 0.25, math.log10(high)
+    span = [bottom, top + max(0.45, 0.2 * (top - bottom))]  # room for the labels of the highest
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
                         range=span, dtick=decades(*span),
                         minor={"showgrid": True, "gridcolor": "#F3F3F3"})  # fmt: skip

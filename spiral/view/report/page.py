@@ -14,9 +14,10 @@ from spiral.io.curves import FINAL, SEED, Curves, read_curves
 from spiral.io.storage import SavedRun
 from spiral.types.run import estimate_rows
 from spiral.view.report import evidence, maps, motion, text, unknown
-from spiral.view.report.style import FONT
+from spiral.view.report.style import FONT, Span, hovering
 
 Figure = Any
+FREE_RUN = "free_run"
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,15 @@ def figures(
     for name, heading, caption, make in makers:
         figure = make() if wanted is None or name in wanted else None
         if figure is not None:
-            found.append(Shown(name, heading, caption, figure))
+            found.append(Shown(name, heading, caption, hovering(figure)))
     return found
+
+
+def closer(curves: Curves, name: str, span: Span) -> Figure | None:
+    """A figure of a series whose samples between two moments are all drawn, or many of them."""
+    if name != FREE_RUN:
+        return None
+    return motion.measured_against_model(curves, _test(curves), maps.first_model(curves), span)
 
 
 def _before(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]:
