@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from spiral.io.readers.files import Table
 from spiral.io.readers.readers import read_table
 from spiral.io.writing import finite, write_whole
 from spiral.types.errors import InputError
+
+if TYPE_CHECKING:
+    from spiral.types.model import Model
 
 PICTURE = "columns.json"
 _DRAWN = 6  # columns in the picture
@@ -91,3 +94,23 @@ def _systems(plugins: str | None) -> list[dict[str, Any]]:
         found.append({"name": name, "meaning": system.meaning(), "channels": channels,
                       "inputs": inputs})  # fmt: skip
     return found
+
+
+def described_model(model: Model) -> dict[str, Any]:
+    """The effects of a system's seed with their meanings, and all parameters of a model."""
+    told = model.estimates()
+    active = set(model.active)
+    rows = []
+    for key, parameter in model.pairs:
+        owner, name = key.rsplit(".", 1)
+        if parameter.scope == "record":
+            continue
+        found = told.get(owner, {}).get(name)
+        value = model.values.get(key, parameter.start)
+        rows.append({
+            "key": key, "owner": owner, "name": name, "lower": parameter.lower,
+            "upper": parameter.upper, "unit": parameter.unit if found is None else found.unit,
+            "value": value, "free": key in active,
+        })  # fmt: skip
+    seed = [{"label": e.label, "meaning": e.meaning()} for e in model.system.seed]
+    return {"seed": seed, "parameters": rows}

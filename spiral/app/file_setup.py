@@ -93,6 +93,7 @@ class FileSetup:
             if choice.system != opened.setup.choice.system:
                 system = next(s for s in opened.setup.systems if s["name"] == choice.system)
                 choice = replace(kept.guessed(opened.setup.columns, system), more=choice.more)
+                opened = replace(opened, setup=replace(opened.setup, model={}))
             setup = replace(opened.setup, choice=choice, seen=(), trouble=None)
             complete = not kept.lacking(setup)
             asked = opened.asked + 1
@@ -128,6 +129,8 @@ class FileSetup:
                                           "systems": tuple(data["systems"])})  # fmt: skip
             elif kind == "records":
                 setup = replace(setup, seen=tuple(data["records"]))
+            elif kind == "model":
+                setup = replace(setup, model=dict(data))
             elif kind == "failed":
                 setup = replace(setup, trouble=dict(data))
             elif kind == "cancelled":

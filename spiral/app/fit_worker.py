@@ -86,7 +86,11 @@ class FitWorker:
 
     def check(self, order: Order) -> None:
         """What a mapping makes of a file; the records are kept for the study that may follow."""
+        from spiral.app.file_preview import described_model
+
         self._open(order)
+        assert self.problem is not None
+        self.tell("model", finite(described_model(self.problem.model)))
 
     @one_blas_thread
     def start(self, order: Order) -> None:

@@ -55,7 +55,8 @@ def progress_bar() -> Iterator[None]:
 def drawn(data: Mapping[str, Any]) -> dict[str, Any]:
     """A figure that is as wide as its place, as the browser's Plotly takes it."""
     layout = {**data["layout"], "autosize": True, "uirevision": "kept",
-              "paper_bgcolor": CLEAR, "plot_bgcolor": CLEAR}  # fmt: skip
+              "paper_bgcolor": CLEAR, "plot_bgcolor": CLEAR,
+              "modebar": {"bgcolor": CLEAR, "color": "#767f8a", "activecolor": BLUE}}  # fmt: skip
     layout.pop("width", None)
     return {"data": data["data"], "layout": layout, "config": _CONFIG}
 
@@ -65,7 +66,7 @@ def plot(data: Mapping[str, Any], name: str, said: str) -> ui.plotly:
     found = ui.plotly(drawn(data))
     found.style(f"width:100%;height:{float(data['layout']['height'])}px")
     found.props["id"] = f"plot-{name}"
-    found.props["role"] = "img"
+    found.props["role"] = "figure"
     found.props["aria-label"] = said
     return found
 
@@ -110,7 +111,7 @@ def nothing_here(error: SpiralError) -> None:
     """A page for an address that names no study."""
     with bar("Nothing here"):
         pass
-    with ui.element("main").classes("wrap"):
+    with ui.element("div").classes("wrap"):
         with ui.element("div").classes("trouble"):
             ui.html(panels.trouble(error.as_dict()), sanitize=False)
         ui.link("All studies", "/").classes("quiet")
@@ -158,10 +159,16 @@ def links(session: Session, scene: Scene) -> None:
         return
     ident = scene.study.ident
     with ui.button("Take away", icon="download").props("outline padding='4px 12px'"), ui.menu():
-        models = ((f"model{kind.suffix}", kind.label) for kind in KINDS.values())
-        for name, said in (("report.html", "Report, one HTML file"), *models,
-                           ("run.json", "All numbers")):  # fmt: skip
-            ui.menu_item(said, lambda n=name: ui.navigate.to(f"/take/{ident}/{turn.serial}/{n}"))
+
+        def item(name: str, said: str) -> None:
+            ui.menu_item(said, lambda: ui.navigate.to(f"/take/{ident}/{turn.serial}/{name}"))
+
+        item("report.html", "Report, one HTML file")
+        item("run.json", "All numbers (JSON)")
+        ui.separator()
+        ui.item_label("The model as").props("header")
+        for kind in KINDS.values():
+            item(f"model{kind.suffix}", kind.label)
     if turn.tracked:
         ui.link("MLflow", f"/mlflow/{ident}/{turn.serial}", new_tab=True).classes("quiet").tooltip(
             f"run {turn.run_id} beside others"

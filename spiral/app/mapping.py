@@ -9,7 +9,7 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import frame, panels
+from spiral.app import frame, model_setup, panels
 from spiral.app import record_setup as kept
 from spiral.app.file_preview import PICTURE
 from spiral.app.file_setup import OpenFile
@@ -49,6 +49,14 @@ class Form:
                 "form",
                 self._form,
                 (len(setup.columns), setup.choice.system, setup.choice.time),
+            ),
+            (
+                "model",
+                self._model,
+                (
+                    tuple(r["key"] for r in setup.model.get("parameters", ())),
+                    setup.choice.without,
+                ),
             ),
             ("seen", self._seen, (setup.seen, setup.choice, opened.busy, setup.trouble)),
         ):
@@ -135,6 +143,12 @@ class Form:
                 placeholder="record.rows=[0,5000]\nholdout=0.3",
                 on_change=lambda e: self._change(more=e.value or ""),
             ).props("outlined dense debounce=900").classes("w-full")  # fmt: skip
+
+    def _model(self, opened: OpenFile) -> None:
+        def now() -> Choice:
+            return self.session.file_setup.look(self.ident).setup.choice
+
+        model_setup.draw(opened.setup, now, self._change)
 
     def _clock(self, setup: RecordSetup) -> None:
         ui.html("<b>time</b>", sanitize=False)
@@ -262,12 +276,14 @@ def file_page(session: Session, ident: str) -> None:
     form = Form(session, ident)
     with frame.bar(opened.setup.name):
         pass
-    with ui.element("main").classes("wrap"):
+    with ui.element("div").classes("wrap"):
         form.regions["state"] = ui.element("div")
         with ui.element("div").classes("split"):
             with ui.element("div").style("display:flex;flex-direction:column;gap:18px;min-width:0"):
                 form.regions["form"] = ui.element("section").classes("card")
                 form.regions["seen"] = ui.element("section").classes("card")
-            form.regions["columns"] = ui.element("section").classes("card")
+            with ui.element("div").style("display:flex;flex-direction:column;gap:18px;min-width:0"):
+                form.regions["columns"] = ui.element("section").classes("card")
+                form.regions["model"] = ui.element("section").classes("card")
     form.look()
     ui.timer(_TICK, form.look)

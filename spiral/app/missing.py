@@ -19,7 +19,7 @@ _SHOWN = 5  # candidates before "show all"
 _OWN = (
     ("name", "Name", "hardening"),
     ("formula", "Force on the machine", "-k3*q**3"),
-    ("shape", "Its gaps, widths and open units, if any (SI)", "w=0.003, b=N/m"),
+    ("shape", "Gaps, widths, open units (SI)", "w=0.003, b=N/m"),
 )
 OWN = "invent"  # the order that an effect of one's own gives
 

@@ -264,7 +264,7 @@ def study_page(session: Session, ident: str, tab: str = "") -> None:
     with frame.progress_bar():
         view.regions["working"] = ui.element("div").style("width:100%").props('role="status"')
     view.said = ui.label("").classes("unseen").props('role="status"')
-    with ui.element("main").classes("wrap"):
+    with ui.element("div").classes("wrap"):
         view.regions["trouble"] = ui.element("div")
         with ui.element("div").classes("split").style("align-items:stretch"):
             view.regions["hero"] = ui.element("section").classes("card").style("height:100%")

@@ -128,7 +128,7 @@ def channels(turn: Turn, units: Mapping[str, str]) -> str:
     fit = "" if chi2 is None else f"χ² per degree of freedom {number(chi2, 3)}; "
     fit += (
         f"whiteness p {probability(turn.result.get('whiteness_p'))}; stretches of "
-        f"{number(turn.result.get('horizon'))} samples"
+        f"{turn.result.get('horizon') or '-'} samples"
     )
     return plain(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'
 

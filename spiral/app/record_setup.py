@@ -29,7 +29,11 @@ _SPEEDS = ("speed", "rpm", "omega", "drehzahl", "n")
 
 @dataclass(frozen=True)
 class Choice:
-    """Which column is what. ``columns`` and ``units`` are by the system's own names."""
+    """Which column is what, and what the model begins with.
+
+    ``columns`` and ``units`` are by the system's own names; ``without`` are effects of the seed
+    that are left out; ``values`` and ``free`` (found by the fit or not) are by full parameter name.
+    """
 
     system: str = ""
     time: str = ""
@@ -37,6 +41,9 @@ class Choice:
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     more: str = ""
+    without: tuple[str, ...] = ()
+    values: Mapping[str, str] = field(default_factory=dict)
+    free: Mapping[str, bool] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -44,7 +51,8 @@ class RecordSetup:
     """A file, its columns once it has been read, and what was chosen so far.
 
     ``systems`` describes the systems there are; ``seen`` what the last look at the mapped record
-    came to; ``drawn`` whether a picture of the columns is there; ``separator`` and ``decimal`` how
+    came to; ``drawn`` whether a picture of the columns is there; ``model`` what the
+    model holds (``file_preview.described_model``); ``separator`` and ``decimal`` how
     a text file writes columns and fractions, where that had to be said.
     """
 
@@ -58,6 +66,7 @@ class RecordSetup:
     seen: tuple[Mapping[str, Any], ...] = ()
     trouble: Mapping[str, str] | None = None
     drawn: bool = False
+    model: Mapping[str, Any] = field(default_factory=dict)
     separator: str = ""
     decimal: str = ""
 
@@ -229,7 +238,23 @@ def overrides(setup: RecordSetup) -> tuple[str, ...]:
         if part:
             inside = ", ".join(f"{k}: {quoted(v)}" for k, v in part.items())
             given.append(f"record.{key}={{{inside}}}")
+    given += _of_the_model(choice)
     return (*given, *(line.strip() for line in choice.more.splitlines() if line.strip()))
+
+
+def _of_the_model(choice: Choice) -> list[str]:
+    """What the command line is told of the model that a study begins with."""
+    found = []
+    if choice.without:
+        found.append(f"without=[{','.join(choice.without)}]")
+    values = {k: v.strip() for k, v in choice.values.items() if v.strip()}
+    if values:
+        found.append("values={" + ", ".join(f"{k}: {v}" for k, v in values.items()) + "}")
+    for key, wanted in (("fixed", False), ("free", True)):
+        names = [k for k, free in choice.free.items() if free is wanted]
+        if names:
+            found.append(f"{key}=[{','.join(names)}]")
+    return found
 
 
 def quoted(text: str) -> str:

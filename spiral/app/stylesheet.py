@@ -72,7 +72,7 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
   grid-template-columns:minmax(0,1fr) auto; column-gap:12px; align-items:start; }}
 .effect .name {{ font-weight:650; font-size:16px; line-height:1.3; }}
 .effect .meaning {{ color:var(--soft); font-size:14px; line-height:1.4; }}
-.formula {{ display:inline-block; }}
+.formula {{ display:inline-block; }} .own code {{ white-space:nowrap; }}
 .effect .evidence {{ font-size:13.5px; color:var(--soft); margin-top:5px; grid-column:1 / -1;
   display:flex; align-items:center; gap:10px; font-variant-numeric:tabular-nums; }}
 .effect .evidence span {{ white-space:nowrap; }}
@@ -129,6 +129,10 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .mapping {{ display:grid; grid-template-columns:minmax(70px,auto) minmax(0,1fr) 88px; gap:8px 10px;
   align-items:center; margin:14px 0 6px; font-size:14.5px; }}
 .mapping .soft {{ display:block; font-size:12.5px; line-height:1.2; max-width:80px; }}
+.seed {{ display:grid; grid-template-columns:auto minmax(0,1fr); gap:2px 12px; align-items:center;
+  margin-bottom:12px; }}
+.parameters {{ display:grid; align-items:center; gap:6px 14px; font-size:14px;
+  grid-template-columns:minmax(140px,1fr) 130px auto auto auto; }}
 .caption {{ color:var(--soft); font-size:14px; line-height:1.45; max-width:86ch;
   margin:2px 0 14px; }}
 .figure-head {{ font-size:16px; line-height:1.4; font-weight:650; margin:10px 0 0; }}

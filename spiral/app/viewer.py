@@ -12,7 +12,7 @@ import time
 from spiral.types.errors import InputError
 from spiral.types.masking import without_passwords
 
-_PATIENCE = 40.0  # s until its page answers
+_PATIENCE = 90.0  # s until its page answers
 HOST, STORE_VARIABLE = "127.0.0.1", "MLFLOW_BACKEND_STORE_URI"
 
 

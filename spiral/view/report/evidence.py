@@ -93,7 +93,7 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], share: floa
     span = [bottom, top + max(0.45, 0.2 * (top - bottom))]  # room for the labels of the highest
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
                         range=span, dtick=decades(*span),
-                        minor={"showgrid": True, "gridcolor": "#F3F3F3"})  # fmt: skip
+                        minor={"showgrid": True, "gridcolor": "rgba(0,0,0,0.047)"})  # fmt: skip
 
 
 def _known(found: Sequence[Mapping[str, Any]]) -> list[float]:

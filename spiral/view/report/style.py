@@ -119,7 +119,7 @@ def _look() -> Any:
     import plotly.graph_objects as go
 
     axis = {
-        "showgrid": True, "gridcolor": "#E7E7E7", "zeroline": False, "linecolor": "#555",
+        "showgrid": True, "gridcolor": "rgba(0,0,0,0.094)", "zeroline": False, "linecolor": "#555",
         "showline": True, "ticks": "outside", "tickcolor": "#555", "automargin": True,
         "title": {"standoff": 8},
     }  # fmt: skip
@@ -186,7 +186,8 @@ def hovering(figure: Any) -> Any:
             continue
         x, y = (_said_of(layout, getattr(trace, f"{d}axis") or d, d) for d in "xy")
         lines = [f"<b>{trace.name}</b>"] if trace.name else []
-        lines += [f"{x}: %{{x}}", f"{y}: %{{y}}"]
+        digits = ("", "") if trace.type == "bar" else (":.6g", ":.4g")  # a bar may have a name
+        lines += [f"{x}: %{{x{digits[0]}}}", f"{y}: %{{y{digits[1]}}}"]
         if trace.type == "heatmap":
             lines.append(f"{trace.colorbar.title.text}: %{{z:.3g}}")
         trace.hovertemplate = "<br>".join(lines) + "<extra></extra>"
