@@ -171,7 +171,7 @@ def links(session: Session, scene: Scene) -> None:
             item(f"model{kind.suffix}", kind.label)
     if turn.tracked:
         ui.link("MLflow", f"/mlflow/{ident}/{turn.serial}", new_tab=True).classes("quiet").tooltip(
-            f"run {turn.run_id} beside others"
+            "the errors of this step and of the other branches, round by round"
         )
     elif turn.untracked:
         ui.label("not in MLflow").classes("soft").tooltip(turn.untracked)
