@@ -93,14 +93,13 @@ def chart(places: Sequence[str]) -> str:
         "experiments": sorted({p[1] for p in parts}),
         "plot_metric_keys": ["test_error", "fit_error"],
         "plot_layout": {"autosize": True, "yaxis": {"type": "log"}},
-        "x_axis": "step",
-        "y_axis_scale": "log",
         "line_smoothness": 1,
         "show_point": True,
         "deselected_curves": [],
         "last_linear_y_axis_range": [],
     }
-    return "metric?" + "&".join(f"{k}={quote(json.dumps(v))}" for k, v in given.items())
+    said = "&".join(f"{k}={quote(json.dumps(v))}" for k, v in given.items())
+    return f"metric?{said}&x_axis=step&y_axis_scale=log"
 
 
 def _saved(session: Session, ident: str, serial: int) -> Turn:

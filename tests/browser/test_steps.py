@@ -129,7 +129,7 @@ def test_a_step_that_helps_is_the_filled_button_and_costs_no_second_fit(tab, ser
 def test_every_branch_is_kept_and_caveats_stand_beside_the_verdict(tab, served, picture):
     """A study on disk: two effects added to one turn, the second of them looked at."""
     doubts = ("Cubic stiffness cannot be told from clearance on this record.",)
-    ranked = {"candidates": (), "verdict": "whiteness"}
+    ranked = {"candidates": (), "verdict": "whiteness", "run_id": "20260101-000000-abc"}
 
     def turn(serial, parent, added, error, **more):
         return Turn(serial, added, {"test_error": error}, parent=parent, **ranked, **more)
@@ -155,6 +155,7 @@ def test_every_branch_is_kept_and_caveats_stand_beside_the_verdict(tab, served, 
     tab.wait_for_selector(".chip.added:has-text('rub')")
     assert error(tab) == [15.0, 50.0]
     tab.click("button:has-text('Undo'):enabled")
+    tab.wait_for_selector("button:has-text('Redo rub')")
     tab.click("button:has-text('Undo'):enabled")
     tab.wait_for_selector("button:has-text('Redo clearance')")
     tab.click("button:has-text('Redo cubic stiffness')")
