@@ -28,11 +28,14 @@ ENDINGS = {
 }
 
 
+_NAMES = (("displacements, as", ["x"]), ("velocities, as", ["x_rate"]), ("of any axis", ["q", "v"]))
+
+
 def formula(about: Mapping[str, Any]) -> str:
     """What a formula of one's own may name on this machine."""
     known = "".join(
         f"<br>{escape(kind)}: {', '.join(f'<code>{escape(n)}</code>' for n in names)}"
-        for kind, names in about.get("names", ())
+        for kind, names in about.get("names") or _NAMES
         if names
     )
     return (
