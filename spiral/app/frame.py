@@ -17,6 +17,7 @@ from spiral.app.study import Study
 from spiral.app.stylesheet import STYLE
 from spiral.io.export.kinds import KINDS
 from spiral.types.errors import SpiralError
+from spiral.view.report.mathfont import math_style
 from spiral.view.report.style import BLUE
 from spiral.view.terminal.shell import option_lines
 
@@ -33,7 +34,7 @@ _CONFIG = {
 def bar(crumb: str) -> Iterator[None]:
     """The bar at the top; what is built inside stands at its right."""
     ui.page_title(f"{crumb} - SPIRAL" if crumb else "SPIRAL")
-    ui.add_css(STYLE)
+    ui.add_css(STYLE + math_style())
     ui.colors(primary=BLUE, negative="#B23A00", positive="#007A5A")
     with ui.element("header").classes("bar"), ui.element("div").classes("bar-inner"):
         ui.link("SPIRAL", "/").classes("mark")

@@ -69,10 +69,11 @@ class Form:
 
     def _state(self, opened: OpenFile) -> None:
         if opened.busy:
-            with ui.element("div").classes("working"):
+            with ui.element("div").classes("card working").props('role="status"'):
                 ui.spinner(size="20px")
                 ui.label(opened.busy + " …").classes("words")
-                ui.button("Cancel", on_click=self._cancel).props("flat dense")
+                ui.button("Cancel", on_click=self._cancel).props(
+                    "outline dense color=negative padding='2px 12px'")  # fmt: skip
         if opened.setup.trouble:
             with frame.told(opened.setup.trouble):
                 if not opened.setup.columns:

@@ -106,6 +106,7 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .effect > .wide {{ grid-column:1 / -1; }}
 .effect .share {{ color:var(--ink); font-weight:600; }}
 .working {{ display:flex; align-items:center; gap:14px; padding:8px 0 10px; width:100%; }}
+.card.working {{ padding:12px 20px; max-width:560px; }}
 .working .words {{ font-size:14.5px; flex:1 1 auto; min-width:0; }}
 .choices {{ display:grid; grid-template-columns:repeat(auto-fill,minmax(250px,1fr)); gap:12px; }}
 .choice {{ text-align:left; cursor:pointer; font:inherit; color:inherit; background:var(--paper);
@@ -145,7 +146,6 @@ table.plain td.n, table.plain th.n {{ text-align:right; font-variant-numeric:tab
 .command {{ display:flex; align-items:start; gap:8px; background:var(--ground); padding:8px 12px; }}
 .command > :first-child {{ flex:1 1 auto; min-width:0; }}
 .command pre {{ white-space:pre-wrap; overflow-wrap:anywhere; margin:0; font-size:13.5px; }}
-math {{ font-size:17px; }}
 .equation td {{ border:0; padding:3px 10px 3px 0; vertical-align:middle; }}
 .equation td.owner {{ color:var(--soft); font-size:14px; }}
 .q-btn {{ text-transform:none; letter-spacing:0; font-weight:600; }}

@@ -95,6 +95,12 @@ def check_holdout(share: float, blocks: int) -> None:
         raise ConfigError(f"holdout_blocks={blocks}", f"a whole number from 1 to {MOST_BLOCKS}")
 
 
+def check_settle(settle: float | None) -> None:
+    """Refuse what is no time."""
+    if settle is not None and not (isinstance(settle, int | float) and settle >= 0):
+        raise ConfigError(f"test.settle={settle!r}", "seconds, zero or above")
+
+
 def split(
     records: tuple[Record, ...], test: tuple[Record, ...] | None, holdout: float, blocks: int = 1
 ) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
@@ -145,8 +151,7 @@ def put(
     ConfigError : an unknown strategy, a candidate that does not fit, a value out of range.
     """
     check_strategy(strategy)
-    if settle is not None and not (isinstance(settle, int | float) and settle >= 0):
-        raise ConfigError(f"test.settle={settle!r}", "seconds, zero or above")
+    check_settle(settle)
     everywhere = strategy == "likelihood"
     asked = () if strategy == "paper" else candidates_for(registry, model, candidates, everywhere)
     fitted, kept = split(records, test, holdout, holdout_blocks)

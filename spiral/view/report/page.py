@@ -14,6 +14,7 @@ from spiral.io.curves import FINAL, SEED, Curves, read_curves
 from spiral.io.storage import SavedRun
 from spiral.types.run import estimate_rows
 from spiral.view.report import evidence, maps, motion, text, unknown
+from spiral.view.report.mathfont import math_style
 from spiral.view.report.style import FONT, Span, hovering
 
 Figure = Any
@@ -141,7 +142,7 @@ def page(saved: Mapping[str, Any], curves: Curves | None) -> tuple[str, list[str
     html = (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head>"
+        f"<style>{_STYLE}{math_style()}</style><script>{get_plotlyjs()}</script></head>"
         f"<body><main>{''.join(body)}</main></body></html>"
     )
     return html, [s.name for s in shown]
@@ -193,7 +194,7 @@ _STYLE = (
     "td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}"
     "pre,code{font:13.5px/1.5 ui-monospace,'DejaVu Sans Mono',monospace;background:#F5F5F5}"
     "pre{padding:12px 14px;overflow-x:auto}code{padding:1px 4px;overflow-wrap:anywhere}"
-    "math{font-size:18px}.equation td{border:0;padding:3px 10px 3px 0;vertical-align:middle}"
+    ".equation td{border:0;padding:3px 10px 3px 0;vertical-align:middle}"
     ".equation td.owner{color:#666;font-size:14px}"
     "@media print{section{break-inside:avoid}}"
 )
