@@ -162,12 +162,13 @@ def links(session: Session, scene: Scene) -> None:
     with ui.button("Take away", icon="download").props("outline padding='4px 12px'"), ui.menu():
 
         def item(name: str, said: str) -> None:
-            ui.menu_item(said, lambda: ui.navigate.to(f"/take/{ident}/{turn.serial}/{name}"))
+            to = f"/take/{ident}/{turn.serial}/{name}"
+            ui.menu_item(said, lambda: ui.navigate.to(to)).props('role="menuitem"')
 
         item("report.html", "Report, one HTML file")
         item("run.json", "All numbers (JSON)")
         ui.separator()
-        ui.item_label("The model as").props("header")
+        ui.item_label("The model as").props('header role="presentation"')
         for kind in KINDS.values():
             item(f"model{kind.suffix}", kind.label)
     if turn.tracked:
