@@ -325,7 +325,7 @@ def test_a_share_is_kept_apart_from_each_of_several_blocks(own_file):
     ]
 
 
-@pytest.mark.parametrize(("decay", "blocks", "said"), [(2.0, 1, True), (2.0, 5, False),
+@pytest.mark.parametrize(("decay", "blocks", "said"), [(1.0, 1, True), (1.0, 5, False),
                                                        (0.0, 1, False)])  # fmt: skip
 def test_a_test_record_that_misses_what_was_excited_is_told(own_file, decay, blocks, said):
     """A run-down whose end is quiet; the same in blocks; a steady motion."""

@@ -11,7 +11,7 @@ from spiral.inference.problem import Problem
 from spiral.types.record import Record
 from spiral.types.system import System
 
-_QUIET = 0.3  # share of the fitted deviation under which a test record hardly moves
+_QUIET = 0.3  # share of the fitted range under which a test record hardly moves
 _RPM = 30 / np.pi
 
 
@@ -45,32 +45,28 @@ def quiet_test(found: Sequence[Mapping[str, Any]]) -> str:
     """What to hold against a test record that hardly moves where the fitted one does; or nothing.
 
     A run-down whose last part is kept apart is tested below its resonances, where any model is
-    right. Deviations are rms values over all records of a part.
+    right. A channel's range is its largest one over the records of a part.
     """
-    fitted, tested = (_deviations(found, part) for part in ("fit", "test"))
+    fitted, tested = (_ranges(found, part) for part in ("fit", "test"))
     shares = {n: tested[n] / d for n, d in fitted.items() if d and n in tested}
     if not shares or max(shares.values()) > _QUIET:
         return ""
     name = max(shares, key=lambda n: shares[n])
-    said = f"The test record misses what was excited: {name} deviates there by {shares[name]:.1%} "
-    said += "of what it does in the fitted part, so a low test error says little."
+    said = f"The test record misses what was excited: {name} spans there {shares[name]:.0%} of "
+    said += "what it spans in the fitted part, so a low test error says little."
     if not kept_apart(found):
         return f"{said} Give a test record of a like run."
     return f"{said} Keep parts of blocks apart (holdout_blocks=5), or give a record of another run."
 
 
-def _deviations(found: Sequence[Mapping[str, Any]], part: str) -> dict[str, float]:
-    """Rms deviation of every channel over the records of a part."""
-    squares: dict[str, list[tuple[float, int]]] = {}
+def _ranges(found: Sequence[Mapping[str, Any]], part: str) -> dict[str, float]:
+    """The largest range of every channel over the records of a part."""
+    ranges: dict[str, float] = {}
     for record in (r for r in found if r["part"] == part):
         for series in (s for s in record["series"] if s.get("kind") == "channel"):
-            pair = (series["deviation"] ** 2, record["samples"])
-            squares.setdefault(series["name"], []).append(pair)
-    weighted = {
-        n: np.average([v for v, _ in pairs], weights=[n for _, n in pairs])
-        for n, pairs in squares.items()
-    }
-    return {n: float(np.sqrt(v)) for n, v in weighted.items()}
+            span = series["highest"] - series["lowest"]
+            ranges[series["name"]] = max(span, ranges.get(series["name"], 0.0))
+    return ranges
 
 
 def _series(system: System, record: Record) -> list[dict[str, Any]]:
