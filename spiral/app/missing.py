@@ -102,7 +102,7 @@ class Missing:
         """An effect written as a formula, tested at once; what was typed stays when it is drawn."""
         typed, about = self.typed, scene.study.example
         failed = scene.study.trouble or {}
-        wrong = self.wrong or (failed if failed.get("at") == OWN else None)
+        wrong = self.wrong or (failed if typed and failed.get("at") == OWN else None)
         opened = bool(typed or wrong)
         with ui.expansion("Write an effect of your own", value=opened).classes("w-full own"):
             ui.html(panels.formula(about), sanitize=False)

@@ -268,16 +268,27 @@ def apart(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def records(found: Sequence[Mapping[str, Any]]) -> str:
-    """What was understood of the records."""
+    """What was understood of the records; those of a part together."""
+    spans: dict[tuple[str, str, str], tuple[float, float]] = {}
+    for record in found:
+        for series in record["series"]:
+            key = (record["part"], series["name"], series["unit"])
+            low, high = spans.get(key, (series["lowest"], series["highest"]))
+            spans[key] = min(low, series["lowest"]), max(high, series["highest"])
     rows = [
-        (record["part"], series["name"],
-         f"{number(series['lowest'])} … {number(series['highest'])}", series["unit"])
-        for record in found for series in record["series"]
-    ]  # fmt: skip
+        (part, name, f"{number(low)} … {number(high)}", unit)
+        for (part, name, unit), (low, high) in spans.items()
+    ]
     columns = ("part", "series", "range", "unit")
-    sizes = "; ".join(
-        f"{r['part']}: {r['samples']} samples at {r['rate']:.6g} Hz, "
-        f"{r['samples'] / r['rate']:.4g} s"
-        for r in found
-    )
+    sizes = "; ".join(_size([r for r in found if r["part"] == part], part)
+                      for part in dict.fromkeys(r["part"] for r in found))  # fmt: skip
     return f'<p class="soft">{escape(sizes)}</p>' + plain(text.table(columns, rows, ("range",)))
+
+
+def _size(records: Sequence[Mapping[str, Any]], part: str) -> str:
+    """How much a part holds: ``fit: 9600 samples at 1000 Hz, 9.6 s``."""
+    samples = sum(r["samples"] for r in records)
+    seconds = sum(r["samples"] / r["rate"] for r in records)
+    several = f" in {len(records)} records" if len(records) > 1 else ""
+    rates = ", ".join(dict.fromkeys(f"{r['rate']:.6g}" for r in records))
+    return f"{part}: {samples} samples at {rates} Hz, {seconds:.4g} s{several}"
