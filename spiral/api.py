@@ -154,8 +154,9 @@ def discover(record: Records, system: Physics, **choices: Any) -> Run:
     choices :
         ``effects`` beside the seed's, ``without`` effects of the seed, ``values`` by full name,
         ``free`` and ``fixed`` parameters; ``test`` records, or the share ``holdout`` (0.2) that is
-        kept apart; ``settle`` seconds of the test that fix its nuisances; ``candidates`` (labels
-        or effects; left out, all that fit); ``strategy``; ``settings`` (fields of ``Settings``);
+        kept apart, of each of ``holdout_blocks`` stretches (1); ``settle`` seconds of the test that
+        fix its nuisances; ``candidates`` (labels or effects; left out, all that fit);
+        ``strategy``; ``settings`` (fields of ``Settings``);
         ``plugins`` (a folder, or a registry); ``progress`` (a function that is told in words).
 
     Raises
@@ -285,7 +286,7 @@ def load(run: str = "latest", folder: str | Path = "runs", *, plugins: Plugins =
 
 
 _MODEL = ("effects", "values", "without", "free", "fixed")
-_ASKED = ("test", "holdout", "settle", "candidates", "strategy")
+_ASKED = ("test", "holdout", "holdout_blocks", "settle", "candidates", "strategy")
 
 
 def _problem(record: Records, physics: Physics, choices: dict[str, Any]) -> Problem:

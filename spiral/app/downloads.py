@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from spiral.app.session import Session
 from spiral.app.study import Turn
@@ -41,7 +44,8 @@ def routes(web: FastAPI, session: Session, viewer: Viewer) -> None:
             if not _TRACKED.fullmatch(turn.tracked):
                 raise ConfigError(f"turn {serial}", "a turn that MLflow knows of", "wait a moment")
             store = Tracking().where(session.out)  # never one that a file of the study names
-            address = await asyncio.to_thread(viewer.address, store, turn.tracked)
+            view = chart(_tracked_runs(session, ident, turn))
+            address = await asyncio.to_thread(viewer.address, store, view)
         except SpiralError as error:
             return PlainTextResponse(str(error), status_code=404)
         return RedirectResponse(address)
@@ -67,6 +71,35 @@ def written(session: Session, ident: str, serial: int, name: str) -> Path:
 
         write_whole(file, _report(session, turn))
     return file
+
+
+def _tracked_runs(session: Session, ident: str, turn: Turn) -> list[str]:
+    """MLflow's places of a turn's run and of the ends of the study's other branches."""
+    study = session.scene(ident).study
+    others = [t.tracked for t in study.turns if not study.after(t.serial)]
+    return list(dict.fromkeys(p for p in (turn.tracked, *others) if _TRACKED.fullmatch(p)))
+
+
+def chart(places: Sequence[str]) -> str:
+    """MLflow's chart of runs: their errors on unseen data over the rounds, logarithmic.
+
+    ``places`` are ``experiments/NUMBER/runs/ID``. Each run holds all its rounds, so that the ends
+    of the branches are all there is to compare.
+    """
+    parts = [p.split("/") for p in places]
+    given = {
+        "runs": [p[3] for p in parts],
+        "metric": "test_error",
+        "experiments": sorted({p[1] for p in parts}),
+        "plot_metric_keys": ["test_error", "fit_error"],
+        "plot_layout": {"autosize": True, "yaxis": {"type": "log"}},
+        "line_smoothness": 1,
+        "show_point": True,
+        "deselected_curves": [],
+        "last_linear_y_axis_range": [],
+    }
+    said = "&".join(f"{k}={quote(json.dumps(v))}" for k, v in given.items())
+    return f"metric?{said}&x_axis=step&y_axis_scale=log"
 
 
 def _saved(session: Session, ident: str, serial: int) -> Turn:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from spiral.io.readers.files import Table
 from spiral.io.readers.readers import read_table
 from spiral.io.writing import finite, write_whole
 from spiral.types.errors import InputError
+
+if TYPE_CHECKING:
+    from spiral.types.model import Model
 
 PICTURE = "columns.json"
 _DRAWN = 6  # columns in the picture
@@ -27,7 +30,7 @@ def describe_file(order: Mapping[str, Any], tell: Callable[[str, Mapping[str, An
     InputError : a file that cannot be read, or in which there is no column of numbers.
     """
     tell("progress", {"words": "reading the file"})
-    table = read_table(order["path"])
+    table = read_table(order["path"], order.get("separator"), order.get("decimal"))
     numbers = {n: v for n in table.columns[:_MOST] if (v := _numbers(table, n)) is not None}
     if not numbers:
         name, found = Path(order["path"]).name, ", ".join(table.columns[:9])
@@ -58,7 +61,7 @@ def _numbers(table: Table, name: str) -> Any:
 
 def _draw(numbers: Mapping[str, Any], table: Table, target: Path) -> None:
     """The first columns over row number, thinned."""
-    from spiral.view.report.style import CYCLE, blank, line, titled
+    from spiral.view.report.style import CYCLE, blank, hovering, line, titled
 
     shown = list(numbers)[:_DRAWN]
     figure = blank(len(shown), 1, 70 + 120 * len(shown), shared_xaxes=True, vertical_spacing=0.045)
@@ -71,7 +74,7 @@ def _draw(numbers: Mapping[str, Any], table: Table, target: Path) -> None:
         figure.update_yaxes(title_text=title, title_font_size=13, row=row, col=1)
     figure.update_xaxes(title_text="row", row=len(shown), col=1)
     figure.update_layout(margin={"t": 12})
-    write_whole(target, figure.to_json())
+    write_whole(target, hovering(figure).to_json())
 
 
 def _systems(plugins: str | None) -> list[dict[str, Any]]:
@@ -91,3 +94,23 @@ def _systems(plugins: str | None) -> list[dict[str, Any]]:
         found.append({"name": name, "meaning": system.meaning(), "channels": channels,
                       "inputs": inputs})  # fmt: skip
     return found
+
+
+def described_model(model: Model) -> dict[str, Any]:
+    """The effects of a system's seed with their meanings, and all parameters of a model."""
+    told = model.estimates()
+    active = set(model.active)
+    rows = []
+    for key, parameter in model.pairs:
+        owner, name = key.rsplit(".", 1)
+        if parameter.scope == "record":
+            continue
+        found = told.get(owner, {}).get(name)
+        value = model.values.get(key, parameter.start)
+        rows.append({
+            "key": key, "owner": owner, "name": name, "lower": parameter.lower,
+            "upper": parameter.upper, "unit": parameter.unit if found is None else found.unit,
+            "value": value, "free": key in active,
+        })  # fmt: skip
+    seed = [{"label": e.label, "meaning": e.meaning()} for e in model.system.seed]
+    return {"seed": seed, "parameters": rows}

@@ -49,12 +49,18 @@ class FileSetup:
     def arrived(self, setup: RecordSetup) -> None:
         """The file is there: read it."""
         with self._lock:
-            kept.save(self._out, setup)
-            self._open[setup.ident] = OpenFile(setup, busy="Reading the file")
+            version = self._open[setup.ident].version if setup.ident in self._open else 0
+            self._put(OpenFile(setup, version, busy="Reading the file"))
             folder = str(kept.place(self._out, setup.ident))
-            self._give(
-                {**self._order(setup, "describe_file"), "path": setup.path, "folder": folder}
-            )
+            layout = {"separator": setup.separator or None, "decimal": setup.decimal or None}
+            order = self._order(setup, "describe_file")
+            self._give({**order, **layout, "path": setup.path, "folder": folder})
+
+    def read_as(self, ident: str, separator: str, decimal: str) -> None:
+        """Read a text file again, told what stands between its columns and before fractions."""
+        setup = self.look(ident).setup
+        told = {"separator": separator, "decimal": decimal.strip(), "trouble": None}
+        self.arrived(replace(setup, **told))
 
     def there(self, path: str) -> str:
         """A file on this machine, read where it lies; returns the setup's name.
@@ -87,6 +93,7 @@ class FileSetup:
             if choice.system != opened.setup.choice.system:
                 system = next(s for s in opened.setup.systems if s["name"] == choice.system)
                 choice = replace(kept.guessed(opened.setup.columns, system), more=choice.more)
+                opened = replace(opened, setup=replace(opened.setup, model={}))
             setup = replace(opened.setup, choice=choice, seen=(), trouble=None)
             complete = not kept.lacking(setup)
             asked = opened.asked + 1
@@ -122,11 +129,13 @@ class FileSetup:
                                           "systems": tuple(data["systems"])})  # fmt: skip
             elif kind == "records":
                 setup = replace(setup, seen=tuple(data["records"]))
+            elif kind == "model":
+                setup = replace(setup, model=dict(data))
             elif kind == "failed":
                 setup = replace(setup, trouble=dict(data))
             elif kind == "cancelled":
                 said = f"Cancelled: {opened.busy.lower() or 'reading'}"
-                setup = replace(setup, trouble={"given": said, "expected": "", "try": ""})
+                setup = replace(setup, trouble={"given": said, "at": kind})
             elif kind != "done":
                 return
             busy = "" if kind in ("done", "failed", "cancelled") else opened.busy

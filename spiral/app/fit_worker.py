@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from spiral.app.own_effect import example
 from spiral.app.study import turn_place
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.discover import Checkpoint
@@ -32,12 +33,14 @@ from spiral.inference.rounds import (
 )
 from spiral.inference.strategies.base import Begun, Step, Strategy
 from spiral.inference.unknown.holding import having, holding
+from spiral.inference.verdict import doubts
 from spiral.io.checkpoint import read_checkpoint, write_checkpoint
 from spiral.io.curves import FINAL, Curves, beside, read_curves, write_curves
 from spiral.io.gather import free_curves
 from spiral.io.registry import Registry
 from spiral.io.writing import finite, to_json, write_whole
 from spiral.types.run import Round, Run
+from spiral.view.report.style import words
 
 Tell = Callable[[str, Mapping[str, Any]], None]
 """Told what happened: a kind (``progress``, ``turn``, ``ranked``, ``preview``, ``contrast``,
@@ -70,9 +73,25 @@ class FitWorker:
 
         file_preview.describe_file(order, self.tell)
 
+    def plugins(self, order: Order) -> None:
+        """Run the local plugins, to tell those that cannot be used."""
+        self._loaded(order)
+
+    def _loaded(self, order: Order) -> Registry:
+        """All plugins as they are now; files that cannot be used are told."""
+        from spiral.io.registry import load_registry
+
+        found = load_registry(order.get("plugins"))
+        self.tell("broken", {"broken": [f"{f.file}: {f.message}" for f in found.failures]})
+        return found
+
     def check(self, order: Order) -> None:
         """What a mapping makes of a file; the records are kept for the study that may follow."""
+        from spiral.app.file_preview import described_model
+
         self._open(order)
+        assert self.problem is not None
+        self.tell("model", finite(described_model(self.problem.model)))
 
     @one_blas_thread
     def start(self, order: Order) -> None:
@@ -85,7 +104,7 @@ class FitWorker:
         if begun.refused:
             run = refused(begun, at.rounds[0])
             groups = [list(g) for g in begun.groups]
-            self.tell("ranked", {**_ranked(run, None, ()), "groups": groups})
+            self.tell("ranked", {**_ranked(run, None, ()), "groups": groups, "caveats": []})
             return
         self._look(order["serial"], at)
 
@@ -159,20 +178,18 @@ class FitWorker:
         """Read the records and compile, unless this study is at hand."""
         from spiral.io.config import build_problem, compose
         from spiral.io.custom import bound
-        from spiral.io.registry import load_registry
         from spiral.types.errors import ConfigError
-        from spiral.view.terminal.preview import described
 
         overrides = tuple(order["overrides"])
         if self.overrides == overrides and self.ident == order["study"]:
             return
         if self.overrides == overrides and self.problem is not None and self.begun is None:
             self.ident = order["study"]  # a file that was looked at becomes a study
-            self.tell("records", {"records": finite(described(self.problem))})
+            self._tell_records()
             return
         self.ident, self.overrides, self.begun, self.standing, self.tried = "", (), None, {}, {}
         self._progress("reading the record")
-        self.registry = load_registry(order.get("plugins"))
+        self.registry = self._loaded(order)
         config = compose(overrides, self.registry)
         self.registry = bound(config, self.registry)
         self.problem = build_problem(config, self.registry)
@@ -181,8 +198,16 @@ class FitWorker:
             raise ConfigError(f"strategy={self.strategy.name} on the page",
                               "a strategy that can admit what a person chooses",
                               "leave strategy out, or use `spiral discover`")  # fmt: skip
-        self.tell("records", {"records": finite(described(self.problem))})
+        self._tell_records()
         self.ident, self.overrides = order["study"], overrides
+
+    def _tell_records(self) -> None:
+        """What was understood of the records, and what a formula may name."""
+        from spiral.view.terminal.preview import described
+
+        assert self.problem is not None
+        found = {"records": finite(described(self.problem))}
+        self.tell("records", {**found, "example": example(self.problem.model.system)})
 
     def _begun(self) -> Begun:
         if self.begun is None:
@@ -249,7 +274,8 @@ class FitWorker:
         settings = self._assembly().problem.settings
         stopped = "max_rounds" if step.admitted else step.stopped
         run = concluded(at, stopped, settings)
-        self.tell("ranked", _ranked(run, step, tuple(_candidates(self._strategy(), step))))
+        ranked = _ranked(run, step, tuple(_candidates(self._strategy(), step)))
+        self.tell("ranked", {**ranked, "caveats": caveats(at, settings)})
 
     def _strategy(self) -> Strategy:
         assert self.strategy is not None
@@ -282,6 +308,24 @@ def _placed(at: Checkpoint, folder: Path, assembly: Assembly) -> Checkpoint:
             values[:, keys.index(key)] = old[:, column]
     values[:, len(keys) :] = old[:, len(before) :]
     return Checkpoint(at.rounds, replace(at.standing, values=values))
+
+
+def caveats(at: Checkpoint, settings: Settings) -> list[str]:
+    """What is to be held against a turn's verdict, in sentences, the model's own doubts first."""
+    from spiral.view.report.text import doubted
+
+    model = at.rounds[-1].comparison.model
+    found = [
+        f"This record does not determine {words(label)}: {doubt}."
+        for label in model.labels
+        if (doubt := doubts(model, label, settings))
+    ]
+    for number, one in enumerate(at.rounds):
+        kept = {k: v for k, v in one.aliases.items() if k in model.labels}
+        lost = one.details.get("not_separable", {}) if number == len(at.rounds) - 1 else {}
+        found += doubted({"aliases": kept, "details": {"not_separable": lost},
+                          "admitted": one.admitted, "second_order": one.second_order})  # fmt: skip
+    return list(dict.fromkeys(found))
 
 
 FIRST = ("free_run", "where", "amplitude")

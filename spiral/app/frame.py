@@ -17,25 +17,31 @@ from spiral.app.study import Study
 from spiral.app.stylesheet import STYLE
 from spiral.io.export.kinds import KINDS
 from spiral.types.errors import SpiralError
+from spiral.view.report.mathfont import math_style
 from spiral.view.report.style import BLUE
 from spiral.view.terminal.shell import option_lines
 
 _COPY = """(event) => navigator.clipboard.writeText(
   event.target.closest(".command").querySelector("code").textContent)"""
+CLEAR = "rgba(0,0,0,0)"  # the card behind a figure shows, light or dark
 _CONFIG = {
-    "displaylogo": False, "responsive": True, "displayModeBar": False,
-    "modeBarButtonsToRemove": ["lasso2d", "select2d"],
+    "displaylogo": False, "responsive": True, "displayModeBar": "hover", "scrollZoom": False,
+    "modeBarButtonsToRemove": ["lasso2d", "select2d", "autoScale2d"],
 }  # fmt: skip
 
 
 @contextmanager
 def bar(crumb: str) -> Iterator[None]:
     """The bar at the top; what is built inside stands at its right."""
-    ui.add_css(STYLE)
+    ui.page_title(f"{crumb} - SPIRAL" if crumb else "SPIRAL")
+    ui.add_css(STYLE + math_style())
     ui.colors(primary=BLUE, negative="#B23A00", positive="#007A5A")
     with ui.element("header").classes("bar"), ui.element("div").classes("bar-inner"):
         ui.link("SPIRAL", "/").classes("mark")
-        ui.label(crumb).classes("crumb")
+        if crumb:
+            ui.html(f"<h1 class='crumb'>{escape(crumb)}</h1>", sanitize=False).classes("crumb")
+        else:
+            ui.element("div").classes("crumb")
         yield
 
 
@@ -49,35 +55,30 @@ def progress_bar() -> Iterator[None]:
 
 def drawn(data: Mapping[str, Any]) -> dict[str, Any]:
     """A figure that is as wide as its place, as the browser's Plotly takes it."""
-    layout = {**data["layout"], "autosize": True}
+    layout = {**data["layout"], "autosize": True, "uirevision": "kept",
+              "paper_bgcolor": CLEAR, "plot_bgcolor": CLEAR,
+              "modebar": {"bgcolor": CLEAR, "color": "#767f8a", "activecolor": BLUE}}  # fmt: skip
     layout.pop("width", None)
     return {"data": data["data"], "layout": layout, "config": _CONFIG}
 
 
-def plot(data: Mapping[str, Any], name: str) -> ui.plotly:
-    """A figure as wide as its place."""
+def plot(data: Mapping[str, Any], name: str, said: str) -> ui.plotly:
+    """A figure as wide as its place; ``said`` is what those hear who do not see it."""
     found = ui.plotly(drawn(data))
     found.style(f"width:100%;height:{float(data['layout']['height'])}px")
     found.props["id"] = f"plot-{name}"
+    found.props["role"] = "figure"
+    found.props["aria-label"] = said
     return found
 
 
-def figure(file: Path, name: str, heading: str, caption: str) -> None:
-    """A figure from its file, with what it says."""
-    ui.html(f"<div class='figure-head'>{escape(heading)}</div>", sanitize=False)
-    if not bare(file, name):
-        ui.html("<p class='soft'>This figure is not there any more.</p>", sanitize=False)
-        return
-    ui.html(f"<p class='caption'>{escape(caption)}</p>", sanitize=False)
-
-
-def bare(file: Path, name: str) -> bool:
-    """A figure from its file, without words; whether there is one."""
+def figure_of(file: Path) -> Mapping[str, Any] | None:
+    """A figure from its file; nothing where there is none that can be drawn."""
     try:
-        plot(json.loads(file.read_text(encoding="utf-8")), name)
+        data = json.loads(file.read_text(encoding="utf-8"))
+        return data if float(data["layout"]["height"]) and data["data"] is not None else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return False
-    return True
+        return None
 
 
 def code(text: str) -> None:
@@ -86,6 +87,16 @@ def code(text: str) -> None:
         ui.html(f"<pre><code>{escape(text)}</code></pre>", sanitize=False)
         copy = ui.button("Copy").props("flat dense")
         copy.on("click", js_handler=_COPY)
+
+
+@contextmanager
+def told(error: Mapping[str, str]) -> Iterator[None]:
+    """A message that stays; what a person cancelled is no fault. Inside stands more of it."""
+    cancelled = error.get("at") == "cancelled"
+    with ui.element("div").classes("note" if cancelled else "trouble") as box:
+        box.props(f'role="{"status" if cancelled else "alert"}"')
+        ui.html(panels.trouble(error), sanitize=False)
+        yield
 
 
 def refused(error: SpiralError) -> None:
@@ -101,18 +112,33 @@ def nothing_here(error: SpiralError) -> None:
     """A page for an address that names no study."""
     with bar("Nothing here"):
         pass
-    with ui.element("main").classes("wrap"):
+    with ui.element("div").classes("wrap"):
         with ui.element("div").classes("trouble"):
             ui.html(panels.trouble(error.as_dict()), sanitize=False)
         ui.link("All studies", "/").classes("quiet")
 
 
 def local_plugins(session: Session) -> None:
-    """The files that are run as local plugins, by name; nothing where there are none."""
+    """The files that are run as local plugins, by name, and those that cannot be used."""
     files = session.local_plugins()
-    if files:
-        said = f"Runs local plugins: {', '.join(files)}. Started with --no-plugins it does without."
-        ui.label(said).classes("soft local-plugins")
+    if not files:
+        return
+    said = f"Runs local plugins: {', '.join(files)}. Started with --no-plugins it does without."
+    ui.label(said).classes("soft local-plugins")
+    place = ui.element("div").props('role="alert"')
+    shown: list[tuple[str, ...]] = [()]
+
+    def look() -> None:
+        if session.broken == shown[0]:
+            return
+        shown[0] = session.broken
+        place.clear()
+        with place:
+            for one in session.broken:
+                ui.label(f"Not used: {one}").classes("trouble broken-plugin")
+
+    look()
+    ui.timer(0.5, look)
 
 
 def command(study: Study) -> str:
@@ -134,13 +160,20 @@ def links(session: Session, scene: Scene) -> None:
         return
     ident = scene.study.ident
     with ui.button("Take away", icon="download").props("outline padding='4px 12px'"), ui.menu():
-        models = ((f"model{kind.suffix}", kind.label) for kind in KINDS.values())
-        for name, said in (("report.html", "Report, one HTML file"), *models,
-                           ("run.json", "All numbers")):  # fmt: skip
-            ui.menu_item(said, lambda n=name: ui.navigate.to(f"/take/{ident}/{turn.serial}/{n}"))
+
+        def item(name: str, said: str) -> None:
+            to = f"/take/{ident}/{turn.serial}/{name}"
+            ui.menu_item(said, lambda: ui.navigate.to(to)).props('role="menuitem"')
+
+        item("report.html", "Report, one HTML file")
+        item("run.json", "All numbers (JSON)")
+        ui.separator()
+        ui.item_label("The model as").props('header role="presentation"')
+        for kind in KINDS.values():
+            item(f"model{kind.suffix}", kind.label)
     if turn.tracked:
         ui.link("MLflow", f"/mlflow/{ident}/{turn.serial}", new_tab=True).classes("quiet").tooltip(
-            f"run {turn.run_id} beside others"
+            "the errors of this step and of the other branches, round by round"
         )
     elif turn.untracked:
         ui.label("not in MLflow").classes("soft").tooltip(turn.untracked)

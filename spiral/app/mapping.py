@@ -9,7 +9,7 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import frame, panels
+from spiral.app import frame, model_setup, panels
 from spiral.app import record_setup as kept
 from spiral.app.file_preview import PICTURE
 from spiral.app.file_setup import OpenFile
@@ -22,6 +22,7 @@ from spiral.view.report import text
 _TICK = 0.2
 _NONE = "none"
 _CLOCK = "sample rate"
+_BLOCKS = "holdout_blocks=5"
 
 
 @dataclass
@@ -49,6 +50,14 @@ class Form:
                 self._form,
                 (len(setup.columns), setup.choice.system, setup.choice.time),
             ),
+            (
+                "model",
+                self._model,
+                (
+                    tuple(r["key"] for r in setup.model.get("parameters", ())),
+                    setup.choice.without,
+                ),
+            ),
             ("seen", self._seen, (setup.seen, setup.choice, opened.busy, setup.trouble)),
         ):
             if name in self.drawn and self.drawn[name] == depends:
@@ -60,15 +69,28 @@ class Form:
 
     def _state(self, opened: OpenFile) -> None:
         if opened.busy:
-            with ui.element("div").classes("working"):
+            with ui.element("div").classes("card working").props('role="status"'):
                 ui.spinner(size="20px")
                 ui.label(opened.busy + " …").classes("words")
-                ui.button("Cancel", on_click=self._cancel).props("flat dense")
+                ui.button("Cancel", on_click=self._cancel).props(
+                    "outline dense color=negative padding='2px 12px'")  # fmt: skip
         if opened.setup.trouble:
-            with ui.element("div").classes("trouble").props('role="alert"'):
-                ui.html(panels.trouble(opened.setup.trouble), sanitize=False)
+            with frame.told(opened.setup.trouble):
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
+            if not opened.setup.columns:
+                self._layout(opened.setup)
+
+    def _layout(self, setup: RecordSetup) -> None:
+        """What to say of a text file whose columns were not found: ``record.separator`` and so."""
+        with ui.row().classes("items-center gap-2").style("margin-top:10px"):
+            between = ui.input("Between columns (record.separator)", value=setup.separator)
+            mark = ui.input("Before fractions (record.decimal)", value=setup.decimal)
+            for box in (between, mark):
+                box.props("outlined dense").style("width:250px")
+            button = ui.button("Read it so", on_click=lambda: self.session.file_setup.read_as(
+                self.ident, between.value or "", mark.value or ""))  # fmt: skip
+            button.props("outline")
 
     def _cancel(self) -> None:
         """Stop reading; what was read and chosen before stays."""
@@ -87,7 +109,9 @@ class Form:
         table = text.table(("column", "unit", "first rows", "range"), rows)
         ui.html(panels.plain(table), sanitize=False)
         if setup.drawn:
-            frame.bare(kept.place(self.session.out, self.ident) / PICTURE, "columns")
+            data = frame.figure_of(kept.place(self.session.out, self.ident) / PICTURE)
+            if data is not None:
+                frame.plot(data, "columns", f"The first columns of {setup.name}, row by row")
 
     def _form(self, opened: OpenFile) -> None:
         setup = opened.setup
@@ -113,12 +137,19 @@ class Form:
                 self._series(setup, series, "measured")
             for series in system["inputs"]:
                 self._series(setup, series, "input" if series["required"] else "input, if measured")
-        with ui.expansion("More: rows, offsets, candidates, the system's fields").classes("w-full"):
+        with ui.expansion("More: rows, offsets, candidates, the system's fields",
+                          value=bool(setup.choice.more)).classes("w-full"):  # fmt: skip
             ui.textarea(
                 "One KEY=VALUE on each line, as on the command line", value=setup.choice.more,
                 placeholder="record.rows=[0,5000]\nholdout=0.3",
                 on_change=lambda e: self._change(more=e.value or ""),
             ).props("outlined dense debounce=900").classes("w-full")  # fmt: skip
+
+    def _model(self, opened: OpenFile) -> None:
+        def now() -> Choice:
+            return self.session.file_setup.look(self.ident).setup.choice
+
+        model_setup.draw(opened.setup, now, self._change)
 
     def _clock(self, setup: RecordSetup) -> None:
         ui.html("<b>time</b>", sanitize=False)
@@ -195,12 +226,29 @@ class Form:
                     sanitize=False)  # fmt: skip
         elif setup.seen:
             ui.html(panels.records(setup.seen), sanitize=False)
-            ui.html("<p class='soft' style='margin-top:8px'>The last part is kept apart as the "
-                    "test record: no fit sees it. Are the ranges those of your machine?</p>",
+            said = f"{panels.apart(setup.seen)} Are the ranges those of your machine?"
+            ui.html(f"<p class='soft' style='margin-top:8px' id='apart'>{escape(said)}</p>",
                     sanitize=False)  # fmt: skip
+            self._quiet(setup)
         begin = ui.button("Compare with the model", icon="play_arrow", on_click=self._begin)
         begin.props("unelevated color=primary").style("margin-top:12px")
         begin.set_enabled(bool(setup.seen) and not setup.trouble)
+
+    def _quiet(self, setup: RecordSetup) -> None:
+        """A warning where the test record hardly moves, and another split with one click."""
+        said = panels.quiet(setup.seen)
+        if not said:
+            return
+        ui.html(said, sanitize=False)
+        if panels.kept_apart(setup.seen):
+            more = f"{setup.choice.more.rstrip()}\n{_BLOCKS}".strip()
+            button = ui.button("Keep parts of five blocks apart instead")
+            button.on_click(lambda: self._add_line(more)).props("outline")
+
+    def _add_line(self, more: str) -> None:
+        """Another text in *More*, shown there too."""
+        self.drawn.pop("form", None)
+        self._change(more=more)
 
     def _change(self, **values: Any) -> None:
         now: Choice = self.session.file_setup.look(self.ident).setup.choice
@@ -229,12 +277,14 @@ def file_page(session: Session, ident: str) -> None:
     form = Form(session, ident)
     with frame.bar(opened.setup.name):
         pass
-    with ui.element("main").classes("wrap"):
+    with ui.element("div").classes("wrap"):
         form.regions["state"] = ui.element("div")
         with ui.element("div").classes("split"):
             with ui.element("div").style("display:flex;flex-direction:column;gap:18px;min-width:0"):
                 form.regions["form"] = ui.element("section").classes("card")
                 form.regions["seen"] = ui.element("section").classes("card")
-            form.regions["columns"] = ui.element("section").classes("card")
+            with ui.element("div").style("display:flex;flex-direction:column;gap:18px;min-width:0"):
+                form.regions["columns"] = ui.element("section").classes("card")
+                form.regions["model"] = ui.element("section").classes("card")
     form.look()
     ui.timer(_TICK, form.look)

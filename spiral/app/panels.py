@@ -11,6 +11,7 @@ from spiral.app.study import LEARNED, Study, Turn
 from spiral.types.formatting import number, percent, probability
 from spiral.view.report import text
 from spiral.view.report.style import symbols, words
+from spiral.view.terminal.preview import kept_apart, quiet_test
 
 _BOTH = "the larger of the classical p-value and the robust one"
 _NET = (
@@ -27,13 +28,30 @@ ENDINGS = {
 }
 
 
-FORMULA = (
-    "<p class='soft' style='margin-bottom:10px'>A formula of displacements (<code>x</code>), "
-    "velocities (<code>x_rate</code>), the axis at hand (<code>q</code>, <code>v</code>) and "
-    "inputs (<code>speed</code>, <code>phase</code>). Every other name is a coefficient that the "
-    "fit finds; a spring is <code>-k*q</code>. One inside a function, as the width of a friction "
-    "<code>-F*tanh(v/w)</code>, needs a value.</p>"
-)
+_NAMES = (("displacements, as", ["x"]), ("velocities, as", ["x_rate"]), ("of any axis", ["q", "v"]))
+
+
+def formula(about: Mapping[str, Any]) -> str:
+    """What a formula of one's own may name on this machine."""
+    known = "".join(
+        f"<br>{escape(kind)}: {', '.join(f'<code>{escape(n)}</code>' for n in names)}"
+        for kind, names in about.get("names") or _NAMES
+        if names
+    )
+    return (
+        f"<p class='soft' style='margin-bottom:10px'>A formula may name {known}<br>Every other "
+        "name is a coefficient that the fit finds; a spring is <code>-k*q</code>. One inside a "
+        "function, as the width of a friction <code>-F*tanh(v/w)</code>, needs a value. Formulas "
+        "that differ are named: <code>x: -k*y; y: k*x</code>.</p>"
+    )
+
+
+def caveats(said: Sequence[str]) -> str:
+    """What is to be held against a verdict; nothing where there is nothing."""
+    if not said:
+        return ""
+    items = "".join(f"<li>{escape(one)}</li>" for one in said)
+    return f'<div class="note caveats" id="caveats"><b>Hold against it</b><ul>{items}</ul></div>'
 
 
 def ending(study: Study, turn: Turn) -> str:
@@ -68,7 +86,19 @@ def headline(study: Study) -> str:
         '<p class="label">Free-run error on the test record</p>'
         f'<div class="number" id="error-now">{value}{before}</div>'
         f'<p class="soft">Share of each channel\'s deviation; this record chose nothing.{noise}</p>'
+        + quiet(study.records)
     )
+
+
+def spoken(turn: Turn) -> str:
+    """What those hear who do not see the large number."""
+    return f"Free-run error on the test record: {_shown(turn.result.get('test_error'))}"
+
+
+def quiet(records: Sequence[Mapping[str, Any]]) -> str:
+    """What to hold against a test record that misses what was excited; else nothing."""
+    said = quiet_test(records)
+    return f'<p class="note quiet">{escape(said)}</p>' if said else ""
 
 
 def _shown(error: float | None) -> str:
@@ -101,7 +131,7 @@ def channels(turn: Turn, units: Mapping[str, str]) -> str:
     fit = "" if chi2 is None else f"χ² per degree of freedom {number(chi2, 3)}; "
     fit += (
         f"whiteness p {probability(turn.result.get('whiteness_p'))}; stretches of "
-        f"{number(turn.result.get('horizon'))} samples"
+        f"{turn.result.get('horizon') or '-'} samples"
     )
     return plain(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'
 
@@ -227,17 +257,38 @@ def model(turn: Turn) -> str:
     return plain(text.coefficients_table(turn.result, turn.equation))
 
 
+def apart(records: Sequence[Mapping[str, Any]]) -> str:
+    """Where the test record comes from, in a sentence."""
+    tests = [r["name"] for r in records if r["part"] == "test"]
+    if not kept_apart(records):
+        return f"No fit sees the test record: {unseen.listed(tests)}."
+    where = "The last part" if len(tests) == 1 else f"The last part of each of {len(tests)} records"
+    where = f"The end of each of {len(tests)} blocks" if "(block " in tests[0] else where
+    return f"{where} is kept apart as the test record: no fit sees it."
+
+
 def records(found: Sequence[Mapping[str, Any]]) -> str:
-    """What was understood of the records."""
+    """What was understood of the records; those of a part together."""
+    spans: dict[tuple[str, str, str], tuple[float, float]] = {}
+    for record in found:
+        for series in record["series"]:
+            key = (record["part"], series["name"], series["unit"])
+            low, high = spans.get(key, (series["lowest"], series["highest"]))
+            spans[key] = min(low, series["lowest"]), max(high, series["highest"])
     rows = [
-        (record["part"], series["name"],
-         f"{number(series['lowest'])} … {number(series['highest'])}", series["unit"])
-        for record in found for series in record["series"]
-    ]  # fmt: skip
+        (part, name, f"{number(low)} … {number(high)}", unit)
+        for (part, name, unit), (low, high) in spans.items()
+    ]
     columns = ("part", "series", "range", "unit")
-    sizes = "; ".join(
-        f"{r['part']}: {r['samples']} samples at {r['rate']:.6g} Hz, "
-        f"{r['samples'] / r['rate']:.4g} s"
-        for r in found
-    )
+    sizes = "; ".join(_size([r for r in found if r["part"] == part], part)
+                      for part in dict.fromkeys(r["part"] for r in found))  # fmt: skip
     return f'<p class="soft">{escape(sizes)}</p>' + plain(text.table(columns, rows, ("range",)))
+
+
+def _size(records: Sequence[Mapping[str, Any]], part: str) -> str:
+    """How much a part holds: ``fit: 9600 samples at 1000 Hz, 9.6 s``."""
+    samples = sum(r["samples"] for r in records)
+    seconds = sum(r["samples"] / r["rate"] for r in records)
+    several = f" in {len(records)} records" if len(records) > 1 else ""
+    rates = ", ".join(dict.fromkeys(f"{r['rate']:.6g}" for r in records))
+    return f"{part}: {samples} samples at {rates} Hz, {seconds:.4g} s{several}"

@@ -21,13 +21,19 @@ from spiral.types.errors import ConfigError
 FILE = "setup.json"
 _ID = re.compile(r"[0-9a-f-]{8,40}")
 _TIMES = ("time", "t", "seconds", "zeit", "clock")
-_NAMED = {"rpm": "rpm", "hz": "Hz", "um": "um", "µm": "um", "mm": "mm", "ms": "ms", "mv": "mV"}
+_NAMED = {"rpm": "rpm", "hz": "Hz", "um": "um", "µm": "um", "mm": "mm", "ms": "ms", "mv": "mV",
+          "rad": "rad", "deg": "deg"}  # fmt: skip
+_ANGLES = {"angle", "winkel", "phi", "theta", "deg"}
 _SPEEDS = ("speed", "rpm", "omega", "drehzahl", "n")
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Which column is what. ``columns`` and ``units`` are by the system's own names."""
+    """Which column is what, and what the model begins with.
+
+    ``columns`` and ``units`` are by the system's own names; ``without`` are effects of the seed
+    that are left out; ``values`` and ``free`` (found by the fit or not) are by full parameter name.
+    """
 
     system: str = ""
     time: str = ""
@@ -35,6 +41,9 @@ class Choice:
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     more: str = ""
+    without: tuple[str, ...] = ()
+    values: Mapping[str, str] = field(default_factory=dict)
+    free: Mapping[str, bool] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -42,7 +51,9 @@ class RecordSetup:
     """A file, its columns once it has been read, and what was chosen so far.
 
     ``systems`` describes the systems there are; ``seen`` what the last look at the mapped record
-    came to; ``drawn`` whether a picture of the columns is there.
+    came to; ``drawn`` whether a picture of the columns is there; ``model`` what the
+    model holds (``file_preview.described_model``); ``separator`` and ``decimal`` how
+    a text file writes columns and fractions, where that had to be said.
     """
 
     ident: str
@@ -55,6 +66,9 @@ class RecordSetup:
     seen: tuple[Mapping[str, Any], ...] = ()
     trouble: Mapping[str, str] | None = None
     drawn: bool = False
+    model: Mapping[str, Any] = field(default_factory=dict)
+    separator: str = ""
+    decimal: str = ""
 
     def system(self) -> Mapping[str, Any] | None:
         """The system chosen."""
@@ -130,19 +144,39 @@ def guessed(columns: Sequence[Mapping[str, Any]], system: Mapping[str, Any]) -> 
         if chosen:
             found[name] = chosen
     for series in (*system["channels"], *system["inputs"]):
-        alike = [c for c in left if unit_of[c] == series["unit"]]
+        alike = [c for c in left if _likely(c, unit_of[c], series) == 2]
         if series["name"] not in found and len(alike) == 1:  # the only one in its unit
             found[series["name"]] = alike[0]
             del left[alike[0]]
     for channel in system["channels"]:
-        if channel["name"] not in found and left:
-            found[channel["name"]] = next(iter(left))
-            del left[found[channel["name"]]]
+        may = [c for c in left if _likely(c, unit_of[c], channel)]
+        if channel["name"] not in found and may:
+            found[channel["name"]] = may[0]
+            del left[may[0]]
     units = {
         k: u for k, c in {**found, "time": time}.items()
         if c and not unit_of[c] and (u := unit_in(c))
     }  # fmt: skip
     return Choice(system["name"], time, "", found, units)
+
+
+def _likely(column: str, unit: str, series: Mapping[str, Any]) -> int:
+    """How well a column's unit goes with a series: 2 alike, 1 not known, 0 another dimension.
+
+    An input that need not be measured is taken by its name alone.
+    """
+    said = unit or unit_in(column) or ("rad" if _ANGLES & set(_parts(column)) else "")
+    if not said:
+        return 1
+    alike = _dimension(said) == _dimension(series["unit"])
+    return 2 * (alike and bool(series["unit"]) and series.get("required", True))
+
+
+def _dimension(unit: str) -> Any:
+    from spiral.types.units import base_form
+
+    found = base_form(unit)
+    return unit if found is None else found[1]
 
 
 def _parts(name: str) -> list[str]:
@@ -191,6 +225,9 @@ def overrides(setup: RecordSetup) -> tuple[str, ...]:
         given.append(f"record.time={quoted(choice.time)}")
     else:
         given.append(f"record.rate={choice.rate.strip()}")
+    for key, said in (("separator", setup.separator), ("decimal", setup.decimal)):
+        if said:
+            given.append(f"record.{key}={quoted(said)}")
     chosen = {k: v for k, v in choice.columns.items() if v}
     for key, part in (
         ("channels", {k: v for k, v in chosen.items() if k in channels}),
@@ -201,7 +238,23 @@ def overrides(setup: RecordSetup) -> tuple[str, ...]:
         if part:
             inside = ", ".join(f"{k}: {quoted(v)}" for k, v in part.items())
             given.append(f"record.{key}={{{inside}}}")
+    given += _of_the_model(choice)
     return (*given, *(line.strip() for line in choice.more.splitlines() if line.strip()))
+
+
+def _of_the_model(choice: Choice) -> list[str]:
+    """What the command line is told of the model that a study begins with."""
+    found = []
+    if choice.without:
+        found.append(f"without=[{','.join(choice.without)}]")
+    values = {k: v.strip() for k, v in choice.values.items() if v.strip()}
+    if values:
+        found.append("values={" + ", ".join(f"{k}: {v}" for k, v in values.items()) + "}")
+    for key, wanted in (("fixed", False), ("free", True)):
+        names = [k for k, free in choice.free.items() if free is wanted]
+        if names:
+            found.append(f"{key}=[{','.join(names)}]")
+    return found
 
 
 def quoted(text: str) -> str:

@@ -176,15 +176,15 @@ def application(session: Any, viewer: Any) -> Any:
         start_page(session)
 
     @ui.page("/study/{ident}", title="SPIRAL")
-    def _study(ident: str) -> None:
-        study_page(session, ident)
+    def _study(ident: str, tab: str = "") -> None:
+        study_page(session, ident, tab)
 
     @ui.page("/file/{ident}", title="SPIRAL")
     def _file(ident: str) -> None:
         file_page(session, ident)
 
-    ui.run_with(web, title="SPIRAL", show_welcome_message=False, tailwind=False,
-                reconnect_timeout=20.0)  # fmt: skip
+    ui.run_with(web, title="SPIRAL", show_welcome_message=False, tailwind=False, dark=None,
+                language="en-US", reconnect_timeout=20.0)  # fmt: skip
     return web
 
 

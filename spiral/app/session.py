@@ -6,8 +6,6 @@ the study here, and every change has a number by which a tab sees that it is beh
 
 from __future__ import annotations
 
-import math
-import re
 import threading
 import time
 from collections.abc import Mapping
@@ -16,16 +14,16 @@ from pathlib import Path
 from typing import Any
 
 from spiral.app import study as kept
+from spiral.app import unseen
 from spiral.app.file_setup import DOES, FileSetup
+from spiral.app.own_effect import overrides_of, own_name
 from spiral.app.panels import words
 from spiral.app.processes import Event, Process
-from spiral.app.record_setup import quoted
 from spiral.app.study import LEARNED, Study, Turn
 from spiral.io.registry import local_sources
 from spiral.io.tracking.store import URI_VARIABLE
 from spiral.types.errors import ConfigError
 
-_NAME = re.compile(r"[a-z][a-z0-9_]*")
 _RANKS = ("start", "add", "rank", "invent")  # orders that end with a ranking
 _FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send
 
@@ -81,6 +79,9 @@ class Session:
         self._fits = Process("fits", out, self._on_fits)
         self.file_setup = FileSetup(out, lambda order: self._fits.give(order), plugins, self._lock)
         self._writer = Process("writer", out, self._on_writer)
+        self.broken: tuple[str, ...] = ()
+        if self.local_plugins():
+            self._fits.give({"do": "plugins", "study": "", "plugins": plugins})
 
     def close(self) -> None:
         """End the processes."""
@@ -158,31 +159,21 @@ class Session:
             self._ask(scene, "rank", "Looking for what is missing", base=serial)
 
     def invent(self, ident: str, name: str, formula: str, serial: int, shape: str = "") -> None:
-        """Rank anew with a candidate that a formula defines, and values of its gaps and widths.
+        """Rank anew with a candidate that a formula defines (``own_effect.overrides_of``).
 
-        ``shape`` is text such as ``w=0.003, g=1e-4``.
+        ``shape`` is text such as ``w=0.003, b=N/m``: values of gaps and widths, units.
 
         Raises
         ------
         ConfigError : no name, no formula, no numbers, or a study that has moved on.
         """
-        name, formula, given_shape = own_name(name), formula.strip(), _numbers(shape)
-        if not _NAME.fullmatch(name) or not formula:
-            raise ConfigError(
-                f"an effect {name!r} = {formula!r}",
-                "a name of small letters, digits and _, and a formula",
-                "hardening and -k3*x**3",
-            )
+        name = own_name(name)
+        wanted = overrides_of(name, formula, shape)
         with self._lock:
             scene = self._free(ident, serial)
-            key = f"effect.{name}."
-            given = tuple(o for o in scene.study.overrides if not o.startswith(key))
-            wanted = [*given, f"{key}expression={quoted(formula)}"]
-            if given_shape:
-                inside = ", ".join(f"{k}: {v!r}" for k, v in given_shape.items())
-                wanted.append(f"{key}shape={{{inside}}}")
+            given = [o for o in scene.study.overrides if not o.startswith(f"effect.{name}.")]
             self._ask(scene, "invent", f"Testing {words(name)}", base=serial,
-                      overrides=wanted, name=name)  # fmt: skip
+                      overrides=[*given, *wanted], name=name)  # fmt: skip
 
     def learn(self, ident: str, serial: int) -> None:
         """Rank anew with curves that are learned from the record, where nothing with a name passes.
@@ -209,11 +200,11 @@ class Session:
             self._ask(scene, "contrast", f"Comparing {' and '.join(map(words, effects))}",
                       effects=list(effects), base=serial)  # fmt: skip
 
-    def move(self, ident: str, by: int, serial: int) -> None:
-        """Undo or do again; nothing is fitted, since every turn is kept."""
+    def move(self, ident: str, to: int, serial: int) -> None:
+        """Look at another turn: undo, do again, another branch; every turn is kept."""
         with self._lock:
             scene = self._free(ident, serial)
-            self._put(replace(scene, study=kept.moved(scene.study, by), contrast=()))
+            self._put(replace(scene, study=kept.moved(scene.study, to), contrast=()))
 
     def cancel(self, ident: str) -> None:
         """End what is under way; the study stays as it was before."""
@@ -234,9 +225,14 @@ class Session:
     def _ask(self, scene: Scene, do: str, what: str, **more: Any) -> None:
         serial = scene.study.serials
         study = replace(scene.study, serials=serial + 1, trouble=None)
-        self._put(replace(scene, study=study, contrast=(),
-                          busy=Busy(what, serial, expected=self._expected[do])))  # fmt: skip
+        busy = Busy(what, serial, self._awaited(), expected=self._expected[do])
+        self._put(replace(scene, study=study, contrast=(), busy=busy))
         self._fits.give({**self._order(study, do, serial), **more})
+
+    def _awaited(self) -> str:
+        """What an order given now waits for, in words: one process does one thing at a time."""
+        ahead = [f"“{s.study.title}”" for s in self._scenes.values() if s.busy]
+        return f"waits for {unseen.listed(ahead)}" if ahead else ""
 
     def _try(self, scene: Scene, effect: str, serial: int) -> None:
         self._ask(scene, "preview", f"Trying {words(effect)} on the test record",
@@ -254,6 +250,11 @@ class Session:
         return scene
 
     def _on_fits(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+        if kind == "broken":
+            self.broken = tuple(data["broken"])
+            return
+        if order["do"] == "plugins":
+            return
         if order["do"] in DOES:
             self.file_setup.on_event(order, kind, data)
             return
@@ -282,7 +283,8 @@ class Session:
         study = scene.study
         serial = _about(order)
         if kind == "records":
-            return replace(scene, study=replace(study, records=tuple(data["records"])))
+            values = {"records": tuple(data["records"]), "example": data.get("example", {})}
+            return replace(scene, study=replace(study, **values))
         if kind == "turn":
             turn = Turn(serial, data["added"], data["result"])
             study = replace(kept.added(study, turn), noise_floor=data["noise_floor"])
@@ -293,7 +295,7 @@ class Session:
         values = {k: v for k, v in data.items() if k in Turn.__dataclass_fields__}
         if kind == "ranked":
             values["preview"] = {}  # another ranking proposes anew
-        for name in ("candidates", "proposed", "equation"):
+        for name in ("candidates", "proposed", "equation", "caveats"):
             if name in values:
                 values[name] = tuple(values[name])
         if "figures" in values:
@@ -305,11 +307,11 @@ class Session:
         if kind == "done" and busy:
             self._expected[order["do"]] = max(busy.said, 1)
         if kind == "failed":
-            study = replace(study, trouble=dict(data))
+            study = replace(study, trouble={**data, "at": order["do"]})
         if kind == "cancelled":
             study = kept.without(study, order["serial"])  # it may have landed, not yet ranked
             said = f"Cancelled: {busy.what.lower()}" if busy else "Cancelled"
-            study = replace(study, trouble={"given": said, "expected": "", "try": ""})
+            study = replace(study, trouble={"given": said, "at": kind})
         scene = self._put(replace(scene, study=study, busy=None))
         turn = study.turn
         if kind == "done" and turn and turn.proposed and not turn.preview and order["do"] in _RANKS:
@@ -336,31 +338,6 @@ class Session:
                 self._put(replace(scene, study=study, writing=left))
             elif kind != "progress":
                 self._put(self._changed(order, kind, data, scene))
-
-
-def own_name(typed: str) -> str:
-    """The name of an effect as typed: ``Fifth power`` is ``fifth_power``."""
-    return re.sub(r"[\s-]+", "_", typed.strip().lower())
-
-
-def _numbers(text: str) -> dict[str, float]:
-    """``w=0.003, g=1e-4`` as a mapping.
-
-    Raises
-    ------
-    ConfigError : anything else.
-    """
-    found = {}
-    for part in filter(None, (p.strip() for p in re.split(r"[,;\n]", text))):
-        name, _, value = (p.strip() for p in part.partition("="))
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if not name.isidentifier() or not math.isfinite(number):
-            raise ConfigError(f"gaps and widths {part[:60]!r}", "NAME=NUMBER", "w=0.003")
-        found[name] = number
-    return found
 
 
 def _about(order: Mapping[str, Any]) -> int:

@@ -23,7 +23,7 @@ def start_page(session: Session) -> None:
     """Build the first page."""
     with frame.bar(""):
         pass
-    with ui.element("main").classes("wrap"):
+    with ui.element("div").classes("wrap"):
         ui.html(
             "<h1 class='big'>What is your model missing?</h1><p class='soft' style='font-size:17px;"
             "max-width:72ch'>Compare a model with measurements, see where it fails, learn which "

@@ -1,7 +1,8 @@
 """A study driven by hand, as it lies on disk: ``OUT/studies/ID/study.json``, written whole.
 
-Its turns form a line: the model as it was, then one more effect at each turn. ``at`` is the turn
-that is looked at; undoing moves it back and forgets nothing until another effect is added there.
+Its turns form a tree: the model as it was, then one more effect at each turn. ``at`` is the turn
+that is looked at; undoing moves it to the parent, and another effect added there begins another
+branch. No turn is ever forgotten, save one that was cancelled before it was ranked.
 
 A folder of studies may come from anywhere. A study is called by its folder; what its file holds is
 checked by type, and names nothing that is run.
@@ -35,7 +36,9 @@ _ID = re.compile(r"[0-9a-f-]{8,40}")
 class Turn:
     """One state of a study, in plain data.
 
-    ``added`` is the effect that made it; ``result`` its figures as a round of the JSON contract;
+    ``parent`` is the serial of the turn that it was made from; ``added`` the effect that made it;
+    ``caveats`` are sentences to hold against its verdict; ``result`` its figures as a
+    round of the JSON contract;
     ``candidates`` what may be missing next, best first; ``proposed`` what the gates would admit;
     ``shape`` what the force is like that none of them explains, in words;
     ``preview`` is what adding the proposed effect would come to, tried on the test record (effect,
@@ -61,13 +64,17 @@ class Turn:
     run_id: str = ""
     tracked: str = ""
     untracked: str = ""
+    parent: int | None = None
+    caveats: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Study:
     """A question (its overrides), its turns, and where it stands.
 
-    ``own`` are candidates that a formula of the user's defines, among the overrides.
+    ``own`` are candidates that a formula of the user's defines, among the overrides; ``example``
+    is such a formula that works here, and what one may name. ``trouble`` is the last message, and
+    at which order it arose.
     """
 
     ident: str
@@ -81,6 +88,7 @@ class Study:
     records: tuple[Mapping[str, Any], ...] = ()
     noise_floor: float | None = None
     own: tuple[str, ...] = ()
+    example: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def turn(self) -> Turn | None:
@@ -89,8 +97,18 @@ class Study:
 
     @property
     def line(self) -> tuple[Turn, ...]:
-        """The turns up to the one that is looked at."""
-        return self.turns[: self.at + 1]
+        """The turns from the first to the one that is looked at."""
+        found: list[Turn] = []
+        turn = self.turn
+        while turn is not None:
+            found.insert(0, turn)
+            before = turn.parent
+            turn = None if before is None else self.turn_of(before)
+        return tuple(found)
+
+    def after(self, serial: int | None) -> tuple[Turn, ...]:
+        """The turns made from a turn, one for each branch; those made from none with ``None``."""
+        return tuple(t for t in self.turns if t.parent == serial)
 
     @property
     def added(self) -> tuple[str, ...]:
@@ -120,8 +138,9 @@ class Study:
 
 
 def added(study: Study, turn: Turn) -> Study:
-    """One turn more, in place of those that were undone."""
-    turns = (*study.line, turn)
+    """One turn more, made from the one that is looked at, and looked at from now on."""
+    parent = None if study.turn is None else study.turn.serial
+    turns = (*study.turns, replace(turn, parent=parent))
     return replace(study, turns=turns, at=len(turns) - 1, trouble=None)
 
 
@@ -132,15 +151,18 @@ def changed(study: Study, serial: int, **values: Any) -> Study:
 
 
 def without(study: Study, serial: int) -> Study:
-    """A study whose last turn is taken back, where it has that number and is not the first."""
-    if study.turn is None or study.turn.serial != serial or not study.at:
+    """A study whose newest turn is taken back, where it has that number and is not the first."""
+    turn = study.turn
+    if turn is None or turn.serial != serial or turn.parent is None:
         return study
-    return replace(study, turns=study.turns[: study.at], at=study.at - 1)
+    back = moved(study, turn.parent)
+    return replace(back, turns=tuple(t for t in back.turns if t.serial != serial))
 
 
-def moved(study: Study, by: int) -> Study:
-    """Undo (-1) or do again (+1), as far as there are turns."""
-    return replace(study, at=min(max(study.at + by, 0), max(len(study.turns) - 1, 0)), trouble=None)
+def moved(study: Study, serial: int) -> Study:
+    """The study looked at where that turn stands; nothing is fitted, since every turn is kept."""
+    at = next((i for i, t in enumerate(study.turns) if t.serial == serial), study.at)
+    return replace(study, at=at, trouble=None)
 
 
 def new_study(out: Path, title: str, overrides: tuple[str, ...]) -> Study:
@@ -202,9 +224,23 @@ def load(out: Path, ident: str) -> Study:
         study = typed().structure({**data, "ident": ident}, Study)
         for turn in study.turns:
             float(turn.result.get("test_error") or 0.0)  # which the list of all studies shows
-        return replace(study, at=min(max(study.at, 0), max(len(study.turns) - 1, 0)))
+        turns = _grown(study.turns)
+        return replace(study, turns=turns, at=min(max(study.at, 0), max(len(turns) - 1, 0)))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{file}: {error}", "a study saved by this program") from error
+
+
+def _grown(turns: tuple[Turn, ...]) -> tuple[Turn, ...]:
+    """Turns of which each but the first comes from an earlier one; from that before, if not said.
+
+    Files of version 0.2 name no parents: there, turns were a line.
+    """
+    found: list[Turn] = []
+    for turn in turns:
+        earlier = [t.serial for t in found]
+        parent = turn.parent if turn.parent in earlier else (earlier or [None])[-1]
+        found.append(replace(turn, parent=parent))
+    return tuple(found)
 
 
 def studies(out: Path) -> list[Study]:

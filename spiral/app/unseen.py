@@ -45,7 +45,7 @@ def errors(turn: Turn) -> str:
     """The turn's errors at every horizon; where it is a step, what they were and what that says."""
     changes = turn.result.get("changes") or ()
     if changes:
-        head = ("on unseen data", "before", "now", "")
+        head = ("on unseen data", "before", "now", "<span class='unseen'>change</span>")
         rows = [
             (horizon(c), _error(c["before"]), _error(c["after"]), _judged(c)) for c in changes
         ]  # fmt: skip

@@ -12,7 +12,7 @@ import time
 from spiral.types.errors import InputError
 from spiral.types.masking import without_passwords
 
-_PATIENCE = 40.0  # s until its page answers
+_PATIENCE = 90.0  # s until its page answers
 HOST, STORE_VARIABLE = "127.0.0.1", "MLFLOW_BACKEND_STORE_URI"
 
 
@@ -53,7 +53,8 @@ class Viewer:
         command = [sys.executable, "-m", "mlflow", "server",
                    "--host", HOST, "--port", str(port), "--workers", "1"]  # fmt: skip
         # The address may hold a password, and the list of processes shows command lines to all.
-        quiet = {**os.environ, "MLFLOW_DISABLE_TELEMETRY": "true", STORE_VARIABLE: store}
+        quiet = {**os.environ, "MLFLOW_DISABLE_TELEMETRY": "true", STORE_VARIABLE: store,
+                 "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}  # fmt: skip
         self._server = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=quiet
         )

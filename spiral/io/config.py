@@ -54,6 +54,7 @@ class Options:
     fixed: tuple[str, ...] = ()
     calibrate: bool | None = None
     holdout: float = 0.2
+    holdout_blocks: int = 1
     settings: Any = field(default_factory=dict)
     gate: Any = None
     paper: Any = field(default_factory=dict)
@@ -112,8 +113,7 @@ def options(config: Config) -> Options:
     given = {k: config[k] for k in field_names(Options) if k in config}
     found = construct(Options, given, "")
     question.check_strategy(found.strategy)
-    if not 0.02 <= found.holdout <= 0.9:
-        raise ConfigError(f"holdout={found.holdout:g}", "a share between 0.02 and 0.9")
+    question.check_holdout(found.holdout, found.holdout_blocks)
     return found
 
 
@@ -215,7 +215,8 @@ def build_problem(config: Config, registry: Registry) -> Problem:
         parts = {g: _plugin(g, config, registry) for g in ("derivative", "learner", "library")}
     return question.put(
         custom.bound(config, registry), model, records, test,
-        holdout=chosen.holdout, settle=config["test"].get("settle"), candidates=chosen.candidates,
+        holdout=chosen.holdout, holdout_blocks=chosen.holdout_blocks,
+        settle=config["test"].get("settle"), candidates=chosen.candidates,
         settings=levels, strategy=chosen.strategy, parts=parts, gates=config["gate"],
         paper=config["paper"],
     )  # fmt: skip

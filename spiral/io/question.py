@@ -18,10 +18,11 @@ from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.fields import defaults_of
 from spiral.types.model import Model
 from spiral.types.placement import check_effect
-from spiral.types.record import Record, split_off_test
+from spiral.types.record import Record, in_blocks, split_off_test
 
 STRATEGIES = ("likelihood", "shooting", "innovation", "paper")
 USUAL_STRATEGY = STRATEGIES[0]
+MOST_BLOCKS = 50  # in which a share of a record is kept apart
 USED_BY = {
     "gate": ("paper", "innovation"),
     "learner": ("paper",),
@@ -86,20 +87,36 @@ def candidates_for(
     return tuple(e for e in found if e.label not in model.labels)
 
 
+def check_holdout(share: float, blocks: int) -> None:
+    """Refuse a share or a number of blocks that leaves too little to fit or to test."""
+    if not 0.02 <= share <= 0.9:
+        raise ConfigError(f"holdout={share:g}", "a share between 0.02 and 0.9")
+    if not (isinstance(blocks, int) and 1 <= blocks <= MOST_BLOCKS):
+        raise ConfigError(f"holdout_blocks={blocks}", f"a whole number from 1 to {MOST_BLOCKS}")
+
+
+def check_settle(settle: float | None) -> None:
+    """Refuse what is no time."""
+    if settle is not None and not (isinstance(settle, int | float) and settle >= 0):
+        raise ConfigError(f"test.settle={settle!r}", "seconds, zero or above")
+
+
 def split(
-    records: tuple[Record, ...], test: tuple[Record, ...] | None, holdout: float
+    records: tuple[Record, ...], test: tuple[Record, ...] | None, holdout: float, blocks: int = 1
 ) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
     """Records to fit and to test; without a test the last share of each record is kept apart.
 
+    In ``blocks`` it is the last share of each of so many equal stretches, each of which then has an
+    initial state of its own: a run-down is tested at all its speeds.
+
     Raises
     ------
-    ConfigError : a share outside 0.02 to 0.9.
+    ConfigError : a share or a number of blocks out of range.
     """
-    if not 0.02 <= holdout <= 0.9:
-        raise ConfigError(f"holdout={holdout:g}", "a share between 0.02 and 0.9")
+    check_holdout(holdout, blocks)
     if test is not None:
         return records, test
-    pairs = [split_off_test(r, holdout) for r in records]
+    pairs = [split_off_test(part, holdout) for r in records for part in in_blocks(r, blocks)]
     return tuple(f for f, _ in pairs), tuple(t for _, t in pairs)
 
 
@@ -110,6 +127,7 @@ def put(
     test: tuple[Record, ...] | None,
     *,
     holdout: float = 0.2,
+    holdout_blocks: int = 1,
     settle: float | None = None,
     candidates: Sequence[str | Effect] | None = None,
     settings: Settings | None = None,
@@ -133,11 +151,10 @@ def put(
     ConfigError : an unknown strategy, a candidate that does not fit, a value out of range.
     """
     check_strategy(strategy)
-    if settle is not None and not (isinstance(settle, int | float) and settle >= 0):
-        raise ConfigError(f"test.settle={settle!r}", "seconds, zero or above")
+    check_settle(settle)
     everywhere = strategy == "likelihood"
     asked = () if strategy == "paper" else candidates_for(registry, model, candidates, everywhere)
-    fitted, kept = split(records, test, holdout)
+    fitted, kept = split(records, test, holdout, holdout_blocks)
     problem = Problem(model, fitted, kept, settle, asked, settings or Settings())
     if strategy in ("shooting", "likelihood"):
         problem = replace(problem, dictionary=registry.dictionary(model.system))

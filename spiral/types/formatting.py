@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
+_LEAST = 1e-3  # percent, below which a share is only said to be smaller
+
 
 def percent(value: float | None) -> str:
-    """A share as people read it: ``1.99 %``."""
+    """A share as people read it: ``1.99 %``; ``< 0.001 %`` where it is smaller than that."""
     if not _finite(value):
         return "-"
     share = 100 * float(value)  # type: ignore[arg-type]
+    if 0 < abs(share) < _LEAST:
+        return f"< {_LEAST:g} %"
     return f"{share:.0f} %" if abs(share) >= 1000 else f"{share:#.3g} %".replace(". ", " ")
 
 

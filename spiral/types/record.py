@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
@@ -209,6 +210,28 @@ def split_off_test(record: Record, share: float) -> tuple[Record, Record]:
     return (
         record.part(0, cut, record.name),
         record.part(cut, record.samples, f"{record.name} (last {share:.0%}, kept apart)"),
+    )
+
+
+def in_blocks(record: Record, count: int) -> tuple[Record, ...]:
+    """A record as so many stretches of equal length, one after the other.
+
+    Raises
+    ------
+    InputError : stretches of too few samples.
+    """
+    if count == 1:
+        return (record,)
+    length = record.samples // count
+    if length < 4 * MINIMUM_SAMPLES:
+        raise InputError(
+            f"{record.name}: {record.samples} samples in {count} blocks",
+            f"at least {4 * MINIMUM_SAMPLES} samples in each", "fewer blocks",
+        )  # fmt: skip
+    edges = [length * k for k in range(count)] + [record.samples]
+    return tuple(
+        record.part(first, last, f"{record.name} (block {k} of {count})")
+        for k, (first, last) in enumerate(pairwise(edges), 1)
     )
 
 

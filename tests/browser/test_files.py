@@ -101,6 +101,7 @@ def test_a_file_becomes_a_study(tab, served, files, picture):
     choose(tab, "force", "hammer")
     tab.wait_for_selector("button:has-text('Compare with the model'):enabled")
     assert "2400 samples at 500 Hz" in tab.inner_text("main")
+    assert "The last part is kept apart" in tab.inner_text("#apart")
     picture(tab, "mapped")
     tab.click("button:has-text('Compare with the model')")
     tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
@@ -112,15 +113,22 @@ def test_an_effect_of_ones_own_is_tested_at_once(tab, served, picture):
     tab.click("td a:has-text('rig.csv')")
     tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
     tab.click("text=Write an effect of your own")
+    field = "input[aria-label='Force on the machine']"
+    works = tab.get_attribute(field, "placeholder")
+    assert works == "-k3*q**3"
     for formula, seen in (
-        ("-k3*x**", ".trouble:visible"),
-        ("-k3*x**3", "button[aria-label='Add hardening']:enabled"),
+        ("-k3*x**", "#own-trouble:has-text('invalid syntax')"),
+        (works, "button[aria-label='Add hardening']:enabled"),
     ):
         tab.fill("input[aria-label='Name']", "hardening")
         tab.fill("input[aria-label='Force on the machine']", formula)
         tab.click("button:has-text('Test it')")
         tab.wait_for_selector(seen)
         tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
+        if formula != works:
+            below, above = (tab.locator(s).bounding_box()["y"] for s in ("#own-trouble", field))
+            assert 0 < below - above < 300  # beside the field, not at the top of the page
+    assert tab.locator("#own-trouble").count() == 0
     picture(tab, "own-effect")
     tab.click("button[aria-label='Add hardening']:enabled")
     tab.wait_for_selector(".chip.added:has-text('hardening')")
@@ -165,6 +173,7 @@ def test_a_model_that_runs_away_loses_nothing(tab, served, files, picture):
     add(tab, "quadratic stiffness")
     tab.wait_for_selector(".chip.added:has-text('quadratic stiffness')")
     assert error(tab)[-1] == before[0]
+    assert "+ cubic stiffness: not finite" in tab.inner_text("#branches")  # no branch is lost
 
 
 def test_an_address_that_names_nothing_says_so(tab, served):

@@ -88,6 +88,42 @@ def test_a_step_that_turned_out_worse_says_so_and_is_undone_with_one_click(tab, 
     assert tab.inner_text("#horizons") == fitted
 
 
+def test_every_branch_is_kept_and_caveats_stand_beside_the_verdict(tab, served, picture):
+    """A study on disk: two effects added to one turn, the second of them looked at."""
+    doubts = ("Cubic stiffness cannot be told from clearance on this record.",)
+    ranked = {"candidates": (), "verdict": "whiteness", "run_id": "20260101-000000-abc"}
+
+    def turn(serial, parent, added, error, **more):
+        return Turn(serial, added, {"test_error": error}, parent=parent, **ranked, **more)
+
+    made = new_study(served.out, "branches", ("experiment=rotor_coastdown",))
+    turns = (turn(0, None, "", 0.5), turn(1, 0, "clearance", 0.2), turn(2, 1, "rub", 0.15),
+             turn(3, 0, "cubic_stiffness", 2e-7, caveats=doubts))  # fmt: skip
+    save(served.out, replace(made, turns=turns, at=3, serials=4, noise_floor=1e-7))
+    tab.goto(f"{served.address}/study/{made.ident}")
+    tab.wait_for_selector("#branches")
+    assert re.findall(r"[\w ]+: [<\d. ]+%", tab.inner_text("#branches")) == [
+        "the model as it was: 50.0 %", " clearance: 20.0 %", " rub: 15.0 %",
+        " cubic stiffness: < 0.001 %",
+    ]  # fmt: skip
+    assert tab.inner_text("#error-now").startswith("< 0.001 %")
+    assert "Noise alone makes < 0.001 %" in tab.inner_text("main")
+    tab.wait_for_selector("#plot-error-falling .main-svg")
+    assert "noise floor < 0.001 %" in tab.text_content("#plot-error-falling")
+    assert tab.inner_text("#caveats li") == doubts[0]
+    assert "Nothing more is missing" in tab.inner_text("#ending")
+    picture(tab, "branches")
+    tab.click("#branches button:has-text('rub')")
+    tab.wait_for_selector(".chip.added:has-text('rub')")
+    assert error(tab) == [15.0, 50.0]
+    tab.click("button:has-text('Undo'):enabled")
+    tab.wait_for_selector("button:has-text('Redo rub')")
+    tab.click("button:has-text('Undo'):enabled")
+    tab.wait_for_selector("button:has-text('Redo clearance')")
+    tab.click("button:has-text('Redo cubic stiffness')")
+    tab.wait_for_selector("#caveats")
+
+
 def test_an_effect_that_was_let_go_is_no_part_of_the_model(tab, served, picture):
     """A study on disk whose second step made the first superfluous: chips, curve, command."""
 

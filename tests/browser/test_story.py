@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from tests.browser.conftest import PATIENCE
 from tests.browser.steps import FIRST, SECOND, add, error, filled, held, judged, ready, shows
 
 DRAWN = """[...document.querySelectorAll('.js-plotly-plot')].every(
@@ -95,7 +96,7 @@ def test_cancel_leaves_the_study_as_it_was(tab, study, served, picture):
         tab.wait_for_selector(f".working:has-text('{SECOND}')")
         picture(tab, "working")
         tab.click("button:has-text('Cancel')")
-        tab.wait_for_selector(".trouble:has-text('Cancelled')")
+        tab.wait_for_selector(".note:has-text('Cancelled')")  # no fault
     shows(tab, study["after"])
     ready(tab, SECOND)
     picture(tab, "cancelled")
@@ -143,6 +144,66 @@ def test_every_tab_of_figures_draws(tab, study, picture):
     assert {"Measured and model", "Where it fails", "Spectra", "Hidden states"} <= set(titles)
     tab.click(".q-tab:has-text('Where it fails')")
     tab.wait_for_selector(".sentence:has-text('The model fails between')")
+    assert tab.url.endswith("?tab=Where%20it%20fails")
+
+
+SEEN = """(() => {
+    const plot = document.querySelector('#plot-free_run'), [a, b] = plot.layout.xaxis.range;
+    const shown = Array.from(plot.data[0].x).filter(x => x >= a && x <= b);
+    return [a, b, shown.length];
+})()"""
+
+
+def test_zooming_shows_every_sample_and_stays(tab, study, picture):
+    tab.goto(study["address"])
+    tab.wait_for_selector("#plot-free_run .nsewdrag")
+    tab.locator("#plot-free_run").scroll_into_view_if_needed()
+    box = tab.locator("#plot-free_run .nsewdrag >> nth=0").bounding_box()
+    at = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    tab.mouse.move(*at)
+    tab.mouse.down()
+    tab.mouse.move(at[0] + 40, at[1], steps=5)
+    tab.mouse.up()
+    tab.wait_for_function(f"{SEEN}[2] >= Math.floor(1000 * ({SEEN}[1] - {SEEN}[0]))")  # at 1 kHz
+    zoomed = tab.evaluate(SEEN)
+    assert zoomed[1] - zoomed[0] < 2
+    tab.mouse.move(at[0] + 7, at[1])
+    tab.wait_for_selector("#plot-free_run .hoverlayer text:has-text('time (s):')")
+    assert "x (µm): " in tab.text_content("#plot-free_run .hoverlayer")
+    picture(tab, "zoomed")
+    tab.click(".q-tab:has-text('Residual')")
+    tab.wait_for_selector("#plot-correlation .main-svg")
+    tab.click(".q-tab >> nth=0")
+    tab.wait_for_selector("#plot-free_run .nsewdrag")
+    tab.wait_for_function(f"{SEEN}[2] == {zoomed[2]}")
+    assert tab.evaluate(SEEN) == zoomed
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_violation_of_accessibility(chromium, served, study, scheme):
+    """axe-core on the start page, and on a study with every tab of its figures."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    page = served.enter(chromium.new_page(color_scheme=scheme))
+    page.set_default_timeout(PATIENCE)
+
+    def faults():
+        found = axe.run(page).response["violations"]
+        return [(v["id"], [n["target"] for n in v["nodes"]]) for v in found]
+
+    page.goto(served.address)
+    page.wait_for_selector(".choice")
+    assert faults() == []
+    page.goto(study["address"])
+    page.wait_for_selector("button:has-text('Take away')")
+    assert page.title() == "Rotor coastdown - SPIRAL"
+    assert page.get_attribute("html", "lang") == "en-US"
+    page.click("text=Write an effect of your own")
+    for number in range(page.locator(".q-tab").count()):
+        page.click(f".q-tab >> nth={number}")
+        page.wait_for_function(DRAWN)
+        page.wait_for_timeout(600)  # what fades in has its colours only then
+        assert faults() == []
+    page.close()
 
 
 def test_every_step_is_a_run_that_mlflow_knows(tab, study, served):

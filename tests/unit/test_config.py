@@ -1,6 +1,7 @@
 """The configuration: presets, groups, values from a shell, and what is refused."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ from hypothesis import strategies as st
 
 from spiral.io.config import build_problem, compose, experiments
 from spiral.io.overrides import expand
+from spiral.io.question import split
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError, InputError, SpiralError
+from spiral.view.terminal.preview import described, quiet_test
 
 REGISTRY = load_registry()
 ROTOR = ("experiment=rotor_coastdown", "record.duration=1")
@@ -305,3 +308,33 @@ def test_a_rotors_options_arrive_as_given(angles, low, width, gap, rotation, col
     assert source.slow_roll == {"speed": [low, low + width]}
     assert test.slow_roll == {"rows": [0, 9]}
     assert (source.fill_gaps, source.rotation, source.pulse) == (gap, rotation, column)
+
+
+def test_a_share_is_kept_apart_from_each_of_several_blocks(own_file):
+    whole = build_problem(composed(*own(own_file, "holdout=0.2")), REGISTRY)
+    with pytest.raises(InputError, match="300 samples in 5 blocks"):
+        build_problem(composed(*own(own_file, "holdout_blocks=5")), REGISTRY)
+    assert "a whole number" in refused("holdout_blocks=0").expected
+    record = whole.records[0]
+    time = 0.01 * np.arange(1440)
+    long = replace(record, time=time, channels={"x": time}, inputs={"force": time}, spoilt={})
+    blocks = split((long,), None, 0.2, 5)
+    assert [sum(r.samples for r in part) for part in blocks] == [1150, 290]
+    assert [r.name.split(" (", 1)[1] for r in blocks[1]] == [
+        f"block {k} of 5) (last 20%, kept apart)" for k in range(1, 6)
+    ]
+
+
+@pytest.mark.parametrize(("decay", "blocks", "said"), [(1.0, 1, True), (1.0, 5, False),
+                                                       (0.0, 1, False)])  # fmt: skip
+def test_a_test_record_that_misses_what_was_excited_is_told(own_file, decay, blocks, said):
+    """A run-down whose end is quiet; the same in blocks; a steady motion."""
+    problem = build_problem(composed(*own(own_file)), REGISTRY)
+    record = problem.records[0]
+    time = 0.01 * np.arange(2000)
+    moving = np.exp(-decay * time / 5) * np.sin(9 * time)
+    long = replace(record, time=time, channels={"x": moving}, inputs={"force": 0 * time}, spoilt={})
+    fitted, test = split((long,), None, 0.2, blocks)
+    warning = quiet_test(described(replace(problem, records=fitted, test=test)))
+    assert ("misses what was excited" in warning) is said
+    assert ("holdout_blocks=5" in warning) is said

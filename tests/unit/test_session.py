@@ -76,16 +76,31 @@ def test_add_undo_redo_and_another_branch(session, ident):
     turned(session, "b", 0.3)
     study = session.scene(ident).study
     assert errors(study) == [0.6, 0.3]
-    session.move(ident, -1, study.turn.serial)
+    second = study.turn.serial
+    session.move(ident, serial, second)
     assert errors(session.scene(ident).study) == [0.6]
-    session.move(ident, 1, serial)
+    session.move(ident, second, serial)
     assert errors(session.scene(ident).study) == [0.6, 0.3]
-    session.move(ident, -1, study.turn.serial)
+    session.move(ident, serial, second)
     session.add(ident, "c", serial)
     turned(session, "c", 0.2)
     study = session.scene(ident).study
-    assert [t.added for t in study.turns] == ["", "c"]
-    assert len({t.serial for t in study.turns}) == 2
+    assert errors(study) == [0.6, 0.2]
+    assert [t.added for t in study.after(serial)] == ["b", "c"]  # the first branch is not lost
+    session.move(ident, second, study.turn.serial)
+    assert errors(session.scene(ident).study) == [0.6, 0.3]
+    assert kept.load(session.out, ident) == session.scene(ident).study
+
+
+def test_turns_of_older_files_are_a_line(session, ident, tmp_path):
+    session.add(ident, "b", session.scene(ident).study.turn.serial)
+    turned(session, "b", 0.3)
+    file = kept.place(tmp_path, ident) / kept.FILE
+    data = json.loads(file.read_text())
+    for turn in data["turns"]:
+        del turn["parent"]
+    file.write_text(json.dumps(data))
+    assert errors(kept.load(tmp_path, ident)) == [0.6, 0.3]
 
 
 def test_what_is_proposed_is_tried_before_it_is_recommended(session, ident):
@@ -146,6 +161,7 @@ def test_what_fails_or_is_cancelled_leaves_the_study_as_it_was(session, ident, h
     assert (errors(scene.study), scene.busy) == ([0.6], None)
     said = scene.study.trouble["given"]
     assert said == (told["given"] if how == "failed" else "Cancelled: adding b")
+    assert scene.study.trouble["at"] == ("add" if how == "failed" else "cancelled")
     session.add(ident, "b", serial)
     assert session.scene(ident).study.trouble is None
 
@@ -259,6 +275,13 @@ OSCILLATOR = {
 }
 
 
+PENDULUM = {
+    "name": "pendulum",
+    "channels": [{"name": "theta", "unit": "rad"}],
+    "inputs": [{"name": "torque", "unit": "rad/s^2", "required": True}],
+}
+
+
 @pytest.mark.parametrize(
     ("system", "columns", "time", "chosen", "units"),
     [
@@ -270,6 +293,10 @@ OSCILLATOR = {
         (OSCILLATOR, {"Zeit [ms]": "ms", "Kraft [N]": "N", "Weg [mm]": "mm"}, "Zeit [ms]",
          {"force": "Kraft [N]", "x": "Weg [mm]"}, {}),
         (OSCILLATOR, {"a": "", "b": ""}, "", {"x": "a"}, {}),
+        (OSCILLATOR, {"t": "s", "angle": "deg", "u": "V"}, "t", {}, {}),
+        (OSCILLATOR, {"t": "s", "angle_rad": "", "load": "kN", "disp": "mm"}, "t",
+         {"x": "disp", "force": "load"}, {}),
+        (PENDULUM, {"t": "s", "angle": "", "voltage": ""}, "t", {"theta": "angle"}, {}),
     ],
 )  # fmt: skip
 def test_columns_are_guessed_by_name_and_by_unit(system, columns, time, chosen, units):

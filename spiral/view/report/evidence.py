@@ -63,14 +63,15 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
         at = {"y": 1, "yref": "paper", "yanchor": "top", "font": {"size": 13, "color": VERMILION}}
         if value is not None:
             at = {"y": math.log10(value), "yanchor": "bottom", "yshift": 5, "font": {"size": 13}}
-        said = "↑ not finite" if value is None else percent(value / 100)
+        said = "↑ not finite" if value is None else percent(r["test_error"])
         figure.add_annotation(x=number, text=f"<b>{said}</b><br>{name}", align="left",
                               showarrow=False, xanchor="left", xshift=7, **at)  # fmt: skip
-    _floor_and_axes(figure, found, _percent(result.get("noise_floor")))
+    _floor_and_axes(figure, found, result.get("noise_floor"))
     return figure
 
 
-def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], floor: float | None) -> None:
+def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], share: float | None) -> None:
+    floor = _percent(share)
     if floor:
         figure.add_hline(floor, line={"color": GREY, "dash": "dash", "width": 2})
         figure.add_annotation(
@@ -80,7 +81,7 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], floor: floa
             y=math.log10(floor),
             yanchor="top",
             showarrow=False,
-            text=f" noise floor {percent(floor / 100)}",
+            text=f" noise floor {percent(share)}",
             font={"size": 13, "color": "#555"},
         )
     numbers = [r["round"] for r in found]
@@ -88,10 +89,11 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], floor: floa
                         range=[-0.15, numbers[-1] + max(0.8, 0.28 * numbers[-1])])  # fmt: skip
     values = _known(found)
     low, high = min([*values, floor or math.inf]), max(values)
-    span = [math.log10(low) - 0.25, math.log10(high) + 0.45]
+    bottom, top = math.log10(low) - 0.25, math.log10(high)
+    span = [bottom, top + max(0.45, 0.2 * (top - bottom))]  # room for the labels of the highest
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
                         range=span, dtick=decades(*span),
-                        minor={"showgrid": True, "gridcolor": "#F3F3F3"})  # fmt: skip
+                        minor={"showgrid": True, "gridcolor": "rgba(0,0,0,0.047)"})  # fmt: skip
 
 
 def _known(found: Sequence[Mapping[str, Any]]) -> list[float]:

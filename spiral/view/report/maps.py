@@ -136,7 +136,7 @@ def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
     drawn = np.log10(drawn[drawn > 0])  # bars begin at the noise, or below the lowest curve
     span = [min(0.0, drawn.min() - 0.1), drawn.max() + 0.15]
     figure.update_yaxes(type="log", dtick=decades(*span), range=span,
-                        minor={"showgrid": True, "gridcolor": "#F3F3F3"})  # fmt: skip
+                        minor={"showgrid": True, "gridcolor": "rgba(0,0,0,0.047)"})  # fmt: skip
     if phase is not None:
         angle = {"dtick": 90, "range": [0, 360]}
         figure.update_xaxes(title_text="rotor angle (°)", **angle, row=1, col=2)

@@ -13,6 +13,7 @@ from spiral.view.report.style import (
     CYCLE,
     MEASURED,
     SKY,
+    Span,
     band,
     blank,
     line,
@@ -27,7 +28,9 @@ NAMES = {SEED: "model before", FINAL: "model"}
 COLOURS = {SEED: BEFORE, FINAL: AFTER}
 
 
-def measured_against_model(curves: Curves, record: int, model: str = FINAL) -> go.Figure | None:
+def measured_against_model(
+    curves: Curves, record: int, model: str = FINAL, span: Span = None
+) -> go.Figure | None:
     """Each channel measured and predicted freely, and the residual below on the same scale."""
     y, free = curves.get(record, "y"), curves.get(record, model, "free")
     if y is None or free is None or not np.isfinite(free).all():
@@ -40,10 +43,11 @@ def measured_against_model(curves: Curves, record: int, model: str = FINAL) -> g
     for j, channel in enumerate(channels):
         factor, unit = scaled(channel["unit"], y[:, j])
         top = 2 * j + 1
-        line(figure, time, factor * y[:, j], "measured", MEASURED, top)
-        line(figure, time, factor * free[:, j], NAMES[model], COLOURS[model], top, width=1.1)
+        line(figure, time, factor * y[:, j], "measured", MEASURED, top, span=span)
+        line(figure, time, factor * free[:, j], NAMES[model], COLOURS[model], top, width=1.1,
+             span=span)  # fmt: skip
         left = factor * (y[:, j] - free[:, j])
-        line(figure, time, left, "residual", CYCLE[2], top + 1, width=1)
+        line(figure, time, left, "residual", CYCLE[2], top + 1, width=1, span=span)
         sigma = factor * curves.meta["records"][record]["sigma"][channel["name"]]
         for side in (-1.96 * sigma, 1.96 * sigma):
             figure.add_hline(side, line={"color": "#555", "width": 1, "dash": "dot"},

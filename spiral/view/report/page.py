@@ -14,9 +14,11 @@ from spiral.io.curves import FINAL, SEED, Curves, read_curves
 from spiral.io.storage import SavedRun
 from spiral.types.run import estimate_rows
 from spiral.view.report import evidence, maps, motion, text, unknown
-from spiral.view.report.style import FONT
+from spiral.view.report.mathfont import math_style
+from spiral.view.report.style import FONT, Span, hovering
 
 Figure = Any
+FREE_RUN = "free_run"
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,15 @@ def figures(
     for name, heading, caption, make in makers:
         figure = make() if wanted is None or name in wanted else None
         if figure is not None:
-            found.append(Shown(name, heading, caption, figure))
+            found.append(Shown(name, heading, caption, hovering(figure)))
     return found
+
+
+def closer(curves: Curves, name: str, span: Span) -> Figure | None:
+    """A figure of a series whose samples between two moments are all drawn, or many of them."""
+    if name != FREE_RUN:
+        return None
+    return motion.measured_against_model(curves, _test(curves), maps.first_model(curves), span)
 
 
 def _before(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]:
@@ -133,7 +142,7 @@ def page(saved: Mapping[str, Any], curves: Curves | None) -> tuple[str, list[str
     html = (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head>"
+        f"<style>{_STYLE}{math_style()}</style><script>{get_plotlyjs()}</script></head>"
         f"<body><main>{''.join(body)}</main></body></html>"
     )
     return html, [s.name for s in shown]
@@ -185,7 +194,7 @@ _STYLE = (
     "td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}"
     "pre,code{font:13.5px/1.5 ui-monospace,'DejaVu Sans Mono',monospace;background:#F5F5F5}"
     "pre{padding:12px 14px;overflow-x:auto}code{padding:1px 4px;overflow-wrap:anywhere}"
-    "math{font-size:18px}.equation td{border:0;padding:3px 10px 3px 0;vertical-align:middle}"
+    ".equation td{border:0;padding:3px 10px 3px 0;vertical-align:middle}"
     ".equation td.owner{color:#666;font-size:14px}"
     "@media print{section{break-inside:avoid}}"
 )

@@ -6,6 +6,7 @@ The palette is that of Okabe and Ito (2008).
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -73,11 +74,23 @@ def titled(name: str, unit: str) -> str:
     return f"{name} ({unit})" if unit else name
 
 
-def thinned(x: Array, y: Array, points: int = POINTS) -> tuple[Array, Array]:
+Span = tuple[float, float] | None
+"""From where to where of an axis is looked at; all of it with ``None``."""
+
+
+def thinned(x: Array, y: Array, points: int = POINTS, span: Span = None) -> tuple[Array, Array]:
     """At most ``points`` points that draw as all do: lowest and highest of each stretch, in order.
 
-    x and y are (samples,). Peaks survive, whatever the length.
+    x and y are (samples,). Peaks survive, whatever the length. Where a ``span`` of an increasing x
+    is looked at, it has that many points to itself, and what lies outside a few.
     """
+    if span is not None:
+        first, last = np.searchsorted(x, span)
+        first, last = max(first - 1, 0), min(last + 1, len(x))
+        parts = ((slice(0, first), POINTS // 10), (slice(first, last), points),
+                 (slice(last, len(x)), POINTS // 10))  # fmt: skip
+        pieces = [thinned(x[part], y[part], most) for part, most in parts if len(x[part])]
+        return tuple(map(np.concatenate, zip(*pieces, strict=True)))  # type: ignore[return-value]
     count = points // 2
     if len(y) <= points:
         return x, y
@@ -106,7 +119,7 @@ def _look() -> Any:
     import plotly.graph_objects as go
 
     axis = {
-        "showgrid": True, "gridcolor": "#E7E7E7", "zeroline": False, "linecolor": "#555",
+        "showgrid": True, "gridcolor": "rgba(0,0,0,0.094)", "zeroline": False, "linecolor": "#555",
         "showline": True, "ticks": "outside", "tickcolor": "#555", "automargin": True,
         "title": {"standoff": 8},
     }  # fmt: skip
@@ -129,14 +142,16 @@ def line(
     figure: Any, x: Array, y: Array, name: str, colour: str, row: int = 1, column: int = 1,
     **more: Any,
 ) -> None:  # fmt: skip
-    """A curve, thinned; its name appears once in the legend."""
+    """A curve, thinned, or as it is within a ``span``; its name appears once in the legend."""
     import plotly.graph_objects as go
 
-    thin_x, thin_y = thinned(np.asarray(x), np.asarray(y))
+    span = more.pop("span", None)
+    thin_x, thin_y = thinned(np.asarray(x), np.asarray(y), span=span)
+    thin_x = thin_x.astype(np.float32) if span is None else thin_x  # neighbours stay apart
     style = {"color": colour, "width": more.pop("width", 1.4), "dash": more.pop("dash", None)}
     shown = more.pop("showlegend", name not in {t.name for t in figure.data})
     trace = go.Scatter(
-        x=thin_x.astype(np.float32), y=thin_y.astype(np.float32), name=name, mode="lines",
+        x=thin_x, y=thin_y.astype(np.float32), name=name, mode="lines",
         line=style, legendgroup=name, showlegend=shown, **more,
     )  # fmt: skip
     figure.add_trace(trace, row=row, col=column)
@@ -161,6 +176,37 @@ def band(
         ), row=row, col=column,
     )  # fmt: skip
     line(figure, x, middle, name, colour, row, column)
+
+
+def hovering(figure: Any) -> Any:
+    """The figure, where the mouse reads names and units: those of the axes, for every trace."""
+    layout = figure.to_plotly_json()["layout"]
+    for trace in figure.data:
+        if trace.hovertemplate or trace.hoverinfo == "skip" or not hasattr(trace, "hovertemplate"):
+            continue
+        x, y = (_said_of(layout, getattr(trace, f"{d}axis") or d, d) for d in "xy")
+        lines = [f"<b>{trace.name}</b>"] if trace.name else []
+        digits = ("", "") if trace.type == "bar" else (":.6g", ":.4g")  # a bar may have a name
+        lines += [f"{x}: %{{x{digits[0]}}}", f"{y}: %{{y{digits[1]}}}"]
+        if trace.type == "heatmap":
+            lines.append(f"{trace.colorbar.title.text}: %{{z:.3g}}")
+        trace.hovertemplate = "<br>".join(lines) + "<extra></extra>"
+    return figure
+
+
+def _said_of(layout: Mapping[str, Any], name: str, letter: str) -> str:
+    """What an axis says, or one that moves with it; its letter where none says anything."""
+
+    def of(axis: str) -> Mapping[str, Any]:
+        return layout.get(f"{letter}axis{axis[1:]}") or {}
+
+    group = of(name).get("matches") or name
+    others = [f"{letter}{k.removeprefix(f'{letter}axis')}" for k in layout
+              if k.startswith(f"{letter}axis")]  # fmt: skip
+    alike = [a for a in others if group in (a, of(a).get("matches"))]
+    titles = [(of(a).get("title") or {}).get("text") for a in (name, *alike)]
+    found = next(filter(None, titles), letter)
+    return re.sub(r"<[^>]*>|;.*", " ", found).strip()
 
 
 def faint(colour: str, alpha: float = 0.28) -> str:

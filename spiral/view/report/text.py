@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
@@ -235,9 +236,10 @@ def errors(saved: Saved, curves: Curves | None) -> str:
 def caveats(saved: Saved, curves: Curves | None) -> str:
     """All that a reader should hold against the result."""
     result = saved["result"]
-    found = [words for r in rounds(result) for words in _of_a_round(r)]
+    found = [said for r in rounds(result) for said in _of_a_round(r)]
     found += [
-        f"{s['effect']} cannot be told from {', '.join(s['aliases'])}."
+        f"{words(s['effect']).capitalize()} cannot be told from "
+        f"{', '.join(map(words, s['aliases']))}."
         for s in result.get("suggestions", ())
         if s.get("aliases")
     ]
@@ -249,27 +251,39 @@ def caveats(saved: Saved, curves: Curves | None) -> str:
         found.append(_NO_CURVES)
     if not found:
         found = ["None: no alias, no refusal, no short record, nothing changed in the data."]
-    return "".join(f'<p class="note">{escape(words)}</p>' for words in dict.fromkeys(found))
+    return "".join(f'<p class="note">{escape(said)}</p>' for said in dict.fromkeys(found))
 
 
 def _of_a_round(r: Saved) -> list[str]:
+    found = doubted(r)
+    found += [
+        f"Round {r['round']}: {words(effect)} was refused: {reason}."
+        for effect, reason in (r.get("rejected") or {}).items()
+    ]
+    found += [
+        f"Round {r['round']}: {words(effect)} was let go, superfluous beside the others."
+        for effect in r.get("retired", ())
+    ]
+    return found
+
+
+def doubted(r: Saved) -> list[str]:
+    """What a round's record leaves open: look-alikes of what was added, what it could not find."""
     found = [
-        f"{effect} cannot be told from {', '.join(others)} on this record."
+        f"{words(effect).capitalize()} cannot be told from {', '.join(map(words, others))} "
+        "on this record."
         for effect, others in (r.get("aliases") or {}).items()
         if others
     ]
     found += [
-        f"Round {r['round']}: {effect} was refused: {reason}."
-        for effect, reason in (r.get("rejected") or {}).items()
-    ]
-    found += [
-        f"Round {r['round']}: {effect} was let go, superfluous beside the others."
-        for effect in r.get("retired", ())
+        f"{words(effect).capitalize()} could not have been found: on this record "
+        f"{', '.join(map(words, owners))} would take it over."
+        for effect, owners in ((r.get("details") or {}).get("not_separable") or {}).items()
     ]
     if r.get("second_order"):
         found.append(
-            f"{', '.join(r['admitted'])} is of second order: it may stand for the remainder of an "
-            "effect transmitted by a hidden state."
+            f"{', '.join(map(words, r['admitted']))} is of second order: it may stand for the "
+            "remainder of an effect transmitted by a hidden state."
         )
     return found
 
@@ -278,7 +292,9 @@ def _of_the_data(saved: Saved) -> list[str]:
     found = []
     for records in saved["data"].values():
         for r in records:
-            file = r["name"].split(" (last ")[0]  # the part kept apart was read as the rest was
+            file = re.split(r" \((?:last|block) ", r["name"])[
+                0
+            ]  # the part kept apart was read as the rest was
             found += [n if n.startswith(f"{file}:") else f"{file}: {n}" for n in r.get("notes", ())]
             if r["samples"] < _SHORT:
                 found.append(f"{r['name']} is short ({r['samples']} samples): its tests rest on "

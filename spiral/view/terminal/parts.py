@@ -78,10 +78,11 @@ def ruled(*columns: str, right: Sequence[str] = ()) -> Table:
 
 def about(console: Console, outcome: Outcome, numbers: bool = False) -> None:
     """The records and what was done to them, each note once; with numbers, their series too."""
-    from spiral.view.terminal.preview import described
+    from spiral.view.terminal.preview import described, quiet_test
 
     told: set[str] = set()
-    for shown, record in enumerate(described(outcome.parts["problem"])):
+    found = described(outcome.parts["problem"])
+    for shown, record in enumerate(found):
         length = record["samples"] / record["rate"]
         words = f"{record['samples']} samples, {length:.4g} s, {record['rate']:.6g} Hz"
         console.print(Text(f"{record['part']:<5}{record['name']}: {words}", "dim"))
@@ -90,6 +91,8 @@ def about(console: Console, outcome: Outcome, numbers: bool = False) -> None:
         told.update(record["notes"])
         if numbers and shown < _PREVIEWED:
             console.print(_series(record["series"]))
+    if warning := quiet_test(found):
+        console.print(Text(warning, style="yellow"))
 
 
 def _series(rows: list[dict[str, Any]]) -> Table:

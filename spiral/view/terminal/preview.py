@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from spiral.inference.problem import Problem
 from spiral.types.record import Record
 from spiral.types.system import System
 
+_QUIET = 0.3  # share of the fitted range under which a test record hardly moves
 _RPM = 30 / np.pi
 
 
@@ -32,6 +34,39 @@ def described(problem: Problem) -> list[dict[str, Any]]:
         for part, records in parts
         for record in records
     ]
+
+
+def kept_apart(found: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether the test record is a part of the record that is fitted."""
+    return any(r["part"] == "test" and r["name"].endswith("kept apart)") for r in found)
+
+
+def quiet_test(found: Sequence[Mapping[str, Any]]) -> str:
+    """What to hold against a test record that hardly moves where the fitted one does; or nothing.
+
+    A run-down whose last part is kept apart is tested below its resonances, where any model is
+    right. A channel's range is its largest one over the records of a part.
+    """
+    fitted, tested = (_ranges(found, part) for part in ("fit", "test"))
+    shares = {n: tested[n] / d for n, d in fitted.items() if d and n in tested}
+    if not shares or max(shares.values()) > _QUIET:
+        return ""
+    name = max(shares, key=lambda n: shares[n])
+    said = f"The test record misses what was excited: {name} spans there {shares[name]:.0%} of "
+    said += "what it spans in the fitted part, so a low test error says little."
+    if not kept_apart(found):
+        return f"{said} Give a test record of a like run."
+    return f"{said} Keep parts of blocks apart (holdout_blocks=5), or give a record of another run."
+
+
+def _ranges(found: Sequence[Mapping[str, Any]], part: str) -> dict[str, float]:
+    """The largest range of every channel over the records of a part."""
+    ranges: dict[str, float] = {}
+    for record in (r for r in found if r["part"] == part):
+        for series in (s for s in record["series"] if s.get("kind") == "channel"):
+            span = series["highest"] - series["lowest"]
+            ranges[series["name"]] = max(span, ranges.get(series["name"], 0.0))
+    return ranges
 
 
 def _series(system: System, record: Record) -> list[dict[str, Any]]:

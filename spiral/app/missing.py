@@ -1,0 +1,177 @@
+"""What may be missing: candidates with their evidence and Add, and an effect of one's own."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from nicegui import ui
+
+from spiral.app import panels, unseen
+from spiral.app.own_effect import own_name
+from spiral.app.session import Scene, Session
+from spiral.app.study import Turn
+from spiral.types.errors import SpiralError
+
+_SHOWN = 5  # candidates before "show all"
+_OWN = (
+    ("name", "Name", "hardening"),
+    ("formula", "Force on the machine", "-k3*q**3"),
+    ("shape", "Gaps, widths, open units (SI)", "w=0.003, b=N/m"),
+)
+OWN = "invent"  # the order that an effect of one's own gives
+
+
+@dataclass
+class Missing:
+    """The list of candidates in one tab: what is typed and how much of it is shown.
+
+    ``ask`` does what a click asks for and shows a refusal; ``again`` has the list drawn anew.
+    """
+
+    session: Session
+    ident: str
+    ask: Callable[[Callable[[], None]], None]
+    again: Callable[[], None]
+    every: bool = False
+    typed: dict[str, str] = field(default_factory=dict)
+    wrong: Mapping[str, str] | None = None
+
+    def build(self, scene: Scene) -> None:
+        """Draw the list of the turn that is looked at."""
+        turn = scene.study.turn
+        ui.html("<h2 class='head'>What is missing</h2>", sanitize=False)
+        if turn is None or turn.candidates is None:
+            waiting = scene.busy is not None
+            said = "Ranking the effects that may be missing …" if waiting else "Not ranked yet."
+            ui.html(f"<p class='soft'>{said}</p>", sanitize=False)
+            if turn is not None and not waiting:
+                ranked = functools.partial(self.session.rank, self.ident, turn.serial)
+                asked = functools.partial(self.ask, ranked)
+                ui.button("Rank what may be missing", on_click=asked).props("outline")
+            return
+        if turn.proposed:
+            self._proposal(scene, turn)
+        else:
+            self._ending(scene, turn)
+        ui.html(panels.caveats(turn.caveats), sanitize=False)
+        self._list(scene, turn)
+        self._own(scene, turn)
+
+    def _ending(self, scene: Scene, turn: Turn) -> None:
+        """What it means that nothing passes the gates."""
+        said = panels.ending(scene.study, turn)
+        kind = "good" if turn.verdict == "whiteness" else "note"
+        ui.html(f"<div class='{kind}' id='ending'>{said}</div>", sanitize=False)
+        if panels.learnable(scene.study, turn):
+            learn = functools.partial(self.session.learn, self.ident, turn.serial)
+            button = ui.button("Offer its curve as an effect", on_click=lambda: self.ask(learn))
+            button.props("outline").style("margin:10px 0").set_enabled(scene.busy is None)
+
+    def _list(self, scene: Scene, turn: Turn) -> None:
+        """The candidates, best first; those of the user and the proposed ones always."""
+        if not turn.candidates:
+            return
+        ui.html(f"<p class='soft order'>{panels.order(turn)}</p>", sanitize=False)
+        few = 0 if turn.verdict == "whiteness" else _SHOWN
+        count = len(turn.candidates) if self.every else few
+        for found in turn.candidates[:count]:
+            self._candidate(scene, turn, found)
+        always = {*scene.study.own, *turn.proposed}
+        for found in turn.candidates[count:]:
+            if {found["effect"], found["effect"].partition("@")[0]} & always:
+                self._candidate(scene, turn, found)
+        left = len(turn.candidates) - few
+        if left > 0:
+            said = "Show fewer" if self.every else f"Show {left} {'more' if few else 'candidates'}"
+            ui.button(said, on_click=self._toggle).props("flat dense")
+
+    def _proposal(self, scene: Scene, turn: Turn) -> None:
+        """What the trial of the proposed effect says; where there was none, a button for it."""
+        said, kind = panels.proposal(turn)
+        name = {"worse": "note worse", "fine": "good", "trying": "soft"}[kind]
+        ui.html(f"<div class='{name}' id='proposal'>{said}</div>", sanitize=False)
+        if kind == "trying" and scene.busy is None:
+            attempt = functools.partial(self.session.preview, self.ident, turn.proposed[0])
+            button = ui.button("Try it on the test record")
+            button.on_click(lambda: self.ask(lambda: attempt(turn.serial))).props("outline")
+
+    def _own(self, scene: Scene, turn: Turn) -> None:
+        """An effect written as a formula, tested at once; what was typed stays when it is drawn."""
+        typed, about = self.typed, scene.study.example
+        failed = scene.study.trouble or {}
+        wrong = self.wrong or (failed if typed and failed.get("at") == OWN else None)
+        opened = bool(typed or wrong)
+        with ui.expansion("Write an effect of your own", value=opened).classes("w-full own"):
+            ui.html(panels.formula(about), sanitize=False)
+            for key, label, said in _OWN:
+                shown = about.get("formula", said) if key == "formula" else said
+                box = ui.input(label, value=typed.get(key, ""), placeholder=shown)
+                box.on_value_change(functools.partial(self._type, key))
+                box.props("outlined dense").classes("w-full").style("margin-top:8px")
+                box.on("keydown.enter", lambda: self._invent(turn.serial))
+            if wrong:
+                with ui.element("div").classes("trouble").props('role="alert" id="own-trouble"'):
+                    ui.html(panels.trouble(wrong), sanitize=False)
+            button = ui.button("Test it", on_click=lambda: self._invent(turn.serial))
+            button.props("outline").style("margin-top:10px").set_enabled(scene.busy is None)
+
+    def _type(self, key: str, event: Any) -> None:
+        self.typed[key] = event.value or ""
+
+    def _invent(self, serial: int) -> None:
+        """Test what was typed; what is wrong with it stands beside the fields."""
+        name, formula, shape = (self.typed.get(key, "") for key, _, _ in _OWN)
+        self.wrong = None
+        try:
+            self.session.invent(self.ident, name, formula, serial, shape)
+        except SpiralError as error:
+            self.wrong = error.as_dict()
+        self.again()
+
+    def _candidate(self, scene: Scene, turn: Turn, found: Any) -> None:
+        effect, aliases = found["effect"], tuple(found["aliases"])
+        first = effect in turn.proposed
+        with ui.element("div").classes("effect first" if first else "effect"):
+            ui.html(panels.candidate(found), sanitize=False)
+            add = ui.button("Add", on_click=lambda: self._add(effect, turn.serial))
+            filled = first and panels.proposal(turn)[1] == "fine"
+            add.props("unelevated color=primary" if filled else "outline color=primary")
+            add.props["aria-label"] = f"Add {panels.words(effect)}"
+            add.set_enabled(scene.busy is None)
+            ui.html(panels.evidence(found), sanitize=False).classes("evidence")
+            if effect == turn.preview.get("effect"):
+                ui.html(unseen.tried(turn.preview["changes"]), sanitize=False).classes("wide")
+            if effect in turn.rejected:
+                ui.label(f"Refused: {turn.rejected[effect]}").classes("alike")
+            if aliases:
+                with ui.element("div").classes("alike"):
+                    ui.html(panels.alike(aliases), sanitize=False)
+                    self._compare_aliases(scene, turn, (effect, *aliases))
+
+    def _compare_aliases(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
+        if scene.contrast:
+            ui.html(panels.contrast(scene.contrast, scene.windows), sanitize=False)
+            with ui.row().classes("gap-2").style("margin:8px 0 4px"):
+                for effect in effects:
+                    add = ui.button(f"Add {panels.words(effect)}")
+                    add.on_click(functools.partial(self._add, effect, turn.serial))
+                    add.props("outline dense padding='2px 10px'").set_enabled(scene.busy is None)
+            return
+        compare = ui.button("Compare them", on_click=lambda: self._contrast(effects, turn.serial))
+        compare.props("flat dense").set_enabled(scene.busy is None)
+
+    def _add(self, effect: str, serial: int) -> None:
+        self.every = False
+        if effect.partition("@")[0] == own_name(self.typed.get("name", "")):
+            self.typed.clear()  # it is in the model now
+        self.ask(lambda: self.session.add(self.ident, effect, serial))
+
+    def _contrast(self, effects: tuple[str, ...], serial: int) -> None:
+        self.ask(lambda: self.session.contrast(self.ident, effects, serial))
+
+    def _toggle(self) -> None:
+        self.every = not self.every
+        self.again()

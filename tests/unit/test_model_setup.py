@@ -1,0 +1,39 @@
+"""The model set up on the page: its parameters, and what the command line is told of a choice."""
+
+from spiral.app.file_preview import described_model
+from spiral.app.record_setup import Choice, RecordSetup, overrides
+from spiral.io.config import build_model, compose
+from tests.scenes import registry
+
+SERIES = {"unit": "m", "required": True}
+
+
+def model(*given):
+    known = registry()
+    return build_model(compose(given, known), known)
+
+
+def test_every_parameter_has_a_unit_a_value_and_a_state():
+    found = described_model(model("system=tilting_rotor"))
+    rows = {r["key"]: r for r in found["parameters"]}
+    mass, spring = rows["system.mass"], rows["linear_stiffness@bearing_1.stiffness_x"]
+    assert (mass["unit"], mass["lower"], mass["value"], mass["free"]) == ("kg", 0.0, 1.15, False)
+    assert (spring["unit"], spring["free"]) == ("N/m", True)
+    assert "system.phase_origin" not in rows  # of a record, not of the machine
+    assert len(found["seed"]) == 11
+    assert all(e["meaning"] for e in found["seed"])
+
+
+def test_a_choice_is_the_same_model_as_from_the_command_line():
+    choice = Choice(
+        "oscillator", "", "500", {"x": "a"}, without=("linear_damping",),
+        values={"system.mass": "2.0", "linear_stiffness.stiffness": " "},
+        free={"system.mass": False, "linear_stiffness.stiffness": True},
+    )  # fmt: skip
+    system = {"name": "oscillator", "channels": [{"name": "x", **SERIES}], "inputs": []}
+    setup = RecordSetup("20260101-000000-abc", "a.csv", "a.csv", systems=(system,), choice=choice)
+    given = [o for o in overrides(setup) if not o.startswith("record")]
+    found = model(*given)
+    assert found.labels == ("linear_stiffness",)
+    assert found.values["system.mass"] == 2.0
+    assert set(found.active) == {"linear_stiffness.stiffness"}
