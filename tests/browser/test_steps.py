@@ -1,5 +1,6 @@
 """What a step does to data that it did not see: said, not proposed where it is worse, undone."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
