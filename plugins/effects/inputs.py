@@ -55,9 +55,11 @@ class ActuatorLag(InputEffect):
     """An actuator that follows its input late: acting = u - s (u - z), T z' = u - z.
 
     A first-order drive (a coil, a valve, an amplifier), whole at s = 1. Where T is short against
-    the motion all sensors that were early by T would look alike.
+    the motion all sensors that were early by T would look alike. With s = 2 it is the first
+    approximation of an ``input_delay`` of 2 T.
     """
 
+    special = ("input_delay",)
     states = (State("followed", "position"),)
     parameters = (
         Parameter("share", "", lower=0.0),
@@ -77,3 +79,44 @@ class ActuatorLag(InputEffect):
     def remark(self, values, step):
         """Half a sample has a usual cause."""
         return half_a_sample(values["share"] * values["time_constant"], step)
+
+
+class InputDelay(InputEffect):
+    """An actuator that acts late by T: acting = u(t - T).
+
+    A bus, a controller's cycle, transport in a pipe. With states a and b of a time z near T,
+
+        z a' = b,  z b' = c = 12 (u - a) - 6 b,  r = T / z,  u(t - T) = u - r b + (r^2 - r) c / 2,
+
+    which is right to the second order in T whatever z is, and with z = T Pade's second approximation
+    (Baker, Graves-Morris, Pade Approximants): right in phase to (2 pi f T)^5 / 720 at the frequency
+    f. Linear in T to leading order only. All sensors late by T look the same.
+    """
+
+    states = (State("level", "position"), State("slope", "position"))
+    parameters = (
+        Parameter("time", "s", lower=0.0),
+        Parameter("scale", "s", lower=0.0, role="shape", start=0.01, spectrum=True),
+    )
+
+    def drive(self, at, u, p):
+        """u - r b + (r^2 - r) c / 2, r = T / z."""
+        (given,) = at.position
+        ratio = p.time / p.scale
+        return given - ratio * at.own.slope + (ratio * ratio - ratio) * _bent(given, at.own) / 2
+
+    def rate(self, at, u, p):
+        """b / z and c / z."""
+        return {
+            "level": at.own.slope / p.scale,
+            "slope": _bent(at.position[0], at.own) / p.scale,
+        }
+
+    def remark(self, values, step):
+        """Half a sample has a usual cause."""
+        return half_a_sample(values["time"], step)
+
+
+def _bent(given, own):
+    """12 (u - a) - 6 b."""
+    return 12 * (given - own.level) - 6 * own.slope

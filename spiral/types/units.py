@@ -10,7 +10,7 @@ from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
 
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, SensorEffect
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, SensorEffect, StateFlow
 from spiral.types.errors import InputError, PluginError
 from spiral.types.port import At, Port
 from spiral.types.system import MechanicalSystem, System
@@ -215,6 +215,8 @@ def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, An
         found += [("effect", value, port.position_unit) for value in readings]
     elif isinstance(effect, InputEffect):
         found.append(("effect", effect.drive(at, u, p), port.position_unit))
+    elif isinstance(effect, StateFlow):
+        found += [("effect", value, port.force_unit) for value in effect.flow(at, u, p)]
     elif isinstance(effect, FlowEffect):
         x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states}, own=own)
         units = {i.name: i.unit for i in system.injections}

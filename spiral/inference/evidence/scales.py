@@ -40,7 +40,7 @@ _WINDOW = 11  # samples of a local polynomial
 
 
 def extremes(system: System, records: Sequence[Record], along: Sequence[Array]) -> dict[str, float]:
-    """Largest |position| and |velocity| at every port, as ``PORT.position``, and of every input.
+    """Largest |position| and |velocity| at every port, as ``PORT.position``, of every input and state.
 
     ``along`` are the states (samples, n) that each record visits.
     """
@@ -53,6 +53,9 @@ def extremes(system: System, records: Sequence[Record], along: Sequence[Array]) 
             found[f"{port.name}.{kind}"] = max(
                 float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
             )
+    for port in system.filled:
+        levels = states[:, [i for i, s in enumerate(system.states) if s.name in port.axes]]
+        found[f"{port.name}.position"] = float(np.abs(levels).max())
     for port in system.driven:
         given = [np.abs(r.inputs[name]).max() for r in records for name in port.axes]
         found[f"{port.name}.position"] = float(max(given))
