@@ -9,8 +9,11 @@ from __future__ import annotations
 from spiral_plugins.effects.restoring import WIDTH, beyond
 from spiral_plugins.effects.sensors import half_a_sample
 
+from spiral.math import tanh
 from spiral.types.effect import InputEffect
 from spiral.types.parameter import Parameter, State
+
+_NEAR_TWO = 0.3  # around two, where a lag's share stands for a delay
 
 
 class InputDeadZone(InputEffect):
@@ -78,7 +81,35 @@ class ActuatorLag(InputEffect):
 
     def remark(self, values, step):
         """Half a sample has a usual cause."""
-        return half_a_sample(values["share"] * values["time_constant"], step)
+        late = values["share"] * values["time_constant"]
+        if abs(values["share"] - 2) < _NEAR_TWO:
+            return f"a share near 2 is a delay, of {late:.2g} s: input_delay"
+        return half_a_sample(late, step)
+
+
+class RateLimit(InputEffect):
+    """An actuator that moves no faster than R: acting = u - s (u - z), z' = R tanh((u - z) / w).
+
+    A servo valve, a rudder, a stepping drive; whole at s = 1. w is the error at which the limit is
+    felt; below it the actuator follows like a lag of w / R.
+    """
+
+    states = (State("followed", "position"),)
+    parameters = (
+        Parameter("share", "", lower=0.0),
+        Parameter("rate", "velocity", lower=0.0, role="shape", grid=(0.05, 0.15, 0.4)),
+        Parameter("width", "position", lower=0.0, role="shape", grid=(0.02, 0.06)),
+    )
+
+    def drive(self, at, u, p):
+        """u - s (u - z)."""
+        (given,) = at.position
+        return given - p.share * (given - at.own.followed)
+
+    def rate(self, at, u, p):
+        """R tanh((u - z) / w)."""
+        (given,) = at.position
+        return {"followed": p.rate * tanh((given - at.own.followed) / p.width)}
 
 
 class InputDelay(InputEffect):
@@ -88,9 +119,9 @@ class InputDelay(InputEffect):
 
         z a' = b,  z b' = c = 12 (u - a) - 6 b,  r = T / z,  u(t - T) = u - r b + (r^2 - r) c / 2,
 
-    which is right to the second order in T whatever z is, and with z = T Pade's second approximation
-    (Baker, Graves-Morris, Pade Approximants): right in phase to (2 pi f T)^5 / 720 at the frequency
-    f. Linear in T to leading order only. All sensors late by T look the same.
+    right to the second order in T whatever z is, and with z = T Pade's second approximation (Baker,
+    Graves-Morris, Pade Approximants): right in phase to (2 pi f T)^5 / 720 at the frequency f.
+    Linear in T to leading order only. All sensors late by T look the same.
     """
 
     states = (State("level", "position"), State("slope", "position"))

@@ -7,7 +7,7 @@ zero, so that where the surroundings are not at zero a ``constant_flow`` belongs
 
 from __future__ import annotations
 
-from spiral.math import length, sqrt
+from spiral.math import length, sqrt, tanh
 from spiral.types.effect import StateFlow
 from spiral.types.parameter import Parameter
 
@@ -21,7 +21,7 @@ class ConstantFlow(StateFlow):
     parameters = (Parameter("flow", "force"),)
 
     def flow(self, at, u, p):
-        """F."""
+        """f."""
         return [p.flow]
 
 
@@ -93,7 +93,7 @@ class SaturatingLoss(StateFlow):
     ``linear_loss``.
     """
 
-    special = ("linear_loss",)
+    special = ("linear_loss", "dry_loss")
     parameters = (
         Parameter("capacity", "force", lower=0.0),
         Parameter("half", "position", lower=0.0, role="shape", grid=(0.1, 0.4)),
@@ -103,6 +103,23 @@ class SaturatingLoss(StateFlow):
         """-v x / (K + |x|)."""
         (x,) = at.position
         return [-p.capacity * x / (p.half + length([x]))]
+
+
+class DryLoss(StateFlow):
+    """Dry friction on a speed that is a state of first order: v' = ... - f tanh(v / w).
+
+    As ``coulomb_friction``, per unit of mass, for systems whose equations are all of first order.
+    """
+
+    units = ("m/s", "rad/s")
+    parameters = (
+        Parameter("level", "force", lower=0.0),
+        Parameter("width", "position", lower=0.0, role="shape", grid=(0.003, 0.02, 0.1)),
+    )
+
+    def flow(self, at, u, p):
+        """-f tanh(v / w)."""
+        return [-p.level * tanh(at.position[0] / p.width)]
 
 
 class RadiationLoss(StateFlow):
@@ -116,7 +133,7 @@ class RadiationLoss(StateFlow):
     parameters = (
         Parameter("rate", "force/K^4", lower=0.0),
         Parameter("zero", "K", role="shape", grid=(0.0, 293.15)),
-        Parameter("room", "K", role="shape", start=293.15),
+        Parameter("room", "K", role="shape", grid=(293.15,)),
     )
 
     def flow(self, at, u, p):
@@ -142,13 +159,15 @@ class Exchange(StateFlow):
 
 
 class MutualFlow(StateFlow):
-    """A flow in proportion to both of two states: x_1' = ... + c_1 x_1 x_2, x_2' = ... + c_2 x_1 x_2.
+    """A flow in proportion to both of two states: x_i' = ... + c_i x_1 x_2 for i = 1, 2.
 
     Infection, predation, a reaction of two partners (mass action; Lotka 1925, Volterra 1926),
-    inhibition.
+    inhibition, between concentrations. No law multiplies two temperatures or two levels; of shares
+    of a population it is not offered, because it imitates whatever an epidemic's fit has missed.
     """
 
     axes = 2
+    units = ("g/l", "mol/l", "1/l")
     parameters = (Parameter("rate", "force/position^2", per_axis=True),)
 
     def flow(self, at, u, p):

@@ -112,10 +112,11 @@ class StateFlow(Effect):
 
     Its port is that state, or a pair of one unit, ``NAME-NAME``: the first that fits where none is
     named. ``force`` is the unit of what flows in, ``position`` that of the state. ``axes`` is 1
-    for one state, 2 for a pair.
+    for one state, 2 for a pair; ``units`` are those of the states that it is about, empty for any.
     """
 
     axes: ClassVar[int | None] = 1
+    units: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def flow(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> list[Any]:

@@ -225,8 +225,8 @@ def finite(physics: Physics) -> str:
 def linear(effect: Effect, physics: Physics) -> str:
     """f(2a) - f(0) = 2 (f(a) - f(0)) in the amplitudes a, which change something.
 
-    A sensor's reading, and what acts of an input, are asked at small amplitudes: they may have terms
-    beyond the leading order.
+    A sensor's reading, and what acts of an input, are asked at small amplitudes: they may have
+    terms beyond the leading order.
     """
     rng = np.random.default_rng(3)
     own = physics.amplitudes(effect)
