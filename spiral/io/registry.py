@@ -156,14 +156,16 @@ class Registry:
 
     def candidates(self, system: System, everywhere: bool = False) -> tuple[Effect, ...]:
         """Named effects that fit the system's first port, or (``everywhere``) any place of it."""
-        from spiral.types.effect import InputEffect, StateFlow
+        from spiral.types.effect import Effect, InputEffect, StateFlow
         from spiral.types.placement import at_every_place, check_effect
         from spiral.types.units import units_fit
 
         found: list[Effect] = []
         for name in self.names("effect"):
             plugin = self.entry("effect", name).plugin
-            if plugin.bare or (issubclass(plugin, InputEffect | StateFlow) and not everywhere):
+            if not issubclass(plugin, Effect) or plugin.bare:
+                continue
+            if issubclass(plugin, InputEffect | StateFlow) and not everywhere:
                 continue
             for effect in at_every_place(system, plugin()) if everywhere else (plugin(),):
                 try:
