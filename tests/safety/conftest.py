@@ -1,6 +1,14 @@
-"""What the tests of hostile files share: a plugin that says when it ran, and a saved run."""
+"""What the tests of hostile inputs share: a plugin that says when it ran, a saved run, a meter.
 
+Every test marked ``hostile`` is measured; the last lines of a run of this folder say how many
+inputs of which kind were tried, and which took longest and most memory.
+"""
+
+import re
+import time
+from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +16,10 @@ from spiral.io.config import build_problem, compose
 from spiral.io.registry import load_registry
 from spiral.io.storage import save_run
 from spiral.types.run import ChannelError, Comparison, Round, Run
+
+SECONDS, BYTES = 30.0, 2 * 10**9  # that an input may take
+MEASURED = "hostile"  # property of a test's report: kind, s, bytes
+STATUS, PEAK = Path("/proc/self/status"), Path("/proc/self/clear_refs")  # of Linux
 
 OVERRIDES = ("experiment=rotor_coastdown", "record.duration=0.2")
 
@@ -63,3 +75,50 @@ def saved(question, folder, registry=None, effects=()):
     data = {"records": problem.records, "test": problem.test}
     known = registry or load_registry(local=False)
     return folder / save_run(run, config, data, known, folder).run_id
+
+
+def largest_child():
+    """Most memory, in bytes, that any process started by this one has taken."""
+    import resource
+
+    return 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+
+
+@pytest.fixture(autouse=True)
+def measured(request, record_property):
+    """Time and memory of a test marked ``hostile``; the interpreter and its libraries included."""
+    mark = request.node.get_closest_marker("hostile")
+    if mark is None or not PEAK.exists():
+        yield
+        return
+    PEAK.write_text("5")  # the peak starts anew
+    began, before = time.monotonic(), largest_child()
+    yield
+    seconds, child = time.monotonic() - began, largest_child()
+    taken = 1024 * int(re.search(r"VmHWM:\s+(\d+)", STATUS.read_text())[1])
+    taken = max(taken, child if child > before else 0)
+    record_property(MEASURED, (mark.args[0], seconds, taken))
+    assert seconds < SECONDS
+    assert taken < BYTES
+
+
+def pytest_terminal_summary(terminalreporter):
+    """How many hostile inputs were tried, and the most that one took."""
+    found = [
+        (*value, report.nodeid.rpartition("::")[2])
+        for reports in terminalreporter.stats.values()
+        for report in reports
+        if getattr(report, "when", "") == "teardown"
+        for name, value in report.user_properties
+        if name == MEASURED
+    ]
+    if not found:
+        return
+    kinds = Counter(kind for kind, *_ in found)
+    longest, largest = max(found, key=lambda f: f[1]), max(found, key=lambda f: f[2])
+    listed = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
+    terminalreporter.write_line(
+        f"hostile inputs: {len(found)} ({listed})\n"
+        f"  longest {longest[1]:.1f} s ({longest[3]}), most memory {largest[2] / 1e9:.2f} GB "
+        f"({largest[3]})"
+    )

@@ -7,6 +7,7 @@ import json
 import os
 import queue
 import random
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -20,14 +21,23 @@ import pytest
 from spiral.app.processes import Process
 from spiral.app.serve import alone
 from spiral.app.study import load, new_study, turn_place
+from spiral.io.checkpoint import FILE as CHECKPOINT
+from spiral.io.checkpoint import FOLDER
 from spiral.io.storage import FILE, run_ids
+from spiral.io.tracking.store import Tracking, opened
 from spiral.io.tracking.track import MARK
 from spiral.types.errors import ConfigError, InputError
-from tests.sweep_jobs import RECORD
+from tests.sweep_jobs import RECORD, without_clock
 
 SPIRAL = [sys.executable, "-m", "spiral"]
 STUDY = (*RECORD, "candidates=[cubic_stiffness,quadratic_damping]", "holdout=0.3")
 KILLS = 10
+FINAL = ("done", "failed")
+ROUNDS = (
+    "experiment=rotor_coastdown", "record.duration=2", "settings.max_rounds=3",
+    "candidates=[cross_stiffness,cubic_stiffness,gyroscopic]", "tracking.model=false",
+)  # fmt: skip
+SWEPT = ("compare", *RECORD, "holdout=0.2,0.3,0.4,0.5", "n_jobs=2", "tracking.model=false", "-m")
 
 
 def spiral(place, *words, **more):
@@ -51,8 +61,9 @@ def test_the_pages_worker_killed_at_random_moments_costs_its_step_alone(tmp_path
     order = {"do": "start", "study": study.ident, "serial": 0, "plugins": None,
              "overrides": list(STUDY)}  # fmt: skip
 
-    def ended():
-        while (event := told.get(timeout=300))[0] not in ("done", "failed"):
+    def ended(seconds=600.0):
+        end = time.monotonic() + seconds
+        while (event := told.get(timeout=max(end - time.monotonic(), 0)))[0] not in FINAL:
             pass
         return event
 
@@ -60,24 +71,88 @@ def test_the_pages_worker_killed_at_random_moments_costs_its_step_alone(tmp_path
         began = time.monotonic()
         process.give(order)
         assert ended()[0] == "done"
-        seconds, chance, failed = time.monotonic() - began, random.Random(3), 0
-        for _ in range(KILLS):
+        seconds, chance, kills = time.monotonic() - began, random.Random(3), 0
+        while kills < KILLS:
             process.give(order)
-            time.sleep(chance.uniform(0.05, 0.6) * seconds)
-            worker = process._process
-            os.kill(worker.pid, signal.SIGKILL)
-            kind, data = ended()
-            worker.join(10)
-            if kind == "failed":
-                failed += 1
+            began = time.monotonic()
+            try:
+                assert ended(chance.uniform(0.05, 1.0) * seconds)[0] == "done"
+            except queue.Empty:  # it is at work
+                worker = process._process
+                os.kill(worker.pid, signal.SIGKILL)
+                kind, data = ended()
+                worker.join(10)
+                assert kind == "failed"
                 assert "ended in the middle" in data["given"]
-        assert failed >= KILLS // 2
+                kills += 1
+            else:  # faster than at first: sooner, next time
+                seconds = time.monotonic() - began
         process.give(order)
         assert ended()[0] == "done"
     finally:
         process.close()
     assert load(tmp_path, study.ident).title == "a study"
     assert not list(turn_place(tmp_path, study.ident, 0).rglob("*.tmp"))
+
+
+def answer(done, place):
+    """The result of a command, less clocks and names of runs."""
+    assert done.returncode == 0, done.stderr
+    return without_clock(json.loads((place / "result.json").read_text()))
+
+
+def told_once(folder):
+    """MLflow knows every saved run, once, and as finished."""
+    runs = run_ids(folder)
+    with opened(Tracking(model=False), folder) as store:
+        found = store.client.search_runs([store.experiment], max_results=1000)
+    parents = [r.data.tags["spiral.run_id"] for r in found if "spiral.run_id" in r.data.tags]
+    assert sorted(parents) == sorted(runs)
+    assert all(r.info.status == "FINISHED" for r in found)
+    assert all((folder / name / MARK).is_file() for name in runs)
+    return True
+
+
+def killed(place, words, seconds):
+    """Start a command, end it by kill -9 after so long; whether that was before its end."""
+    process = subprocess.Popen(
+        [*SPIRAL, *words], cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    time.sleep(seconds)
+    early = process.poll() is None
+    process.kill()
+    process.wait()
+    return early
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [("discover", *ROUNDS), SWEPT], ids=["discover", "sweep"])
+def test_a_command_killed_at_random_moments_goes_on_to_the_same_answer(tmp_path, words):
+    """From its first import to telling MLflow; the next start takes up and tells what is left."""
+    words = (*words, "--json", "result.json")
+    chance, number, taken_up = random.Random(5), 0, 0
+    (tmp_path / "whole").mkdir()
+    began = time.monotonic()
+    expected = answer(spiral(tmp_path / "whole", *words), tmp_path / "whole")
+    seconds = time.monotonic() - began
+    while number < KILLS:
+        place = tmp_path / str(number)
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir()
+        if not killed(place, words, chance.uniform(0.1, 1.0) * seconds):
+            continue  # it had ended before
+        number += 1
+        assert sound(place / "runs")
+        rows = len(list(place.glob("runs/sweeps/*/rows/*.json")))
+        kept = rows or len(list(place.glob(f"runs/{FOLDER}/*/{CHECKPOINT}")))
+        done = spiral(place, *words)
+        assert ("taking up this" in done.stderr or "taking up sweep" in done.stderr) == bool(kept)
+        taken_up += bool(kept)
+        assert answer(done, place) == expected
+        assert told_once(place / "runs")
+        assert not [p for p in place.rglob("*") if ".tmp" in p.name]
+    print(f"{taken_up} of {KILLS} kills left rounds or rows that were taken up")
+    assert taken_up
 
 
 @pytest.mark.slow

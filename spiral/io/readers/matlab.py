@@ -25,8 +25,6 @@ _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _OBJECT, _TEXT, _SPARSE = 1, 2, 3, 4, 5
 _OPAQUE = (16, 17)  # functions and objects of newer classes, which hold no series
 _NAME = 1 << 20  # bytes that a name or a list of sizes may take
-_SIZES = {6: 8, 7: 4, 8: 1, 9: 1, 10: 2, 11: 2, 12: 4, 13: 4, 14: 8, 15: 8}
-"""Class of an array -> bytes of one number, as its flags say it."""
 _COMPLEX = 0x800
 
 
@@ -125,7 +123,7 @@ class _Declared:
         if kind in (_CELL, _STRUCT, _OBJECT):
             self._inside(source, size - used, kind, entries, depth)
             return
-        each = 16 if kind == _SPARSE else 4 if kind == _TEXT else _SIZES.get(kind, 8)
+        each = 16 if kind == _SPARSE else 4 if kind == _TEXT else 8
         count = most if kind == _SPARSE else entries
         self._allowance.take(count * each * (2 if first & _COMPLEX else 1))
         _skip(source, size - used)
