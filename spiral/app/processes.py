@@ -102,12 +102,12 @@ class Process:
         """Send one order and pass its events on, until it is done or its process is gone."""
         assert self._pipe is not None
         ends = None
-        overdue = False
+        late = False
         try:
             self._pipe.send(dict(order))
             while True:
-                overdue = not self._pipe.poll(None if ends is None else max(ends - _now(), 0.0))
-                if overdue:
+                late = not self._pipe.poll(None if ends is None else max(ends - _now(), 0.0))
+                if late:
                     self._process.kill()
                 kind, data = self._pipe.recv()
                 if ends is None and "seconds" in order:
@@ -122,7 +122,7 @@ class Process:
             with self._lock:
                 cancelled, self._cancelled = self._cancelled, False
                 self._spawn()
-            ended = overdue(order["seconds"]).as_dict() if overdue else _ENDED
+            ended = overdue(order["seconds"]).as_dict() if late else _ENDED
             self._on_event(order, *(("cancelled", {}) if cancelled else ("failed", ended)))
 
 

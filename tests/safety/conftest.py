@@ -6,10 +6,12 @@ inputs of which kind were tried, and which took longest and most memory.
 
 import re
 import time
+import zipfile
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from spiral.io.config import build_problem, compose
@@ -75,6 +77,18 @@ def saved(question, folder, registry=None, effects=()):
     data = {"records": problem.records, "test": problem.test}
     known = registry or load_registry(local=False)
     return folder / save_run(run, config, data, known, folder).run_id
+
+
+def flood(file, count, kind="<f8"):
+    """An NPZ of so many zeros, small until it is unpacked."""
+    head = {"descr": kind, "fortran_order": False, "shape": (count,)}
+    left, block = count * np.dtype(kind).itemsize, bytes(10**7)
+    packed = zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
+    with packed, packed.open("x.npy", "w", force_zip64=True) as target:
+        np.lib.format.write_array_header_1_0(target, head)
+        while left > 0:
+            target.write(block[:left])
+            left -= len(block)
 
 
 def largest_child():

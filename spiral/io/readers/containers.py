@@ -141,16 +141,17 @@ def parquet_columns(path: Path, allowance: Allowance) -> list[tuple[str, Any]]:
 
     with pq.ParquetFile(path) as opened:
         about, schema = opened.metadata, opened.schema_arrow
-    nested = [f.name for f in schema if pa.types.is_nested(f.type)]
-    allowance.left_out += [f"{name} (lists or structs)" for name in nested]
-    plain = [f.name for f in schema if pa.types.is_primitive(f.type)]
-    text = [name for name in schema.names if name not in {*nested, *plain}]
+    nested = {f.name for f in schema if pa.types.is_nested(f.type)}
+    plain = {f.name for f in schema if pa.types.is_primitive(f.type)}
+    kept = [name for name in schema.names if name not in nested]
+    text = set(kept) - plain
+    allowance.left_out += [f"{name} (lists or structs)" for name in schema.names if name in nested]
     for group in map(about.row_group, range(about.num_row_groups)):
         columns = map(group.column, range(group.num_columns))
         allowance.take(sum(column.total_uncompressed_size for column in columns))
     allowance.take(about.num_rows * (_NUMBER * len(plain) + _OBJECT * len(text)))
-    with pq.ParquetFile(path, read_dictionary=text) as opened:
-        frame = opened.read(columns=[n for n in schema.names if n not in nested]).to_pandas()
+    with pq.ParquetFile(path, read_dictionary=list(text)) as opened:
+        frame = opened.read(columns=kept).to_pandas()
     found = []
     for column in frame.columns:
         name, values = str(column), frame[column]
