@@ -177,6 +177,56 @@ def test_files_that_may_grow_no_further_are_one_message(tmp_path, verb):
         assert sound(tmp_path / "runs")
 
 
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of its own, and a function that makes it so many kB large."""
+    if os.geteuid() != 0 or shutil.which("mount") is None:
+        pytest.skip("needs root to mount a small disk")
+    place = tmp_path / "small"
+    place.mkdir()
+
+    def sized(size, more=()):
+        options = ",".join((*more, f"size={size}k"))
+        return subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)],
+                              capture_output=True).returncode == 0  # fmt: skip
+
+    if not sized(4):
+        pytest.skip("no small disk can be mounted here")
+    yield place, lambda size: sized(size, ("remount",))
+    subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.slow
+def test_a_full_disk_that_grows_is_one_message_each_time_and_ends_in_the_same_answer(
+    tmp_path, small_disk
+):
+    """From the first checkpoint to MLflow's database, each of these sizes ends another write."""
+    words = ("discover", *ROUNDS, "--json", "result.json")
+    (tmp_path / "whole").mkdir()
+    expected = answer(spiral(tmp_path / "whole", *words), tmp_path / "whole")
+    place, resize = small_disk
+    stopped, untold = [], []
+    for size in (4, 8, 16, 32, 64, 128, 256, 512, 1024, 4096, 16384):
+        assert resize(size)
+        done = spiral(tmp_path, *words, f"out={place}")
+        assert "Traceback" not in done.stderr
+        assert not [p for p in place.rglob("*") if ".tmp" in p.name]
+        assert sound(place)
+        if done.returncode:
+            assert done.returncode == 2
+            assert done.stderr.count("No space left") == 1
+            stopped.append(size)
+            continue
+        assert answer(done, tmp_path) == expected
+        if "not told to MLflow" not in done.stderr:
+            break
+        untold.append(size)
+    print(f"no room for the study at {stopped} kB, none for MLflow at {untold} kB")
+    assert stopped
+    assert untold
+    assert told_once(place)
+
+
 @pytest.mark.slow
 def test_a_database_locked_for_30_s_by_another_program_is_waited_for_or_caught_up(tmp_path):
     words = ("compare", *RECORD, "tracking.model=false")

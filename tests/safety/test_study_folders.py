@@ -142,16 +142,16 @@ def test_a_link_among_a_runs_files_is_not_taken_away(session, ident, tmp_path):
 
 
 @pytest.mark.hostile("study folders")
-def test_a_program_that_lies_in_a_runs_folder_is_not_taken_away(session, ident, tmp_path):
-    """It may come from anywhere under the name of an export; the export is made anew."""
+@pytest.mark.parametrize(("name", "own"), [("model.py", "PARAMETERS"), ("report.html", "SPIRAL")])
+def test_a_program_that_lies_in_a_runs_folder_is_not_taken_away(session, ident, name, own):
+    """It may come from anywhere under the name of an export or report; both are made anew."""
     model = replace(machine_of("hysteresis").model, errors={})
     run_id = save_result("discover", {}, model, {}, {}, REGISTRY, session.out)
-    planted = run_folder(session.out, run_id) / "model.py"
-    planted.write_text("import os  # evil")
+    (run_folder(session.out, run_id) / name).write_text("<script>a-planted-program</script>")
     again = rewritten(session, ident, turns=[plain_turn(run_id=run_id)])
-    text = written(again, ident, 0, "model.py").read_text()
-    assert "evil" not in text
-    assert "PARAMETERS" in text
+    text = written(again, ident, 0, name).read_text()
+    assert "a-planted-program" not in text
+    assert own in text
 
 
 class Asked:
