@@ -35,6 +35,7 @@ from tests.sweep_jobs import RECORD, value_of
 
 FOUND = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
 RUNS, PROCESSES = 20, 8
+pytest.importorskip("psycopg", reason="needs the extra postgres")
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not FOUND, reason="needs Debian's postgresql")]
 
 
