@@ -142,7 +142,9 @@ def test_a_link_among_a_runs_files_is_not_taken_away(session, ident, tmp_path):
 
 
 @pytest.mark.hostile("study folders")
-@pytest.mark.parametrize(("name", "own"), [("model.py", "PARAMETERS"), ("report.html", "<title>spiral")])
+@pytest.mark.parametrize(
+    ("name", "own"), [("model.py", "PARAMETERS"), ("report.html", "<title>spiral")]
+)
 def test_a_program_that_lies_in_a_runs_folder_is_not_taken_away(session, ident, name, own):
     """It may come from anywhere under the name of an export or report; both are made anew."""
     model = replace(machine_of("hysteresis").model, errors={})
