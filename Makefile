@@ -40,7 +40,7 @@ $(BIN)/pip:
 	@python="$$($(FIND_PYTHON))" && echo "setup: .venv from $$("$$python" -V)" \
 		&& "$$python" -m venv $(VENV)
 
-# The lock has two parts: up to the mark what the program needs, then what only we need.
+# The lock has two parts: up to the mark what the program needs, then what the other targets need.
 LOCK = $(if $(HASHES),requirements.hashes.lock,requirements.lock)
 MARK := ^\# For tests
 INSTALL = $(PIP) install $(if $(HASHES),--require-hashes --no-deps) --requirement

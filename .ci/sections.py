@@ -1,4 +1,4 @@
-"""A lock in two parts: what the program and its readers of files need, then what only we need.
+"""A lock in two parts: what the program needs, then what tests, checks and documents need.
 
     python -m pip freeze --all | python .ci/sections.py > requirements.lock
 
