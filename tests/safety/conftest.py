@@ -21,6 +21,7 @@ from spiral.types.run import ChannelError, Comparison, Round, Run
 
 SECONDS, BYTES = 30.0, 2 * 10**9  # of a processor and of memory that an input may take
 MEASURED = "hostile"  # property of a test's report: kind, s, bytes
+COLLECTED = pytest.StashKey[tuple[Counter, set]]()  # hostile inputs by kind; files of tests
 STATUS, PEAK = Path("/proc/self/status"), Path("/proc/self/clear_refs")  # of Linux
 
 OVERRIDES = ("experiment=rotor_coastdown", "record.duration=0.2")
@@ -119,6 +120,19 @@ def measured(request, record_property):
     record_property(MEASURED, (mark.args[0], seconds, taken))
     assert seconds < SECONDS
     assert taken < BYTES
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    """Note the hostile inputs, and in which files tests are, before slow ones are left out."""
+    kinds = [mark.args[0] for item in items for mark in item.iter_markers("hostile")]
+    config.stash[COLLECTED] = Counter(kinds), {item.path.name for item in items}
+
+
+@pytest.fixture
+def collected(request):
+    """Hostile inputs by kind, slow ones too, and the names of the files that tests are from."""
+    return request.config.stash[COLLECTED]
 
 
 def pytest_terminal_summary(terminalreporter):
