@@ -153,7 +153,7 @@ def test_a_command_killed_at_random_moments_goes_on_to_the_same_answer(tmp_path,
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
         at_work = number % 2 == 1
-        moment = chance.uniform(0.0, 0.2) if at_work else chance.uniform(0.1, 1.0)
+        moment = chance.uniform(0.0, 0.04) if at_work else chance.uniform(0.1, 1.0)
         if not killed(place, words, moment * seconds, at_work):
             continue  # it had ended before
         number += 1
