@@ -208,7 +208,8 @@ def small_disk(tmp_path):
     if not sized(4):
         pytest.skip("no small disk can be mounted here")
     yield place, lambda size: sized(size, ("remount",))
-    subprocess.run(["umount", str(place)], check=True)
+    while os.path.ismount(place):  # a remount may have become a mount of its own
+        subprocess.run(["umount", "--lazy", str(place)], check=True)
 
 
 @pytest.mark.slow
@@ -221,7 +222,7 @@ def test_a_full_disk_that_grows_is_one_message_each_time_and_ends_in_the_same_an
     expected = answer(spiral(tmp_path / "whole", *words), tmp_path / "whole")
     place, resize = small_disk
     stopped, untold = [], []
-    for size in (4, 8, 16, 32, 64, 128, 256, 512, 1024, 4096, 16384):
+    for size in (4, 16, 64, 256, 1024, 1536, 2048, 4096, 16384):
         assert resize(size)
         done = spiral(tmp_path, *words, f"out={place}")
         assert "Traceback" not in done.stderr
