@@ -161,7 +161,7 @@ def test_a_command_killed_at_random_moments_goes_on_to_the_same_answer(tmp_path,
         left = kept(place)
         done = spiral(place, *words)
         told = "taking up this study" in done.stderr or "taking up sweep" in done.stderr
-        assert told == bool(left)
+        assert told or not left  # a sweep is taken up without a row too
         taken_up += told
         assert answer(done, place) == expected
         assert told_once(place / "runs")
