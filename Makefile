@@ -40,9 +40,21 @@ $(BIN)/pip:
 	@python="$$($(FIND_PYTHON))" && echo "setup: .venv from $$("$$python" -V)" \
 		&& "$$python" -m venv $(VENV)
 
+# The lock has two parts: up to the mark what the program needs, then what the other targets need.
+LOCK = $(if $(HASHES),requirements.hashes.lock,requirements.lock)
+MARK := ^\# For tests
+INSTALL = $(PIP) install $(if $(HASHES),--require-hashes --no-deps) --requirement
+
 $(VENV)/.locked: requirements.lock | $(BIN)/pip
-	@echo "setup: $$(grep -c == $<) locked packages (a minute or so the first time)"
-	@$(PIP) install $(if $(HASHES),--require-hashes --no-deps --requirement requirements.hashes.lock,--requirement $<)
+	@sed '/$(MARK)/,$$d' $(LOCK) > $(VENV)/part
+	@echo "setup: $$(grep -c == $(VENV)/part) locked packages (a minute or so the first time)"
+	@$(INSTALL) $(VENV)/part
+	@touch $@
+
+$(VENV)/.dev: requirements.lock $(VENV)/.installed
+	@sed '1,/$(MARK)/d' $(LOCK) > $(VENV)/part
+	@echo "setup: $$(grep -c == $(VENV)/part) more for tests, checks and documents"
+	@$(INSTALL) $(VENV)/part
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml setup.py
@@ -63,8 +75,9 @@ COMPILED := spiral.physics.compile spiral.engine.kernel spiral.engine.filter.ker
 	spiral.engine.likelihood.kernel spiral.engine.likelihood.signatures_kernel
 
 # Compiled once here, so that the workers find the cache instead of compiling side by side.
-.PHONY: warm
-warm: setup
+.PHONY: warm dev
+dev: $(VENV)/.dev
+warm: dev
 	@echo "test: compiled kernels"
 	@$(BIN)/python -c '$(foreach module,$(COMPILED),import $(module);)'
 
@@ -84,7 +97,7 @@ docs: warm ## Build the documentation into site/ (no network; some two minutes t
 	@$(TEST_ENV) NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 	@echo "docs: open site/index.html"
 
-pictures: setup ## Draw the README's pictures anew (needs a Chromium)
+pictures: dev ## Draw the README's pictures anew (needs a Chromium)
 	@$(BIN)/python docs/pictures/make.py
 
 bench: warm ## Measure speed (benchmarks/)
@@ -96,7 +109,7 @@ bench: warm ## Measure speed (benchmarks/)
 	@$(BIN)/python benchmarks/scaling.py
 
 # All four run even where an earlier one fails; the last line says which did.
-lint: setup ## Check format, rules, types and layers
+lint: dev ## Check format, rules, types and layers
 	@failed=; \
 	check() { echo "lint: $$1"; shift; "$$@" || failed="$$failed $$(basename $$1)"; }; \
 	check 'format (ruff format)' $(BIN)/ruff format --check --output-format concise .; \
@@ -108,7 +121,7 @@ lint: setup ## Check format, rules, types and layers
 licenses: setup ## List the licence of every package it runs with; fail where one is copyleft
 	@$(BIN)/python .ci/licenses.py
 
-format: setup ## Format the code and apply the safe fixes
+format: dev ## Format the code and apply the safe fixes
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
 
@@ -119,7 +132,7 @@ lock: ## Resolve every version anew into requirements.lock
 	$$pip install --upgrade pip; \
 	"$$folder/bin/python" -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; print(*p["dependencies"], *p["optional-dependencies"]["dev"], sep="\n")' > "$$folder/wanted"; \
 	$$pip install --upgrade --requirement "$$folder/wanted" $(HELD_BACK); \
-	{ head -1 requirements.lock; "$$folder/bin/python" -m pip freeze --all | sed 's/+cpu$$//'; } > "$$folder/lock"; \
+	"$$folder/bin/python" -m pip freeze --all | "$$folder/bin/python" .ci/sections.py > "$$folder/lock"; \
 	mv "$$folder/lock" requirements.lock; \
 	"$$folder/bin/python" .ci/hashes.py requirements.lock > "$$folder/hashes"; \
 	mv "$$folder/hashes" requirements.hashes.lock; echo "lock: $$(grep -c == requirements.lock) versions"

@@ -10,10 +10,13 @@ from __future__ import annotations
 
 import json
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 from urllib.parse import unquote
+
+MARK = runpy.run_path(str(Path(__file__).with_name("sections.py")))["MARK"]
 
 
 def report(lock: str) -> list[tuple[str, str, str]]:
@@ -32,12 +35,24 @@ def report(lock: str) -> list[tuple[str, str, str]]:
 
 def main(lock: str) -> None:
     """Print the lock with hashes."""
-    lines = [x for x in Path(lock).read_text(encoding="utf-8").splitlines() if "==" in x]
+    text = Path(lock).read_text(encoding="utf-8")
+    first, mark, _ = text.partition(MARK)
+    lines = [x for x in text.splitlines() if "==" in x]
     pinned = {re.sub(r"[-_.]+", "-", x.partition("==")[0]).lower(): x for x in lines}
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     print(f"# {lock} with hashes, for Linux on x86_64 and Python {version}. Made by `make lock`.")
-    for name, address, found in sorted(report(lock), key=lambda item: item[0].lower()):
-        line, wheel = pinned[re.sub(r"[-_.]+", "-", name).lower()], address.rpartition("/")[2]
+    wheels = [(pinned[re.sub(r"[-_.]+", "-", name).lower()], *more) for name, *more in report(lock)]
+    for later in (False, True):
+        if later:
+            print(mark)
+        part = [w for w in wheels if (w[0] not in first.splitlines()) is later]
+        _print(sorted(part, key=lambda wheel: wheel[0].lower()))
+
+
+def _print(wheels: list[tuple[str, ...]]) -> None:
+    """An entry for each wheel: its pin, its hash, and a word where the public index has another."""
+    for line, address, found in wheels:
+        wheel = address.rpartition("/")[2]
         if "+" in wheel:
             print(f"# {wheel}: not the build of the public index")
         print(f"{line} \\\n    --hash=sha256:{found}")

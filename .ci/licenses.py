@@ -30,10 +30,10 @@ READ = {
 """Licences read in the text that the package brings, where what it declares does not say it."""
 
 
-def required(name: str) -> dict[str, Distribution | None]:
-    """Every package that one needs, itself left out; none where it is not installed."""
+def required(*needs: str) -> dict[str, Distribution | None]:
+    """Every package that these requirements name or need in turn; none where not installed."""
     found: dict[str, Distribution | None] = {}
-    waiting = [(name, frozenset[str]())]
+    waiting = [_named(Requirement(need)) for need in needs]
     seen = set()
     while waiting:
         place = waiting.pop()
@@ -51,10 +51,13 @@ def required(name: str) -> dict[str, Distribution | None]:
             need = Requirement(text)
             wanted = [{"extra": extra} for extra in extras or ("",)]
             if need.marker is None or any(need.marker.evaluate(w) for w in wanted):
-                plain = re.sub(r"[-_.]+", "-", need.name).lower()
-                waiting.append((plain, frozenset(need.extras)))
-    found.pop(name, None)
+                waiting.append(_named(need))
     return found
+
+
+def _named(need: Requirement) -> tuple[str, frozenset[str]]:
+    """A package's plain name, and the extras of it that are wanted."""
+    return re.sub(r"[-_.]+", "-", need.name).lower(), frozenset(need.extras)
 
 
 def licence(package: Distribution) -> str:
@@ -80,7 +83,9 @@ def kind(said: str) -> str:
 def main() -> int:
     """Print a line for each package; the exit code."""
     counts = dict.fromkeys(("free", "by file", "copyleft", "unknown", "not installed"), 0)
-    for name, package in sorted(required(ROOT).items()):
+    packages = required(ROOT)
+    del packages[ROOT]
+    for name, package in sorted(packages.items()):
         said = READ.get(name) or (licence(package) if package is not None else "")
         what = "not installed" if package is None else "free" if name in READ else kind(said)
         counts[what] += 1

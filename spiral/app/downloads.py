@@ -64,9 +64,10 @@ def written(session: Session, ident: str, serial: int, name: str) -> Path:
     if name not in known:
         raise ConfigError(f"file {name}", f"one of {', '.join(known)}")
     file = own_file(run_folder(session.out, turn.run_id), name)
-    if name in exports:  # anew each time: a folder from elsewhere may hold a program of that name
+    # Anew each time: a folder from elsewhere may hold a program, or a page, of that name.
+    if name in exports:
         return export(_model(session, turn), exports[name], file, f"run {turn.run_id}")
-    if name == REPORT and not file.is_file():
+    if name == REPORT:
         from spiral.io.writing import write_whole
 
         write_whole(file, _report(session, turn))

@@ -13,12 +13,11 @@ from spiral.app import record_setup as kept
 from spiral.app.processes import Event
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.io.readers.files import find_file
+from spiral.io.readers.limits import memory_for, seconds_for
 from spiral.types.errors import ConfigError
 
 Give = Callable[[Mapping[str, Any]], None]
 DOES = ("describe_file", "check")
-_SECONDS, _SPEED = 30.0, 10**6  # to read any file, and bytes in each second more
-_MEMORY, _COPIES = 4 * 10**9, 12  # bytes to read any file, and for each byte of it
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ class FileSetup:
         """An order with what it may take, the more the larger the file is."""
         file = Path(setup.path)
         size = file.stat().st_size if file.is_file() else 0
-        most = {"seconds": _SECONDS + size / _SPEED, "memory": _MEMORY + _COPIES * size}
+        most = {"seconds": seconds_for(size), "memory": memory_for(size)}
         about = {"study": setup.ident, "plugins": self._plugins, "overrides": []}
         return {"do": do, **about, **most}
 

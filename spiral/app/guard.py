@@ -14,7 +14,6 @@ from __future__ import annotations
 import hmac
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from html import escape
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
@@ -25,6 +24,7 @@ App = Callable[[Any, Any, Any], Awaitable[None]]
 
 NAMES = ("127.0.0.1", "localhost", "[::1]")
 TOKEN = "token"
+_PARAMETERS = 50  # of an address
 POLICY = "; ".join(
     (
         "default-src 'none'",
@@ -75,17 +75,16 @@ class Guard:
         elif named == "address" and _opened(scope):
             await _enter(scope, send, f"{self._cookie}={self._token}")
         else:
-            await self._app(scope, receive, _with_headers(send))
+            await self._app(_without_cookies(scope), receive, _with_headers(send))
 
     def _named(self, scope: Scope) -> str:
         """Where a request names the token: ``cookie``, ``header`` or ``address``; else nothing."""
         headers = _headers(scope)
         kind, _, told = headers.get("authorization", "").partition(" ")
-        query = parse_qsl(scope.get("query_string", b"").decode("latin-1"), max_num_fields=50)
         given = {
             "cookie": _cookies(headers.get("cookie", "")).get(self._cookie, ""),
             "header": told if kind.lower() == "bearer" else "",
-            "address": dict(query).get(TOKEN, ""),
+            "address": _asked(scope).get(TOKEN, ""),
         }
         token = self._token.encode()
         right = [k for k, v in given.items() if hmac.compare_digest(v.encode(), token)]
@@ -125,9 +124,25 @@ def _headers(scope: Scope) -> dict[str, str]:
 
 
 def _cookies(header: str) -> dict[str, str]:
+    """Cookies as they are sent, without a look into quotes: the token has none.
+
+    Python's own reader takes over a minute for a value of 50 kB of backslashes.
+    """
+    pairs = (part.partition("=") for part in header.split(";"))
+    return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def _without_cookies(scope: Scope) -> Scope:
+    """The request for the page itself, which keeps nothing in a cookie; the token ends here."""
+    return {**scope, "headers": [h for h in scope["headers"] if h[0].lower() != b"cookie"]}
+
+
+def _asked(scope: Scope) -> dict[str, str]:
+    """The parameters of an address; nothing where there are more than anyone needs."""
     try:
-        return {k: morsel.value for k, morsel in SimpleCookie(header).items()}
-    except CookieError:
+        query = scope.get("query_string", b"").decode("latin-1")
+        return dict(parse_qsl(query, max_num_fields=_PARAMETERS))
+    except ValueError:
         return {}
 
 
@@ -146,8 +161,7 @@ async def _enter(scope: Scope, send: Send, cookie: str) -> None:
     By a page, not by a redirect: where another program's page led here, a browser would not send a
     strict cookie along with a redirected request.
     """
-    query = parse_qsl(scope["query_string"].decode("latin-1"))
-    rest = urlencode([(k, v) for k, v in query if k != TOKEN])
+    rest = urlencode({k: v for k, v in _asked(scope).items() if k != TOKEN})
     path = "/" + scope["path"].lstrip("/")  # never another host's, as //evil.example
     target = escape(path + (f"?{rest}" if rest else ""))
     text = (

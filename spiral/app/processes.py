@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from spiral.io.readers.limits import overdue
 from spiral.types.errors import InputError, SpiralError
 
 Event = Mapping[str, Any]
@@ -101,12 +102,12 @@ class Process:
         """Send one order and pass its events on, until it is done or its process is gone."""
         assert self._pipe is not None
         ends = None
-        overdue = False
+        late = False
         try:
             self._pipe.send(dict(order))
             while True:
-                overdue = not self._pipe.poll(None if ends is None else max(ends - _now(), 0.0))
-                if overdue:
+                late = not self._pipe.poll(None if ends is None else max(ends - _now(), 0.0))
+                if late:
                     self._process.kill()
                 kind, data = self._pipe.recv()
                 if ends is None and "seconds" in order:
@@ -121,20 +122,11 @@ class Process:
             with self._lock:
                 cancelled, self._cancelled = self._cancelled, False
                 self._spawn()
-            ended = _overdue(order["seconds"]) if overdue else _ENDED
+            ended = overdue(order["seconds"]).as_dict() if late else _ENDED
             self._on_event(order, *(("cancelled", {}) if cancelled else ("failed", ended)))
 
 
 _now = time.monotonic
-
-
-def _overdue(seconds: float) -> dict[str, str]:
-    """The message for an order that took longer than it may."""
-    return InputError(
-        f"work on a file that had not ended after {seconds:.0f} s",
-        "a file that is read in less",
-        "keep the columns and rows you need; the command line has no such limit",
-    ).as_dict()
 
 
 @contextmanager

@@ -2,53 +2,23 @@
 
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import pytest
 
 from spiral.cli import main
 from spiral.io.registry import load_registry
 from spiral.io.sweeps.sweep import run_sweep
+from tests.dask_cluster import dask_cluster
 from tests.sweep_jobs import RECORD, echo, lost, plan_of, without_clock
 
 pytest.importorskip("distributed")
-LOCAL = {k: v for k, v in os.environ.items() if k != "SPIRAL_PLUGINS"}
 
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
     """The address of a scheduler with two workers that run elsewhere."""
-    place = tmp_path_factory.mktemp("cluster")
-    file = place / "scheduler.json"
-    module = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
-    options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file]
-    root = str(Path(__file__).parents[2])
-    failures = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
-    environment = {**LOCAL, **failures, "PYTHONPATH": root}
-    running = [_start([*module, *options], place, environment)]
-    until = time.monotonic() + 60
-    while not (file.exists() and file.read_text()):
-        assert time.monotonic() < until
-        time.sleep(0.1)
-    address = json.loads(file.read_text())["address"]
-    worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1",
-              "--no-dashboard", "--local-directory", place, "--host", "127.0.0.1"]  # fmt: skip
-    running.append(_start([*worker, "--nworkers", "2"], place, environment))
-    yield address, running
-    for process in running:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait(30)
-
-
-def _start(command, place, environment):
-    with open(place / "log", "a") as log:
-        return subprocess.Popen(
-            command, cwd=place, env=environment, stdout=log, stderr=log, start_new_session=True
-        )
+    with dask_cluster(tmp_path_factory.mktemp("cluster"), workers=2) as found:
+        yield found
 
 
 def run_json(capsys, *words):

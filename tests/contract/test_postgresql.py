@@ -1,4 +1,6 @@
-"""A real PostgreSQL and a real ``mlflow server`` in front of it: 20 runs by 8 processes, none lost.
+"""A real PostgreSQL and a real ``mlflow server`` in front of it: none of 20 runs is lost or mixed.
+
+By 8 processes, the server killed in between; by 4 Dask workers, of which one is killed.
 
 make test-slow PYTEST=tests/contract/test_postgresql.py
 """
@@ -21,13 +23,19 @@ from pathlib import Path
 import pytest
 
 from spiral.commands.perform import in_worker
+from spiral.io.registry import load_registry
 from spiral.io.storage import FILE, run_ids
+from spiral.io.sweeps.jobs import planned
+from spiral.io.sweeps.sweep import run_sweep
+from spiral.io.sweeps.tracker import SweepTracker
 from spiral.io.tracking.store import Tracking, opened
 from spiral.io.tracking.track import MARK, track
-from tests.sweep_jobs import RECORD
+from tests.dask_cluster import dask_cluster
+from tests.sweep_jobs import RECORD, value_of
 
 FOUND = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
 RUNS, PROCESSES = 20, 8
+pytest.importorskip("psycopg", reason="needs the extra postgres")
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not FOUND, reason="needs Debian's postgresql")]
 
 
@@ -129,21 +137,58 @@ def test_no_run_is_lost_or_mixed_though_the_server_dies_in_between(server, tmp_p
     tracking = Tracking(uri=server.address, model=False)
     for place in places:  # the next start
         assert track(tracking, place).failure is None
-    with opened(tracking, places[0]) as store:
+    assert known(tracking, [p / name for p in places for name in run_ids(p)]) == RUNS
+
+
+def known(tracking, folders):
+    """How many saved runs the server knows: each once, finished, with the figures of its file."""
+    with opened(tracking, folders[0].parent) as store:
         found = store.client.search_runs([store.experiment], max_results=1000)
     parents = {r.data.tags["spiral.run_id"]: r for r in found if "spiral.run_id" in r.data.tags}
-    assert len(parents) == RUNS
+    assert set(parents) == {folder.name for folder in folders}
     assert all(r.info.status == "FINISHED" for r in found)
-    for place in places:
-        (name,) = run_ids(place)
-        saved = json.loads((place / name / FILE).read_text())
-        assert parents[name].data.metrics["test_error"] == saved["result"]["test_error"]
-        mark = json.loads((place / name / MARK).read_text())
-        assert mark["mlflow_run_id"] == parents[name].info.run_id
+    for folder in folders:
+        saved = json.loads((folder / FILE).read_text())
+        told = parents[folder.name]
+        assert told.data.metrics["test_error"] == saved["result"]["test_error"]
+        assert int(told.data.params["record.seed"]) == saved["config"]["record"]["seed"]
+        mark = json.loads((folder / MARK).read_text())
+        assert mark["mlflow_run_id"] == told.info.run_id
     children = [r for r in found if "mlflow.parentRunId" in r.data.tags]
     numbers = {r.info.run_id for r in parents.values()}
     assert {r.data.tags["mlflow.parentRunId"] for r in children} <= numbers
     assert len(found) == len(parents) + len(children)
+    return len(parents)
+
+
+def test_no_run_is_lost_or_mixed_though_a_dask_worker_dies(server, tmp_path):
+    """The job of the one that dies is done again, alone; the others go on."""
+    distributed = pytest.importorskip("distributed")
+    seeds = f"record.seed=range(0,{RUNS})"
+    with dask_cluster(tmp_path, workers=4) as (address, _):
+        where = ("sweep.backend=dask", f"sweep.address={address}", f"out={tmp_path / 'out'}")
+        plan = planned("compare", (), [*RECORD, seeds, *where], None, load_registry(local=False))
+        with distributed.Client(address, set_as_default=False) as client:
+            client.wait_for_workers(4, timeout=60)
+            processes = set(client.run(os.getpid).values())
+        told = SweepTracker(Tracking(uri=server.address, model=False), tmp_path / "out", print)
+        rows = []
+
+        def on_row(sweep, number, row):
+            rows.append(number)
+            if len(rows) == RUNS // 4:
+                os.kill(max(processes), signal.SIGKILL)
+            told.on_row(sweep, number, row)
+
+        sweep = run_sweep(in_worker, plan, print, on_row=on_row)
+        assert told.finish().failure is None
+    assert len(processes) == 4
+    assert sweep.exit == 0
+    assert [row.exit for row in sweep.rows] == [0] * RUNS
+    assert [int(value_of(row.overrides, "record.seed")) for row in sweep.rows] == list(range(RUNS))
+    folders = [tmp_path / "out" / name for name in run_ids(tmp_path / "out")]
+    assert known(Tracking(uri=server.address, model=False), folders) >= RUNS
+    assert {row.run_id for row in sweep.rows} <= {folder.name for folder in folders}
 
 
 def test_the_database_itself_is_a_store_and_its_password_is_not_shown(database, tmp_path):

@@ -1,13 +1,28 @@
-"""What the tests of hostile files share: a plugin that says when it ran, and a saved run."""
+"""What the tests of hostile inputs share: a plugin that says when it ran, a saved run, a meter.
 
+Every test marked ``hostile`` is measured; the last lines of a run of this folder say how many
+inputs of which kind were tried, and which took longest and most memory.
+"""
+
+import os
+import re
+import zipfile
+from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from spiral.io.config import build_problem, compose
 from spiral.io.registry import load_registry
 from spiral.io.storage import save_run
 from spiral.types.run import ChannelError, Comparison, Round, Run
+
+SECONDS, BYTES = 30.0, 2 * 10**9  # of a processor and of memory that an input may take
+MEASURED = "hostile"  # property of a test's report: kind, s, bytes
+COLLECTED = pytest.StashKey[tuple[Counter, set]]()  # hostile inputs by kind; files of tests
+STATUS, PEAK = Path("/proc/self/status"), Path("/proc/self/clear_refs")  # of Linux
 
 OVERRIDES = ("experiment=rotor_coastdown", "record.duration=0.2")
 
@@ -63,3 +78,80 @@ def saved(question, folder, registry=None, effects=()):
     data = {"records": problem.records, "test": problem.test}
     known = registry or load_registry(local=False)
     return folder / save_run(run, config, data, known, folder).run_id
+
+
+def flood(file, count, kind="<f8"):
+    """An NPZ of so many zeros, small until it is unpacked."""
+    head = {"descr": kind, "fortran_order": False, "shape": (count,)}
+    left, block = count * np.dtype(kind).itemsize, bytes(10**7)
+    packed = zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
+    with packed, packed.open("x.npy", "w", force_zip64=True) as target:
+        np.lib.format.write_array_header_1_0(target, head)
+        while left > 0:
+            target.write(block[:left])
+            left -= len(block)
+
+
+def largest_child():
+    """Most memory, in bytes, that any process started by this one has taken."""
+    import resource
+
+    return 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+
+
+def processor_time():
+    """Of this process and those that it started and that have ended, in s."""
+    return sum(os.times()[:4])
+
+
+@pytest.fixture(autouse=True)
+def measured(request, record_property):
+    """Processor time and memory of a test marked ``hostile``, with interpreter and libraries."""
+    mark = request.node.get_closest_marker("hostile")
+    if mark is None or not PEAK.exists():
+        yield
+        return
+    PEAK.write_text("5")  # the peak starts anew
+    began, before = processor_time(), largest_child()
+    yield
+    seconds, child = processor_time() - began, largest_child()
+    taken = 1024 * int(re.search(r"VmHWM:\s+(\d+)", STATUS.read_text())[1])
+    taken = max(taken, child if child > before else 0)
+    record_property(MEASURED, (mark.args[0], seconds, taken))
+    assert seconds < SECONDS
+    assert taken < BYTES
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    """Note the hostile inputs, and in which files tests are, before slow ones are left out."""
+    kinds = [mark.args[0] for item in items for mark in item.iter_markers("hostile")]
+    config.stash[COLLECTED] = Counter(kinds), {item.path.name for item in items}
+
+
+@pytest.fixture
+def collected(request):
+    """Hostile inputs by kind, slow ones too, and the names of the files that tests are from."""
+    return request.config.stash[COLLECTED]
+
+
+def pytest_terminal_summary(terminalreporter):
+    """How many hostile inputs were tried, and the most that one took."""
+    found = [
+        (*value, report.nodeid.rpartition("::")[2])
+        for reports in terminalreporter.stats.values()
+        for report in reports
+        if getattr(report, "when", "") == "teardown"
+        for name, value in report.user_properties
+        if name == MEASURED
+    ]
+    if not found:
+        return
+    kinds = Counter(kind for kind, *_ in found)
+    longest, largest = max(found, key=lambda f: f[1]), max(found, key=lambda f: f[2])
+    listed = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
+    terminalreporter.write_line(
+        f"hostile inputs: {len(found)} ({listed})\n"
+        f"  most processor time {longest[1]:.1f} s ({longest[3]})\n"
+        f"  most memory {largest[2] / 1e9:.2f} GB ({largest[3]})"
+    )

@@ -7,6 +7,7 @@ import json
 import os
 import queue
 import random
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -20,14 +21,23 @@ import pytest
 from spiral.app.processes import Process
 from spiral.app.serve import alone
 from spiral.app.study import load, new_study, turn_place
+from spiral.io.checkpoint import FILE as CHECKPOINT
+from spiral.io.checkpoint import FOLDER
 from spiral.io.storage import FILE, run_ids
+from spiral.io.tracking.store import Tracking, opened
 from spiral.io.tracking.track import MARK
 from spiral.types.errors import ConfigError, InputError
-from tests.sweep_jobs import RECORD
+from tests.sweep_jobs import RECORD, without_clock
 
 SPIRAL = [sys.executable, "-m", "spiral"]
 STUDY = (*RECORD, "candidates=[cubic_stiffness,quadratic_damping]", "holdout=0.3")
 KILLS = 10
+FINAL = ("done", "failed")
+ROUNDS = (
+    "experiment=rotor_coastdown", "record.duration=2", "settings.max_rounds=3",
+    "candidates=[cross_stiffness,cubic_stiffness,gyroscopic]", "tracking.model=false",
+)  # fmt: skip
+SWEPT = ("compare", *RECORD, "holdout=0.2,0.3,0.4,0.5", "n_jobs=2", "tracking.model=false", "-m")
 
 
 def spiral(place, *words, **more):
@@ -51,8 +61,9 @@ def test_the_pages_worker_killed_at_random_moments_costs_its_step_alone(tmp_path
     order = {"do": "start", "study": study.ident, "serial": 0, "plugins": None,
              "overrides": list(STUDY)}  # fmt: skip
 
-    def ended():
-        while (event := told.get(timeout=300))[0] not in ("done", "failed"):
+    def ended(seconds=600.0):
+        end = time.monotonic() + seconds
+        while (event := told.get(timeout=max(end - time.monotonic(), 0)))[0] not in FINAL:
             pass
         return event
 
@@ -60,24 +71,103 @@ def test_the_pages_worker_killed_at_random_moments_costs_its_step_alone(tmp_path
         began = time.monotonic()
         process.give(order)
         assert ended()[0] == "done"
-        seconds, chance, failed = time.monotonic() - began, random.Random(3), 0
-        for _ in range(KILLS):
+        seconds, chance, kills = time.monotonic() - began, random.Random(3), 0
+        while kills < KILLS:
             process.give(order)
-            time.sleep(chance.uniform(0.05, 0.6) * seconds)
-            worker = process._process
-            os.kill(worker.pid, signal.SIGKILL)
-            kind, data = ended()
-            worker.join(10)
-            if kind == "failed":
-                failed += 1
+            began = time.monotonic()
+            try:
+                assert ended(chance.uniform(0.05, 1.0) * seconds)[0] == "done"
+            except queue.Empty:  # it is at work
+                worker = process._process
+                os.kill(worker.pid, signal.SIGKILL)
+                kind, data = ended()
+                worker.join(10)
+                assert kind == "failed"
                 assert "ended in the middle" in data["given"]
-        assert failed >= KILLS // 2
+                kills += 1
+            else:  # faster than at first: sooner, next time
+                seconds = time.monotonic() - began
         process.give(order)
         assert ended()[0] == "done"
     finally:
         process.close()
     assert load(tmp_path, study.ident).title == "a study"
     assert not list(turn_place(tmp_path, study.ident, 0).rglob("*.tmp"))
+
+
+def answer(done, place):
+    """The result of a command, less clocks and names of runs and sweeps."""
+    assert done.returncode == 0, done.stderr
+    result = without_clock(json.loads((place / "result.json").read_text()))
+    return {k: v for k, v in result.items() if k != "sweep"}
+
+
+def told_once(folder):
+    """MLflow knows every saved run, once, and as finished."""
+    runs = run_ids(folder)
+    with opened(Tracking(model=False), folder) as store:
+        found = store.client.search_runs([store.experiment], max_results=1000)
+    parents = [r.data.tags["spiral.run_id"] for r in found if "spiral.run_id" in r.data.tags]
+    assert sorted(parents) == sorted(runs)
+    assert all(r.info.status == "FINISHED" for r in found)
+    assert all((folder / name / MARK).is_file() for name in runs)
+    return True
+
+
+def kept(place):
+    """How many rows and checkpoints of unfinished sweeps and studies lie in a folder."""
+    sweeps = (s for s in place.glob("runs/sweeps/*") if not (s / "summary.json").exists())
+    rows = [row for sweep in sweeps for row in sweep.glob("rows/*.json")]
+    return len(rows) + len(list(place.glob(f"runs/{FOLDER}/*/{CHECKPOINT}")))
+
+
+def killed(place, words, seconds, at_work):
+    """Start a command, end it by kill -9 after so long; whether that was before its end.
+
+    ``at_work`` counts from the first row or round that it keeps, not from its start.
+    """
+    process = subprocess.Popen(
+        [*SPIRAL, *words], cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    while at_work and not kept(place) and process.poll() is None:
+        time.sleep(0.02)
+    time.sleep(seconds)
+    early = process.poll() is None
+    process.kill()
+    process.wait()
+    return early
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [("discover", *ROUNDS), SWEPT], ids=["discover", "sweep"])
+def test_a_command_killed_at_random_moments_goes_on_to_the_same_answer(tmp_path, words):
+    """Five from its start, five from when it has kept something; the last may be MLflow's turn."""
+    words = (*words, "--json", "result.json")
+    chance, number, taken_up = random.Random(5), 0, 0
+    (tmp_path / "whole").mkdir()
+    began = time.monotonic()
+    expected = answer(spiral(tmp_path / "whole", *words), tmp_path / "whole")
+    seconds = time.monotonic() - began
+    while number < KILLS:
+        place = tmp_path / str(number)
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir()
+        at_work = number % 2 == 1
+        moment = chance.uniform(0.0, 0.04) if at_work else chance.uniform(0.1, 1.0)
+        if not killed(place, words, moment * seconds, at_work):
+            continue  # it had ended before
+        number += 1
+        assert sound(place / "runs")
+        left = kept(place)
+        done = spiral(place, *words)
+        told = "taking up this study" in done.stderr or "taking up sweep" in done.stderr
+        assert told or not left  # a sweep is taken up without a row too
+        taken_up += told
+        assert answer(done, place) == expected
+        assert told_once(place / "runs")
+        assert not [p for p in place.rglob("*") if ".tmp" in p.name]
+    print(f"{taken_up} of {KILLS} kills left rounds or rows that were taken up")
+    assert taken_up
 
 
 @pytest.mark.slow
@@ -100,6 +190,57 @@ def test_files_that_may_grow_no_further_are_one_message(tmp_path, verb):
         assert not [p for p in tmp_path.rglob("*") if ".tmp" in p.name]
         assert all(p.read_bytes() == content for p, content in kept.items())
         assert sound(tmp_path / "runs")
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of its own, and a function that makes it so many kB large."""
+    if os.geteuid() != 0 or shutil.which("mount") is None:
+        pytest.skip("needs root to mount a small disk")
+    place = tmp_path / "small"
+    place.mkdir()
+
+    def sized(size, more=()):
+        options = ",".join((*more, f"size={size}k"))
+        return subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)],
+                              capture_output=True).returncode == 0  # fmt: skip
+
+    if not sized(4):
+        pytest.skip("no small disk can be mounted here")
+    yield place, lambda size: sized(size, ("remount",))
+    while os.path.ismount(place):  # a remount may have become a mount of its own
+        subprocess.run(["umount", "--lazy", str(place)], check=True)
+
+
+@pytest.mark.slow
+def test_a_full_disk_that_grows_is_one_message_each_time_and_ends_in_the_same_answer(
+    tmp_path, small_disk
+):
+    """From the first checkpoint to MLflow's database, each of these sizes ends another write."""
+    words = ("discover", *ROUNDS, "--json", "result.json")
+    (tmp_path / "whole").mkdir()
+    expected = answer(spiral(tmp_path / "whole", *words), tmp_path / "whole")
+    place, resize = small_disk
+    stopped, untold = [], []
+    for size in (4, 16, 64, 256, 1024, 2048, 4096, 262144):
+        assert resize(size)
+        done = spiral(tmp_path, *words, f"out={place}")
+        assert "Traceback" not in done.stderr
+        assert not [p for p in place.rglob("*") if ".tmp" in p.name]
+        assert sound(place)
+        if done.returncode:
+            assert done.returncode == 2
+            assert done.stderr.count("No space left") == 1
+            stopped.append(size)
+            continue
+        assert answer(done, tmp_path) == expected
+        if "not told to MLflow" not in done.stderr:
+            break
+        untold.append(size)
+    print(f"no room for the study at {stopped} kB, none for MLflow at {untold} kB")
+    assert stopped
+    assert untold
+    assert told_once(place)
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from spiral.types.errors import ConfigError
 LONG = "(a+b+c+d+e+f+g)"
 
 
+@pytest.mark.hostile("formulas")
 @pytest.mark.parametrize(
     "text",
     [

@@ -9,6 +9,7 @@ import pytest
 from spiral.io import curves, run_id
 from spiral.io.curves import Curves, write_curves
 from spiral.io.storage import load_run, run_ids
+from spiral.io.tracking import store
 from spiral.io.tracking.store import Tracking, opened
 from spiral.types.errors import InputError
 from tests.safety.conftest import saved
@@ -34,6 +35,21 @@ def test_a_server_that_does_not_run_is_tried_once_and_shortly(tmp_path):
     ):
         raise AssertionError
     assert time.monotonic() - began < 20  # importing MLflow takes most of it
+
+
+def test_a_database_of_mlflow_is_made_whole_or_not_at_all(tmp_path, monkeypatch):
+    """A disk that was full while it was made left one that could never be opened again."""
+
+    def full(source, target):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store.os, "replace", full)
+        with pytest.raises(OSError, match="No space left"), opened(Tracking(), tmp_path):
+            raise AssertionError
+    assert [p.name for p in tmp_path.iterdir()] == [store.LOCK]
+    with opened(Tracking(), tmp_path) as found:
+        assert found.client.get_experiment(found.experiment).name == "spiral"
 
 
 class Yesterday(datetime):

@@ -14,6 +14,7 @@ REGISTRY = load_registry(local=False)
 FILE = "file:"  # an address of the disk
 
 
+@pytest.mark.hostile("overrides")
 @pytest.mark.parametrize(
     "given",
     [
@@ -37,6 +38,7 @@ def test_what_is_no_override_is_refused_at_once(given):
     assert time.monotonic() - began < 10
 
 
+@pytest.mark.hostile("overrides")
 @pytest.mark.parametrize(
     "given",
     [
@@ -55,6 +57,7 @@ def test_what_is_no_choice_is_refused(given):
         compose((given,), REGISTRY)
 
 
+@pytest.mark.hostile("overrides")
 def test_nothing_is_put_into_a_text(monkeypatch):
     """Of the environment, for instance, where a downloaded study asks for it."""
     monkeypatch.setenv("SECRET", "hush")
@@ -65,6 +68,7 @@ def test_nothing_is_put_into_a_text(monkeypatch):
     assert compose(given, REGISTRY)["record"]["path"] == texts
 
 
+@pytest.mark.hostile("overrides")
 @pytest.mark.parametrize(
     "path",
     [

@@ -62,6 +62,7 @@ def own_registry(folder, plugin):
     return load_registry(folder)
 
 
+@pytest.mark.hostile("saved runs")
 @pytest.mark.parametrize("named", [["EVIL"], {"EVIL": "EVIL"}])
 def test_a_plugin_file_that_a_run_names_is_neither_run_nor_logged(
     question, out, tmp_path, plugin, trace, named
@@ -96,6 +97,7 @@ def test_a_plugin_travels_with_the_model_where_it_is_the_one_recorded(
     assert copy.read_text() == plugin
 
 
+@pytest.mark.hostile("saved runs")
 @pytest.mark.parametrize("how", ["another text", "not loaded"])
 def test_a_model_is_not_built_of_another_plugin_than_the_run_recorded(
     question, out, tmp_path, plugin, how
@@ -110,6 +112,7 @@ def test_a_model_is_not_built_of_another_plugin_than_the_run_recorded(
     assert (folder / "tracked.json").is_file()  # the rest is logged, and once
 
 
+@pytest.mark.hostile("saved runs")
 def test_a_run_that_claims_a_shipped_name_gets_no_local_plugin(question, out, tmp_path, plugin):
     """A local plugin of this command stands in for an effect only where the run recorded it."""
     registry = own_registry(tmp_path / "mine", plugin)
@@ -119,6 +122,7 @@ def test_a_run_that_claims_a_shipped_name_gets_no_local_plugin(question, out, tm
         read_run(folder / FILE).local_files(registry)
 
 
+@pytest.mark.hostile("saved runs")
 def test_the_tracking_of_a_saved_run_is_not_obeyed(question, out, tmp_path):
     """``run=`` took the address of the tracking server, and the folder of runs, from the file."""
     folder = saved(question, out)
@@ -137,6 +141,7 @@ def test_the_tracking_of_a_saved_run_is_not_obeyed(question, out, tmp_path):
     assert config["tracking"]["uri"] == "sqlite:///mine.db"
 
 
+@pytest.mark.hostile("saved runs")
 def test_runs_are_told_to_the_store_of_this_command_alone(question, out, monkeypatch):
     folder = saved(question, out)
     data = json.loads((folder / FILE).read_text())
@@ -147,6 +152,7 @@ def test_runs_are_told_to_the_store_of_this_command_alone(question, out, monkeyp
     assert found.uri == f"sqlite:///{out / 'mlflow.db'}"
 
 
+@pytest.mark.hostile("saved runs")
 @pytest.mark.parametrize("name", [FILE, CURVES])
 def test_a_link_out_of_a_runs_folder_is_not_followed(question, out, tmp_path, name):
     """A link in a downloaded folder would have another file logged as an artifact."""
@@ -159,6 +165,7 @@ def test_a_link_out_of_a_runs_folder_is_not_followed(question, out, tmp_path, na
         read_curves(folder) if name == CURVES else read_run(folder / FILE)
 
 
+@pytest.mark.hostile("saved runs")
 def test_a_run_is_called_by_its_folder_whatever_it_says(question, out):
     folder = saved(question, out)
     changed(folder, run_id="../../elsewhere")
@@ -168,6 +175,7 @@ def test_a_run_is_called_by_its_folder_whatever_it_says(question, out):
     assert run_ids(out) == [folder.name]
 
 
+@pytest.mark.hostile("saved runs")
 def test_a_run_that_cannot_be_read_keeps_no_other_from_being_told(question, out):
     broken = out / "20990101-000000-000aaaaaaaa"
     broken.mkdir()
@@ -177,6 +185,7 @@ def test_a_run_that_cannot_be_read_keeps_no_other_from_being_told(question, out)
     assert isinstance(logged(out)[0].info.run_id, str)
 
 
+@pytest.mark.hostile("saved runs")
 def test_a_compiled_file_beside_a_plugin_is_not_run(tmp_path, plugin, trace):
     """A ``__pycache__`` that came with a folder would run in place of the text that is named."""
     import importlib._bootstrap_external as files

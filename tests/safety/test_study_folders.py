@@ -72,6 +72,7 @@ def plain_turn(**values):
     return asdict(replace(turn, **values))
 
 
+@pytest.mark.hostile("study folders")
 def test_a_plugin_folder_that_a_study_names_is_never_loaded(session, ident, tmp_path):
     """``plugins`` in study.json was executed when the page opened it."""
     again = rewritten(session, ident, plugins=str(tmp_path / "evil"), turns=[plain_turn()])
@@ -83,12 +84,14 @@ def test_a_plugin_folder_that_a_study_names_is_never_loaded(session, ident, tmp_
     assert "plugins" not in asdict(again.scene(ident).study)
 
 
+@pytest.mark.hostile("study folders")
 def test_a_study_is_called_by_its_folder(session, ident):
     again = rewritten(session, ident, ident="<script>")
     assert again.scene(ident).study.ident == ident
     assert [s.ident for s in again.studies()] == [ident]
 
 
+@pytest.mark.hostile("study folders")
 @pytest.mark.parametrize("serial", ["../../elsewhere", "x", None, [1]])
 def test_the_number_of_a_turn_is_a_number(session, ident, serial):
     """It becomes part of a folder's name."""
@@ -97,6 +100,7 @@ def test_the_number_of_a_turn_is_a_number(session, ident, serial):
         again.scene(ident)
 
 
+@pytest.mark.hostile("study folders")
 @pytest.mark.parametrize(
     "values",
     [{"turns": 5}, {"turns": ["x"]}, {"records": ["x"]}, {"trouble": "x"}, {"noise_floor": EVIL},
@@ -107,6 +111,7 @@ def test_a_study_of_other_types_hides_no_other(session, ident, values):
     assert [s.ident for s in rewritten(session, ident, **values).studies()] == [other]
 
 
+@pytest.mark.hostile("study folders")
 def test_a_study_that_is_a_link_elsewhere_is_not_read(session, ident, tmp_path):
     file = kept.place(session.out, ident) / kept.FILE
     file.rename(tmp_path / "study.json")
@@ -115,6 +120,7 @@ def test_a_study_that_is_a_link_elsewhere_is_not_read(session, ident, tmp_path):
         kept.load(session.out, ident)
 
 
+@pytest.mark.hostile("study folders")
 @pytest.mark.parametrize("run_id", ["../secret", "..", "/etc", "a/b", "-x", ""])
 def test_only_files_of_a_run_are_taken_away(session, ident, tmp_path, run_id):
     (tmp_path.parent / "secret").mkdir(exist_ok=True)
@@ -124,6 +130,7 @@ def test_only_files_of_a_run_are_taken_away(session, ident, tmp_path, run_id):
         written(again, ident, 0, "run.json")
 
 
+@pytest.mark.hostile("study folders")
 def test_a_link_among_a_runs_files_is_not_taken_away(session, ident, tmp_path):
     run = tmp_path / "20260101-000000-abc"
     run.mkdir()
@@ -134,16 +141,19 @@ def test_a_link_among_a_runs_files_is_not_taken_away(session, ident, tmp_path):
         written(again, ident, 0, "run.json")
 
 
-def test_a_program_that_lies_in_a_runs_folder_is_not_taken_away(session, ident, tmp_path):
-    """It may come from anywhere under the name of an export; the export is made anew."""
+@pytest.mark.hostile("study folders")
+@pytest.mark.parametrize(
+    ("name", "own"), [("model.py", "PARAMETERS"), ("report.html", "<title>spiral")]
+)
+def test_a_program_that_lies_in_a_runs_folder_is_not_taken_away(session, ident, name, own):
+    """It may come from anywhere under the name of an export or report; both are made anew."""
     model = replace(machine_of("hysteresis").model, errors={})
     run_id = save_result("discover", {}, model, {}, {}, REGISTRY, session.out)
-    planted = run_folder(session.out, run_id) / "model.py"
-    planted.write_text("import os  # evil")
+    (run_folder(session.out, run_id) / name).write_text("<script>a-planted-program</script>")
     again = rewritten(session, ident, turns=[plain_turn(run_id=run_id)])
-    text = written(again, ident, 0, "model.py").read_text()
-    assert "evil" not in text
-    assert "PARAMETERS" in text
+    text = written(again, ident, 0, name).read_text()
+    assert "a-planted-program" not in text
+    assert own in text
 
 
 class Asked:
@@ -156,6 +166,7 @@ class Asked:
         return "http://127.0.0.1:1/"
 
 
+@pytest.mark.hostile("study folders")
 @pytest.mark.parametrize(
     ("tracked", "opened"), [("experiments/1/runs/a1", 1), ("../../x", 0), ("//evil.example", 0)]
 )
@@ -173,6 +184,7 @@ def test_mlflow_opens_the_pages_own_store(session, ident, monkeypatch, tracked, 
     assert viewer.stores == (f"sqlite:///{session.out / 'mlflow.db'}",) * opened
 
 
+@pytest.mark.hostile("study folders")
 def test_runs_of_a_study_are_told_to_the_pages_own_store(tmp_path, monkeypatch):
     told = []
     monkeypatch.setattr(
@@ -279,6 +291,7 @@ def shown():
 SHOWN = shown()
 
 
+@pytest.mark.hostile("study folders")
 @pytest.mark.parametrize("name", SHOWN)
 def test_a_text_stays_a_text_wherever_it_is_shown(name):
     assert harmless(SHOWN[name])
@@ -291,6 +304,7 @@ def test_the_texts_are_shown_at_all():
     assert not harmless(EVIL)
 
 
+@pytest.mark.hostile("study folders")
 def test_a_text_inside_a_figure_ends_no_script():
     figure = evidence.error_falling(RESULT)
     html = single(Shown(EVIL[:3], EVIL, EVIL, figure))
@@ -312,6 +326,7 @@ def test_mathml_of_a_model_comes_through_as_it_was(question):
         )
 
 
+@pytest.mark.hostile("study folders")
 @pytest.mark.parametrize(
     "piece",
     [
@@ -338,6 +353,7 @@ def test_mathml_holds_layout_alone(piece):
     assert safe_mathml(piece).count("<m") == safe_mathml(piece).count("</m")
 
 
+@pytest.mark.hostile("study folders")
 @pytest.mark.parametrize("piece", [None, 5, ["<mi>"], "<mi>" * 60_000])
 def test_mathml_that_is_none_shows_nothing(piece):
     assert safe_mathml(piece) == ""

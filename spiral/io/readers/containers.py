@@ -6,6 +6,7 @@ another file are left out and named.
 
 from __future__ import annotations
 
+import math
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -16,11 +17,12 @@ import numpy as np
 
 from spiral.types.errors import InputError
 
-UNPACKED = 2 * 10**9  # bytes that any file may unpack to, however small it is
-_RATIO = 4  # of unpacked to packed bytes, which measured numbers hardly exceed
+UNPACKED = 400_000_000  # bytes that any file may unpack to, however small it is
+_RATIO = 8  # of unpacked to packed bytes, which measured numbers hardly exceed
 _ITEMS = 20_000  # groups, datasets and cells that are looked at
 _DEPTH = 12
 _NUMBER, _OBJECT = 16, 100  # bytes of a number and of an object in a column, read and handed on
+_FLOAT = 8  # bytes of a number as it is worked with, whatever the file keeps it as
 _LONGEST = 400  # letters of a cell of text that may stand for a number or a time
 _NAMED = 5  # items left out that are named
 
@@ -35,8 +37,8 @@ class Allowance:
     items: int = 0
     left_out: list[str] = field(default_factory=list)
 
-    def take(self, count: int) -> None:
-        """Count one item that unpacks to so many bytes.
+    def take(self, count: int, passing: int = 0) -> None:
+        """Count one item that unpacks to so many bytes, and takes more while it is read.
 
         Raises
         ------
@@ -44,14 +46,24 @@ class Allowance:
         """
         self.items, self.bytes = self.items + 1, self.bytes + count
         most = max(UNPACKED, _RATIO * self.size)
-        if self.bytes > most:
+        needed = self.bytes + passing
+        if needed > most:
             raise InputError(
-                f"{self.given}: {self.size / 1e6:.3g} MB that unpack to {self.bytes / 1e9:.3g} GB "
+                f"{self.given}: {self.size / 1e6:.3g} MB that unpack to {needed / 1e9:.3g} GB "
                 "or more", f"at most {most / 1e9:.3g} GB of numbers", "keep the columns you need",
             )  # fmt: skip
         if self.items > _ITEMS:
             raise InputError(f"{self.given}: more than {_ITEMS} arrays and groups",
                              "a file of measurements", "keep the groups you need")  # fmt: skip
+
+    def take_array(self, count: int, dtype: np.dtype[Any], passing: int = 0) -> None:
+        """Count an array of so many items, whose numbers are worked with as float64.
+
+        Raises
+        ------
+        InputError : too many.
+        """
+        self.take(count * width(dtype), passing)
 
     def notes(self) -> tuple[str, ...]:
         """What was left out, in words."""
@@ -59,6 +71,11 @@ class Allowance:
             return ()
         more = ", ..." if len(self.left_out) > _NAMED else ""
         return (f"{Path(self.given).name}: left out {', '.join(self.left_out[:_NAMED])}{more}",)
+
+
+def width(dtype: np.dtype[Any]) -> int:
+    """Bytes of an item where it is read or worked with, whichever is more."""
+    return max(dtype.itemsize, _FLOAT * len(dtype.names or "x"))
 
 
 def series_of(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
@@ -90,9 +107,22 @@ def npz_arrays(given: str, path: Path) -> dict[str, np.ndarray]:
     allowance = Allowance(given, path.stat().st_size)
     with zipfile.ZipFile(path) as packed:
         for member in packed.infolist():
-            allowance.take(member.file_size)
+            allowance.take(max(member.file_size, _declared(packed, member)))
     with np.load(path, allow_pickle=False) as arrays:
         return {name: arrays[name] for name in arrays.files}
+
+
+def _declared(packed: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
+    """Bytes of the numbers that an array's own head promises; none where it has no such head."""
+    with packed.open(member) as file:
+        try:
+            version = np.lib.format.read_magic(file)
+            reads = np.lib.format
+            head = reads.read_array_header_1_0 if version == (1, 0) else reads.read_array_header_2_0
+            shape, _, dtype = head(file)
+        except ValueError:
+            return 0
+    return math.prod(shape) * width(dtype)
 
 
 def parquet_columns(path: Path, allowance: Allowance) -> list[tuple[str, Any]]:
@@ -111,16 +141,17 @@ def parquet_columns(path: Path, allowance: Allowance) -> list[tuple[str, Any]]:
 
     with pq.ParquetFile(path) as opened:
         about, schema = opened.metadata, opened.schema_arrow
-    nested = [f.name for f in schema if pa.types.is_nested(f.type)]
-    allowance.left_out += [f"{name} (lists or structs)" for name in nested]
-    plain = [f.name for f in schema if pa.types.is_primitive(f.type)]
-    text = [name for name in schema.names if name not in {*nested, *plain}]
+    nested = {f.name for f in schema if pa.types.is_nested(f.type)}
+    plain = {f.name for f in schema if pa.types.is_primitive(f.type)}
+    kept = [name for name in schema.names if name not in nested]
+    text = set(kept) - plain
+    allowance.left_out += [f"{name} (lists or structs)" for name in schema.names if name in nested]
     for group in map(about.row_group, range(about.num_row_groups)):
         columns = map(group.column, range(group.num_columns))
         allowance.take(sum(column.total_uncompressed_size for column in columns))
     allowance.take(about.num_rows * (_NUMBER * len(plain) + _OBJECT * len(text)))
-    with pq.ParquetFile(path, read_dictionary=text) as opened:
-        frame = opened.read(columns=[n for n in schema.names if n not in nested]).to_pandas()
+    with pq.ParquetFile(path, read_dictionary=list(text)) as opened:
+        frame = opened.read(columns=kept).to_pandas()
     found = []
     for column in frame.columns:
         name, values = str(column), frame[column]
@@ -187,7 +218,8 @@ class Hdf5:
             return
         if "MATLAB_class" in item.attrs and "MATLAB_empty" in item.attrs:
             return
-        self.allowance.take(item.nbytes)
+        piece = math.prod(item.chunks or (0,)) * item.dtype.itemsize  # is unpacked whole
+        self.allowance.take_array(item.size, item.dtype, piece)
         if reference:
             # MATLAB counts the cells along columns; HDF5 holds the transposed array.
             for position, cell in enumerate(np.asarray(item[()]).ravel()):

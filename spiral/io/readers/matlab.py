@@ -25,9 +25,8 @@ _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _OBJECT, _TEXT, _SPARSE = 1, 2, 3, 4, 5
 _OPAQUE = (16, 17)  # functions and objects of newer classes, which hold no series
 _NAME = 1 << 20  # bytes that a name or a list of sizes may take
-_SIZES = {6: 8, 7: 4, 8: 1, 9: 1, 10: 2, 11: 2, 12: 4, 13: 4, 14: 8, 15: 8}
-"""Class of an array -> bytes of one number, as its flags say it."""
 _COMPLEX = 0x800
+_NUMBER = 8  # bytes of a number as it is worked with, whatever the file keeps it as
 
 
 def read_mat(given: str, path: Path) -> list[tuple[str, np.ndarray]]:
@@ -47,12 +46,15 @@ def mat_variables(given: str, path: Path) -> dict[str, Any]:
     ------
     InputError : more than may be unpacked.
     """
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     allowance = Allowance(given, path.stat().st_size)
     with path.open("rb") as file:
         if file.read(10) == b"MATLAB 5.0":
             _Declared(file, allowance).count()
+        else:  # version 4, whose arrays lie in the file as they are
+            for _, shape, kind in whosmat(path):
+                allowance.take(0 if kind == "sparse" else _NUMBER * math.prod(shape))
     variables = loadmat(path, struct_as_record=True)
     return {k: v for k, v in variables.items() if not k.startswith("__")}
 
@@ -125,7 +127,7 @@ class _Declared:
         if kind in (_CELL, _STRUCT, _OBJECT):
             self._inside(source, size - used, kind, entries, depth)
             return
-        each = 16 if kind == _SPARSE else 4 if kind == _TEXT else _SIZES.get(kind, 8)
+        each = {_SPARSE: 2 * _NUMBER, _TEXT: 4}.get(kind, _NUMBER)
         count = most if kind == _SPARSE else entries
         self._allowance.take(count * each * (2 if first & _COMPLEX else 1))
         _skip(source, size - used)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from spiral.io.readers.containers import npz_arrays
+from spiral.io.readers.containers import Allowance, npz_arrays
+from spiral.io.readers.limits import seconds_for, within_seconds
 from spiral.io.readers.matlab import mat_variables
 from spiral.physics.structures.description import KeptNode, described
 from spiral.types.errors import ConfigError, InputError, did_you_mean
@@ -19,6 +20,8 @@ NAMES = ("M", "K", "C", "G")
 """Mass, stiffness, damping, gyroscopic matrix per rad/s; ``K_NAME`` are parts of the stiffness."""
 USES = ("sensor", "input", "port")
 _COLUMNS = ("name", "dof", "use", "unit")
+_ROWS = 10**7  # of a matrix; a sparse one may declare any number
+_ENTRY, _FLOAT = 16, 8  # bytes of an entry of a sparse matrix, and of a full one
 
 
 def read_structure(
@@ -56,7 +59,7 @@ def matrices_of(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
         given = {k: _one(v) if isinstance(v, str | Path) else v for k, v in source.items()}
     else:
         given = _file(Path(source).expanduser())
-    found = {k: sparse.csc_matrix(v) for k, v in given.items() if _is_name(k)}
+    found = {k: _sparse(k, v) for k, v in given.items() if _is_name(k)}
     for name in ("M", "K"):
         if name not in found:
             raise InputError(
@@ -68,31 +71,53 @@ def matrices_of(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
+def _sparse(name: str, matrix: Any) -> sparse.csc_matrix:
+    """A matrix by columns, where it has no more rows and columns than can be worked with."""
+    if max(np.shape(matrix), default=0) > _ROWS:
+        raise InputError(f"{name} with {max(np.shape(matrix))} rows or columns", f"at most {_ROWS}")
+    return sparse.csc_matrix(matrix)
+
+
 def _is_name(name: str) -> bool:
     return name in NAMES or (name.startswith("K_") and name[2:].isidentifier())
 
 
 def _file(path: Path) -> dict[str, Any]:
     try:
-        if path.suffix.lower() == ".npz":
-            return npz_arrays(str(path), path)
-        if path.suffix.lower() == ".mat":
-            return mat_variables(str(path), path)
-    except InputError:
+        with within_seconds(seconds_for(path.stat().st_size)):
+            return _named(path)
+    except (InputError, MemoryError):
         raise
     except Exception as error:  # the readers raise what their formats' parsers do
         raise InputError(f"{path}: {error}", "an NPZ or MAT file with matrices") from error
+
+
+def _named(path: Path) -> dict[str, Any]:
+    """The arrays of a file by name."""
+    if path.suffix.lower() == ".npz":
+        return npz_arrays(str(path), path)
+    if path.suffix.lower() == ".mat":
+        return mat_variables(str(path), path)
     raise InputError(
         f"{path}", "an NPZ or MAT file", "{'M': 'm.mtx', 'K': 'k.mtx'} for single ones"
     )
 
 
 def _one(path: str | Path) -> Any:
-    from scipy.io import hb_read, mmread
+    from scipy.io import hb_read, mminfo, mmread
 
     place = Path(path).expanduser()
     try:
-        return mmread(place) if place.suffix.lower() == ".mtx" else hb_read(place)
+        size = place.stat().st_size
+        with within_seconds(seconds_for(size)):
+            if place.suffix.lower() != ".mtx":
+                return hb_read(place)
+            rows, columns, entries, form, *_ = mminfo(place)
+            whole = rows * columns * _FLOAT
+            Allowance(str(path), size).take(entries * _ENTRY if form == "coordinate" else whole)
+            return mmread(place)
+    except InputError:
+        raise
     except Exception as error:
         raise InputError(f"{path}: {error}", "a Matrix Market or Harwell-Boeing file") from error
 

@@ -25,6 +25,7 @@ from spiral.io.readers.containers import (
 )
 from spiral.io.readers.dialect import find_dialect, units_in
 from spiral.io.readers.files import Table, find_file, first_line_of
+from spiral.io.readers.limits import seconds_for, within_seconds
 from spiral.io.readers.matlab import read_mat
 from spiral.types.errors import ConfigError, InputError
 
@@ -53,15 +54,24 @@ def read_table(
 
     Raises
     ------
-    InputError : a missing, empty or broken file, or one with no column of numbers.
+    InputError : a missing, empty or broken file, one with no column of numbers, or one that takes
+        longer to read than a file of its size may.
     ConfigError : a library that reads this format is not installed.
     MemoryError : more numbers than there is memory.
     """
     path = find_file(given)
+    with within_seconds(seconds_for(path.stat().st_size)):
+        return _named(_read(given, path, separator, decimal, only_text))
+
+
+def _read(
+    given: str, path: Path, separator: str | None, decimal: str | None, only_text: bool
+) -> Table:
+    """The table of a file by its reader."""
     head = _head(given, path)
     kind = format_of(head, path.suffix)
     if kind == "text" or (only_text and kind != "parquet"):
-        return _named(read_text(given, path, head, separator, decimal))
+        return read_text(given, path, head, separator, decimal)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -74,7 +84,7 @@ def read_table(
         ) from error
     if not table.columns:
         raise InputError(f"{given}: {_WORDS[kind]} without a series", "columns of numbers")
-    return _named(table)
+    return table
 
 
 def _named(table: Table) -> Table:
@@ -238,12 +248,14 @@ def _told(function: dict[str, Any]) -> str:
 def _read_tdms(given: str, path: Path) -> Table:
     """Channels as ``group/name``; ``time`` from the sample interval where all have the same."""
     nptdms = _library("nptdms", given)
+    allowance = Allowance(given, path.stat().st_size)
     units: dict[str, str] = {}
     found: list[tuple[str, Any]] = []
     steps = set()
-    for group in nptdms.TdmsFile.read(path).groups():
-        for channel in group.channels():
-            name = f"{group.name}/{channel.name}"
+    with nptdms.TdmsFile.open(path) as file:
+        for channel in (c for group in file.groups() for c in group.channels()):
+            allowance.take_array(len(channel), channel.dtype)
+            name = f"{channel.group_name}/{channel.name}"
             for label, values in series_of(name, channel[:]):
                 found.append((label, values))
                 unit = str(channel.properties.get("unit_string", "")).strip()

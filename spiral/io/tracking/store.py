@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import secrets
 import socket
+import sqlite3
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -105,6 +107,8 @@ def opened(
         import_mlflow()
         from mlflow import MlflowClient
 
+        if uri == f"sqlite:///{folder / DATABASE}" and not (folder / DATABASE).is_file():
+            _create(folder / DATABASE)
         client = MlflowClient(tracking_uri=uri)
         known = client.get_experiment_by_name(tracking.experiment)
         if known is not None:
@@ -114,6 +118,30 @@ def opened(
             place = None if served else (folder / ARTIFACTS).as_uri()
             number = client.create_experiment(tracking.experiment, artifact_location=place)
         yield Store(client, number, uri, draw)
+
+
+def _create(file: Path) -> None:
+    """MLflow's database, whole or not at all: one whose tables are half made can never be opened.
+
+    The copy by SQLite holds all that is written, whatever connections MLflow keeps to the first.
+    """
+    from mlflow import MlflowClient
+
+    for left in file.parent.glob(f".{file.name}.*"):  # of a process that was killed
+        left.unlink(missing_ok=True)
+    trial = file.with_name(f".{file.name}.{secrets.token_hex(4)}.tmp")
+    copy = trial.with_suffix(".copy.tmp")
+    try:
+        MlflowClient(tracking_uri=f"sqlite:///{trial}").search_experiments(max_results=1)
+        with (
+            contextlib.closing(sqlite3.connect(trial)) as made,
+            contextlib.closing(sqlite3.connect(copy)) as whole,
+        ):
+            made.backup(whole)
+        os.replace(copy, file)
+    finally:
+        for left in file.parent.glob(f"{trial.stem}*"):
+            left.unlink(missing_ok=True)
 
 
 def _reach(uri: str) -> None:
