@@ -104,17 +104,22 @@ class Race:
 
     def _final(self, runners: list[Rival]) -> list[Rival]:
         promised = _PROMISED * runners[0].ranked.score.gain
-        least = _KEEP * runners[0].worth
+        least = _share(_KEEP, runners[0].worth)
         near = [r for r in runners if r.worth >= least or r.ranked.score.gain >= promised]
         for runner in near:
             self.progress(f"refitting with {runner.label}")
         again = [_freed(self.base, self._further(r, _HEAT), self.masks) for r in near]
-        least = _NEAR * max(r.worth for r in again)
+        least = _share(_NEAR, max(r.worth for r in again))
         last = [self._further(r, _RACE) for r in again if r.worth >= least]
         return sorted(last, key=lambda r: -r.worth)
 
     def _further(self, rival: Rival, steps: int) -> Rival:
         return _further(self.base, rival, self.masks, steps)
+
+
+def _share(share: float, worth: float) -> float:
+    """What keeps up with the best; where nothing is worth its price, the best alone."""
+    return min(share * worth, worth)
 
 
 def race(

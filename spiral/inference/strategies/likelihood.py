@@ -54,7 +54,7 @@ from spiral.inference.strategies.retire import let_go
 from spiral.inference.suggest import by_evidence
 from spiral.inference.unknown.holding import carried, emptied, having
 from spiral.inference.unknown.shape import applies, unknown_shape
-from spiral.inference.verdict import near_noise
+from spiral.inference.verdict import near_noise, random_forces
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import changes
 from spiral.types.run import Comparison, Stopped, Suggestion
@@ -63,6 +63,7 @@ _LAST = 1e-6  # whiteness from which a model may be the last
 _WARM = 6  # scoring steps from the values on all samples to those on the selecting half
 _ASKED = 3  # rivals that may be judged in one round
 _LISTED = 5
+_OWN = 1.0  # random force, over the machine's own, beside which no term of the model is told
 
 
 def _begin(problem: Problem, progress: Progress) -> Begun:
@@ -207,6 +208,12 @@ def _unhelpful(before: Comparison, after: Comparison, settings: Settings) -> str
     The squared error that it takes away, over what is left, is a size in standard deviations of
     the noise; the largest over the horizons and the free run of the fitted records counts.
     """
+    forces = max(random_forces(after).values(), default=0.0)
+    if forces > _OWN:
+        return (
+            f"with it, too, a random force of {100 * forces:.3g} % of the machine's own would have "
+            "to act: the model has not found its values, or is of another machine"
+        )
     judged_ = changes(before.unseen, after.unseen)
     for change in judged_:
         if change.judged == "worse":
