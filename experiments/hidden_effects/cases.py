@@ -126,6 +126,11 @@ CASES = (
         {"stiffness_x": 4000.0, "stiffness_y": 4000.0, "length": 5e-5, "asymmetry": 0.5},
     ),
     Case("gravity_torque", {"torque": 0.5}, SWING),
+    Case("asymmetric_damping", {"damping": 0.008}, SWING),
+    Case("position_friction", {"slope": 0.04, "width": 0.03}, SWING),
+    Case("asymmetric_stiffness", {"stiffness": 0.06}, SWING),
+    Case("cogging", {"cosine": 0.05, "sine": 0.1, "count": 12.0}, SWING),
+    Case("jenkins", {"stiffness": 0.15, "length": 0.2}, SWING),
 )
 
 

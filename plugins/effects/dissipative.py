@@ -73,6 +73,40 @@ class StribeckFriction(ForceEffect):
         ]
 
 
+class PositionFriction(ForceEffect):
+    """Dry friction that grows with deflection: F = -f |q| tanh(v / w).
+
+    A wedge, a pre-loaded spline, a leaf spring pressed together; structural damping in Reid's form
+    (Aeronautical Quarterly 7, 1956), whose loss in a cycle does not depend on speed.
+    """
+
+    axes = 1
+    parameters = (
+        Parameter("slope", "force/position", lower=0.0),
+        Parameter("width", "velocity", lower=0.0, role="shape", grid=(0.005, 0.03)),
+    )
+
+    def force(self, at, u, p):
+        """-f |q| tanh(v / w)."""
+        (q,), (v,) = at.position, at.velocity
+        return [-p.slope * length([q]) * tanh(v / p.width)]
+
+
+class AsymmetricDamping(ForceEffect):
+    """A damper that resists one way more than the other: F = -c |v|, beside the seed's damper.
+
+    c more towards positive velocity, c less towards negative: rebound and compression of a shock
+    absorber, a check valve (Dixon, The Shock Absorber Handbook, ch. 1).
+    """
+
+    axes = 1
+    parameters = (Parameter("damping", "force/velocity"),)
+
+    def force(self, at, u, p):
+        """-c |v|."""
+        return [-p.damping * length(at.velocity)]
+
+
 class CrossDamping(ForceEffect):
     """Symmetric coupling of the axes by dampers: F = -c (y', x')."""
 

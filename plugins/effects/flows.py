@@ -70,17 +70,6 @@ class Overflow(FlowEffect):
         return {"upper": -p.spilled * above, "lower": p.caught * above}
 
 
-class LinearLoss(FlowEffect):
-    """A seepage in proportion to the level of each tank: x' = ... - c x."""
-
-    channels = ("upper", "lower")
-    parameters = (Parameter("upper", "1/s", lower=0.0), Parameter("lower", "1/s", lower=0.0))
-
-    def flow(self, x, u, p):
-        """-c1 x1 and -c2 x2."""
-        return {"upper": -p.upper * x.upper, "lower": -p.lower * x.lower}
-
-
 class SensorSaturation(SensorEffect):
     """A level sensor that follows less above its limit: y - s (y - l)_+, s = 1 a hard stop.
 

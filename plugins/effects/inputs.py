@@ -9,8 +9,11 @@ from __future__ import annotations
 from spiral_plugins.effects.restoring import WIDTH, beyond
 from spiral_plugins.effects.sensors import half_a_sample
 
+from spiral.math import tanh
 from spiral.types.effect import InputEffect
 from spiral.types.parameter import Parameter, State
+
+_NEAR_TWO = 0.3  # around two, where a lag's share stands for a delay
 
 
 class InputDeadZone(InputEffect):
@@ -55,9 +58,11 @@ class ActuatorLag(InputEffect):
     """An actuator that follows its input late: acting = u - s (u - z), T z' = u - z.
 
     A first-order drive (a coil, a valve, an amplifier), whole at s = 1. Where T is short against
-    the motion all sensors that were early by T would look alike.
+    the motion all sensors that were early by T would look alike. With s = 2 it is the first
+    approximation of an ``input_delay`` of 2 T.
     """
 
+    special = ("input_delay",)
     states = (State("followed", "position"),)
     parameters = (
         Parameter("share", "", lower=0.0),
@@ -76,4 +81,73 @@ class ActuatorLag(InputEffect):
 
     def remark(self, values, step):
         """Half a sample has a usual cause."""
-        return half_a_sample(values["share"] * values["time_constant"], step)
+        late = values["share"] * values["time_constant"]
+        if abs(values["share"] - 2) < _NEAR_TWO:
+            return f"a share near 2 is a delay, of {late:.2g} s: input_delay"
+        return half_a_sample(late, step)
+
+
+class RateLimit(InputEffect):
+    """An actuator that moves no faster than R: acting = u - s (u - z), z' = R tanh((u - z) / w).
+
+    A servo valve, a rudder, a stepping drive; whole at s = 1. w is the error at which the limit is
+    felt; below it the actuator follows like a lag of w / R.
+    """
+
+    states = (State("followed", "position"),)
+    parameters = (
+        Parameter("share", "", lower=0.0),
+        Parameter("rate", "velocity", lower=0.0, role="shape", grid=(0.05, 0.15, 0.4)),
+        Parameter("width", "position", lower=0.0, role="shape", grid=(0.02, 0.06)),
+    )
+
+    def drive(self, at, u, p):
+        """u - s (u - z)."""
+        (given,) = at.position
+        return given - p.share * (given - at.own.followed)
+
+    def rate(self, at, u, p):
+        """R tanh((u - z) / w)."""
+        (given,) = at.position
+        return {"followed": p.rate * tanh((given - at.own.followed) / p.width)}
+
+
+class InputDelay(InputEffect):
+    """An actuator that acts late by T: acting = u(t - T).
+
+    A bus, a controller's cycle, transport in a pipe. With states a and b of a time z near T,
+
+        z a' = b,  z b' = c = 12 (u - a) - 6 b,  r = T / z,  u(t - T) = u - r b + (r^2 - r) c / 2,
+
+    right to the second order in T whatever z is, and with z = T Pade's second approximation (Baker,
+    Graves-Morris, Pade Approximants): right in phase to (2 pi f T)^5 / 720 at the frequency f.
+    Linear in T to leading order only. All sensors late by T look the same.
+    """
+
+    states = (State("level", "position"), State("slope", "position"))
+    parameters = (
+        Parameter("time", "s", lower=0.0),
+        Parameter("scale", "s", lower=0.0, role="shape", start=0.01, spectrum=True),
+    )
+
+    def drive(self, at, u, p):
+        """u - r b + (r^2 - r) c / 2, r = T / z."""
+        (given,) = at.position
+        ratio = p.time / p.scale
+        return given - ratio * at.own.slope + (ratio * ratio - ratio) * _bent(given, at.own) / 2
+
+    def rate(self, at, u, p):
+        """b / z and c / z."""
+        return {
+            "level": at.own.slope / p.scale,
+            "slope": _bent(at.position[0], at.own) / p.scale,
+        }
+
+    def remark(self, values, step):
+        """Half a sample has a usual cause."""
+        return half_a_sample(values["time"], step)
+
+
+def _bent(given, own):
+    """12 (u - a) - 6 b."""
+    return 12 * (given - own.level) - 6 * own.slope

@@ -6,7 +6,7 @@ enters as a plain factor of what they exert.
 
 from __future__ import annotations
 
-from spiral.math import length
+from spiral.math import length, ramp, where
 from spiral.types.effect import ForceEffect
 from spiral.types.parameter import Parameter, State
 
@@ -103,3 +103,31 @@ class BoucWen(ForceEffect):
                 v - (length([v]) * z + p.asymmetry * v * length([z])) / p.length for v, z in pairs
             ]
         }
+
+
+class Jenkins(ForceEffect):
+    """A spring that slides at its limit: F = -k z, z' = v, but 0 where |z| has reached L and grows.
+
+    Jenkin's element: an elastic joint, a bolted lap, a tooth that sticks and slips at the force
+    k L (Iwan, J. Appl. Mech. 33, 1966). Once the motion turns back it is stiff again at once. The
+    last fifth before L is rounded; ``bouc_wen`` bends over from the first deflection on.
+    """
+
+    axes = 1
+    special = ("coulomb_friction",)
+    states = (State("slip", "position"),)
+    parameters = (
+        Parameter("stiffness", "force/position", lower=0.0),
+        Parameter("length", "position", lower=0.0, role="shape", grid=(0.05, 0.2, 0.6)),
+    )
+
+    def force(self, at, u, p):
+        """-k z."""
+        return [-p.stiffness * at.own.slip]
+
+    def rate(self, at, u, p):
+        """v (1 - s), s from 0 at |z| = 0.8 L to 1 at L where v z > 0."""
+        (v,), z = at.velocity, at.own.slip
+        depth, bend = length([z]) - 0.9 * p.length, 0.05 * p.length
+        slides = (ramp(depth + bend, bend) - ramp(depth - bend, bend)) / (2 * bend)
+        return {"slip": v * where(v * z > 0 * v * z, 1 - slides, 1 + 0 * slides)}

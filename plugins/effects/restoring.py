@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from spiral.math import length, ramp, sin, tanh, where
+from spiral.math import cos, length, ramp, sin, tanh, where
 from spiral.types.effect import ForceEffect
 from spiral.types.parameter import Parameter
 
@@ -33,6 +33,21 @@ class QuadraticStiffness(ForceEffect):
     def force(self, at, u, p):
         """-k_i q_i^2 per axis."""
         return [-k * q * q for k, q in zip(p.stiffness, at.position, strict=True)]
+
+
+class AsymmetricStiffness(ForceEffect):
+    """A spring of two slopes that meet at zero: F = -k |q|, beside the seed's spring.
+
+    k stiffer on the positive side, k softer on the other: a joint that opens, a breathing crack in
+    a beam (Chu and Shen, AIAA J. 30, 1992), a rope that goes slack.
+    """
+
+    axes = 1
+    parameters = (Parameter("stiffness", "force/position"),)
+
+    def force(self, at, u, p):
+        """-k |q|."""
+        return [-p.stiffness * length(at.position)]
 
 
 class CubicStiffness(ForceEffect):
@@ -119,6 +134,26 @@ class GravityTorque(ForceEffect):
     def force(self, at, u, p):
         """-g sin q."""
         return [-p.torque * sin(at.position[0])]
+
+
+class Cogging(ForceEffect):
+    """A torque that repeats N times in a turn: F = a cos(N q) + b sin(N q), q in rad.
+
+    Magnets against teeth (Hanselman, Brushless Permanent Magnet Motor Design, ch. 5), a detent, a
+    gear's tooth passing. N is tried from 1 to 24; once a turn it is also a weight off the axis.
+    """
+
+    axes = 1
+    parameters = (
+        Parameter("cosine", "force"),
+        Parameter("sine", "force"),
+        Parameter("count", "", lower=0.0, role="shape", grid=tuple(map(float, range(1, 25)))),
+    )
+
+    def force(self, at, u, p):
+        """a cos(N q) + b sin(N q)."""
+        angle = p.count * at.position[0]
+        return [p.cosine * cos(angle) + p.sine * sin(angle)]
 
 
 class CrossStiffness(ForceEffect):

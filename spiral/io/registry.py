@@ -155,22 +155,19 @@ class Registry:
         return self.make("effect", name, given)
 
     def candidates(self, system: System, everywhere: bool = False) -> tuple[Effect, ...]:
-        """Named effects that fit the system's first port, or (``everywhere``) any port or input."""
-        from spiral.types.effect import FlowEffect, ForceEffect, InputEffect, SensorEffect
-        from spiral.types.placement import check_effect
+        """Named effects that fit the system's first port, or (``everywhere``) any place of it."""
+        from spiral.types.effect import Effect, InputEffect, StateFlow
+        from spiral.types.placement import at_every_place, check_effect
         from spiral.types.units import units_fit
 
-        kinds = (ForceEffect, SensorEffect, FlowEffect, *((InputEffect,) if everywhere else ()))
         found: list[Effect] = []
         for name in self.names("effect"):
             plugin = self.entry("effect", name).plugin
-            if not issubclass(plugin, kinds) or plugin.bare:
+            if not issubclass(plugin, Effect) or plugin.bare:
                 continue
-            others = system.ports[1:] if everywhere and issubclass(plugin, ForceEffect) else ()
-            places = [port.name for port in others]
-            if issubclass(plugin, InputEffect):
-                places = [name for port in system.driven[1:] for name in port.axes]
-            for effect in (plugin(), *(plugin(port=place) for place in places)):
+            if issubclass(plugin, InputEffect | StateFlow) and not everywhere:
+                continue
+            for effect in at_every_place(system, plugin()) if everywhere else (plugin(),):
                 try:
                     check_effect(system, effect)
                 except ConfigError:

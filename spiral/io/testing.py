@@ -214,6 +214,7 @@ def check_plugin(entry: Entry, registry: Registry) -> list[Check]:
         return check_system(registry.make("system", entry.name))
     systems = [registry.make("system", name) for name in registry.names("system")]
     if entry.kind == "effect":
+        systems.append(registry.make("system", "equations", {"text": _FIRST_ORDER}))
         return _on_systems(registry.make("effect", entry.name), systems)
     if entry.kind == "observer":
         return check_observer(registry.make("observer", entry.name), systems)
@@ -245,6 +246,15 @@ def misfit(effect: Effect, system: System) -> str:
     return ""
 
 
+_FIRST_ORDER = """
+title: A warm body, two concentrations
+equations: ["body' = k*heating - c*body", "a' = -c*a", "b' = -c*b"]
+states: {body: K, a: mol/l, b: mol/l}
+inputs: {heating: W}
+parameters: {k: 0.1 K/J, c: 0.1 1/s}
+observed: [body, a]
+"""
+"""States of first order beside those of the shipped systems."""
 _SAY = "a first line that says what it is, and a line with its equation: F = -k q"
 _UNITS = "units relative to the port (force, position, velocity) or absolute ones such as kg*m^2"
 _TRACE = "plain arithmetic and functions of spiral.math; where(...) in place of if"
@@ -275,11 +285,11 @@ def _checked(name: str, on: str, step: Callable[[], str], advice: str) -> Check:
 
 
 def _on_systems(effect: Effect, systems: Sequence[System]) -> list[Check]:
-    reasons = {s.plugin_name(): misfit(effect, s) for s in systems}
-    found = [c for s in systems if not reasons[s.plugin_name()] for c in check_effect(effect, s)]
+    reasons = [(s, misfit(effect, s)) for s in systems]
+    found = [c for s, reason in reasons if not reason for c in check_effect(effect, s)]
     if found:
         return found
-    seen = "; ".join(f"{name}: {reason}" for name, reason in reasons.items()) or "no system"
+    seen = "; ".join(f"{s.plugin_name()}: {reason}" for s, reason in reasons) or "no system"
     advice = "correct its units, or put a system that it fits into the plugin folder"
     return [Check("fits a system", False, f"it fits none. {seen}", advice, effect.label)]
 

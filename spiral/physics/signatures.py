@@ -20,13 +20,21 @@ import sympy as sp
 
 from spiral.physics.trace import asked, input_columns, trace
 from spiral.types.cache import kept
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, SensorEffect
+from spiral.types.effect import (
+    Effect,
+    FlowEffect,
+    ForceEffect,
+    InputEffect,
+    SensorEffect,
+    StateFlow,
+)
 from spiral.types.placement import check_effect
 from spiral.types.port import At, Port
 from spiral.types.record import Array
 from spiral.types.system import System, has_coordinates
 
 Function = Callable[..., Any]
+_SMALL = 1e-8  # amplitude of an effect on an input, which may be linear to leading order only
 Own = Mapping[str, Any]
 """An effect's own states along a motion: (samples,) each, or a tuple of such, one for each axis."""
 
@@ -113,8 +121,10 @@ def signatures(
     if isinstance(effect, InputEffect):
         recorded, slope = _input(along, port), along.by_input[port.axes[0]]
         at = At((recorded,), (), hidden)
-        driven = [asked(effect, "drive", effect.drive, at, u, p) for p in units]
-        return slope[:, :, None] * (np.stack(driven, axis=1) - recorded[:, None])[:, None], readings
+        small = _unit_amplitudes(effect, port, shapes, _SMALL)  # the leading order alone
+        driven = [asked(effect, "drive", effect.drive, at, u, p) for p in small]
+        change = (np.stack(driven, axis=1) - recorded[:, None]) / _SMALL
+        return slope[:, :, None] * change[:, None], readings
     gain = along.once("pushed", lambda: _steady(_matrix(
         _pushed(system)(*along.states.T, *along.inputs.T, *along.parameters), count
     )))  # fmt: skip
@@ -139,8 +149,12 @@ def at_port_along(along: Along, effect: Effect) -> tuple[Array, Array]:
     A flow's place and an input move at their own rates.
     """
     port = along.system.place(effect)
-    if isinstance(effect, InputEffect):
-        position = _input(along, port)[:, None]
+    if isinstance(effect, InputEffect | StateFlow):
+        position = (
+            _levels(along, port)
+            if isinstance(effect, StateFlow)
+            else (_input(along, port)[:, None])
+        )
         return position, np.gradient(position, axis=0)
     if has_coordinates(along.system):
         position, velocity, _ = along.once(port.name, lambda: _moved(along, port))
@@ -148,6 +162,11 @@ def at_port_along(along: Along, effect: Effect) -> tuple[Array, Array]:
     place = _place(along.system, port.name)(*along.states.T, *along.parameters)
     position = _columns(place, len(along.states))
     return position, np.gradient(position, axis=0)
+
+
+def _levels(along: Along, port: Port) -> Array:
+    """(samples, axes) states that a port is made of."""
+    return along.states[:, [_index(along.system, name) for name in port.axes]]
 
 
 def _input(along: Along, port: Port) -> Array:
@@ -170,12 +189,17 @@ def _injected(
         position, velocity, jacobian = along.once(port.name, lambda: _moved(along, port))
         at = At(tuple(position.T), tuple(velocity.T), own)
         return _applied(jacobian, _columns(asked(effect, "force", effect.force, at, u, p), count))
+    found = np.zeros((count, len(names)))
+    if isinstance(effect, StateFlow):
+        at = At(tuple(_levels(along, port).T), (), own)
+        into = asked(effect, "flow", effect.flow, at, u, p)
+        found[:, [names.index(name) for name in port.axes]] = _columns(into, count)
+        return found
     assert isinstance(effect, FlowEffect)
     x = SimpleNamespace(
         **{s.name: along.states[:, i] for i, s in enumerate(system.states)}, own=own
     )
     flows = asked(effect, "flow", effect.flow, x, u, p)
-    found = np.zeros((count, len(names)))
     for name, value in flows.items():
         found[:, names.index(name)] = value
     return found
@@ -192,9 +216,9 @@ def _moved(along: Along, port: Port) -> tuple[Array, Array, Array]:
 
 
 def _unit_amplitudes(
-    effect: Effect, port: Port, shapes: Mapping[str, Any]
+    effect: Effect, port: Port, shapes: Mapping[str, Any], size: float = 1.0
 ) -> list[SimpleNamespace]:
-    """Parameters with one amplitude at 1 and all others at 0, for each amplitude in turn."""
+    """Parameters with one amplitude at 1 (or a size) and all others at 0, for each in turn."""
     axes = port.axes if len(port.axes) > 1 else (port.axes[0] if port.axes else "",)
     spots = [
         (q.name, i) for q in effect.amplitudes() for i in range(len(axes) if q.per_axis else 1)
@@ -207,7 +231,7 @@ def _unit_amplitudes(
                 one: Any = shapes.get(q.name, q.start or 0.0)
                 setattr(p, q.name, (one,) * len(axes) if q.per_axis else one)
                 continue
-            values = [float(q.name == name and i == place) for i in range(len(axes))]
+            values = [size * (q.name == name and i == place) for i in range(len(axes))]
             setattr(p, q.name, tuple(values) if q.per_axis else values[0])
         found.append(p)
     return found

@@ -26,6 +26,7 @@ from spiral.types.effect import (
     ForceEffect,
     InputEffect,
     SensorEffect,
+    StateFlow,
     expand,
 )
 from spiral.types.errors import PluginError, SpiralError, did_you_mean
@@ -229,6 +230,8 @@ def _place(
         position = tuple(getattr(x, name) for name in system.observed)
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
+    elif isinstance(effect, StateFlow):
+        position = tuple(getattr(x, name) for name in port.axes)
     elif has_coordinates(system):
         q, v = system.split(x)
         position = tuple(port.coordinates(q, p))
@@ -291,6 +294,11 @@ def _inject(
             for j, name in enumerate(coordinates):  # J^T F; most of J is zero or one
                 pairs = zip(item.jacobian.col(j), force, strict=True)
                 total[name] += sum(slope * value for slope, value in pairs if slope)
+        elif isinstance(effect, StateFlow):
+            flows = asked(effect, "flow", effect.flow, item.at, u, item.p)
+            _check_length(effect, "flow", flows, item.port)
+            for name, value in zip(item.port.axes, flows, strict=True):
+                total[name] += value
         elif isinstance(effect, FlowEffect):
             levels = _with_own(x, item.at)
             for name, value in asked(effect, "flow", effect.flow, levels, u, item.p).items():

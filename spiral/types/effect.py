@@ -107,6 +107,22 @@ class InputEffect(Effect):
         """The input that acts, from the recorded one, ``at.position[0]``."""
 
 
+class StateFlow(Effect):
+    """A flow into any state of first order (a level, a temperature, a charge), or between two.
+
+    Its port is that state, or a pair of one unit, ``NAME-NAME``: the first that fits where none is
+    named. ``force`` is the unit of what flows in, ``position`` that of the state. ``axes`` is 1
+    for one state, 2 for a pair; ``units`` are those of the states that it is about, empty for any.
+    """
+
+    axes: ClassVar[int | None] = 1
+    units: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def flow(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> list[Any]:
+        """What flows into each state of the port, ``at.position`` being their values."""
+
+
 class FlowEffect(Effect):
     """A flow into named channels of a first-order system (a tank, a volume)."""
 

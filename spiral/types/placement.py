@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from spiral.types.effect import Effect, ForceEffect, SensorEffect, expand
+from dataclasses import replace
+
+from spiral.types.effect import Effect, ForceEffect, InputEffect, SensorEffect, StateFlow, expand
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Parameter
 from spiral.types.port import Port
-from spiral.types.system import System, has_coordinates
+from spiral.types.system import System, has_coordinates, place_name
 
 TIME = "time"
 """The column of time among a model's inputs."""
@@ -18,6 +20,23 @@ def model_keys(system: System, effects: tuple[Effect, ...]) -> tuple[tuple[str, 
     for effect in effects:
         pairs += effect.keys(system.place(effect))
     return tuple(pairs)
+
+
+def at_every_place(system: System, effect: Effect) -> list[Effect]:
+    """Copies of an effect for every place of a system where its kind acts, the first as it is."""
+    if isinstance(effect, ForceEffect):
+        names = [port.name for port in system.ports]
+    elif isinstance(effect, InputEffect):
+        names = [place_name(port) for port in system.driven]
+    elif isinstance(effect, StateFlow):
+        return [
+            replace(effect, port=place_name(port))
+            for port in system.filled
+            if len(port.axes) == effect.axes
+        ]
+    else:
+        names = []
+    return [effect, *(replace(effect, port=name) for name in names[1:])]
 
 
 def check_effect(system: System, effect: Effect) -> Port:

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from types import SimpleNamespace
 from typing import Any, ClassVar, TypeGuard
 
-from spiral.types.effect import Effect, InputEffect, SensorEffect
+from spiral.types.effect import Effect, InputEffect, SensorEffect, StateFlow
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.plugin import Plugin
@@ -113,19 +113,43 @@ class System(Plugin):
             Port(f"input {i.name}", (i.name,), lambda x, p: [], i.unit, force) for i in free
         )
 
+    @property
+    def filled(self) -> tuple[Port, ...]:
+        """States of first order that effects may flow into, each as a port ``state NAME``.
+
+        Pairs of one unit come after them, as ``states NAME-NAME``.
+        """
+        forces = {c.name for c in self.coordinates} if has_coordinates(self) else set()
+        units = {s.name: s.unit for s in self.states}
+        own = [i for i in self.injections if i.name in units and i.name not in forces]
+        pairs = [(a, b) for i, a in enumerate(own) for b in own[i + 1 :]]
+        alike = [(a, b) for a, b in pairs if (units[a.name], a.unit) == (units[b.name], b.unit)]
+        return (*(_filled(units, i) for i in own), *(_filled(units, *pair) for pair in alike))
+
     def place(self, effect: Effect) -> Port:
-        """Where an effect acts: at its port, on an input, or on the sensors."""
+        """Where an effect acts: at its port, on an input, into a state, or on the sensors."""
         if isinstance(effect, SensorEffect):
             return self.sensors
-        if not isinstance(effect, InputEffect):
-            return self.port(effect.port)
-        for port in self.driven:
-            if effect.port in ("", *port.axes):
+        if isinstance(effect, InputEffect):
+            return self._place_of(
+                effect, self.driven, "which acts on an input", "an input that no other follows"
+            )
+        if isinstance(effect, StateFlow):
+            fit = tuple(port for port in self.filled if len(port.axes) == effect.axes)
+            return self._place_of(
+                effect, fit, "which flows into a state", "a state of first order for each axis"
+            )
+        return self.port(effect.port)
+
+    def _place_of(self, effect: Effect, ports: tuple[Port, ...], what: str, due: str) -> Port:
+        """One of these ports, the first where the effect names none."""
+        for port in ports:
+            if effect.port in ("", place_name(port)):
                 return port
-        names = [name for port in self.driven for name in port.axes]
+        names = [place_name(port) for port in ports]
         raise ConfigError(
-            f"effect {effect.label!r}, which acts on an input, with system {self.plugin_name()!r}",
-            f"one of its inputs {', '.join(names)}" if names else "an input that no other follows",
+            f"effect {effect.label!r}, {what}, with system {self.plugin_name()!r}",
+            f"one of {', '.join(names)}" if names else due,
             did_you_mean(effect.port, names),
         )
 
@@ -205,6 +229,23 @@ class MechanicalSystem(System):
         rates.update({self.rate_name(n): a for n, a in zip(names, acceleration, strict=True)})
         rates.update({n: f + injected[n] for n, f in self.flows(q, v, u, p).items()})
         return rates
+
+
+def place_name(port: Port) -> str:
+    """What an effect on an input or into a state calls its port: the names of its axes."""
+    return "-".join(port.axes)
+
+
+def _filled(units: dict[str, str], *into: State) -> Port:
+    """States that something flows into, as a port."""
+    names = tuple(i.name for i in into)
+    return Port(
+        f"state{'s' * (len(into) > 1)} {'-'.join(names)}",
+        names,
+        lambda x, p: [getattr(x, n) for n in names],
+        units[names[0]],
+        into[0].unit,
+    )
 
 
 def has_coordinates(system: System) -> TypeGuard[MechanicalSystem]:

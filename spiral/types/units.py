@@ -10,8 +10,15 @@ from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
 
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, SensorEffect
-from spiral.types.errors import InputError, PluginError
+from spiral.types.effect import (
+    Effect,
+    FlowEffect,
+    ForceEffect,
+    InputEffect,
+    SensorEffect,
+    StateFlow,
+)
+from spiral.types.errors import ConfigError, InputError, PluginError
 from spiral.types.port import At, Port
 from spiral.types.system import MechanicalSystem, System
 
@@ -112,6 +119,13 @@ def check_units(system: System, effect: Effect) -> None:
     import pint
 
     port = system.place(effect)
+    known = effect.units if isinstance(effect, StateFlow) else ()
+    if known and all(_parse(port.position_unit or "1").dimensionality
+                     != _parse(unit).dimensionality for unit in known):  # fmt: skip
+        raise ConfigError(
+            f"effect {effect.label!r} at port {port.name!r} in {port.position_unit or '1'}",
+            f"states in {', '.join(known)}",
+        )
     try:
         for what, value, expected in _evaluated(system, effect, port):
             _must_fit(f"{what} {effect.label!r}", value, expected)
@@ -172,7 +186,7 @@ def units_fit(system: System, effect: Effect) -> bool:
     """Whether an effect's units fit a system (sin of a length does not)."""
     try:
         check_units(system, effect)
-    except PluginError:
+    except (PluginError, ConfigError):
         return False
     except Exception:  # broken in itself, whatever the units: tracing it says so
         return True
@@ -215,6 +229,8 @@ def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, An
         found += [("effect", value, port.position_unit) for value in readings]
     elif isinstance(effect, InputEffect):
         found.append(("effect", effect.drive(at, u, p), port.position_unit))
+    elif isinstance(effect, StateFlow):
+        found += [("effect", value, port.force_unit) for value in effect.flow(at, u, p)]
     elif isinstance(effect, FlowEffect):
         x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states}, own=own)
         units = {i.name: i.unit for i in system.injections}

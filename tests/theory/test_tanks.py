@@ -68,8 +68,10 @@ def test_a_force_is_no_effect_of_tanks_and_a_flow_none_of_a_mechanical_system():
     with pytest.raises(ConfigError, match="upper"):
         check_effect(registry.make("system", "oscillator"), effect("overflow"))
     found = {e.label for e in registry.candidates(CascadedTanks())}
-    flows = {"linear_loss", "outlets", "overflow", "pump", "sensor_saturation"}
+    flows = {"outlets", "overflow", "pump", "sensor_saturation"}
     assert found == flows | {"offset", "gain", "delay", "sensor_lag", "mains_hum"}
+    everywhere = {e.label for e in registry.candidates(CascadedTanks(), everywhere=True)}
+    assert found | {"linear_loss@upper", "linear_loss@lower"} < everywhere
 
 
 def test_a_system_without_forces_has_no_missing_force():

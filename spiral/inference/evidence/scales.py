@@ -40,7 +40,7 @@ _WINDOW = 11  # samples of a local polynomial
 
 
 def extremes(system: System, records: Sequence[Record], along: Sequence[Array]) -> dict[str, float]:
-    """Largest |position| and |velocity| at every port, as ``PORT.position``, and of every input.
+    """Largest |position| and |velocity| at every port, as ``PORT.position``, input and state.
 
     ``along`` are the states (samples, n) that each record visits.
     """
@@ -53,9 +53,15 @@ def extremes(system: System, records: Sequence[Record], along: Sequence[Array]) 
             found[f"{port.name}.{kind}"] = max(
                 float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
             )
+    for port in system.filled:
+        levels = states[:, [i for i, s in enumerate(system.states) if s.name in port.axes]]
+        found[f"{port.name}.position"] = float(np.abs(levels).max())
     for port in system.driven:
-        given = [np.abs(r.inputs[name]).max() for r in records for name in port.axes]
-        found[f"{port.name}.position"] = float(max(given))
+        given = [(r.inputs[name], r.dt) for r in records for name in port.axes]
+        found[f"{port.name}.position"] = float(max(np.abs(u).max() for u, _ in given))
+        found[f"{port.name}.velocity"] = float(
+            max(np.abs(np.diff(u)).max() / dt for u, dt in given)
+        )
     seen = [np.abs(c).max() for r in records for c in r.channels.values()]
     return {**found, "sensors.position": float(max(seen))}
 

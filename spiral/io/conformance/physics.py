@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spiral.types.effect import Effect, SensorEffect
+from spiral.types.effect import Effect, InputEffect, SensorEffect
 from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.parameter import Parameter
 from spiral.types.placement import model_keys
@@ -225,13 +225,14 @@ def finite(physics: Physics) -> str:
 def linear(effect: Effect, physics: Physics) -> str:
     """f(2a) - f(0) = 2 (f(a) - f(0)) in the amplitudes a, which change something.
 
-    A sensor's reading is asked at small amplitudes: it may have terms beyond the leading order.
+    A sensor's reading, and what acts of an input, are asked at small amplitudes: they may have
+    terms beyond the leading order.
     """
     rng = np.random.default_rng(3)
     own = physics.amplitudes(effect)
     acts = False
-    sensor = isinstance(effect, SensorEffect)
-    size, share = (_SMALL, np.sqrt(_SMALL)) if sensor else (1.0, _EXACT)
+    bent = isinstance(effect, SensorEffect | InputEffect)
+    size, share = (_SMALL, np.sqrt(_SMALL)) if bent else (1.0, _EXACT)
     for _ in range(_DRAWS):
         x, u, p = physics.drawn(rng)
         none, one, two = (

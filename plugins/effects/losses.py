@@ -1,0 +1,176 @@
+"""Flows into any state of first order: what leaks, spills, radiates, is exchanged or consumed.
+
+x is a level, a temperature, a charge, a concentration, a share: any state that a system lets
+something flow into, wherever it stands (``linear_loss@box_wall``). Losses count from the state's
+zero, so that where the surroundings are not at zero a ``constant_flow`` belongs to them.
+"""
+
+from __future__ import annotations
+
+from spiral.math import length, sqrt, tanh
+from spiral.types.effect import StateFlow
+from spiral.types.parameter import Parameter
+
+
+class ConstantFlow(StateFlow):
+    """Something that always flows, in or out: x' = ... + f.
+
+    A leak from a large store, a standing load, a bias of the flow meter.
+    """
+
+    parameters = (Parameter("flow", "force"),)
+
+    def flow(self, at, u, p):
+        """f."""
+        return [p.flow]
+
+
+class LinearLoss(StateFlow):
+    """A loss in proportion to what is there: x' = ... - c x.
+
+    Laminar leakage, conduction to the surroundings, decay, a resistor across a capacitor.
+    """
+
+    parameters = (Parameter("rate", "force/position", lower=0.0),)
+
+    def flow(self, at, u, p):
+        """-c x."""
+        return [-p.rate * at.position[0]]
+
+
+class RootLoss(StateFlow):
+    """Flow through an orifice under its own head: x' = ... - c sign(x) sqrt(|x|) (Torricelli).
+
+    A hole in a tank, turbulent leakage between pressures. The root is rounded off near zero,
+    x / (x^2 + w^2)^(1/4).
+    """
+
+    parameters = (
+        Parameter("rate", "force/position^0.5", lower=0.0),
+        Parameter("width", "position", lower=0.0, role="shape", grid=(0.02,)),
+    )
+
+    def flow(self, at, u, p):
+        """-c x / (x^2 + w^2)^(1/4)."""
+        (x,) = at.position
+        return [-p.rate * x / sqrt(sqrt(x * x + p.width * p.width))]
+
+
+class QuadraticLoss(StateFlow):
+    """A loss that grows with the square: x' = ... - c |x| x.
+
+    Turbulent drag on what flows, a reaction of two equal partners, crowding.
+    """
+
+    parameters = (Parameter("rate", "force/position^2", lower=0.0),)
+
+    def flow(self, at, u, p):
+        """-c |x| x."""
+        (x,) = at.position
+        return [-p.rate * length([x]) * x]
+
+
+class CubicLoss(StateFlow):
+    """A loss, or a gain, that grows with the cube: x' = ... - c x^3.
+
+    The first term of any odd law beyond the linear one: a resistor that warms, a core that
+    saturates, charge transfer that eases at high overvoltage.
+    """
+
+    parameters = (Parameter("rate", "force/position^3"),)
+
+    def flow(self, at, u, p):
+        """-c x^3."""
+        (x,) = at.position
+        return [-p.rate * x * x * x]
+
+
+class SaturatingLoss(StateFlow):
+    """A loss that cannot exceed its capacity: x' = ... - v x / (K + |x|).
+
+    An enzyme or a microbe that is saturated (Michaelis and Menten 1913; Monod 1949), a cleaner at
+    its limit. v is the capacity, K where half of it is reached. Far below K it is a
+    ``linear_loss``.
+    """
+
+    special = ("linear_loss", "dry_loss")
+    parameters = (
+        Parameter("capacity", "force", lower=0.0),
+        Parameter("half", "position", lower=0.0, role="shape", grid=(0.1, 0.4)),
+    )
+
+    def flow(self, at, u, p):
+        """-v x / (K + |x|)."""
+        (x,) = at.position
+        return [-p.capacity * x / (p.half + length([x]))]
+
+
+class DryLoss(StateFlow):
+    """Dry friction on a speed that is a state of first order: v' = ... - f tanh(v / w).
+
+    As ``coulomb_friction``, per unit of mass, for systems whose equations are all of first order.
+    """
+
+    units = ("m/s", "rad/s")
+    parameters = (
+        Parameter("level", "force", lower=0.0),
+        Parameter("width", "position", lower=0.0, role="shape", grid=(0.003, 0.02, 0.1)),
+    )
+
+    def flow(self, at, u, p):
+        """-f tanh(v / w)."""
+        return [-p.level * tanh(at.position[0] / p.width)]
+
+
+class RadiationLoss(StateFlow):
+    """Heat radiated to surroundings at 293.15 K: x' = ... - r ((z + x)^4 - T^4), T = 293.15 K.
+
+    Stefan and Boltzmann; r = emissivity times 5.67e-8 W/m^2/K^4 times area over heat capacity. z is
+    the temperature of the state's zero: 0 K for an absolute one, 293.15 K for one above the room's.
+    Not far from the room it is hardly told from a ``quadratic_loss``.
+    """
+
+    parameters = (
+        Parameter("rate", "force/K^4", lower=0.0),
+        Parameter("zero", "K", role="shape", grid=(0.0, 293.15)),
+        Parameter("room", "K", role="shape", grid=(293.15,)),
+    )
+
+    def flow(self, at, u, p):
+        """-r ((z + x)^4 - T^4)."""
+        (x,) = at.position
+        return [-p.rate * ((p.zero + x) ** 4 - p.room**4)]
+
+
+class Exchange(StateFlow):
+    """Two states that even out: x_1' = ... - c_1 (x_1 - x_2), x_2' = ... - c_2 (x_2 - x_1).
+
+    Conduction between two bodies, diffusion, a leak between two chambers; c_1 and c_2 are one
+    conductance over either capacity.
+    """
+
+    axes = 2
+    parameters = (Parameter("rate", "force/position", lower=0.0, per_axis=True),)
+
+    def flow(self, at, u, p):
+        """-c_1 (x_1 - x_2) and -c_2 (x_2 - x_1)."""
+        first, second = at.position
+        return [-p.rate[0] * (first - second), -p.rate[1] * (second - first)]
+
+
+class MutualFlow(StateFlow):
+    """A flow in proportion to both of two states: x_i' = ... + c_i x_1 x_2 for i = 1, 2.
+
+    Infection, predation, a reaction of two partners (mass action; Lotka 1925, Volterra 1926),
+    inhibition, between concentrations. No law multiplies two temperatures or two levels; of shares
+    of a population it is not offered, because it imitates whatever an epidemic's fit has missed.
+    """
+
+    axes = 2
+    units = ("g/l", "mol/l", "1/l")
+    parameters = (Parameter("rate", "force/position^2", per_axis=True),)
+
+    def flow(self, at, u, p):
+        """c_1 x_1 x_2 and c_2 x_1 x_2."""
+        both = at.position[0] * at.position[1]
+        return [p.rate[0] * both, p.rate[1] * both]

@@ -1,0 +1,108 @@
+"""Flows into any state of first order, wherever it stands, and a delay of an input."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from spiral_plugins.effects.inputs import InputDelay
+from spiral_plugins.effects.losses import Exchange, LinearLoss
+from spiral_plugins.effects.memory import Jenkins
+from spiral_plugins.systems.equations import Equations
+from spiral_plugins.systems.oscillator import Oscillator
+
+import spiral
+from spiral.inference.simulate import simulate
+from spiral.types.errors import SpiralError
+from spiral.types.model import seed_model
+from spiral.types.port import At
+from tests.scenes import effect, registry
+
+TANK = """
+equations: ["upper' = k*pump - a*upper", "lower' = a*upper - b*lower"]
+states: {upper: m, lower: m}
+inputs: {pump: {unit: V, interpolation: zero_order}}
+parameters: {k: 0.05 m/V/s, a: 0.2 1/s, b: 0.1 1/s}
+free: [k, a, b]
+observed: [lower]
+"""
+TRUTH = {"system.k": 0.05, "system.a": 0.2, "system.b": 0.1}
+
+
+def test_a_flow_stands_at_every_state_and_between_those_of_one_unit():
+    labels = {e.label for e in registry().candidates(Equations(text=TANK), everywhere=True)}
+    assert {"linear_loss@upper", "linear_loss@lower", "exchange@upper-lower"} <= labels
+    assert not {x for x in labels if x.startswith(("radiation_loss", "dry_loss", "mutual_flow"))}
+    mechanical = registry().candidates(Oscillator(), everywhere=True)
+    assert not {"linear_loss", "exchange"} & {e.plugin_name() for e in mechanical}
+
+
+def test_a_place_that_is_none_is_told_with_its_neighbours():
+    with pytest.raises(SpiralError, match="which flows into a state") as caught:
+        Equations(text=TANK).place(LinearLoss(port="uper"))
+    assert "upper" in f"{caught.value.expected} {caught.value.try_}"
+
+
+def test_what_is_exchanged_at_equal_rates_is_neither_made_nor_lost():
+    """x_1 + x_2 changes as without the exchange, and the difference by the sum of both rates."""
+    at = At((3.0, 1.0), (), SimpleNamespace())
+    first, second = Exchange().flow(at, SimpleNamespace(), SimpleNamespace(rate=(0.4, 0.4)))
+    assert first + second == 0.0
+    assert first - second == pytest.approx(-0.8 * (3.0 - 1.0))
+
+
+def filled(seed, *hidden, **values):
+    """The lower level for 1000 s under a pump in steps, 1 % noise that nobody declares."""
+    model = seed_model(Equations(text=TANK), hidden, values={**TRUTH, **values})
+    time = np.arange(1000.0)
+    pump = np.repeat(np.random.default_rng(seed).uniform(0.5, 8.0, 50), 20)
+    record = simulate(model, time, {"pump": pump}, 0.01, np.random.default_rng(seed), substeps=4)
+    return replace(record, noise={})
+
+
+def test_a_loss_of_a_hidden_state_is_named_at_its_place_with_its_rate():
+    """An orifice in the upper tank, whose level nobody measures."""
+    lost = effect("root_loss@upper")
+    values = {"root_loss@upper.rate": 0.08, "root_loss@upper.width": 0.02}
+    records = [filled(seed, lost, **values) for seed in (1, 2)]
+    wrong = {"system.k": 0.055, "system.a": 0.17, "system.b": 0.11}
+    run = spiral.discover(records[0], Equations(text=TANK), test=records[1], values=wrong)
+    assert run.missing == ("root_loss@upper",)
+    rate = run.model.estimates()["root_loss@upper"]["rate"]
+    assert abs(rate.estimate - 0.08) < 3 * rate.se
+
+
+def acting(effect, frequency, p):
+    """What acts of a unit input at i w, from the effect's own equations (rad/s)."""
+
+    def rates(given, level, slope):
+        at = At((given,), (), SimpleNamespace(level=level, slope=slope))
+        return np.array(list(effect.rate(at, SimpleNamespace(), p).values()))
+
+    matrix = np.column_stack([rates(0.0, 1.0, 0.0), rates(0.0, 0.0, 1.0)])
+    own = np.linalg.solve(1j * frequency * np.eye(2) - matrix, rates(1.0, 0.0, 0.0))
+    at = At((1.0,), (), SimpleNamespace(level=own[0], slope=own[1]))
+    return effect.drive(at, SimpleNamespace(), p)
+
+
+@pytest.mark.parametrize(("scale", "order"), [(0.1, 5), (0.13, 3)])
+def test_a_delay_is_right_to_its_order(scale, order):
+    """Against exp(-i w T): the slope of the log error on the log frequency."""
+    p = SimpleNamespace(time=0.1, scale=scale)
+    errors = [abs(acting(InputDelay(), w, p) - np.exp(-0.1j * w)) for w in (1.0, 2.0)]
+    assert np.log2(errors[1] / errors[0]) == pytest.approx(order, abs=0.1)
+
+
+def test_a_slider_loses_four_times_its_force_and_slip_in_a_cycle():
+    """k L (4 A - 4 L) for an amplitude A beyond L, whose corner is rounded to both sides alike."""
+    p = SimpleNamespace(stiffness=100.0, length=0.01)
+    time = np.linspace(0.0, 4 * np.pi, 80_001)
+    velocity = 0.05 * np.cos(time)
+    slip, forces = 0.0, []
+    for v in velocity:
+        at = At((0.0,), (v,), SimpleNamespace(slip=slip))
+        forces.append(Jenkins().force(at, None, p)[0])
+        slip += float(Jenkins().rate(at, None, p)["slip"]) * (time[1] - time[0])
+    second = slice(40_000, None)  # settled
+    lost = -np.trapezoid(np.array(forces)[second] * velocity[second], time[second])
+    assert lost == pytest.approx(100.0 * 0.01 * 4 * (0.05 - 0.01), rel=0.05)
