@@ -238,7 +238,7 @@ def _refused(
     size = float(np.sqrt(gain / fitted.samples))
     if size < settings.smallest:
         return (
-            f"significant, but too small to matter: it changes the prediction by {size:.3f} noise "
+            f"significant, but too small to matter: it changes the prediction by {size:.2g} noise "
             f"standard deviations (least {settings.smallest:g})"
         )
     before = held_out(assembly, standing.labels, evidence.stage, mask)[1]

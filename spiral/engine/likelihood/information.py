@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from spiral.engine.leastsquares import Fit
 from spiral.engine.likelihood.predict import Prediction
@@ -67,5 +67,5 @@ def widening(
         held = np.maximum(1 - w / whole, 1 / len(w))
         size = np.sum((g - g.mean(axis=0)) ** 2 / held, axis=0) / whole
         nu = np.sum(w, axis=0) ** 2 / np.sum(w**2, axis=0)
-        doubted = stats.chi2.sf(nu * size, nu) < _DOUBTED
+        doubted = special.chdtrc(nu, nu * size) < _DOUBTED
     return np.where(doubted & (size > 1), np.sqrt(size), 1.0)

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from spiral.engine.likelihood.fit import maximise
 from spiral.engine.likelihood.noise import EXTRA
@@ -283,7 +283,7 @@ class Judged:
     @property
     def p_value(self) -> float:
         """Of Wilks' test, for as many tests as shapes were searched among."""
-        single = float(stats.chi2.sf(2 * max(self.refitted, 0.0), self.terms))
+        single = float(special.chdtrc(self.terms, 2 * max(self.refitted, 0.0)))
         return min(self.searched * single, 1.0)
 
 

@@ -174,8 +174,8 @@ def _band(axis: Array, power: Array) -> tuple[float, float] | None:
     part, step = slice(*best), float(axis[1] - axis[0])
     if best[1] - best[0] <= _LINE_BINS:
         middle = float(np.sum(axis[part] * above[part]) / np.sum(above[part]))
-        return middle - step / 2, middle + step / 2
-    return float(axis[best[0]]) - step / 2, float(axis[best[1] - 1]) + step / 2
+        return max(middle - step / 2, 0.0), middle + step / 2
+    return max(float(axis[best[0]]) - step / 2, 0.0), float(axis[best[1] - 1]) + step / 2
 
 
 def envelope(y: Array) -> Array:
