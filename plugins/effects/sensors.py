@@ -60,7 +60,7 @@ class Delay(SensorEffect):
     Right where tau is short against a period: at the frequency f the third order is (2 pi f
     tau)^3 / 6 of the motion. Where q_i' is no state of the system (a level, a temperature) the
     second order is left out, (2 pi f tau)^2 / 2 of the motion. All sensors late by one time look
-    like an input that acts so much earlier.
+    like an input that acts so much later.
     """
 
     parameters = (Parameter("time", "s", per_axis=True),)
@@ -73,7 +73,7 @@ class Delay(SensorEffect):
         """A sensor cannot be early, and half a sample has a usual cause."""
         times = [v for k, v in values.items() if k.startswith("time")]
         if max(times) < 0:
-            return f"no sensor is early: the inputs act {-max(times):.2g} s or more late"
+            return f"no sensor is early: the inputs are recorded {-max(times):.2g} s or more late"
         return half_a_sample(min(times), step)
 
 
