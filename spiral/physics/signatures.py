@@ -107,15 +107,8 @@ def signatures(
     readings = np.moveaxis(np.zeros((len(units), count, len(system.observed))), 0, 2)
     u = inputs_seen(along, shift)
     if isinstance(effect, SensorEffect):
-        at = At(
-            tuple(along.states[:, _index(system, c)] for c in system.observed),
-            tuple(along.rates[:, _index(system, c)] for c in system.observed),
-            SimpleNamespace(),
-        )
-        y = list(along.readings.T)
         for j, p in enumerate(units):
-            told = asked(effect, "reading", effect.reading, y, at, u, p)
-            readings[:, :, j] = _columns(told, count) - along.readings
+            readings[:, :, j] = _told(along, effect, u, p) - along.readings
         return rates, readings
     hidden = SimpleNamespace(**(own or {}))
     if isinstance(effect, InputEffect):
@@ -131,6 +124,14 @@ def signatures(
     for j, p in enumerate(units):
         rates[:, :, j] = _applied(gain, _injected(along, effect, port, u, p, hidden))
     return rates, readings
+
+
+def _told(along: Along, effect: SensorEffect, u: SimpleNamespace, p: SimpleNamespace) -> Array:
+    """(samples, channels) readings with a sensor's effect."""
+    seen = [_index(along.system, c) for c in along.system.observed]
+    position, velocity = (tuple(x[:, i] for i in seen) for x in (along.states, along.rates))
+    at, y = At(position, velocity, SimpleNamespace()), list(along.readings.T)
+    return _columns(asked(effect, "reading", effect.reading, y, at, u, p), len(along.states))
 
 
 def _steady(matrix: Array) -> Array:
