@@ -73,10 +73,6 @@ class FitWorker:
 
         file_preview.describe_file(order, self.tell)
 
-    def plugins(self, order: Order) -> None:
-        """Run the local plugins, to tell those that cannot be used."""
-        self._loaded(order)
-
     def _loaded(self, order: Order) -> Registry:
         """All plugins as they are now; files that cannot be used are told."""
         from spiral.io.registry import load_registry

@@ -94,7 +94,7 @@ def told(error: Mapping[str, str]) -> Iterator[None]:
     """A message that stays; what a person cancelled is no fault. Inside stands more of it."""
     cancelled = error.get("at") == "cancelled"
     with ui.element("div").classes("note" if cancelled else "trouble") as box:
-        box.props(f'role="{"status" if cancelled else "alert"}"')
+        box.props["role"] = "status" if cancelled else "alert"
         ui.html(panels.trouble(error), sanitize=False)
         yield
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -186,18 +185,18 @@ class StudyView:
             "align=left no-caps outside-arrows mobile-arrows inline-label"
         ) as tabs:
             for title in known:
-                ui.tab(title).props(f'aria-controls="{PANEL}"')
+                ui.tab(title).props["aria-controls"] = PANEL
         tabs.set_value(shown)
         tabs.on_value_change(self._choose_tab)
-        panel = ui.element("div").style("width:100%").props(f'id="{PANEL}" role="tabpanel"')
-        self.regions["tab"] = panel.props('tabindex="0"')
+        panel = ui.element("div").style("width:100%").props('role="tabpanel" tabindex="0"')
+        panel.props["id"] = PANEL
+        self.regions["tab"] = panel
         self._tab(shown)
 
     def _choose_tab(self, event: Any) -> None:
         if event.value and event.value != self.tab:
             self.tab = event.value
-            address = f"?tab={quote(event.value)}"
-            ui.run_javascript(f"history.replaceState(null, '', {json.dumps(address)})")
+            ui.navigate.history.replace(f"?tab={quote(event.value)}")
             self._tab(event.value)
 
     def _tab(self, title: str) -> None:

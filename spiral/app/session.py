@@ -80,8 +80,6 @@ class Session:
         self.file_setup = FileSetup(out, lambda order: self._fits.give(order), plugins, self._lock)
         self._writer = Process("writer", out, self._on_writer)
         self.broken: tuple[str, ...] = ()
-        if self.local_plugins():
-            self._fits.give({"do": "plugins", "study": "", "plugins": plugins})
 
     def close(self) -> None:
         """End the processes."""
@@ -252,8 +250,6 @@ class Session:
     def _on_fits(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
         if kind == "broken":
             self.broken = tuple(data["broken"])
-            return
-        if order["do"] == "plugins":
             return
         if order["do"] in DOES:
             self.file_setup.on_event(order, kind, data)

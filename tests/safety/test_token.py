@@ -1,6 +1,5 @@
 """The page's token: nobody of the machine but its owner, nor a script without it, is let in."""
 
-import asyncio
 import os
 import stat
 
@@ -9,6 +8,7 @@ import pytest
 from spiral.app.guard import POLICY, Guard
 from spiral.app.serve import door, token_for
 from spiral.types.errors import ConfigError
+from tests.loops import on_a_loop
 
 TOKEN, PORT = "a-token-of-this-test", 8765
 HOST = {"host": f"127.0.0.1:{PORT}"}
@@ -34,7 +34,7 @@ def asked(kind="http", query="", path="/", **headers):
     async def send(message):
         sent.append(message)
 
-    asyncio.run(Guard(behind, PORT, TOKEN)(scope, receive, send))
+    on_a_loop(Guard(behind, PORT, TOKEN)(scope, receive, send))
     return seen, sent
 
 

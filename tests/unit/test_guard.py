@@ -1,10 +1,9 @@
 """A page of another origin cannot drive the app; nor can a name that was given our address."""
 
-import asyncio
-
 import pytest
 
 from spiral.app.guard import Guard, refusal
+from tests.loops import on_a_loop
 
 HOSTS = frozenset({"127.0.0.1:8765", "localhost:8765"})
 
@@ -61,7 +60,7 @@ def asked(given):
     async def send(message):
         sent.append(message)
 
-    asyncio.run(Guard(behind, 8765, "known-to-its-owner")(given, receive, send))
+    on_a_loop(Guard(behind, 8765, "known-to-its-owner")(given, receive, send))
     return seen, sent
 
 
