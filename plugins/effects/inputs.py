@@ -58,7 +58,7 @@ class ActuatorLag(InputEffect):
     """An actuator that follows its input late: acting = u - s (u - z), T z' = u - z.
 
     A first-order drive (a coil, a valve, an amplifier), whole at s = 1. Where T is short against
-    the motion all sensors that were early by T would look alike. With s = 2 it is the first
+    the motion all sensors late by T look the same. With s = 2 it is the first
     approximation of an ``input_delay`` of 2 T.
     """
 
@@ -80,11 +80,12 @@ class ActuatorLag(InputEffect):
         return {"followed": (given - at.own.followed) / p.time_constant}
 
     def remark(self, values, step):
-        """Half a sample has a usual cause."""
+        """Half a sample has a usual cause; twice the share is a delay."""
         late = values["share"] * values["time_constant"]
-        if abs(values["share"] - 2) < _NEAR_TWO:
-            return f"a share near 2 is a delay, of {late:.2g} s: input_delay"
-        return half_a_sample(late, step)
+        usual = half_a_sample(late, step)
+        if usual or abs(values["share"] - 2) >= _NEAR_TWO:
+            return usual
+        return f"a share near 2 is a delay, of {late:.2g} s: input_delay"
 
 
 class RateLimit(InputEffect):
