@@ -135,10 +135,12 @@ class System(Plugin):
                 effect, self.driven, "which acts on an input", "an input that no other follows"
             )
         if isinstance(effect, StateFlow):
-            fit = tuple(port for port in self.filled if len(port.axes) == effect.axes)
+            fit = [port for port in self.filled if len(port.axes) == effect.axes]
+            fit.sort(key=lambda port: bool(effect.units) and port.position_unit not in effect.units)
             return self._place_of(
-                effect, fit, "which flows into a state", "a state of first order for each axis"
-            )
+                effect, tuple(fit), "which flows into a state",
+                "a state of first order for each axis",
+            )  # fmt: skip
         return self.port(effect.port)
 
     def _place_of(self, effect: Effect, ports: tuple[Port, ...], what: str, due: str) -> Port:
