@@ -159,7 +159,7 @@ def door(address: str) -> Iterator[Path]:
 def application(session: Any, viewer: Any) -> Any:
     """The page as an ASGI application."""
     from fastapi import FastAPI
-    from nicegui import ui
+    from nicegui import app, ui
 
     from spiral.app.downloads import routes
     from spiral.app.mapping import file_page
@@ -167,6 +167,8 @@ def application(session: Any, viewer: Any) -> Any:
     from spiral.app.start import start_page
     from spiral.app.upload import route
 
+    # No bar at the window's edge for each request: it has no name for a screen reader.
+    app.config.quasar_config["loadingBar"]["skipHijack"] = True
     web = FastAPI(openapi_url=None)
     routes(web, session, viewer)
     route(web, session)
