@@ -1,6 +1,7 @@
 """The likelihood of one-step predictions: against dense Gaussians, differences and simulation."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, matrices
 from spiral.engine.likelihood.own_states import own_of, own_states_along
 from spiral.engine.likelihood.predict import log_likelihood, predicted
+from spiral.inference.likelihood import candidates
 from spiral.inference.likelihood.fitting import refitted
 from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.likelihood.scores import motion_of, ranking
@@ -182,6 +184,23 @@ def test_scores_of_effects_that_are_not_there_are_chi2():
             falls.setdefault(one.variant.original.label, []).append(fall)
     assert {"gain", "delay", "sensor_lag", "cubic_stiffness"} <= set(falls)
     assert {k: v for k, v in falls.items() if np.mean(v) > 4} == {}  # chi2_3 / 3: p = 0.007
+
+
+def test_those_that_a_final_leaves_behind_run_their_own(monkeypatch):
+    """One after the other by worth, as long as it is above its price; each effect once."""
+    monkeypatch.setattr(candidates, "_further", lambda base, rival, masks, steps: rival)
+    monkeypatch.setattr(candidates, "_freed", lambda base, rival, masks: rival)
+
+    def rival(label, worth):
+        ranked = SimpleNamespace(score=SimpleNamespace(gain=worth))
+        return SimpleNamespace(label=label, worth=worth, ranked=ranked)
+
+    runners = [rival("a", 157.0), rival("a", 98.0), rival("b", 90.0), rival("c", 80.0)]
+    run = candidates.Race(None, None, silent, [*runners, rival("d", -3.0)])
+    assert [(w.label, len(left)) for w, left in run.winners()] == [
+        ("a", 2), ("a", 1), ("b", 2), ("c", 1),
+    ]  # fmt: skip
+    assert [r.label for r in run.tried] == ["a", "a", "b", "c", "d"]
 
 
 def test_own_states_follow_the_motion_as_the_compiled_effect_has_them():
