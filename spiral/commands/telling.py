@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from spiral.io.request import Outcome
+    from spiral.io.tracking.store import Tracking
     from spiral.io.tracking.track import Tracked
 
 
@@ -28,7 +29,7 @@ def tell_mlflow(outcome: Outcome) -> Tracked | None:
     from spiral.io.tracking import background
 
     if background.waited_for():
-        return _in_the_foreground(outcome)
+        return _in_the_foreground(outcome, tracking)
     earlier = background.last_failure(config["out"])
     if earlier:
         print(f"spiral: an earlier run was saved, but not told to MLflow: {earlier}\n"
@@ -39,8 +40,7 @@ def tell_mlflow(outcome: Outcome) -> Tracked | None:
     return background.start(order, "spiral.commands.telling")
 
 
-def _in_the_foreground(outcome: Outcome) -> Tracked:
-    from spiral.io.tracking.store import tracking_of
+def _in_the_foreground(outcome: Outcome, tracking: Tracking) -> Tracked:
     from spiral.io.tracking.track import track
     from spiral.view.report.page import report_of
     from spiral.view.terminal.parts import progress
@@ -49,7 +49,6 @@ def _in_the_foreground(outcome: Outcome) -> Tracked:
     with progress() as tell:
         tell("telling MLflow")
         known, wanted = outcome.parts["registry"], (outcome.result["run_id"],)
-        tracking = tracking_of(config)
         return track(tracking, config["out"], wanted, draw=report_of, registry=known)
 
 

@@ -9,21 +9,19 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.filter.task import linearised
-from spiral.engine.growth import Stage, grow, lengths_for
+from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import residuals
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.evidence.assembly import (
     Assembly,
     assemble,
-    columns,
     first_row,
-    nuisance_keys,
     placed,
     to_model,
 )
 from spiral.inference.evidence.comparison import refined, test_run
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.judge import run_free
+from spiral.inference.evidence.judge import run_free, whole
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.where.latent import LatentForce, smoothed_states, with_latent
 from spiral.inference.where.regions import Seen, seen, where
@@ -123,19 +121,9 @@ def _settled(
     assembly: Assembly, labels: tuple[str, ...], model: Model, values: Array, longest: int
 ) -> Stage:
     """Initial states, phase origins and phase corrections of the fitted records."""
-    study = assembly.study
     turning = any("phase" in e.inputs for e in model.effects)
-    keys = (*nuisance_keys(assembly, labels), *(study.correction_keys if turning else ()))
-    moving, bounds = columns(assembly, keys)
-    block = min(64, min(s.samples for s in study.series))
-    lengths = [n for n in lengths_for(study, block) if n <= longest] or [longest]
-    last: Stage | None = None
-    masks: tuple[Array | None, ...] = (None,) * len(study.series)
-    for stage in grow(study, values, moving, bounds, masks, lengths, patient=True):
-        if last is None or np.isfinite(stage.fitted.cost):
-            last = stage
-    assert last is not None
-    return last
+    corrected = assembly.study.correction_keys if turning else ()
+    return whole(assembly, labels, values, longest, beside=corrected)
 
 
 def _free_curves(

@@ -151,11 +151,8 @@ def at_port_along(along: Along, effect: Effect) -> tuple[Array, Array]:
     """
     port = along.system.place(effect)
     if isinstance(effect, InputEffect | StateFlow):
-        position = (
-            _levels(along, port)
-            if isinstance(effect, StateFlow)
-            else (_input(along, port)[:, None])
-        )
+        flows = isinstance(effect, StateFlow)
+        position = _levels(along, port) if flows else _input(along, port)[:, None]
         return position, np.gradient(position, axis=0)
     if has_coordinates(along.system):
         position, velocity, _ = along.once(port.name, lambda: _moved(along, port))

@@ -90,14 +90,16 @@ def whole(
     values: Array,
     longest: int | None = None,
     any_origin: bool = False,
+    beside: tuple[str, ...] = (),
 ) -> Stage:
     """Fit only nuisances to whole records, by growing windows; the last stage reached.
 
     ``any_origin``: the phase origin may lie anywhere, so eight around the circle are tried.
+    ``beside`` : further parameters that move.
     """
     study = assembly.study
     nuisances = nuisance_keys(assembly, labels)
-    found, bounds = columns(assembly, nuisances)
+    found, bounds = columns(assembly, (*nuisances, *beside))
     block = min(64, min(s.samples for s in study.series))
     lengths = [n for n in lengths_for(study, block) if longest is None or n <= longest]
     lengths = lengths or [longest or block]

@@ -8,10 +8,12 @@ from collections.abc import Sequence
 import sympy as sp
 
 from spiral.io.export.program import Program, assignments, described, identifiers, used
-from spiral.io.export.python import Dialect, PythonPrinter, indented, tables
+from spiral.io.export.python import ArrayLibrary, PythonPrinter, indented, tables
 from spiral.io.writing import filled
 
-_CASADI = Dialect("ca", "if_else", "logic_and", "logic_or", "logic_not", renamed={"abs": "fabs"})
+_CASADI = ArrayLibrary(
+    "ca", "if_else", "logic_and", "logic_or", "logic_not", renamed={"abs": "fabs"}
+)
 _RESERVED = (*keyword.kwlist, "t", "x", "u", "p", "ca")
 
 

@@ -28,7 +28,7 @@ _RESERVED = (*keyword.kwlist, "t", "x", "u", "p", "np", "found", "by_x", "by_p")
 
 
 @dataclass(frozen=True)
-class Dialect:
+class ArrayLibrary:
     """How a Python library that computes with arrays or symbols is called.
 
     ``cases`` is its choice between two values, ``renamed`` are functions that it calls differently
@@ -43,13 +43,13 @@ class Dialect:
     renamed: Mapping[str, str] = field(default_factory=dict)
 
 
-_NUMPY = Dialect("np", "where", "logical_and", "logical_or", "logical_not")
+_NUMPY = ArrayLibrary("np", "where", "logical_and", "logical_or", "logical_not")
 
 
 class PythonPrinter(NumPyPrinter):
     """Expressions by functions of a library, cases by its choice, comparisons by operators."""
 
-    def __init__(self, library: Dialect) -> None:
+    def __init__(self, library: ArrayLibrary) -> None:
         super().__init__({"strict": True})
         self._library = library
 
