@@ -168,7 +168,7 @@ def maximise(
     enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
     still = not (keys and differences)  # slopes are not made anew
     search = _Search(keys, bounds or {}, masks, tune, enough, rough, still)
-    parts = all_predicted([(prepared, noise)], keys, keep=not keys)[0]
+    parts = all_predicted([(prepared, noise)], keys, keep=tune)[0]
     height = log_likelihood(parts, masks)
     kept = kept if kept is not None and kept.fits(parts) else Kept()
     at = Maximum(prepared, noise, keys, height, parts, None, False, 0, kept=kept)
@@ -324,7 +324,7 @@ class _Search:
             step = _damped(upper, norms, damping)
             promised = 0.5 * (before - float(np.sum((upper[:, :-1] @ step - upper[:, -1]) ** 2)))
             trial = self._moved(at, names, step, solved.kept)
-            parts = all_predicted([trial], self.keys, keep=not self.keys)[0]
+            parts = all_predicted([trial], self.keys, keep=self.tune)[0]
             height = log_likelihood(parts, self.masks)
             if height > at.log_likelihood:
                 better = Maximum(*trial, self.keys, height, parts, None, False, 0, kept=at.kept)

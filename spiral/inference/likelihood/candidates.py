@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import special
 
-from spiral.engine.likelihood.fit import maximise
+from spiral.engine.likelihood.fit import Maximum, maximise
 from spiral.engine.likelihood.noise import EXTRA
 from spiral.engine.likelihood.predict import Masks, log_likelihood
 from spiral.engine.score import Score
@@ -294,23 +294,22 @@ def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) 
     ----------
     base : the model as it is. masks : the blocks that did not select.
     """
-    theirs, ours = (_most_likely(f, masks, {}) for f in (rival.fit, base))
-    before = max(_most_likely(base, masks, bounds_of(assembly, base.estimate.keys)), ours)
-    own = bounds_of(rival.assembly, rival.fit.estimate.keys)
-    after = max(_most_likely(rival.fit, masks, own), theirs)
+    theirs, ours = (_most_likely(f.estimate, masks, {}) for f in (rival.fit, base))
+    before = _most_likely(ours, masks, bounds_of(assembly, base.estimate.keys))
+    after = _most_likely(theirs, masks, bounds_of(rival.assembly, rival.fit.estimate.keys))
     freed = set(rival.fit.state.freed) - set(base.state.freed)
     terms = len(rival.ranked.columns) + len(freed)
     searched = rival.ranked.variant.searched if freed else 1
-    return Judged(theirs - ours, after - before, terms, searched)
+    predicted, again = (
+        mine.log_likelihood - model.log_likelihood
+        for mine, model in ((theirs, ours), (after, before))
+    )
+    return Judged(predicted, again, terms, searched)
 
 
-def _most_likely(
-    fit: LikelihoodFit, masks: Masks, bounds: Mapping[str, tuple[float, float]]
-) -> float:
-    """The highest log-likelihood of a model on some blocks, by its noise and what has bounds."""
-    at = fit.estimate
-    known = maximise(at.prepared, tuple(bounds), at.noise, bounds, masks, _RACE, kept=at.kept)
-    return known.log_likelihood
+def _most_likely(at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, float]]) -> Maximum:
+    """A model at its most likely on some blocks, by its noise and what has bounds, from here on."""
+    return maximise(at.prepared, tuple(bounds), at.noise, bounds, masks, _RACE, kept=at.kept)
 
 
 def alike(rivals: list[Rival]) -> tuple[str, ...]:
