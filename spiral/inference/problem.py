@@ -104,7 +104,7 @@ class Problem:
     seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
     ``dictionary`` are learned effects, tried where no candidate explains what is left.
     ``published`` chooses the paper's evidence, ``innovation`` (its gates) that of a filter; left
-    out, both, it comes from trajectories.
+    out, both, it comes from trajectories. ``scaled`` effects have shapes that nobody gave a value.
     """
 
     model: Model
@@ -117,3 +117,4 @@ class Problem:
     dictionary: tuple[Effect, ...] = ()
     innovation: tuple[Gate, ...] | None = None
     likelihood: bool = False
+    scaled: tuple[str, ...] = ()

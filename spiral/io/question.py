@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from spiral.inference.evidence.scales import with_scaled_shapes
 from spiral.inference.problem import Problem, Settings
 from spiral.io.paper_options import gate_chain, gate_fields, with_published
 from spiral.io.registry import Registry
@@ -155,7 +156,8 @@ def put(
     everywhere = strategy == "likelihood"
     asked = () if strategy == "paper" else candidates_for(registry, model, candidates, everywhere)
     fitted, kept = split(records, test, holdout, holdout_blocks)
-    problem = Problem(model, fitted, kept, settle, asked, settings or Settings())
+    model, scaled = with_scaled_shapes(model, fitted)
+    problem = Problem(model, fitted, kept, settle, asked, settings or Settings(), scaled=scaled)
     if strategy in ("shooting", "likelihood"):
         problem = replace(problem, dictionary=registry.dictionary(model.system))
         return replace(problem, likelihood=strategy == "likelihood")

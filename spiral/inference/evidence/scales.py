@@ -14,6 +14,7 @@ the model's free run under the record's inputs.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,6 +30,7 @@ from spiral.engine.start import motion
 from spiral.engine.study import CompiledStudy
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import Traced, trace
+from spiral.types.effect import Effect
 from spiral.types.model import Model
 from spiral.types.parameter import Parameter
 from spiral.types.port import Port
@@ -74,6 +76,37 @@ def scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> flo
         if kind in parameter.unit:
             return largest[f"{port.name}.{kind}"]
     return 1.0
+
+
+def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model, tuple[str, ...]]:
+    """A model whose effects have all their shapes, and the labels of those that lacked some.
+
+    A shape that was given no value, and has none to start from, takes the middle of its grid.
+    """
+    lacking = {
+        effect.label: shapes
+        for effect in model.effects
+        if (shapes := [p for p in effect.parameters if _without_value(model, effect, p)])
+    }
+    if not lacking:
+        return model, ()
+    bare = model
+    for label in lacking:
+        bare = bare.without(label)
+    largest = extremes(model.system, records, visited(bare, records))
+    values = {}
+    for effect in model.effects:
+        for shape in lacking.get(effect.label, ()):
+            size = scale(shape, largest, model.system.place(effect))
+            if usable(size):
+                middle = shape.grid[len(shape.grid) // 2]
+                values[f"{effect.label}.{shape.name}"] = middle * size
+    return replace(model, values={**model.values, **values}), tuple(lacking)
+
+
+def _without_value(model: Model, effect: Effect, parameter: Parameter) -> bool:
+    shape = parameter.role == "shape" and parameter.grid and parameter.start is None
+    return bool(shape) and f"{effect.label}.{parameter.name}" not in model.values
 
 
 def usable(size: float) -> bool:

@@ -34,7 +34,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.holding import carried as carried_to
 from spiral.inference.unknown.holding import with_variants
-from spiral.types.effect import SensorEffect
+from spiral.types.effect import Effect, SensorEffect
 
 _RIVALS = 8  # candidates refitted
 _HEAT, _RACE = 3, 12  # scoring steps for all rivals, at most, and for those that keep up
@@ -232,20 +232,46 @@ def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
     freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *tuned))))
     at = fit.estimate
     loose = refitted(own, freer, at.noise, masks, _RACE, rough=True, kept=at.kept, like=at.prepared)
-    if not (loose.estimate.finite and told(loose, tuned, rival.ranked.variant)):
+    if not (loose.estimate.finite and told(loose, tuned, rival.ranked.variant.effect)):
         return rival
     return _rival(own, base, rival.ranked, loose)
 
 
-def told(fit: LikelihoodFit, keys: tuple[str, ...], variant: Variant) -> bool:
-    """Whether a fit leaves these shapes of a variant a relative error of a half at most.
+def with_own_shapes(assembly: Assembly, found: LikelihoodFit, effect: Effect) -> LikelihoodFit:
+    """A fit in which the shapes of an effect that it holds take their most likely values.
+
+    Some were held while it was a candidate: the corner of a gap rounded over a share of the motion,
+    say. Where the record tells them they are free, with an error of their own; where their most
+    likely values are better than their price, they are held there; else they stay.
+    """
+    keys = tuple(
+        k
+        for p in effect.parameters
+        if p.role == "shape" and (k := f"{effect.label}.{p.name}") not in found.state.freed
+    )
+    if not keys or not found.estimate.finite:
+        return found
+    at = found.estimate
+    freer = replace(found.state, freed=(*found.state.freed, *keys))
+    loose = refitted(assembly, freer, at.noise, rough=True, kept=at.kept, like=at.prepared)
+    if not loose.height > found.height + price(len(keys), at.prepared):
+        return found
+    if told(loose, keys, effect):
+        return loose
+    held = replace(loose.state, freed=found.state.freed)
+    again = refitted(assembly, held, loose.estimate.noise, rough=True, like=at.prepared)
+    return again if again.height > found.height else found
+
+
+def told(fit: LikelihoodFit, keys: tuple[str, ...], effect: Effect) -> bool:
+    """Whether a fit leaves these shapes of an effect a relative error of a half at most.
 
     One that may as well be zero (its grid is on both sides) is held against its grid instead.
     """
     values, errors = fit.estimate.values, fit.estimate.errors
     sizes = {
-        f"{variant.label}.{p.name}": max(map(abs, p.grid))
-        for p in variant.effect.parameters
+        f"{effect.label}.{p.name}": max(map(abs, p.grid))
+        for p in effect.parameters
         if p.grid and min(p.grid) < 0
     }
     return all(

@@ -29,6 +29,7 @@ from spiral.inference.likelihood.candidates import (
     machine_first,
     race,
     refit_alone,
+    with_own_shapes,
 )
 from spiral.inference.likelihood.comparison import compared_by_likelihood
 from spiral.inference.likelihood.fitting import (
@@ -74,7 +75,11 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
     bare = compiled_with(problem, (), 1)
     state = replace(begin(bare, problem.model.labels), corrected=False)
     bare = refined(bare, state)
-    found = finished(bare, best_fit(bare, state, progress), progress)
+    found = best_fit(bare, state, progress)
+    for effect in problem.model.effects:
+        if effect.label in problem.scaled:
+            found = with_own_shapes(bare, found, effect)
+    found = finished(bare, found, progress)
     settled = _settled(bare, found, progress)
     fitted = replace(problem, model=settled.comparison.model)
     variants, left_out, _ = offers(fitted, bare.later)
@@ -241,7 +246,8 @@ def _with(own: Assembly, state: FitState, label: str, progress: Progress) -> Set
     """
     found = refitted(own, state, rough=True)
     found = restarted(own, on_finer_steps(own, found))
-    found = finished(own, pruned(own, found, progress), progress)
+    found = with_own_shapes(own, pruned(own, found, progress), own.variant(label).effect)
+    found = finished(own, found, progress)
     found, gone = _without_superfluous(own, found, label)
     settled = _settled(own, found, progress, gone)
     if not gone:
