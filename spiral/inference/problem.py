@@ -104,7 +104,7 @@ class Problem:
     seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
     ``dictionary`` are learned effects, tried where no candidate explains what is left.
     ``published`` chooses the paper's evidence, ``innovation`` (its gates) that of a filter; left
-    out, both, it comes from trajectories. ``scaled`` effects have shapes that nobody gave a value.
+    out, both, it comes from trajectories. ``scaled`` are shapes that nobody gave a value.
     """
 
     model: Model

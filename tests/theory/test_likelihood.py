@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 from spiral_plugins.effects.dissipative import CoulombFriction
 from spiral_plugins.effects.memory import HiddenMode
-from spiral_plugins.effects.restoring import CubicStiffness
+from spiral_plugins.effects.restoring import Clearance, CubicStiffness
 from spiral_plugins.effects.sensors import Gain
 from spiral_plugins.systems.oscillator import Oscillator
 
@@ -345,3 +345,18 @@ def test_nothing_is_named_where_nothing_is_missing():
     )
     assert run.verdict == "nothing_missing"
     assert "white noise" in run.summary
+
+
+def test_a_corner_that_was_held_takes_its_most_likely_width():
+    """A gap rounded wider than its candidate's corner would bias gap and stiffness by 5 errors."""
+    truth = {"clearance.stiffness": 2000.0, "clearance.gap": 0.08, "clearance.width": 0.02}
+    record = record_of(4, 1500, 0.01, (Clearance(),), truth)
+    model = seed_model(Oscillator(), values=TRUTH)
+    problem = put(load_registry(None), model, (record,), None, candidates=("clearance",))
+    begun = LIKELIHOOD.begin(problem, silent)
+    settled = LIKELIHOOD.admit(begun.assembly, begun.standing, "clearance", silent)
+    found = settled.comparison.model
+    label = next(k.rsplit(".", 1)[0] for k in found.errors if k.startswith("clearance"))
+    names = {k: k.replace("clearance", label) for k in truth}
+    errors = [(found.values[n] - truth[k]) / found.errors[n] for k, n in names.items()]
+    assert np.all(np.abs(errors) < 3.5)

@@ -11,7 +11,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.inference.discover import discover
 from spiral.inference.evidence.assembly import assemble, first_row
-from spiral.inference.evidence.scales import extremes, visited
+from spiral.inference.evidence.scales import extremes, visited, with_scaled_shapes
 from spiral.inference.problem import Problem
 from spiral.math import sqrt
 from spiral.types.effect import ForceEffect
@@ -159,3 +159,18 @@ def test_friction_at_a_hidden_load_is_found_and_the_still_wall_named(records):
     assert run.stopped != "diverged"
     assert admitted(run)[:1] == ["coulomb_friction@load"]
     assert "nothing moves" in run.rounds[0].rejected["coulomb_friction@wall"]
+
+
+def test_shapes_that_nobody_gave_are_the_middle_of_their_grids(records):
+    """Of what the record shows at the port without the effect; those given stay."""
+    model = replace(seed_model(FlexibleDrive()), values=DRIVE)
+    known = {"clearance@load.gap": 0.01}
+    wide = model.add(effect("coulomb_friction", port="load"))
+    wide = wide.add(effect("clearance", port="load"), known)
+    found, scaled = with_scaled_shapes(wide, records[:1])
+    largest = extremes(model.system, records[:1], visited(model, records[:1]))
+    width = 0.02 * largest["load.velocity"]
+    added = {k: v for k, v in found.values.items() if k not in DRIVE}
+    assert added == known | {"coulomb_friction@load.width": pytest.approx(width)}
+    assert scaled == ("coulomb_friction@load.width",)
+    assert with_scaled_shapes(found, records[:1]) == (found, ())

@@ -79,7 +79,7 @@ def scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> flo
 
 
 def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model, tuple[str, ...]]:
-    """A model whose effects have all their shapes, and the labels of those that lacked some.
+    """A model whose effects have all their shapes, and the full names of those that were lacking.
 
     A shape that was given no value, and has none to start from, takes the middle of its grid.
     """
@@ -101,7 +101,7 @@ def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model
             if usable(size):
                 middle = shape.grid[len(shape.grid) // 2]
                 values[f"{effect.label}.{shape.name}"] = middle * size
-    return replace(model, values={**model.values, **values}), tuple(lacking)
+    return replace(model, values={**model.values, **values}), tuple(values)
 
 
 def _without_value(model: Model, effect: Effect, parameter: Parameter) -> bool:

@@ -237,18 +237,15 @@ def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
     return _rival(own, base, rival.ranked, loose)
 
 
-def with_own_shapes(assembly: Assembly, found: LikelihoodFit, effect: Effect) -> LikelihoodFit:
-    """A fit in which the shapes of an effect that it holds take their most likely values.
+def with_own_shapes(
+    assembly: Assembly, found: LikelihoodFit, effect: Effect, keys: tuple[str, ...]
+) -> LikelihoodFit:
+    """A fit in which shapes ``keys`` of an effect that it holds take their most likely values.
 
-    Some were held while it was a candidate: the corner of a gap rounded over a share of the motion,
+    They were held while it was a candidate: the corner of a gap rounded over a share of the motion,
     say. Where the record tells them they are free, with an error of their own; where their most
     likely values are better than their price, they are held there; else they stay.
     """
-    keys = tuple(
-        k
-        for p in effect.parameters
-        if p.role == "shape" and (k := f"{effect.label}.{p.name}") not in found.state.freed
-    )
     if not keys or not found.estimate.finite:
         return found
     at = found.estimate
@@ -261,6 +258,17 @@ def with_own_shapes(assembly: Assembly, found: LikelihoodFit, effect: Effect) ->
     held = replace(loose.state, freed=found.state.freed)
     again = refitted(assembly, held, loose.estimate.noise, rough=True, like=at.prepared)
     return again if again.height > found.height else found
+
+
+def held_shapes(assembly: Assembly, found: LikelihoodFit, effect: Effect) -> tuple[str, ...]:
+    """Shapes of an effect that a fit holds at a size; one at zero (a sharp corner) has no slope."""
+    return tuple(
+        k
+        for p in effect.parameters
+        if p.role == "shape"
+        and (k := f"{effect.label}.{p.name}") not in found.state.freed
+        and found.state.values[0, assembly.study.index(k)] != 0
+    )
 
 
 def told(fit: LikelihoodFit, keys: tuple[str, ...], effect: Effect) -> bool:

@@ -25,6 +25,7 @@ from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
 from spiral.inference.likelihood.candidates import (
     Rival,
     alike,
+    held_shapes,
     judged,
     machine_first,
     race,
@@ -77,8 +78,8 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
     bare = refined(bare, state)
     found = best_fit(bare, state, progress)
     for effect in problem.model.effects:
-        if effect.label in problem.scaled:
-            found = with_own_shapes(bare, found, effect)
+        keys = tuple(k for k in problem.scaled if k.rsplit(".", 1)[0] == effect.label)
+        found = with_own_shapes(bare, found, effect, keys)
     found = finished(bare, found, progress)
     settled = _settled(bare, found, progress)
     fitted = replace(problem, model=settled.comparison.model)
@@ -246,7 +247,8 @@ def _with(own: Assembly, state: FitState, label: str, progress: Progress) -> Set
     """
     found = refitted(own, state, rough=True)
     found = restarted(own, on_finer_steps(own, found))
-    found = with_own_shapes(own, pruned(own, found, progress), own.variant(label).effect)
+    found, effect = pruned(own, found, progress), own.variant(label).effect
+    found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
     found = finished(own, found, progress)
     found, gone = _without_superfluous(own, found, label)
     settled = _settled(own, found, progress, gone)
