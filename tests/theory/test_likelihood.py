@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 from spiral_plugins.effects.dissipative import CoulombFriction
@@ -13,6 +14,7 @@ from spiral_plugins.effects.restoring import Clearance, CubicStiffness
 from spiral_plugins.effects.sensors import Gain
 from spiral_plugins.systems.oscillator import Oscillator
 
+import spiral
 from spiral.engine.filter.setup import prepared
 from spiral.engine.filter.task import linearised, prepare_task
 from spiral.engine.likelihood.fit import maximise
@@ -31,6 +33,7 @@ from spiral.io.question import put
 from spiral.io.registry import load_registry
 from spiral.physics.signatures import Along, signatures
 from spiral.types.model import seed_model
+from spiral.types.record import make_record
 
 TRUTH = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 0.8}
 RATE = 200.0
@@ -360,3 +363,32 @@ def test_a_corner_that_was_held_takes_its_most_likely_width():
     names = {k: k.replace("clearance", label) for k in truth}
     errors = [(found.values[n] - truth[k]) / found.errors[n] for k, n in names.items()]
     assert np.all(np.abs(errors) < 3.5)
+
+
+def test_a_hidden_state_that_begins_far_off_is_found():
+    """An epidemic: those who are ill are counted, a tenth at most; 0.97 may still fall ill."""
+    truth = {"system.b": 0.4, "system.s": 0.25, "system.g": 0.143}
+    b, s, g = truth.values()
+
+    def rates(_, x):
+        return [-b * x[0] * x[2], b * x[0] * x[2] - s * x[1], s * x[1] - g * x[2]]
+
+    time, begin = 0.12 * np.arange(1000), [0.97, 0.004, 0.004]
+    ill = solve_ivp(rates, (0, time[-1]), begin, t_eval=time, rtol=1e-9, atol=1e-12).y[2]
+    counted = ill + 0.01 * ill.std() * np.random.default_rng(3).normal(size=time.size)
+    model = spiral.system(
+        lambda t, x, u, p: [
+            -p.b * x.S * x.I, p.b * x.S * x.I - p.s * x.E, p.s * x.E - p.g * x.I,
+        ],
+        states={"S": "", "E": "", "I": ""}, observed=["I"],
+        parameters={k: {"unit": "1/s", "lower": 0.0} for k in "bsg"},
+    )  # fmt: skip
+    record = make_record(model, "counts", time, {"I": counted}, {})
+    guess = {k: f * v for (k, v), f in zip(truth.items(), (1.15, 0.9, 1.1), strict=True)}
+    seed = seed_model(model, values=guess)
+    problem = put(load_registry(None), seed, (record,), (record,), candidates=())
+    begun = LIKELIHOOD.begin(problem, silent)
+    found = begun.comparison.model
+    errors = [(found.values[k] - v) / found.errors[k] for k, v in truth.items()]
+    assert np.all(np.abs(errors) < 3.5)
+    assert begun.standing.starts[0][0] == pytest.approx(begin[0], rel=0.05)

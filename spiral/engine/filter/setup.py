@@ -108,9 +108,13 @@ def smoothed(
     levels: Mapping[str, float] | None = None,
     track: tuple[str, ...] | None = None,
     doubt: Mapping[str, float] | None = None,
+    spread: float = 1.0,
 ) -> Array:
-    """Smoothed states and tracked parameters (samples, N); the process noise given or tuned."""
-    task, settings = prepared(task, track, doubt)
+    """Smoothed states and tracked parameters (samples, N); the process noise given or tuned.
+
+    ``spread`` of the first states, as in ``prepared``.
+    """
+    task, settings = prepared(task, track, doubt, spread)
     levels = chosen_levels(task, settings, levels)
     found = filtered(task, with_level(task, settings, levels), keep=True)
     if found.done == task.series.samples:

@@ -33,6 +33,7 @@ EXTRA: tuple[Kind, ...] = ("coloured", "band", "drift", "gust")
 
 _LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a level
 _LEVEL = 1e-5  # least level of a force
+OWN = 1.0  # its largest: beside a random force larger than the machine's own no term is told
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
 
 
@@ -113,10 +114,8 @@ def limits(task: Task, name: str) -> tuple[float, float]:
     kind, _, where = name.partition(".")
     if where == "time":
         return _SHORTEST * task.series.dt, _LONGEST * task.series.dt * task.series.samples
-    if kind == "force":
-        return _LEVEL, _MOST
-    if kind == "gust":
-        return _LEVEL, _MOST
+    if kind in ("force", "gust"):
+        return _LEVEL, OWN
     channels = task.compiled.traced.channels
     spread = float(np.std(task.series.y[:, channels.index(where)])) or 1.0
     if kind == "drift":

@@ -22,6 +22,9 @@ from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
 _SMALL = 0.05  # level of a random force that is a small one
+_FAR = 30.0  # times its motion that a hidden state may lie from where it is first looked for
+_AGAIN = 12  # times that beginnings are looked for
+_WORTH = 1.0  # log-likelihood for which they are looked for once more
 _HEAD = 2048  # samples that tell where a record begins
 _ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
 MOST_SUBSTEPS = 32
@@ -165,23 +168,53 @@ def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
 
     A hidden state far from the mean that it was first given (zero) would cost likelihood until the
     record has told it, and a filter of a machine that is not linear is misled by it for longer.
+    Where the model then does not explain the records, a hidden state may lie much further off than
+    the motion of what is measured suggests (those who may still fall ill, beside those who are):
+    beginnings are looked for that far, and the fit taken on from there, while that pays.
     """
-    if not found.estimate.finite:
+    found = _begun_again(assembly, found, 1.0)
+    if explains(found):
         return found
+    stretch = 1.0
+    for _ in range(_AGAIN):
+        better = _begun_again(assembly, found, _FAR, stretch)
+        if better.height > found.height + _WORTH:
+            found, stretch = better, 2 * stretch
+        elif stretch == 1.0:
+            break
+        else:
+            stretch = 1.0
+    return found
+
+
+def _begun_again(
+    assembly: Assembly, found: LikelihoodFit, spread: float, stretch: float = 1.0
+) -> LikelihoodFit:
+    """The fit from where the records say they begin, if that is more likely."""
+    starts = _beginnings(found, spread, stretch) if found.estimate.finite else None
+    if starts is None:
+        return found
+    kept = found.estimate.kept
+    again = refitted(assembly, replace(found.state, starts=starts), rough=True, kept=kept)
+    return again if again.height > found.height else found
+
+
+def _beginnings(found: LikelihoodFit, spread: float, stretch: float) -> tuple[Array, ...] | None:
+    """Where every record begins, of first states that lie so far off; none where they are known.
+
+    Along a valley where a parameter makes up for a beginning the smoother goes in small steps,
+    which are ``stretch`` times as long here.
+    """
     starts, far = [], False
     for task, settings in found.estimate.prepared:
         head = replace(task, series=_head(task.series), inputs=_head_inputs(task))
         levels = force_levels(found.estimate.noise)
         known = doubts(settings.tracked)
-        start = smoothed(head, levels, settings.tracked, known)[0][: len(task.states)]
-        spread = np.sqrt(np.diag(settings.covariance))
-        far = far or bool(np.any(np.abs(start - settings.start) > spread))
-        starts.append(start)
-    if not far:
-        return found
-    kept = found.estimate.kept
-    again = refitted(assembly, replace(found.state, starts=tuple(starts)), rough=True, kept=kept)
-    return again if again.height > found.height else found
+        start = smoothed(head, levels, settings.tracked, known, spread)[0][: len(task.states)]
+        doubt = np.sqrt(np.diag(settings.covariance))
+        far = far or bool(np.any(np.abs(start - settings.start) > doubt))
+        starts.append(settings.start + stretch * (start - settings.start))
+    return tuple(starts) if far else None
 
 
 def _head(series: Series) -> Series:

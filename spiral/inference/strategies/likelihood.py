@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.likelihood.fit import informed
+from spiral.engine.likelihood.noise import OWN
 from spiral.engine.statistics import spent
 from spiral.inference.evidence.assembly import Assembly, check_candidates, compiled_with, offers
 from spiral.inference.evidence.comparison import refined
@@ -65,7 +66,7 @@ _LAST = 1e-6  # whiteness from which a model may be the last
 _WARM = 6  # scoring steps from the values on all samples to those on the selecting half
 _ASKED = 3  # rivals that may be judged in one round
 _LISTED = 5
-_OWN = 1.0  # random force, over the machine's own, beside which no term of the model is told
+_BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
 def _begin(problem: Problem, progress: Progress) -> Begun:
@@ -215,10 +216,10 @@ def _unhelpful(before: Comparison, after: Comparison, settings: Settings) -> str
     the noise; the largest over the horizons and the free run of the fitted records counts.
     """
     forces = max(random_forces(after).values(), default=0.0)
-    if forces > _OWN:
+    if forces >= _BOUND * OWN:
         return (
-            f"with it, too, a random force of {100 * forces:.3g} % of the machine's own would have "
-            "to act: the model has not found its values, or is of another machine"
+            "with it, too, a random force as large as the machine's own would have to act: the "
+            "model has not found its values, or is of another machine"
         )
     judged_ = changes(before.unseen, after.unseen)
     for change in judged_:
