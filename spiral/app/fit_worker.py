@@ -190,8 +190,8 @@ class FitWorker:
         self.registry = bound(config, self.registry)
         self.problem = build_problem(config, self.registry)
         self.strategy = strategy_for(self.problem)
-        if self.strategy.choose is None:
-            raise ConfigError(f"strategy={self.strategy.name} on the page",
+        if not self.strategy.by_hand:
+            raise ConfigError(f"strategy={self.strategy.plugin_name()} on the page",
                               "a strategy that can admit what a person chooses",
                               "leave strategy out, or use `spiral discover`")  # fmt: skip
         self._tell_records()

@@ -241,7 +241,7 @@ BAD = [
     (["simulate", *OWN, "--out", "a.xlsx"], ""),
     (["discover", *OWN, "gate=[partial_f]"], "strategy=paper gate=[partial_f]"),
     (["diagnose", *OWN, "learner=boosted_trees"], "learner is one of paper"),
-    (["discover", *OWN, "strategy=innovation", "paper.points=2000"], "paper is one of paper"),
+    (["discover", *OWN, "strategy=innovation", "paper.points=2000"], "points is one of paper"),
     (["discover", *OWN, "derivative=savitzky_golay"], "leave it out"),
     (["compare", *OWN, "--json"], "--help"),
 ]

@@ -46,7 +46,7 @@ def test_the_proposed_effect_by_hand_is_the_loops_own_round(study):
 
 def better(strategy, after, before):
     """If what the strategy fits rose: the likelihood, or the free run of the fitted record."""
-    if strategy.name == "likelihood":
+    if strategy.plugin_name() == "likelihood":
         return after.details["log_likelihood"] > before.details["log_likelihood"]
     return after.comparison.fit_error < before.comparison.fit_error
 
@@ -87,7 +87,7 @@ def test_what_is_drawn_at_once_has_the_error_that_is_told(study, turns):
 def test_candidates_side_by_side_are_judged_on_windows_of_one_length(study, tmp_path):
     """One was fitted on the whole record, the other got no further than 512 samples."""
     _, strategy, assembly, at, step = study
-    if strategy.name == "likelihood":
+    if strategy.plugin_name() == "likelihood":
         pytest.skip("one likelihood judges the whole record: nothing has windows of its own")
     bench = FitWorker(
         tmp_path, lambda kind, data: told.append((kind, data)), "a", strategy=strategy
@@ -120,7 +120,7 @@ def test_the_order_is_that_of_its_first_figure_whatever_is_proposed(study):
     _, strategy, _, _, step = study
     found = candidates(strategy, step)
     assert [s.net for s in found] == sorted((s.net for s in found), reverse=True)
-    if strategy.name == "likelihood":
+    if strategy.plugin_name() == "likelihood":
         return
     assert all(s.net < s.explains for s in found)  # every parameter has its price
     proposal = step.found
