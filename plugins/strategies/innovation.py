@@ -27,6 +27,9 @@ class Innovation(InnovationOptions, Strategy):
     (docs/method.md).
     """
 
+    # Its gates have levels of their own, and the filter tracks the phase itself.
+    ignores = ("level", "alias_level", "phase_knot", "learned")
+
     gate: tuple[Gate, ...] = (MostLikely(), ValidationRollback())
 
     def begin(self, problem: Problem, progress: Progress) -> Begun:

@@ -73,18 +73,19 @@ def configured(request: Request, registry: Registry) -> Config:
 
 
 def _refuse_unused(request: Request, config: Config, registry: Registry) -> None:
-    """Refuse what a strategy shares with other verbs where this one has no use for it.
+    """Refuse what another verb may look at, where this one's strategy does not.
 
     Raises
     ------
     ConfigError : an option that nobody would look at.
     """
     from spiral.io.overrides import parse
-    from spiral.io.strategy_config import SHARED, check_used
+    from spiral.io.strategy_config import SHARED, check_settings, check_used
 
     if request.verb not in ASK_A_STRATEGY:
         return
     for item in parse(request.overrides):
+        check_settings(item, config, registry)
         if item.path[0] in SHARED:
             check_used(item, config, registry)
 

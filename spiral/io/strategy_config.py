@@ -26,6 +26,8 @@ PARTS = ("derivative", "learner", "library")
 """Options that choose one plugin of a strategy: groups of the configuration."""
 SECTIONS = ("gate", *PARTS)
 """Fields of a strategy that are options of their own."""
+FOR_IDENTIFY = ("share", "miss")
+"""Settings that only ``identify`` looks at."""
 SHARED = ("derivative",)
 """Those that another verb than a strategy's looks at (``identify``)."""
 
@@ -121,6 +123,25 @@ def check_used(item: Assignment, config: Mapping[str, Any], registry: Registry) 
         f"{item.text}, not an option of strategy={name}",
         f"one of {', '.join(own) or 'none'}; {what} is one of {' and '.join(users)}",
         f"{others}, or leave it out" if others else "leave it out",
+    )
+
+
+def check_settings(item: Assignment, config: Mapping[str, Any], registry: Registry) -> None:
+    """Refuse a setting that the strategy of a configuration never looks at.
+
+    Raises
+    ------
+    ConfigError : it would be dropped in silence.
+    """
+    plugin = _plugin(config, registry)
+    assert issubclass(plugin, Strategy)
+    if item.path[0] != "settings" or item.path[-1] not in (*plugin.ignores, *FOR_IDENTIFY):
+        return
+    unused = ", ".join((*plugin.ignores, *FOR_IDENTIFY))
+    raise ConfigError(
+        f"{item.text}, which strategy={plugin.plugin_name()} never looks at",
+        f"settings other than {unused}",
+        "leave it out; spiral plugins strategy tells the others",
     )
 
 

@@ -129,7 +129,7 @@ def test_the_order_is_that_of_its_first_figure_whatever_is_proposed(study):
     again = by_evidence(proposal.evidence, other, ("gyroscopic",))
     assert [s.effect for s in again] == [s.effect for s in found]
     assert again[-1].aliases == ("gyroscopic",)
-    assert listed(proposal.evidence, other, ())[0].effect == found[-1].effect
+    assert listed(strategy, proposal.evidence, other, ())[0].effect == found[-1].effect
 
 
 def test_a_step_says_at_each_horizon_what_it_does_to_unseen_data(study):

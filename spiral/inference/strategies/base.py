@@ -96,13 +96,15 @@ class Strategy(Plugin):
     ``everywhere`` : candidates are asked for at every place where they fit, not at the system's
     first port alone. ``curves`` : learned curves are tried where no candidate explains what is
     left. ``by_hand`` : a person may admit any candidate in place of the one proposed, as the page
-    does; such a strategy has ``choose``.
+    does; such a strategy has ``choose``. ``ignores`` : settings of all studies that this kind of
+    evidence never looks at; given with it they are refused.
     """
 
     kind: ClassVar[str] = "strategy"
     everywhere: ClassVar[bool] = False
     curves: ClassVar[bool] = False
     by_hand: ClassVar[bool] = False
+    ignores: ClassVar[tuple[str, ...]] = ()
 
     # --- what every strategy has ---
 

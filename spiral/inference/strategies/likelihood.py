@@ -110,13 +110,9 @@ class Scored:
 
 
 def propose(
-    options: LikelihoodOptions,
-    assembly: Assembly,
-    state: FitState,
-    comparison: Comparison,
-    number: int,
-    progress: Progress,
-) -> Step[Scored]:
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
+    number: int, progress: Progress,
+) -> Step[Scored]:  # fmt: skip
     """The candidate that makes the record most likely, if it passes on other blocks."""
     assembly = having(assembly, state.labels)
     select, judge = half_masks(assembly)
