@@ -23,17 +23,13 @@ class LikelihoodOptions:
     Fields
     ------
     rivals : candidates that are refitted in a round, best score first; each is a fit of its own.
-
     judged : winners that may be judged in a round, each at its share of the round's level
         (Bonferroni): a first one that is refused makes room for those behind it (decision 131).
-
     odds : ratio of likelihoods under which two candidates are called alike; 100 is what Jeffreys
         calls decisive (Theory of Probability, appendix B).
-
     random_limit : largest random force, as a share of the machine's own rates, beside which an
         effect is admitted: beyond it the force follows the record whatever the model says
         (decision 133).
-
     listed : suggestions that a round tells.
     """
 
@@ -59,15 +55,11 @@ class ShootingOptions:
     Fields
     ------
     rivals : candidates refitted beside the first; their held-out errors decide between them.
-
     rival_share : least share of the first one's gain to be a rival: gains are promised by one step
         of the fit, and refits change their order.
-
     memory_share : share of what is left beyond noise that an effect without memory must explain so
         that effects with states of their own are not tried too.
-
     tried : suggestions of a diagnosis whose test error is worked out; each is a fit of its own.
-
     listed : suggestions that a round tells.
     """
 
@@ -93,12 +85,9 @@ class InnovationOptions:
     Fields
     ------
     gate : tests that candidates pass, in order; ``gate=[a,b]`` and ``gate.NAME.FIELD``.
-
     train : share of the samples that is regressed; the others validate (as in the paper, 70 %).
-
     block : samples of the blocks in which the two lie spread over the record, long against the
         memory of whitened innovations.
-
     listed : suggestions that a round tells.
     """
 
@@ -122,26 +111,16 @@ class PaperOptions:
     ------
     gate : tests that terms pass, in order: guard, Gate 1, refinements, Gate 2 (Algorithm 1);
         ``gate=[a,b]`` and ``gate.NAME.FIELD``.
-
     derivative : how y' and y'' are estimated; ``derivative=NAME``.
-
     learner : what learns the residual; ``learner=NAME``.
-
     library : which terms may be missing; ``library=NAME``.
-
     train : share of the samples that is fitted; the others validate (the paper's 70 %).
-
     split : ``blocks`` of samples spread over the record, or its ``tail`` for validation.
-
     block : samples of such a block, long against the correlation of differentiated noise.
-
     sampling : where the learned residual is evaluated: a Halton ``box``, the ``trajectory``, or
         ``samples``, which regresses the residual itself and learns nothing.
-
     points : of the Halton sequence (the paper's 1e5).
-
     seed : of the learner, the scrambling of the sequence, and resampling.
-
     listed : suggestions that a round tells.
     """
 

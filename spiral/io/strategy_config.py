@@ -117,7 +117,7 @@ def check_used(item: Assignment, config: Mapping[str, Any], registry: Registry) 
         users, what = ([first], ".".join(item.path[1:])) if first in known else ([name], "")
     if name in users:
         return
-    own = (*own_options(name, registry), *_sections(_plugin(config, registry)))
+    own = (*own_options(name, registry), *sections(_plugin(config, registry)))
     others = " or ".join(f"strategy={user} {item.text}" for user in users)
     raise ConfigError(
         f"{item.text}, not an option of strategy={name}",
@@ -153,7 +153,7 @@ def build_strategy(config: Mapping[str, Any], registry: Registry) -> Strategy:
     ConfigError : a value out of range, or a gate that judges other evidence.
     """
     fields = {k: v for k, v in config["strategy"].items() if k != "name"}
-    for part in _sections(_plugin(config, registry)):
+    for part in sections(_plugin(config, registry)):
         fields[part] = _chain(config["gate"], registry) if part == "gate" else _part(
             part, config[part], registry)  # fmt: skip
     made = registry.make("strategy", config["strategy"]["name"], fields, "strategy")
@@ -165,7 +165,8 @@ def _plugin(config: Mapping[str, Any], registry: Registry) -> type[Plugin]:
     return registry.entry("strategy", config["strategy"]["name"]).plugin
 
 
-def _sections(plugin: type[Plugin]) -> tuple[str, ...]:
+def sections(plugin: type[Plugin]) -> tuple[str, ...]:
+    """Fields of a strategy that are options of their own."""
     return tuple(s for s in SECTIONS if s in field_names(plugin))
 
 
