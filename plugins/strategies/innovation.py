@@ -27,6 +27,7 @@ class Innovation(InnovationOptions, Strategy):
     (docs/method.md).
     """
 
+    by_name = True
     # Its gates have levels of their own, and the filter tracks the phase itself.
     ignores = ("level", "alias_level", "phase_knot", "learned")
 

@@ -25,6 +25,7 @@ class Likelihood(LikelihoodOptions, Strategy):
     everywhere = True
     curves = True
     by_hand = True
+    by_name = True
     ignores = ("phase_knot",)  # the filter tracks the phase itself
 
     def begin(self, problem: Problem, progress: Progress) -> Begun:

@@ -35,6 +35,7 @@ class Paper(PaperOptions, Strategy):
     onto them; Gate 1 (t) and Gate 2 (partial F with roll-back) admit (the paper's Algorithm 1).
     """
 
+    by_name = True
     ignores = ("level", "alias_level", "learned")  # its gates have levels of their own
 
     gate: tuple[Gate, ...] = (

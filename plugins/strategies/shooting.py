@@ -25,6 +25,7 @@ class Shooting(ShootingOptions, Strategy):
 
     curves = True
     by_hand = True
+    by_name = True
 
     def begin(self, problem: Problem, progress: Progress) -> Begun:
         """The seed fitted on growing windows of the half that judges."""

@@ -118,17 +118,25 @@ def add(
 def _added(
     strategy: Strategy, problem: Problem, effects: tuple[Effect, ...], progress: Progress
 ) -> Added:
+    _check_admits(strategy, problem, [e.label for e in effects])
     clock = time.perf_counter()
-    labels = tuple(e.label for e in effects)
-    known = strategy.candidates(problem.model, None)
-    if known is not None and not {e.label for e in known} >= set(labels):
-        raise ConfigError(
-            f"add {' '.join(labels)} with strategy={strategy.plugin_name()}",
-            f"its own candidates: {', '.join(e.label for e in known)}",
-            "another library, or strategy=likelihood",
-        )
     begun = strategy.begin(replace(problem, candidates=effects), progress)
     settled, spent = Settled(begun.standing, begun.comparison), time.perf_counter() - clock
     for effect in effects:
         settled = strategy.admit(begun.assembly, settled.standing, effect.label, progress)
     return Added(begun.comparison, settled.comparison, spent)
+
+
+def _check_admits(strategy: Strategy, problem: Problem, labels: list[str]) -> None:
+    """Refuse, before anything is fitted, what a strategy cannot add."""
+    given = f"add {' '.join(labels)} with strategy={strategy.plugin_name()}"
+    if not strategy.by_name:
+        raise ConfigError(
+            given, "a strategy that can add what a person names",
+            "strategy=likelihood, or spiral compare effect=[...]",
+        )  # fmt: skip
+    known = strategy.candidates(problem.model, None)
+    if known is not None and not {e.label for e in known} >= set(labels):
+        names = ", ".join(e.label for e in known)
+        advice = "another library=, or strategy=likelihood"
+        raise ConfigError(given, f"its own candidates: {names}", advice)

@@ -17,7 +17,7 @@ from spiral.inference.verdict import advice_for, missing, study_verdict, summary
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.horizon import changes
 from spiral.types.model import Model
-from spiral.types.run import Round, Run, Stopped, Suggestion, Verdict
+from spiral.types.run import Round, Run, Stopped, Verdict
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,6 @@ def looked(
     return Checkpoint((*at.rounds[:-1], ranked), at.standing), step
 
 
-def candidates(strategy: Strategy, step: Step) -> tuple[Suggestion, ...]:
-    """Every candidate that a step ranked, by its evidence; a strategy may keep only its best."""
-    return strategy.ranked(step)
-
-
 def chosen(strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, label: str) -> Step:
     """The step with a candidate of a person's choice in place of the strategy's own.
 
@@ -79,7 +74,7 @@ def chosen(strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, l
     """
     if label in step.admitted:
         return step
-    known = [s.effect for s in candidates(strategy, step)]
+    known = [s.effect for s in strategy.ranked(step)]
     if not strategy.by_hand or label not in known:
         raise ConfigError(
             f"add {label}", f"one of {', '.join(known) or 'none'}", did_you_mean(label, known)

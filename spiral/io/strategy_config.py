@@ -95,7 +95,7 @@ def routed(
         first = item.path[0]
         if first not in SHARED:
             check_used(item, config, registry)
-        if first == config["strategy"]["name"] and len(item.path) > 1:
+        if first == config["strategy"]["name"] and first not in config and len(item.path) > 1:
             item = replace(item, path=("strategy", *item.path[1:]))
         found.append(item)
     return found
@@ -114,7 +114,8 @@ def check_used(item: Assignment, config: Mapping[str, Any], registry: Registry) 
     if first in SECTIONS:
         users = [s for s in known if first in field_names(registry.entry("strategy", s).plugin)]
     else:
-        users, what = ([first], ".".join(item.path[1:])) if first in known else ([name], "")
+        other = first in known and first not in config
+        users, what = ([first], ".".join(item.path[1:])) if other else ([name], "")
     if name in users:
         return
     own = (*own_options(name, registry), *sections(_plugin(config, registry)))

@@ -66,6 +66,8 @@ def test_a_strategy_of_ones_own_takes_the_options_it_has_fields_for(tmp_path):
     config = compose(("strategy=one_gate", "gate=[partial_f]", "one_gate.share=0.3"), mine)
     found = build_strategy(config, mine)
     assert (found.gate, found.share) == ((PartialF(),), 0.3)
+    with pytest.raises(ConfigError, match="can add what a person names"):
+        add(rehearsal(found, mine), (effect("cubic_stiffness"),))
     with pytest.raises(ConfigError, match="not an option of strategy=one_gate"):
         compose(("strategy=one_gate", "library=core"), mine)
 

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
-from spiral.types.errors import ConfigError
 from spiral.types.plugin import Plugin
 
 if TYPE_CHECKING:
@@ -96,14 +95,16 @@ class Strategy(Plugin):
     ``everywhere`` : candidates are asked for at every place where they fit, not at the system's
     first port alone. ``curves`` : learned curves are tried where no candidate explains what is
     left. ``by_hand`` : a person may admit any candidate in place of the one proposed, as the page
-    does; such a strategy has ``choose``. ``ignores`` : settings of all studies that this kind of
-    evidence never looks at; given with it they are refused.
+    does; such a strategy has ``choose``. ``by_name`` : a person may add an effect that no step
+    proposed (``spiral add``); such a strategy has ``admit``, or ``add``. ``ignores`` : settings of
+    all studies that this kind of evidence never looks at; given with it they are refused.
     """
 
     kind: ClassVar[str] = "strategy"
     everywhere: ClassVar[bool] = False
     curves: ClassVar[bool] = False
     by_hand: ClassVar[bool] = False
+    by_name: ClassVar[bool] = False
     ignores: ClassVar[tuple[str, ...]] = ()
 
     # --- what every strategy has ---
@@ -144,18 +145,13 @@ class Strategy(Plugin):
         self, assembly: Assembly, standing: FitState, step: Step[Any], label: str
     ) -> Step[Any]:
         """The step with another candidate in place of its own; asked where ``by_hand`` is set."""
-        raise self._cannot("choose", label)
+        raise NotImplementedError
 
     def admit(
         self, assembly: Assembly, standing: FitState, label: str, progress: Progress
     ) -> Settled:
-        """The model with a candidate that no step proposed, refitted and compared.
-
-        Raises
-        ------
-        ConfigError : the strategy admits only what it proposes.
-        """
-        raise self._cannot("add", label)
+        """The model with another candidate, refitted and compared; asked where ``by_name`` is."""
+        raise NotImplementedError
 
     def compare(self, problem: Problem, progress: Progress) -> Comparison:
         """The model as it is, fitted and compared: that of the beginning, without candidates."""
@@ -170,10 +166,3 @@ class Strategy(Plugin):
     def diagnose(self, problem: Problem, progress: Progress) -> Diagnosis | None:
         """A diagnosis of the strategy's own making; ``None``: that of its first round."""
         return None
-
-    def _cannot(self, verb: str, label: str) -> ConfigError:
-        return ConfigError(
-            f"{verb} {label} with strategy={self.plugin_name()}",
-            "a strategy that can admit what a person names",
-            "strategy=likelihood, or effect=[...] and spiral compare",
-        )
