@@ -40,7 +40,9 @@ def row(data: dict[str, Any]) -> dict[str, Any]:
     true = {k.split(".")[0] for k in TRUTH} | set(SECOND_ORDER) if hidden else set()
     found = {k: e for k, p in _terms(result).items() for e in [p] if e["estimate"] != 0.0}
     false = [k for k in found if k.split(".")[0] not in true | set(SEED)]
-    couplings = {}
+    couplings, strategy = {}, config["strategy"]
+    if isinstance(strategy, str):  # a run of before strategies had options
+        strategy = {"name": strategy, **config.get("paper", {})}
     for key, truth in TRUTH.items():
         if key in found:
             robust = table.get(key, {}).get("t_hac", found[key]["t"])
@@ -51,11 +53,11 @@ def row(data: dict[str, Any]) -> dict[str, Any]:
             }
     return {
         "experiment": config["experiment"],
-        "strategy": config["strategy"],
+        "strategy": strategy["name"],
         "library": config["library"]["name"],
         "derivative": config["derivative"]["name"],
         "learner": config["learner"]["name"],
-        "sampling": config["paper"]["sampling"],
+        "sampling": strategy.get("sampling", ""),
         "gates": gates_told(list(config["gate"])),
         "noise": config["record"]["noise_level"],
         "seed": config["record"]["seed"],

@@ -156,8 +156,9 @@ def discover(record: Records, system: Physics, **choices: Any) -> Run:
         ``free`` and ``fixed`` parameters; ``test`` records, or the share ``holdout`` (0.2) that is
         kept apart, of each of ``holdout_blocks`` stretches (1); ``settle`` seconds of the test that
         fix its nuisances; ``candidates`` (labels or effects; left out, all that fit);
-        ``strategy``; ``settings`` (fields of ``Settings``);
-        ``plugins`` (a folder, or a registry); ``progress`` (a function that is told in words).
+        ``strategy`` (a name, a name with options, or an object); ``settings`` (fields of
+        ``Settings``); ``plugins`` (a folder, or a registry); ``progress`` (a function that is told
+        in words).
 
     Raises
     ------
@@ -298,6 +299,8 @@ def _problem(record: Records, physics: Physics, choices: dict[str, Any]) -> Prob
     _no_more(choices, "a study", (*_MODEL, *_ASKED, "settings", "plugins", "progress"))
     settings = levels if isinstance(levels, Settings) else construct(Settings, levels, "settings")
     test = asked.pop("test", None)
+    if "strategy" in asked:
+        asked["strategy"] = _plugin("strategy", asked["strategy"], registry)
     return question.put(
         registry, _model(physics, registry, **own), _records(record),
         None if test is None else _records(test), settings=settings, **asked,

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
+from spiral_plugins.strategies.shooting import Shooting
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.inference.problem import Problem, Settings
@@ -71,7 +72,12 @@ def candidates(model: Model) -> tuple[Effect, ...]:
 def planar_problem(record, test, model: Model | None = None, **settings) -> Problem:
     model = model or seed_model(PlanarRotor())
     return Problem(
-        model, (record,), (test,), candidates=candidates(model), settings=Settings(**settings)
+        model,
+        (record,),
+        (test,),
+        candidates=candidates(model),
+        settings=Settings(**settings),
+        strategy=Shooting(),
     )
 
 

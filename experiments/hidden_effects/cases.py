@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
+from spiral_plugins.strategies.shooting import Shooting
 
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.simulate import simulate
@@ -149,6 +150,7 @@ def problem(
         (record_of(case.scene, truth, seed + 1000, 1.3, noise, 1),),
         candidates=candidates,
         settings=Settings(max_rounds=max_rounds),
+        strategy=Shooting(),
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from spiral.inference.problem import silent
-from spiral.inference.strategies.innovation import INNOVATION
+from spiral.inference.rounds import strategy_for
 from spiral.io.config import build_problem, compose
 from spiral.io.registry import load_registry
 
@@ -34,8 +34,9 @@ def outcome(seed: int, null: bool) -> dict[str, Any]:
     words = ["experiment=rotor_one_bearing", f"record.seed={seed}", f"test.seed={seed + 1000}"]
     config = compose([*words, *([NULL] if null else [])], registry)
     problem = build_problem(config, registry)
-    begun = INNOVATION.begin(problem, silent)
-    step = INNOVATION.propose(begun.assembly, begun.standing, begun.comparison, 1, silent)
+    strategy = strategy_for(problem)
+    begun = strategy.begin(problem, silent)
+    step = strategy.propose(begun.assembly, begun.standing, begun.comparison, 1, silent)
     found: dict[str, Any] = {
         "seed": seed,
         "null": null,
@@ -45,7 +46,7 @@ def outcome(seed: int, null: bool) -> dict[str, Any]:
         "largest_score": max(step.details["innovation"]["score"].values()),
     }
     if step.admitted:
-        settled = INNOVATION.settle(begun.assembly, step, silent)
+        settled = strategy.settle(begun.assembly, step, silent)
         key = f"{TRUE}.stiffness"
         found["estimate"] = settled.comparison.model.values.get(key)
         found["se"] = settled.comparison.model.errors.get(key)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from spiral_plugins.sources.simulation import Simulation
+from spiral_plugins.strategies.shooting import Shooting
 
 from experiments.hidden_effects.cases import ROTOR
 from spiral.inference.problem import Problem, Settings
@@ -217,7 +218,8 @@ def problem(name: str, registry: Registry, seed: int = 0, **settings: Any) -> Pr
     record, test = (s.load(system)[0] for s in (source, source.as_test()))
     model = seed_model(system)
     candidates = tuple(e for e in registry.candidates(system) if e.label not in model.labels)
-    found = Problem(model, (record,), (test,), candidates=candidates, settings=Settings(**settings))
+    found = Problem(model, (record,), (test,), candidates=candidates, settings=Settings(**settings),
+                    strategy=Shooting())  # fmt: skip
     return replace(found, dictionary=registry.dictionary(system))
 
 

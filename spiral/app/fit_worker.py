@@ -22,7 +22,6 @@ from spiral.inference.evidence.assembly import Assembly, first_row
 from spiral.inference.evidence.comparison import chi2_on
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.rounds import (
-    candidates,
     chosen,
     concluded,
     looked,
@@ -190,8 +189,8 @@ class FitWorker:
         self.registry = bound(config, self.registry)
         self.problem = build_problem(config, self.registry)
         self.strategy = strategy_for(self.problem)
-        if self.strategy.choose is None:
-            raise ConfigError(f"strategy={self.strategy.name} on the page",
+        if not self.strategy.by_hand:
+            raise ConfigError(f"strategy={self.strategy.plugin_name()} on the page",
                               "a strategy that can admit what a person chooses",
                               "leave strategy out, or use `spiral discover`")  # fmt: skip
         self._tell_records()
@@ -376,7 +375,7 @@ def _figures_of(found: Round) -> dict[str, Any]:
 
 def _candidates(strategy: Strategy, step: Step) -> list[dict[str, Any]]:
     rows = []
-    for found in candidates(strategy, step):
+    for found in strategy.ranked(step):
         row = {**found.as_dict(), "hint": list(found.hint)}
         rows.append(finite(row))
     return rows

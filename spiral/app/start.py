@@ -94,7 +94,7 @@ def presets() -> list[Preset]:
     for name in sorted(experiments(), key=lambda n: (n != "rotor_coastdown", n)):
         text = (files(PACKAGE) / "experiment" / f"{name}.yaml").read_text("utf-8")
         lines = text.splitlines()
-        if any(re.match(r"strategy: ", x) for x in lines):
+        if any(re.match(r"\s*- override /strategy: ", x) for x in lines):
             continue
         told = [x[1:].strip() for x in lines[1:] if x.startswith("#")]
         said = " ".join(told).split(". ")[0].rstrip(".") + "."

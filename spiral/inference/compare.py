@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.evidence.assembly import assemble, first_row
 from spiral.inference.evidence.comparison import judged, last_stage, prepared, test_run
 from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.evidence.judge import FreeRun
 from spiral.inference.problem import Problem, Progress, silent
-from spiral.inference.strategies.likelihood import LIKELIHOOD
+from spiral.inference.rounds import strategy_for
 from spiral.types.model import Model
 from spiral.types.record import Record
 from spiral.types.run import Comparison
@@ -18,9 +16,12 @@ from spiral.types.run import Comparison
 
 @one_blas_thread
 def compare(problem: Problem, progress: Progress = silent) -> Comparison:
-    """Fit the model as it is to all samples, and compare it with the test record."""
-    if problem.likelihood:
-        return LIKELIHOOD.begin(replace(problem, candidates=()), progress).comparison
+    """Fit the model as it is, as the problem's strategy does; compare it with the test record."""
+    return strategy_for(problem).compare(problem, progress)
+
+
+def on_windows(problem: Problem, progress: Progress) -> Comparison:
+    """The model fitted to all samples on growing windows, compared with the test record."""
     assembly, standing = prepared(problem, ())
     progress("fitting on growing windows")
     stage = last_stage(assembly, standing, all_samples(assembly))

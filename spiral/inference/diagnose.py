@@ -18,26 +18,29 @@ from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.rounds import strategy_for
 from spiral.inference.strategies.base import Strategy
 from spiral.inference.strategies.resolved import remembered
-from spiral.inference.strategies.shooting import SHOOTING, curve_of
+from spiral.inference.strategies.shooting import curve_of
+from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried
 from spiral.inference.verdict import advice_for, seed_verdict, verdict_sentence
 from spiral.inference.where.regions import where
 from spiral.types.run import Comparison, Diagnosis, Round, Stopped, Suggestion
 
-_TRIED = 3  # suggestions whose test error is worked out
-
 
 @one_blas_thread
 def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
-    """The verdict on the model as it is, with ranked suggestions.
+    """The verdict on the model as it is, with ranked suggestions, by the problem's strategy."""
+    strategy = strategy_for(problem)
+    own = strategy.diagnose(problem, progress)
+    return _by_a_round(strategy, problem, progress) if own is None else own
+
+
+def on_windows(options: ShootingOptions, problem: Problem, progress: Progress) -> Diagnosis:
+    """The diagnosis from trajectories on windows.
 
     The candidates are scored on one half of the blocks and judged on the other, as in a round of
     ``discover``; the comparison is of the model fitted to all samples.
     """
-    strategy = strategy_for(problem)
-    if strategy is not SHOOTING:
-        return _by_a_round(strategy, problem, progress)
     progress("compiling the model and all candidates")
     assembly, standing = prepared(problem)
     tangle = entangled(assembly, standing)
@@ -49,12 +52,12 @@ def diagnose(problem: Problem, progress: Progress = silent) -> Diagnosis:
     if tangle is not None:
         return _tangled(assembly, comparison, tangle.groups, stage)
     masks = half_masks(assembly)
-    proposal = propose(assembly, standing, masks, 1, progress)
+    proposal = propose(options, assembly, standing, masks, 1, progress)
     white = comparison.whiteness_p >= problem.settings.whiteness_level
-    proposal = remembered(assembly, standing, proposal, white, masks, 1, progress)
+    proposal = remembered(options, assembly, standing, proposal, white, masks, 1, progress)
     if proposal.wide is not None:
         standing, assembly = carried(standing, assembly, proposal.wide), proposal.wide
-    return _diagnosis(assembly, standing, comparison, proposal, first, progress)
+    return _diagnosis(options, assembly, standing, comparison, proposal, first, progress)
 
 
 def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Diagnosis:
@@ -105,18 +108,25 @@ def _advice(best: Suggestion) -> str:
 
 
 def _diagnosis(
-    assembly: Assembly, standing: FitState, comparison, proposal: Proposal, first: Round, progress
+    options: ShootingOptions,
+    assembly: Assembly,
+    standing: FitState,
+    comparison: Comparison,
+    proposal: Proposal,
+    first: Round,
+    progress: Progress,
 ) -> Diagnosis:
     settings = assembly.problem.settings
     stopped: Stopped = "diverged" if proposal.diverged else "no_candidate"
     shape = None
     if proposal.admitted is None and comparison.whiteness_p < settings.whiteness_level:
-        found = curve_of(assembly, standing, proposal, comparison, 1, progress)
+        found = curve_of(options, assembly, standing, proposal, comparison, 1, progress)
         shape = None if found is None else found.shape.as_dict()
         first = replace(first, details={} if shape is None else {"unknown": shape})
     verdict = seed_verdict(first, stopped, settings, proposal.admitted is not None)
     evidence = proposal.evidence
-    suggestions = _with_test_errors(assembly, standing, comparison.test_error, proposal, progress)
+    before = comparison.test_error
+    suggestions = _with_test_errors(options, assembly, standing, before, proposal, progress)
     if verdict == "nothing_missing":
         suggestions = ()
     shown = evidence.stage if evidence is not None else proposal.stages[-1]
@@ -139,15 +149,21 @@ def _diagnosis(
 
 
 def _with_test_errors(
-    assembly: Assembly, standing: FitState, before: float, proposal: Proposal, progress: Progress
+    options: ShootingOptions,
+    assembly: Assembly,
+    standing: FitState,
+    before: float,
+    proposal: Proposal,
+    progress: Progress,
 ) -> tuple[Suggestion, ...]:
     """Work out the test error of the best suggestions, each admitted alone."""
     if proposal.evidence is None:
         return proposal.suggestions
     found = []
+    level = assembly.problem.settings.level
     by_label = {r.variant.original.label: r for r in proposal.evidence.ranked}
     for number, suggestion in enumerate(proposal.suggestions):
-        if number >= _TRIED or suggestion.wald_p_value > 0.01:
+        if number >= options.tried or suggestion.wald_p_value > level:
             found.append(suggestion)
             continue
         progress(f"trying {suggestion.effect} on the test record")

@@ -6,12 +6,8 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from spiral.engine.growth import Stage
 from spiral.engine.threads import one_blas_thread
-from spiral.inference.evidence.admission import with_effects
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.comparison import judged, last_stage, prepared
-from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.rounds import (
     Checkpoint,
@@ -22,10 +18,9 @@ from spiral.inference.rounds import (
     strategy_for,
     turned,
 )
-from spiral.inference.strategies.base import Settled, Strategy
-from spiral.inference.strategies.resolved import widened
-from spiral.inference.unknown.holding import carried, having, holding
+from spiral.inference.strategies.base import Added, Settled, Strategy
 from spiral.types.effect import Effect
+from spiral.types.errors import ConfigError
 from spiral.types.horizon import changes
 from spiral.types.run import Comparison, Round, Run, Stopped
 
@@ -101,10 +96,9 @@ def add(
 ) -> tuple[Comparison, Comparison, Run]:
     """Fit the model, then the model plus the effects, on all samples; before and after."""
     clock = time.perf_counter()
-    if strategy_for(problem).admit is None:
-        before, after, spent = _added_on_windows(problem, effects, progress)
-    else:
-        before, after, spent = _added(strategy_for(problem), problem, effects, progress)
+    strategy = strategy_for(problem)
+    added = strategy.add(problem, effects, progress) or _added(strategy, problem, effects, progress)
+    before, after, spent = added.before, added.after, added.seconds
     rounds = [Round(0, (), {}, {}, (), before, spent)]
     labels = tuple(e.label for e in effects)
     meaning = "; ".join(e.meaning() for e in effects)
@@ -121,57 +115,28 @@ def add(
     return before, after, run
 
 
-Added = tuple[Comparison, Comparison, float]
-"""The comparisons before and after, and the seconds that the first took."""
-
-
 def _added(
     strategy: Strategy, problem: Problem, effects: tuple[Effect, ...], progress: Progress
 ) -> Added:
-    assert strategy.admit is not None
+    _check_admits(strategy, problem, [e.label for e in effects])
     clock = time.perf_counter()
     begun = strategy.begin(replace(problem, candidates=effects), progress)
     settled, spent = Settled(begun.standing, begun.comparison), time.perf_counter() - clock
     for effect in effects:
         settled = strategy.admit(begun.assembly, settled.standing, effect.label, progress)
-    return begun.comparison, settled.comparison, spent
+    return Added(begun.comparison, settled.comparison, spent)
 
 
-def _added_on_windows(problem: Problem, effects: tuple[Effect, ...], progress: Progress) -> Added:
-    clock = time.perf_counter()
-    assembly, before_standing = prepared(problem, effects)
-    masks = all_samples(assembly)
-    progress("fitting before")
-    stage = last_stage(assembly, before_standing, masks)
-    before_standing = replace(before_standing, values=stage.fitted.point.values)
-    before = judged(assembly, before_standing, stage, progress)
-    spent = time.perf_counter() - clock
-    assembly, standing = _with_all(assembly, before_standing, stage, effects, progress)
-    progress("fitting after")
-    stage = last_stage(assembly, standing, masks)
-    standing = replace(standing, values=stage.fitted.point.values)
-    return before, judged(assembly, standing, stage, progress), spent
-
-
-def _with_all(
-    assembly: Assembly,
-    standing: FitState,
-    stage: Stage,
-    effects: tuple[Effect, ...],
-    progress: Progress,
-) -> tuple[Assembly, FitState]:
-    """Admit effects without gates; those with states of their own bring a study that holds them.
-
-    Their frequencies are free from then on: beside an amplitude the long windows tell them well.
-    """
-    late = tuple(e for e in effects if e.states)
-    if not late:
-        return assembly, with_effects(assembly, standing, effects, progress)
-    progress("resolving what is left into resonances and lags")
-    wide, _ = widened(assembly, standing, stage, late)
-    found = with_effects(wide, carried(standing, assembly, wide), effects, progress)
-    final = having(assembly, found.labels)
-    chosen = (v for v in final.variants if v.label in found.labels and v.original in late)
-    tuned = tuple(k for v in chosen for k in v.tuned if k not in found.freed)
-    found = replace(carried(found, wide, final), freed=(*found.freed, *tuned))
-    return holding(final, found), found
+def _check_admits(strategy: Strategy, problem: Problem, labels: list[str]) -> None:
+    """Refuse, before anything is fitted, what a strategy cannot add."""
+    given = f"add {' '.join(labels)} with strategy={strategy.plugin_name()}"
+    if not strategy.by_name:
+        raise ConfigError(
+            given, "a strategy that can add what a person names",
+            "strategy=likelihood, or spiral compare effect=[...]",
+        )  # fmt: skip
+    known = strategy.candidates(problem.model, None)
+    if known is not None and not {e.label for e in known} >= set(labels):
+        names = ", ".join(e.label for e in known)
+        advice = "another library=, or strategy=likelihood"
+        raise ConfigError(given, f"its own candidates: {names}", advice)

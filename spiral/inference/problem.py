@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
 
-from spiral.engine.gate import Gate
-from spiral.types.derivative import Derivative
 from spiral.types.effect import Effect
-from spiral.types.learner import Learner
-from spiral.types.library import Library
 from spiral.types.model import Model
+from spiral.types.plugin import Plugin
 from spiral.types.record import Record
 
 Progress = Callable[[str], None]
@@ -65,46 +61,15 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Sampling:
-    """How ``strategy=paper`` splits and samples.
-
-    Parameters
-    ----------
-    train : share of the samples that is fitted; the others validate.
-    split : ``blocks`` of 256 samples spread over the record, or its ``tail`` for validation.
-    sampling : where the learned residual is evaluated: a Halton ``box``, the ``trajectory``, or
-        ``samples``, which regresses the residual itself and learns nothing.
-    points : of the Halton sequence.
-    seed : of the learner, the scrambling of the sequence, and resampling.
-    """
-
-    train: float = 0.7
-    split: Literal["blocks", "tail"] = "blocks"
-    sampling: Literal["box", "trajectory", "samples"] = "box"
-    points: int = 100_000
-    seed: int = 0
-
-
-@dataclass(frozen=True)
-class Published:
-    """The plugins and choices that make up ``strategy=paper``; ``gates`` in the order asked."""
-
-    derivative: Derivative
-    learner: Learner
-    library: Library
-    gates: tuple[Gate, ...]
-    sampling: Sampling = field(default_factory=Sampling)
-
-
-@dataclass(frozen=True)
 class Problem:
     """One study's question.
 
     ``records`` are fitted; ``test`` is seen neither by fit nor by selection, its first ``settle``
     seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
     ``dictionary`` are learned effects, tried where no candidate explains what is left.
-    ``published`` chooses the paper's evidence, ``innovation`` (its gates) that of a filter; left
-    out, both, it comes from trajectories. ``scaled`` are shapes that nobody gave a value.
+    ``strategy`` is the plugin of that kind which supplies the evidence
+    (``spiral.inference.rounds.strategy_for``); steps that need none leave it out.
+    ``scaled`` are shapes that nobody gave a value.
     """
 
     model: Model
@@ -113,8 +78,6 @@ class Problem:
     settle: float | None = None
     candidates: tuple[Effect, ...] = ()
     settings: Settings = field(default_factory=Settings)
-    published: Published | None = None
     dictionary: tuple[Effect, ...] = ()
-    innovation: tuple[Gate, ...] | None = None
-    likelihood: bool = False
+    strategy: Plugin | None = None
     scaled: tuple[str, ...] = ()

@@ -13,15 +13,11 @@ from spiral.inference.evidence.assembly import Assembly, to_model
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.problem import Problem, Progress, Settings
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
-from spiral.inference.strategies.innovation import INNOVATION
-from spiral.inference.strategies.likelihood import LIKELIHOOD
-from spiral.inference.strategies.paper import PAPER
-from spiral.inference.strategies.shooting import SHOOTING
 from spiral.inference.verdict import advice_for, missing, study_verdict, summary
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.horizon import changes
 from spiral.types.model import Model
-from spiral.types.run import Round, Run, Stopped, Suggestion, Verdict
+from spiral.types.run import Round, Run, Stopped, Verdict
 
 
 @dataclass(frozen=True)
@@ -33,12 +29,19 @@ class Checkpoint:
 
 
 def strategy_for(problem: Problem) -> Strategy:
-    """The kind of evidence that a problem asks for."""
-    if problem.published is not None:
-        return PAPER
-    if problem.likelihood:
-        return LIKELIHOOD
-    return SHOOTING if problem.innovation is None else INNOVATION
+    """The kind of evidence that a problem asks for.
+
+    Raises
+    ------
+    ConfigError : a problem without a strategy.
+    """
+    if not isinstance(problem.strategy, Strategy):
+        raise ConfigError(
+            f"a problem with the strategy {problem.strategy!r}",
+            "a plugin of the kind strategy",
+            'registry.make("strategy", "likelihood")',
+        )
+    return problem.strategy
 
 
 def started(begun: Begun, seconds: float) -> Checkpoint:
@@ -62,11 +65,6 @@ def looked(
     return Checkpoint((*at.rounds[:-1], ranked), at.standing), step
 
 
-def candidates(strategy: Strategy, step: Step) -> tuple[Suggestion, ...]:
-    """Every candidate that a step ranked, by its evidence; a strategy may keep only its best."""
-    return step.suggestions if strategy.ranked is None else strategy.ranked(step)
-
-
 def chosen(strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, label: str) -> Step:
     """The step with a candidate of a person's choice in place of the strategy's own.
 
@@ -76,8 +74,8 @@ def chosen(strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, l
     """
     if label in step.admitted:
         return step
-    known = [s.effect for s in candidates(strategy, step)]
-    if strategy.choose is None or label not in known:
+    known = [s.effect for s in strategy.ranked(step)]
+    if not strategy.by_hand or label not in known:
         raise ConfigError(
             f"add {label}", f"one of {', '.join(known) or 'none'}", did_you_mean(label, known)
         )

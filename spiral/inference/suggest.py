@@ -18,14 +18,13 @@ from spiral.inference.evidence.fit_state import FitState, Masks, grown
 from spiral.inference.evidence.judge import held_out
 from spiral.inference.evidence.scoring import Evidence, Ranked, Ranking, score_stage
 from spiral.inference.problem import Progress, Settings, silent
+from spiral.inference.strategy_options import ShootingOptions
 from spiral.types.effect import SensorEffect
 from spiral.types.run import Suggestion
 
-_RIVALS = 4  # candidates refitted beside the first
-_RIVAL_SHARE = 0.5  # least share of the first one's gain to be a rival
 _TWIN, _TWIN_SHARE = 0.999, 0.99  # cosine and share of the gain from which two are one
-_LISTED = 5
-_HINT = 0.95
+_NEAR = 5  # of the first, among which alike signatures are hinted at: a pair costs a cosine
+_HINT = 0.95  # cosine of two signatures from which the hint is given
 _STAGES = 4  # looks at the data, over which the level is shared
 
 
@@ -62,6 +61,7 @@ class Proposal:
 
 
 def propose(
+    options: ShootingOptions,
     assembly: Assembly,
     standing: FitState,
     masks: tuple[Masks, Masks],
@@ -76,7 +76,9 @@ def propose(
     round_number : from 1; decides the share of the study's error rate that is spent.
     """
     settings = assembly.problem.settings
-    evidence, stages = _longest_that_agrees(assembly, standing, masks[0], round_number, progress)
+    evidence, stages = _longest_that_agrees(
+        options, assembly, standing, masks[0], round_number, progress
+    )
     if evidence is None:
         return Proposal(None, stages, None, (), ())
     rejected: dict[str, str] = {}
@@ -84,21 +86,24 @@ def propose(
     aliases: tuple[str, ...] = ()
     tests = _tests(assembly, evidence)
     passing = [r for r in evidence.ranked if _significant(r, tests, settings, round_number)]
-    for ranked in passing[: _RIVALS + 1]:
+    for ranked in passing[: options.rivals + 1]:
         if ranked.variant.original.label in rejected:
             continue
         progress(f"refitting with {ranked.variant.original.label} and its rivals")
-        first, aliases = _contest(assembly, standing, evidence, ranked, passing, masks[1], rejected)
+        first, aliases = _contest(
+            options, assembly, standing, evidence, ranked, passing, masks[1], rejected
+        )
         reason = _refused(assembly, standing, evidence, first, masks[1])
         if not reason:
             chosen = first
             break
         rejected[first.variant.original.label] = reason
-    shown = listed(evidence, chosen, aliases)
+    shown = listed(options, evidence, chosen, aliases)
     return Proposal(evidence, stages, chosen, aliases, shown, rejected)
 
 
 def _longest_that_agrees(
+    options: ShootingOptions,
     assembly: Assembly,
     standing: FitState,
     mask: Masks,
@@ -116,33 +121,36 @@ def _longest_that_agrees(
         progress(f"scoring candidates on windows of {stage.length} samples")
         evidence = from_afar(assembly, standing, score_stage(assembly, standing, stage))
         tests = _tests(assembly, evidence)
-        if kept is not None and not _agree(kept, evidence, tests, settings, round_number):
+        if kept is not None and not _agree(options, kept, evidence, tests, settings, round_number):
             break
         kept = evidence
     return kept, tuple(stages)
 
 
-def _leaders(evidence: Evidence, tests: int, settings: Settings, round_number: int) -> list[str]:
-    """The significant ones of the top three that come near the first (half its gain)."""
+def _leaders(
+    options: ShootingOptions, evidence: Evidence, tests: int, settings: Settings, round_number: int
+) -> list[str]:
+    """The significant ones of the top three that come near the first (as rivals do)."""
     top = evidence.ranked[:3]
     return [
         r.variant.original.label
         for r in top
         if _significant(r, tests, settings, round_number)
-        and r.score.gain >= _RIVAL_SHARE * top[0].score.gain
+        and r.score.gain >= options.rival_share * top[0].score.gain
     ]
 
 
 def _agree(
-    before: Evidence, after: Evidence, tests: int, settings: Settings, round_number: int
-) -> bool:
+    options: ShootingOptions, before: Evidence, after: Evidence, tests: int, settings: Settings,
+    round_number: int,
+) -> bool:  # fmt: skip
     """Whether longer windows keep the first suggestion and lose none of its near rivals.
 
     Where nothing was significant before, or where the model is nearly right on the longer windows
     (so that they cannot have led it into a wrong basin), the first suggestion alone must stay.
     """
-    old = _leaders(before, tests, settings, round_number)
-    new = _leaders(after, tests, settings, round_number)
+    old = _leaders(options, before, tests, settings, round_number)
+    new = _leaders(options, after, tests, settings, round_number)
     if not old:
         return True
     nearly_right = after.stage.fitted.chi2_per_dof < settings.chi2_limit
@@ -175,6 +183,7 @@ def _significant(ranked: Ranked, tests: int, settings: Settings, round_number: i
 
 
 def _contest(
+    options: ShootingOptions,
     assembly: Assembly,
     standing: FitState,
     evidence: Evidence,
@@ -188,9 +197,9 @@ def _contest(
     rivals = [
         r
         for r in passing
-        if r.score.gain >= _RIVAL_SHARE * gain and r.variant.original.label not in rejected
+        if r.score.gain >= options.rival_share * gain and r.variant.original.label not in rejected
     ]
-    rivals = sorted(rivals, key=lambda r: r is not ranked)[: _RIVALS + 1]
+    rivals = sorted(rivals, key=lambda r: r is not ranked)[: options.rivals + 1]
     refits = [admit(assembly, standing, evidence.stage, r) for r in rivals]
     errors = [held_out(assembly, a.standing.labels, a.stage, mask)[1] for a in refits]
     winner = 0
@@ -251,12 +260,12 @@ def _refused(
 
 
 def listed(
-    evidence: Evidence, chosen: Admitted | None, aliases: tuple[str, ...]
+    options: ShootingOptions, evidence: Evidence, chosen: Admitted | None, aliases: tuple[str, ...]
 ) -> tuple[Suggestion, ...]:
     """The best candidates as suggestions: the admitted one, then the others by ``by_evidence``."""
     found = by_evidence(evidence, chosen, aliases)
     label = None if chosen is None else chosen.variant.original.label
-    return tuple(sorted(found, key=lambda s: s.effect != label)[:_LISTED])
+    return tuple(sorted(found, key=lambda s: s.effect != label)[: options.listed])
 
 
 def by_evidence(
@@ -268,7 +277,7 @@ def by_evidence(
     """
     order = sorted(evidence.ranked, key=lambda r: r.rank)
     label = None if chosen is None else chosen.variant.original.label
-    near = [r for i, r in enumerate(order) if i < _LISTED or r.variant.original.label == label]
+    near = [r for i, r in enumerate(order) if i < _NEAR or r.variant.original.label == label]
     found = []
     for ranked in order:
         hint = tuple(

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from spiral.inference.plan_options import PlanOptions
-from spiral.inference.problem import Problem, Sampling, Settings
-from spiral.io import custom, question
+from spiral.inference.problem import Problem, Settings
+from spiral.io import custom, question, strategy_config
 from spiral.io.overrides import Assignment, parse, set_value
-from spiral.io.paper_options import gate_fields, with_strategy
 from spiral.io.registry import Registry
+from spiral.io.strategy_config import build_strategy, gate_fields
 from spiral.io.system_files import plugin_of_file
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, did_you_mean
@@ -35,7 +35,10 @@ GROUPS = {
     "library": "library",
 }
 # Of groups that runs saved before them lack.
-USUAL = {**question.USUAL, "observer": "ekf"}
+USUAL = {
+    "derivative": "total_variation", "learner": "tanh_network", "library": "paper",
+    "observer": "ekf",
+}  # fmt: skip
 PACKAGE = "spiral_conf"
 _TEST_SEED_FIELDS = ("name", "settle")
 
@@ -44,7 +47,6 @@ _TEST_SEED_FIELDS = ("name", "settle")
 class Options:
     """The top-level values of a configuration, typed."""
 
-    strategy: str = question.USUAL_STRATEGY
     effect: Any = None
     seed: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()
@@ -56,8 +58,6 @@ class Options:
     holdout: float = 0.2
     holdout_blocks: int = 1
     settings: Any = field(default_factory=dict)
-    gate: Any = None
-    paper: Any = field(default_factory=dict)
     run: str | None = None
     out: str = "runs"
     curves: bool = True
@@ -78,6 +78,8 @@ def register(registry: Registry) -> None:
     from hydra.core.config_store import ConfigStore
 
     store = ConfigStore.instance()
+    for name in registry.names("strategy"):
+        store.store(name=name, group="strategy", node=strategy_config.section(name, registry))
     for group, kind in GROUPS.items():
         for name in registry.names(kind):
             store.store(name=name, group=group, node=_section(group, name, registry))
@@ -97,14 +99,17 @@ def compose(overrides: Sequence[str], registry: Registry, base: Config | None = 
             f"experiment={_preset(items)} together with run=", "one of them", "leave one out"
         )
     items, registry = custom.routed(config, items, registry)
-    with_strategy(config, items)
+    strategy_config.normalised(config, registry)
+    strategy_config.chosen(config, items, registry)
     _normalise(config, registry)
-    rest = [i for i in items if i.path != ("experiment",)]
+    taken = (("experiment",), ("strategy",))
+    rest = strategy_config.routed((i for i in items if i.path not in taken), config, registry)
     for item in [i for i in rest if len(i.path) == 1]:
         _apply(config, item, registry)
     for item in [i for i in rest if len(i.path) > 1]:
         _apply(config, item, registry)
     options(config)
+    build_strategy(config, registry)  # refused before anything is read
     return config
 
 
@@ -112,7 +117,6 @@ def options(config: Config) -> Options:
     """The top-level values, checked."""
     given = {k: config[k] for k in field_names(Options) if k in config}
     found = construct(Options, given, "")
-    question.check_strategy(found.strategy)
     question.check_holdout(found.holdout, found.holdout_blocks)
     return found
 
@@ -210,15 +214,11 @@ def build_problem(config: Config, registry: Registry) -> Problem:
     record, test_source = build_sources(config, registry)
     records = record.load(model.system)
     test = None if test_source is None else test_source.load(model.system)
-    parts = {}
-    if chosen.strategy == "paper":
-        parts = {g: _plugin(g, config, registry) for g in ("derivative", "learner", "library")}
     return question.put(
         custom.bound(config, registry), model, records, test,
         holdout=chosen.holdout, holdout_blocks=chosen.holdout_blocks,
         settle=config["test"].get("settle"), candidates=chosen.candidates,
-        settings=levels, strategy=chosen.strategy, parts=parts, gates=config["gate"],
-        paper=config["paper"],
+        settings=levels, strategy=build_strategy(config, registry),
     )  # fmt: skip
 
 
@@ -282,8 +282,7 @@ def _normalise(config: Config, registry: Registry) -> None:
         test = _test_like_record(config, registry, test)
     config["test"] = {"name": None, "settle": None, **test}
     config["effect"] = _effect_fields(config["effect"], registry)
-    config["gate"] = gate_fields(config.get("gate"), registry, config["strategy"])
-    config.setdefault("paper", plain(defaults_of(Sampling)))
+    config["gate"] = gate_fields(config.get("gate"), config, registry)
     config["plan"] = {**defaults_of(PlanOptions), **(config.get("plan") or {})}
 
 
@@ -316,11 +315,11 @@ def _apply(config: Config, item: Assignment, registry: Registry) -> None:
         return
     if item.path == ("gate",):
         given = [] if item.delete else item.value
-        config["gate"] = gate_fields(given, registry, config["strategy"])
+        config["gate"] = gate_fields(given, config, registry)
         return
     if first == "test" and item.path[1:] != ("settle",) and not config["test"]["name"]:
         config["test"] = {"settle": None, **_test_like_record(config, registry, config["test"])}
-    if item.path[-1] == "name" and first in GROUPS:
+    if item.path[-1] == "name" and first in (*GROUPS, "strategy"):
         raise ConfigError(f"{item.text!r}", f"{first}=NAME", f"{first}={item.value}")
     if first in ("effect", "gate") and len(item.path) == 2 and item.delete:
         config[first].pop(item.path[-1], None)

@@ -6,63 +6,21 @@ they are (``spiral.api``).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from spiral.inference.evidence.scales import with_scaled_shapes
 from spiral.inference.problem import Problem, Settings
-from spiral.io.paper_options import gate_chain, gate_fields, with_published
+from spiral.inference.strategies.base import Strategy
 from spiral.io.registry import Registry
 from spiral.types.effect import Effect
-from spiral.types.errors import ConfigError, did_you_mean
-from spiral.types.fields import defaults_of
+from spiral.types.errors import ConfigError
 from spiral.types.model import Model
 from spiral.types.placement import check_effect
 from spiral.types.record import Record, in_blocks, split_off_test
 
-STRATEGIES = ("likelihood", "shooting", "innovation", "paper")
-USUAL_STRATEGY = STRATEGIES[0]
+USUAL_STRATEGY = "likelihood"
 MOST_BLOCKS = 50  # in which a share of a record is kept apart
-USED_BY = {
-    "gate": ("paper", "innovation"),
-    "learner": ("paper",),
-    "library": ("paper",),
-    "paper": ("paper",),
-    "derivative": ("paper",),
-}
-"""Sections of a configuration, and the strategies that use them."""
-USUAL = {"derivative": "total_variation", "learner": "tanh_network", "library": "paper"}
-
-
-def check_strategy(name: str) -> str:
-    """The name of a strategy.
-
-    Raises
-    ------
-    ConfigError : there is none of this name.
-    """
-    if name not in STRATEGIES:
-        raise ConfigError(
-            f"strategy={name}", f"one of {', '.join(STRATEGIES)}", did_you_mean(name, STRATEGIES)
-        )
-    return name
-
-
-def check_used(section: str, strategy: str, given: str) -> None:
-    """Refuse an option that a strategy does not use; ``given`` is how it was asked for.
-
-    Raises
-    ------
-    ConfigError : it would be dropped in silence.
-    """
-    users = USED_BY.get(section, STRATEGIES)
-    if strategy not in users:
-        raise ConfigError(
-            f"{given} with strategy={strategy}",
-            f"an option of that strategy; {section} is one of {' and '.join(users)}",
-            f"strategy={users[0]} {given}, or leave it out",
-        )
 
 
 def candidates_for(
@@ -132,10 +90,7 @@ def put(
     settle: float | None = None,
     candidates: Sequence[str | Effect] | None = None,
     settings: Settings | None = None,
-    strategy: str = USUAL_STRATEGY,
-    parts: Mapping[str, Any] | None = None,
-    gates: Mapping[str, Any] | None = None,
-    paper: Mapping[str, Any] | None = None,
+    strategy: Strategy | str = USUAL_STRATEGY,
 ) -> Problem:
     """The question of a study.
 
@@ -144,34 +99,25 @@ def put(
     records, test : to fit, and to judge by (``split``).
     settle : seconds of a test record that fix its own nuisances.
     candidates : labels or effects; left out, all that fit the system.
-    parts, gates, paper : of ``strategy=paper``: plugins, gate -> fields, fields of ``Sampling``;
-        of ``strategy=innovation``: gates.
+    strategy : a plugin, or the name of one with its usual options.
 
     Raises
     ------
     ConfigError : an unknown strategy, a candidate that does not fit, a value out of range.
     """
-    check_strategy(strategy)
     check_settle(settle)
-    everywhere = strategy == "likelihood"
-    asked = () if strategy == "paper" else candidates_for(registry, model, candidates, everywhere)
+    chosen = registry.make("strategy", strategy) if isinstance(strategy, str) else strategy
+    named = None
+    if candidates is not None:
+        named = tuple(c if isinstance(c, str) else c.label for c in candidates)
+    asked = chosen.candidates(model, named)
+    if asked is None:
+        asked = candidates_for(registry, model, candidates, chosen.everywhere)
     fitted, kept = split(records, test, holdout, holdout_blocks)
     model, scaled = with_scaled_shapes(model, fitted)
-    problem = Problem(model, fitted, kept, settle, asked, settings or Settings(), scaled=scaled)
-    if strategy in ("shooting", "likelihood"):
-        problem = replace(problem, dictionary=registry.dictionary(model.system))
-        return replace(problem, likelihood=strategy == "likelihood")
-    chosen = gates if gates is not None else gate_fields(None, registry, strategy)
-    if strategy == "innovation":
-        return replace(problem, innovation=gate_chain(chosen, registry))
-    plugins = {
-        kind: registry.make(kind, name, defaults_of(registry.entry(kind, name).plugin))
-        for kind, name in USUAL.items()
-        if kind not in (parts or {})
-    }
-    labels = None
-    if candidates is not None:
-        labels = tuple(c if isinstance(c, str) else c.label for c in candidates)
-    return with_published(
-        problem, {**plugins, **(parts or {})}, chosen, paper or {}, labels, registry
+    problem = Problem(
+        model, fitted, kept, settle, asked, settings or Settings(), strategy=chosen, scaled=scaled
     )
+    if not chosen.curves:
+        return problem
+    return replace(problem, dictionary=registry.dictionary(model.system))

@@ -58,7 +58,7 @@ def configured(request: Request, registry: Registry) -> Config:
     if not given.get("run"):
         config = compose(request.overrides, registry)
         tracking_of(config)  # refused before anything is computed
-        _refuse_unused(request, config)
+        _refuse_unused(request, config, registry)
         return config
     saved = load_run(str(given["run"]), str(given.get("out") or "runs"))
     base = saved.as_config()
@@ -68,24 +68,26 @@ def configured(request: Request, registry: Registry) -> Config:
     base["sweep"] = {**(base.get("sweep") or {}), "id": None, "address": None}
     kept = tuple(o for o in request.overrides if not o.startswith("run="))
     config = {**compose(kept, registry, base), "run": saved.run_id}
-    _refuse_unused(request, config)
+    _refuse_unused(request, config, registry)
     return config
 
 
-def _refuse_unused(request: Request, config: Config) -> None:
-    """Refuse options of another strategy than the one that is asked.
+def _refuse_unused(request: Request, config: Config, registry: Registry) -> None:
+    """Refuse what another verb may look at, where this one's strategy does not.
 
     Raises
     ------
     ConfigError : an option that nobody would look at.
     """
     from spiral.io.overrides import parse
-    from spiral.io.question import check_used
+    from spiral.io.strategy_config import SHARED, check_settings, check_used
 
     if request.verb not in ASK_A_STRATEGY:
         return
     for item in parse(request.overrides):
-        check_used(item.path[0], config["strategy"], item.text)
+        check_settings(item, config, registry)
+        if item.path[0] in SHARED:
+            check_used(item, config, registry)
 
 
 def _as_truth(base: Config, registry: Registry) -> Config:

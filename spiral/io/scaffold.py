@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 KINDS = (
     "system", "effect", "source", "derivative", "observer", "learner", "library", "gate",
+    "strategy",
 )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from spiral.engine.filter.observer import Observer
 from spiral.engine.gate import Gate
+from spiral.inference.strategies.base import Strategy
 from spiral.io.conformance import derivatives, observers, physics, rehearsal
 from spiral.io.registry import told
 from spiral.types.derivative import Derivative
@@ -204,12 +205,31 @@ def check_evidence(plugin: Plugin, registry: Registry) -> list[Check]:
     return _run(plugin.plugin_name(), steps)
 
 
+def check_strategy(strategy: Strategy, registry: Registry) -> list[Check]:
+    """A strategy in its first round on a small study of which a spring is missing."""
+    from spiral.io.conformance import strategies
+
+    at = strategies.Rehearsed(strategy, registry)
+    return _run(
+        strategy.plugin_name(),
+        [
+            ("docstring", lambda: physics.docstring(strategy), _SAY),
+            ("fields", lambda: _fields(strategy), "fields of plain values, each with a default"),
+            ("takes a round", lambda: strategies.takes_a_round(at), "begin, propose and settle"),
+            ("admits candidates", lambda: strategies.admits_candidates(at), "problem.candidates"),
+            ("log", lambda: strategies.logs_plainly(at), "float(...) of NumPy numbers"),
+        ],
+    )
+
+
 def check_plugin(entry: Entry, registry: Registry) -> list[Check]:
     """A registered plugin: an effect on every system that it fits, a source for every system."""
     if entry.kind == "derivative":
         return check_derivative(registry.make("derivative", entry.name))
     if entry.kind in ("learner", "gate", "library"):
         return check_evidence(registry.make(entry.kind, entry.name), registry)
+    if entry.kind == "strategy":
+        return check_strategy(registry.make("strategy", entry.name), registry)
     if entry.kind == "system":
         return check_system(registry.make("system", entry.name))
     systems = [registry.make("system", name) for name in registry.names("system")]
@@ -262,7 +282,8 @@ _SMOOTH = "functions with derivatives: tanh(v / w) or where(...) in place of jum
 _REST = "avoid x / |x| and roots at zero: spiral.math.length stays smooth there"
 _LINEAR = "amplitudes as plain factors; role='shape' for gaps, widths and exponents"
 # After one of these has failed the others say nothing.
-_ESSENTIAL = ("fits", "names", "parameters", "traces", "fields", "loads", "reconstructs")
+_ESSENTIAL = ("fits", "names", "parameters", "traces", "fields", "loads", "reconstructs",
+              "takes a round")  # fmt: skip
 
 
 def _run(on: str, steps: Sequence[Step]) -> list[Check]:
@@ -299,8 +320,10 @@ def _fields(plugin: Plugin) -> str:
     own = {k: getattr(plugin, k) for k in field_names(type(plugin))}
     given = {k: plain(v) for k, v in own.items()}
 
+    inside = [p for v in own.values() for p in (v if isinstance(v, tuple) else (v,))]
+
     def nested(kind: type, value: Any, where: str) -> Any:  # a plugin inside a field
-        return next(v for v in own.values() if isinstance(v, kind) and plain(v) == value)
+        return next(v for v in inside if isinstance(v, kind) and plain(v) == value)
 
     if construct(type(plugin), given, plugin.plugin_name(), nested) != plugin:
         raise PluginError("fields that do not come back from plain values", "the same fields")

@@ -241,8 +241,14 @@ BAD = [
     (["simulate", *OWN, "--out", "a.xlsx"], ""),
     (["discover", *OWN, "gate=[partial_f]"], "strategy=paper gate=[partial_f]"),
     (["diagnose", *OWN, "learner=boosted_trees"], "learner is one of paper"),
-    (["discover", *OWN, "strategy=innovation", "paper.points=2000"], "paper is one of paper"),
+    (["discover", *OWN, "strategy=innovation", "paper.points=2000"], "points is one of paper"),
     (["discover", *OWN, "derivative=savitzky_golay"], "leave it out"),
+    (["identify", *OWN, "learner.epochs=3"], "not an option of strategy=likelihood"),
+    (["discover", *OWN, "strategy=shooting", "strategy.rivls=3"], "'rivals'"),
+    (["discover", *OWN, "strategy=shooting", "strategy.rivals=-1"], "at least 0"),
+    (["discover", *OWN, "strategy=paper", "gate=[innovation]"], "strategy=innovation gate="),
+    (["discover", *OWN, "settings.phase_knot=2"], "never looks at"),
+    (["compare", *OWN, "strategy=shooting", "settings.share=0.2"], "never looks at"),
     (["compare", *OWN, "--json"], "--help"),
 ]
 

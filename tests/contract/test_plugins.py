@@ -33,12 +33,12 @@ def test_every_shipped_system_and_effect_passes(entry):
     assert not failed(checks)
 
 
-KINDS = ("learner", "library", "gate", "observer")
+KINDS = ("learner", "library", "gate", "observer", "strategy")
 EVIDENCE = [e for e in REGISTRY.entries if e.kind in KINDS]
 
 
 @pytest.mark.parametrize("entry", EVIDENCE, ids=[f"{e.kind}-{e.name}" for e in EVIDENCE])
-def test_every_shipped_learner_library_gate_and_observer_passes(entry):
+def test_every_shipped_part_of_the_evidence_and_observer_passes(entry):
     checks = check_plugin(entry, REGISTRY)
     assert len(checks) >= 3
     assert not failed(checks)

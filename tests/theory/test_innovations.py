@@ -9,6 +9,7 @@ from spiral_plugins.effects.dissipative import QuadraticDamping
 from spiral_plugins.effects.restoring import ConstantLoad, CubicStiffness
 from spiral_plugins.gates.innovation import Innovation
 from spiral_plugins.gates.joint import ValidationRollback
+from spiral_plugins.strategies.innovation import Innovation as ByInnovations
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.engine.filter.likelihood import climbed
@@ -112,9 +113,9 @@ def test_the_loop_finds_a_spring_by_innovations_where_process_noise_is_real(base
     known = {k: v for k, v in KNOWN.items() if k not in (CUBIC, LOAD)}
     model = seed_model(Oscillator(), values=known, fixed=tuple(known))
     candidates = (CubicStiffness(), ConstantLoad(), QuadraticDamping())
-    gates = (Innovation(), ValidationRollback())
     record = (task.series.record,)
-    found = discover(Problem(model, record, record, 0.1, candidates, innovation=gates))
+    strategy = ByInnovations(gate=(Innovation(), ValidationRollback()))
+    found = discover(Problem(model, record, record, 0.1, candidates, strategy=strategy))
     admitted = [r.admitted for r in found.rounds[1:]]
     assert admitted == ([("cubic_stiffness",)] if cubic else [])
     assert found.verdict == ("effect_missing" if cubic else "nothing_missing")

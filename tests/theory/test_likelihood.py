@@ -12,6 +12,7 @@ from spiral_plugins.effects.dissipative import CoulombFriction
 from spiral_plugins.effects.memory import HiddenMode
 from spiral_plugins.effects.restoring import Clearance, CubicStiffness
 from spiral_plugins.effects.sensors import Gain
+from spiral_plugins.strategies.likelihood import Likelihood
 from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
@@ -28,7 +29,6 @@ from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.likelihood.scores import motion_of, ranking
 from spiral.inference.problem import silent
 from spiral.inference.simulate import simulate
-from spiral.inference.strategies.likelihood import LIKELIHOOD
 from spiral.io.question import put
 from spiral.io.registry import load_registry
 from spiral.physics.signatures import Along, signatures
@@ -179,7 +179,7 @@ def test_scores_of_effects_that_are_not_there_are_chi2():
     registry, falls = load_registry(), {}
     for seed in range(3):
         seed_of = seed_model(Oscillator(), values=TRUTH)
-        begun = LIKELIHOOD.begin(put(registry, seed_of, (shaken(seed, 0.1),), None), silent)
+        begun = Likelihood().begin(put(registry, seed_of, (shaken(seed, 0.1),), None), silent)
         fit = refitted(begun.assembly, begun.standing)
         ranked = ranking(begun.assembly, fit, fit.estimate.noise, None).ranked
         for one in (r for r in ranked if r.score.rank and r.variant.searched == 1):

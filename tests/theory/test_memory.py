@@ -9,6 +9,8 @@ from scipy.integrate import solve_ivp
 from spiral_plugins.effects.dissipative import LinearDamping
 from spiral_plugins.effects.restoring import LinearStiffness
 from spiral_plugins.sources.simulation import Simulation
+from spiral_plugins.strategies.likelihood import Likelihood
+from spiral_plugins.strategies.shooting import Shooting
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 
@@ -163,7 +165,7 @@ def test_hysteresis_does_not_know_how_fast_it_is_run_through():
 def test_hysteresis_is_named_first_and_alone(asymmetry):
     """Dahl's friction, and a loop that stiffens, by the default."""
     values = {"stiffness": 2e4, "length": 4e-4, "asymmetry": asymmetry}
-    run = discover(replace(_problem("bouc_wen", values=values), likelihood=True))
+    run = discover(replace(_problem("bouc_wen", values=values), strategy=Likelihood()))
     assert admitted(run) == ["bouc_wen"]
     estimate = run.model.estimates()["bouc_wen"]["stiffness"]
     assert abs(estimate.estimate - 2e4) < 3 * estimate.se
@@ -173,7 +175,7 @@ def test_hysteresis_is_named_first_and_alone(asymmetry):
 def test_hysteresis_added_by_hand_is_that_of_the_loop_and_runs_free_on_its_record():
     """Its shapes are free too; steps of integration are as fine as its fast relaxation asks."""
     values = {"stiffness": 2e4, "length": 3e-5, "asymmetry": 0.5}
-    problem = replace(_problem("bouc_wen", values=values, duration=4.0), likelihood=True)
+    problem = replace(_problem("bouc_wen", values=values, duration=4.0), strategy=Likelihood())
     _, after, _ = add(problem, (effect("bouc_wen"),))
     estimates = after.model.estimates()["bouc_wen"]
     for name, value in values.items():
@@ -288,7 +290,7 @@ def _looked(problem):
     stage = last_stage(assembly, standing, masks[0])
     standing = replace(standing, values=stage.fitted.point.values)
     wide, _ = widened(assembly, standing, stage, assembly.later)
-    found = propose(wide, carried(standing, assembly, wide), masks, 1)
+    found = propose(Shooting(), wide, carried(standing, assembly, wide), masks, 1)
     return () if found.admitted is None else found.admitted.variant.label
 
 
@@ -330,7 +332,7 @@ def test_a_late_pump_is_found():
     others = (effect("linear_loss"), effect("overflow"), effect("delay"))
     found = Problem(
         seed_model(system), (record,), (test,), candidates=(*others, InflowLag()),
-        settings=Settings(max_rounds=1),
+        settings=Settings(max_rounds=1), strategy=Shooting(),
     )  # fmt: skip
     run = discover(found)
     assert admitted(run) == ["inflow_lag"]

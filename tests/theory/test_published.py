@@ -9,21 +9,18 @@ import pytest
 from scipy.interpolate import CubicSpline
 from spiral_plugins.libraries.core import Core
 from spiral_plugins.libraries.projection import Projection
+from spiral_plugins.strategies.paper import Paper
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.inference.discover import discover
-from spiral.inference.problem import Published, Sampling
-from spiral.inference.strategies.paper import ENDED, PAPER
-from spiral.io.paper_options import GATES
+from spiral.inference.strategies.paper import ENDED
 from spiral.io.writing import to_json
 from spiral.types.derivative import Derivative, Derivatives
 from spiral.types.errors import ConfigError
-from spiral.types.library import terms_of
 from tests.scenes import PROJECTION, coastdown_problem, registry
 
 REGISTRY = registry()
 HIDDEN = ("cross_stiffness", "cubic_stiffness", "gyroscopic")
-QUICK = Sampling(points=20_000)
 
 
 class Truth(Derivative):
@@ -38,26 +35,22 @@ class Truth(Derivative):
         return Derivatives(np.column_stack([truth["x"], truth["y"]]), rates, second, edge=5)
 
 
-def problem(
-    library, derivative="savitzky_golay", gates=GATES, named=None, sampling=QUICK, **fields
-):
+def problem(library, derivative="savitzky_golay", gates=None, named=None, sampling="box", **fields):
     base = coastdown_problem(**fields)
     estimator = derivative if isinstance(derivative, Derivative) else None
     if derivative == "truth":
         estimator = Truth(base.records[0])
-    published = Published(
-        estimator or REGISTRY.make("derivative", derivative),
-        REGISTRY.make("learner", "tanh_network", {"epochs": 25}),
-        library,
-        tuple(REGISTRY.make("gate", g) for g in gates),
-        sampling,
+    strategy = Paper(
+        derivative=estimator or REGISTRY.make("derivative", derivative),
+        learner=REGISTRY.make("learner", "tanh_network", {"epochs": 25}),
+        library=library,
+        sampling=sampling,
+        points=20_000,
     )
-    effects = {t.effect.label: t.effect for t in terms_of(library, base.model.system)}
-    offered = tuple(
-        e for k, e in effects.items()
-        if k not in base.model.labels and (named is None or k in named)
-    )  # fmt: skip
-    return replace(base, candidates=offered, published=published)
+    if gates is not None:
+        strategy = replace(strategy, gate=tuple(REGISTRY.make("gate", g) for g in gates))
+    offered = strategy.candidates(base.model, named)
+    return replace(base, candidates=offered, strategy=strategy)
 
 
 @pytest.fixture(scope="module")
@@ -122,9 +115,7 @@ def test_gate_1_passes_everything_and_plain_t_is_many_times_the_robust_one(exact
 
 @pytest.mark.parametrize("sampling", ["trajectory", "samples"])
 def test_every_way_of_sampling_runs(sampling):
-    question = problem(
-        Core(), duration=3.0, start_hz=25.0, stop_hz=10.0, sampling=Sampling(sampling=sampling)
-    )
+    question = problem(Core(), duration=3.0, start_hz=25.0, stop_hz=10.0, sampling=sampling)
     run = discover(question)
     assert run.rounds[0].details["bonferroni_t"]["tested"] == 6
     assert ("learner" in run.rounds[0].details) is (sampling == "trajectory")
@@ -164,19 +155,18 @@ def test_the_closure_is_reported_and_not_added():
 
 
 def test_hidden_coordinates_cannot_be_differentiated():
-    base = coastdown_problem(duration=1.0)
+    base, asked = coastdown_problem(duration=1.0), problem(Core(), duration=1.0)
     full = REGISTRY.make("system", "tilting_rotor")
     from spiral.inference.simulate import with_defaults
     from spiral.types.model import seed_model
 
     with pytest.raises(ConfigError, match="strategy=paper"):
-        PAPER.begin(
+        asked.strategy.begin(
             replace(
-                problem(Core(), duration=1.0), records=base.records,
-                model=with_defaults(seed_model(full)), candidates=(),
+                asked, records=base.records, model=with_defaults(seed_model(full)), candidates=()
             ),
             lambda m: None,
-        )  # fmt: skip
+        )
 
 
 def test_a_run_is_taken_up_again_from_a_checkpoint():

@@ -7,6 +7,7 @@ import pytest
 from spiral_plugins.effects.dissipative import LinearDamping
 from spiral_plugins.effects.restoring import LinearStiffness
 from spiral_plugins.sources.simulation import Simulation
+from spiral_plugins.strategies.shooting import Shooting
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.inference.discover import discover
@@ -155,7 +156,7 @@ def test_friction_at_a_hidden_load_is_found_and_the_still_wall_named(records):
     names = ("coulomb_friction@load", "cubic_stiffness@load", "quadratic_damping@load")
     candidates = tuple(effect(n) for n in (*names, "coulomb_friction@wall"))
     model = replace(seed_model(FlexibleDrive()), values={k: 0.7 * v for k, v in DRIVE.items()})
-    run = discover(Problem(model, records[:1], records[1:], None, candidates))
+    run = discover(Problem(model, records[:1], records[1:], None, candidates, strategy=Shooting()))
     assert run.stopped != "diverged"
     assert admitted(run)[:1] == ["coulomb_friction@load"]
     assert "nothing moves" in run.rounds[0].rejected["coulomb_friction@wall"]

@@ -9,7 +9,7 @@ from spiral.app.fit_worker import FitWorker
 from spiral.inference.discover import discover
 from spiral.inference.evidence.comparison import chi2_on, compared
 from spiral.inference.problem import silent
-from spiral.inference.rounds import candidates, chosen, looked, started, strategy_for, turned
+from spiral.inference.rounds import chosen, looked, started, strategy_for, turned
 from spiral.inference.strategies.base import Begun
 from spiral.inference.suggest import by_evidence, listed
 from spiral.inference.unknown.holding import holding
@@ -46,14 +46,14 @@ def test_the_proposed_effect_by_hand_is_the_loops_own_round(study):
 
 def better(strategy, after, before):
     """If what the strategy fits rose: the likelihood, or the free run of the fitted record."""
-    if strategy.name == "likelihood":
+    if strategy.plugin_name() == "likelihood":
         return after.details["log_likelihood"] > before.details["log_likelihood"]
     return after.comparison.fit_error < before.comparison.fit_error
 
 
 def test_another_than_the_proposed_effect_may_be_admitted(study):
     _, strategy, assembly, at, step = study
-    others = [s.effect for s in candidates(strategy, step) if s.effect not in step.admitted]
+    others = [s.effect for s in strategy.ranked(step) if s.effect not in step.admitted]
     after = turned(strategy, assembly, at, chosen(strategy, assembly, at, step, others[0]), silent)
     assert after.rounds[-1].admitted == (others[0],)
     assert others[0] in after.rounds[-1].comparison.model.labels
@@ -62,7 +62,7 @@ def test_another_than_the_proposed_effect_may_be_admitted(study):
 
 def test_all_candidates_are_listed_and_no_other_can_be_added(study):
     _, strategy, assembly, at, step = study
-    listed = [s.effect for s in candidates(strategy, step)]
+    listed = [s.effect for s in strategy.ranked(step)]
     assert sorted(listed) == ["cross_stiffness", "cubic_stiffness", "gyroscopic"]
     assert listed[0] == step.admitted[0]
     with pytest.raises(ConfigError, match="cubic_stifness"):
@@ -87,7 +87,7 @@ def test_what_is_drawn_at_once_has_the_error_that_is_told(study, turns):
 def test_candidates_side_by_side_are_judged_on_windows_of_one_length(study, tmp_path):
     """One was fitted on the whole record, the other got no further than 512 samples."""
     _, strategy, assembly, at, step = study
-    if strategy.name == "likelihood":
+    if strategy.plugin_name() == "likelihood":
         pytest.skip("one likelihood judges the whole record: nothing has windows of its own")
     bench = FitWorker(
         tmp_path, lambda kind, data: told.append((kind, data)), "a", strategy=strategy
@@ -118,9 +118,9 @@ def test_candidates_side_by_side_are_judged_on_windows_of_one_length(study, tmp_
 
 def test_the_order_is_that_of_its_first_figure_whatever_is_proposed(study):
     _, strategy, _, _, step = study
-    found = candidates(strategy, step)
+    found = strategy.ranked(step)
     assert [s.net for s in found] == sorted((s.net for s in found), reverse=True)
-    if strategy.name == "likelihood":
+    if strategy.plugin_name() == "likelihood":
         return
     assert all(s.net < s.explains for s in found)  # every parameter has its price
     proposal = step.found
@@ -129,7 +129,7 @@ def test_the_order_is_that_of_its_first_figure_whatever_is_proposed(study):
     again = by_evidence(proposal.evidence, other, ("gyroscopic",))
     assert [s.effect for s in again] == [s.effect for s in found]
     assert again[-1].aliases == ("gyroscopic",)
-    assert listed(proposal.evidence, other, ())[0].effect == found[-1].effect
+    assert listed(strategy, proposal.evidence, other, ())[0].effect == found[-1].effect
 
 
 def test_a_step_says_at_each_horizon_what_it_does_to_unseen_data(study):

@@ -15,6 +15,7 @@ from spiral.inference.evidence.assembly import (
     Assembly,
     Variant,
     columns,
+    effects_of,
 )
 from spiral.inference.evidence.fit_state import (
     FitState,
@@ -178,3 +179,18 @@ def refit(assembly: Assembly, standing: FitState, stage: Stage) -> Fitted:
     moving, bounds = columns(assembly, standing.keys(assembly))
     point = Point(standing.values, stage.fitted.point.starts)
     return fit(assembly.study, stage.layouts, point, moving, bounds)
+
+
+def second_order(effect: Effect, assembly: Assembly, state: FitState) -> bool:
+    """Whether an effect is what one that the state holds leaves beyond leading order."""
+    held = effects_of(assembly, state.labels)
+    return any(effect.plugin_name() in e.leaves for e in held)
+
+
+def cannot_be_asked(assembly: Assembly, label: str) -> ConfigError:
+    """The error for an effect named by a person that these records cannot be asked about."""
+    return ConfigError(
+        f"add {label}",
+        "an effect that these records can be asked about",
+        assembly.left_out.get(label, "it is no number along them, or nothing moves at its port"),
+    )

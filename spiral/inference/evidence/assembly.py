@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -56,8 +55,8 @@ class Variant:
 class Assembly:
     """One compiled study with what it was made from.
 
-    ``left_out`` are candidates that these records cannot be asked about, and why; ``regression``
-    is what ``strategy=paper`` keeps with it: differentiated samples and equations. A ``bare`` study
+    ``left_out`` are candidates that these records cannot be asked about, and why; ``kept`` is what
+    the strategy keeps with it, of a type of its own. A ``bare`` study
     compiles only what its state holds; the variants ``offered`` beside it are scored by their
     signatures.
     """
@@ -65,7 +64,7 @@ class Assembly:
     problem: Problem
     study: CompiledStudy
     variants: tuple[Variant, ...]
-    regression: Any = None
+    kept: object = None
     left_out: Mapping[str, str] = field(default_factory=dict)
     offered: tuple[Variant, ...] = ()
     bare: bool = False

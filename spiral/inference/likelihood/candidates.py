@@ -36,12 +36,10 @@ from spiral.inference.unknown.holding import carried as carried_to
 from spiral.inference.unknown.holding import with_variants
 from spiral.types.effect import Effect, SensorEffect
 
-_RIVALS = 8  # candidates refitted
 _HEAT, _RACE = 3, 12  # scoring steps for all rivals, at most, and for those that keep up
 _FAR, _FAR_ONES = 0.1, 3  # share of its bound that an amplitude starts from; shapes tried so
 _KEEP, _PROMISED = 0.3, 0.7  # share of the best gain, and of its score, that keeps up at first
 _NEAR = 0.6  # share of the best gain that keeps up to the end
-_ODDS = 100.0  # ratio of likelihoods under which two candidates are not told apart
 
 
 @dataclass(frozen=True)
@@ -123,24 +121,26 @@ def _share(share: float, worth: float) -> float:
 
 
 def race(
-    assembly: Assembly, base: LikelihoodFit, found: list[Ranked], masks: Masks, progress: Progress
-) -> Race:
+    assembly: Assembly, base: LikelihoodFit, found: list[Ranked], masks: Masks, progress: Progress,
+    most: int,
+) -> Race:  # fmt: skip
     """The candidates that may be missing after their first steps.
 
-    ``found`` are all, the best first; those whose score is not worth their price are not refitted.
+    ``found`` are all, the best first; those whose score is not worth their price are not refitted,
+    nor more than ``most``, their special cases apart.
     """
     far = [] if explains(base) else from_afar(assembly, base.state, found)
     runners = []
-    for ranked in [*_first(found), *far]:
+    for ranked in [*_first(found, most), *far]:
         progress(f"refitting with {ranked.variant.original.label}")
         runners.append(_refit(assembly, base, ranked, masks, ranked in far))
     runners = [r for r in runners if r.fit.estimate.finite]
     return Race(base, masks, progress, sorted(runners, key=lambda r: -r.worth))
 
 
-def _first(found: list[Ranked]) -> list[Ranked]:
+def _first(found: list[Ranked], most: int) -> list[Ranked]:
     """The promising ones that come first, and the special cases of these."""
-    chosen = [r for r in found if r.rank < 0 and not r.whole][:_RIVALS]
+    chosen = [r for r in found if r.rank < 0 and not r.whole][:most]
     known = {r.variant.original.label: r for r in found}
     effects = [r.variant.original for r in chosen]
     labels = [f"{name}@{e.port}" if e.port else name for e in effects for name in e.special]
@@ -346,14 +346,14 @@ def _most_likely(at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, fl
     return maximise(at.prepared, tuple(bounds), at.noise, bounds, masks, _RACE, kept=at.kept)
 
 
-def alike(rivals: list[Rival]) -> tuple[str, ...]:
-    """Rivals that the whole records do not tell from the first one."""
+def alike(rivals: list[Rival], odds: float) -> tuple[str, ...]:
+    """Rivals that the whole records do not tell from the first one: less than ``odds`` to one."""
     first, *others = rivals
 
     def worth(rival: Rival) -> float:
         return log_likelihood(rival.fit.estimate.parts) - (rival.gain - rival.worth)
 
-    near = [r for r in others if worth(first) - worth(r) < np.log(_ODDS)]
+    near = [r for r in others if worth(first) - worth(r) < np.log(odds)]
     return tuple(dict.fromkeys(r.label for r in near if r.label != first.label))
 
 

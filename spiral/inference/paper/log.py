@@ -23,8 +23,6 @@ from spiral.types.library import Term
 from spiral.types.record import Array
 from spiral.types.run import Suggestion
 
-_LISTED = 5
-
 
 def model_log(
     trial: Trial, names: tuple[str, ...], terms: Mapping[str, Term]
@@ -137,7 +135,7 @@ def suggestions(
         )
         if label not in found or found[label].explains < item.explains:
             found[label] = item
-    return tuple(sorted(found.values(), key=lambda s: -s.explains)[:_LISTED])
+    return tuple(sorted(found.values(), key=lambda s: -s.explains))
 
 
 def closure_log(trial: Trial, predicted: Array) -> dict[str, Any]:

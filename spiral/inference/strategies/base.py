@@ -1,20 +1,29 @@
-"""What a kind of evidence supplies to the loop: a beginning, proposals, and refits.
+"""What a strategy supplies to the loop: a beginning, proposals, and refits.
 
-The loop (``spiral.inference.discover``) is the same for all; strategies differ only in these three
-steps.
+The loop (``spiral.inference.discover``) is the same for all; it asks the strategy object of the
+problem, and never its name. The steps of the shipped ones are in this folder, their classes, light
+enough to be listed by every command, among the plugins (``plugins/strategies``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
-from spiral.inference.evidence.assembly import Assembly, effects_of
-from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.problem import Problem, Progress
-from spiral.types.effect import Effect
-from spiral.types.run import Comparison, Stopped, Suggestion
+from spiral.types.plugin import Plugin
+
+if TYPE_CHECKING:
+    from spiral.inference.evidence.assembly import Assembly
+    from spiral.inference.evidence.fit_state import FitState
+    from spiral.inference.problem import Problem, Progress
+    from spiral.types.effect import Effect
+    from spiral.types.model import Model
+    from spiral.types.run import Comparison, Diagnosis, Stopped, Suggestion
+
+Found = TypeVar("Found", covariant=True)
+"""What a strategy hands from its proposal to its refit, of a type of its own."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +42,12 @@ class Begun:
 
 
 @dataclass(frozen=True)
-class Step:
+class Step(Generic[Found]):
     """What a strategy found in one round.
 
     ``admitted`` are labels of effects, none where the loop ends here, for the reason ``stopped``.
     ``second_order`` and ``meaning`` describe what is admitted; ``details`` log how it came about;
-    ``found`` is what the strategy itself needs to settle.
+    ``found`` is what the strategy itself needs to settle, nothing where there is nothing to settle.
     """
 
     suggestions: tuple[Suggestion, ...]
@@ -49,7 +58,12 @@ class Step:
     meaning: str = ""
     stopped: Stopped = "no_candidate"
     details: Mapping[str, Any] = field(default_factory=dict)
-    found: Any = None
+    found: Found | None = None
+
+    def needed(self) -> Found:
+        """What the strategy found, of a step that has it."""
+        assert self.found is not None
+        return self.found
 
 
 @dataclass(frozen=True)
@@ -63,28 +77,92 @@ class Settled:
 
 
 @dataclass(frozen=True)
-class Strategy:
+class Added:
+    """A model before and after effects added by hand, and the seconds that the first fit took."""
+
+    before: Comparison
+    after: Comparison
+    seconds: float
+
+
+class Strategy(Plugin):
     """One kind of evidence.
 
-    ``begin(problem, progress)`` fits the seed; ``propose(assembly, standing, comparison, number,
-    progress)`` finds what round ``number`` (from 1) admits; ``settle(assembly, step, progress)``
-    refits with it.
+    Its fields are the configuration's ``strategy.FIELD``. A field ``gate`` (a tuple of gates),
+    ``derivative``, ``learner`` or ``library`` takes what the option of that name chooses; an option
+    that the strategy of a study has no field for is refused.
 
-    Where any candidate may be admitted by hand, ``ranked(step)`` lists all that a step scored, and
-    ``choose(assembly, standing, step, label)`` puts one in place of its own proposal;
-    ``admit(assembly, standing, label, progress)`` refits with one that nothing was asked about.
+    ``everywhere`` : candidates are asked for at every place where they fit, not at the system's
+    first port alone. ``curves`` : learned curves are tried where no candidate explains what is
+    left. ``by_hand`` : a person may admit any candidate in place of the one proposed, as the page
+    does; such a strategy has ``choose``. ``by_name`` : a person may add an effect that no step
+    proposed (``spiral add``); such a strategy has ``admit``, or ``add``. ``ignores`` : settings of
+    all studies that this kind of evidence never looks at; given with it they are refused.
     """
 
-    name: str
-    begin: Callable[[Problem, Progress], Begun]
-    propose: Callable[[Assembly, FitState, Comparison, int, Progress], Step]
-    settle: Callable[[Assembly, Step, Progress], Settled]
-    ranked: Callable[[Step], tuple[Suggestion, ...]] | None = None
-    choose: Callable[[Assembly, FitState, Step, str], Step] | None = None
-    admit: Callable[[Assembly, FitState, str, Progress], Settled] | None = None
+    kind: ClassVar[str] = "strategy"
+    everywhere: ClassVar[bool] = False
+    curves: ClassVar[bool] = False
+    by_hand: ClassVar[bool] = False
+    by_name: ClassVar[bool] = False
+    ignores: ClassVar[tuple[str, ...]] = ()
 
+    # --- what every strategy has ---
 
-def second_order(effect: Effect, assembly: Assembly, state: FitState) -> bool:
-    """Whether an effect is what one that the state holds leaves beyond leading order."""
-    held = effects_of(assembly, state.labels)
-    return any(effect.plugin_name() in e.leaves for e in held)
+    @abstractmethod
+    def begin(self, problem: Problem, progress: Progress) -> Begun:
+        """Compile the study, fit and compare its seed."""
+
+    @abstractmethod
+    def propose(
+        self,
+        assembly: Assembly,
+        standing: FitState,
+        comparison: Comparison,
+        number: int,
+        progress: Progress,
+    ) -> Step[Any]:
+        """What round ``number`` (from 1) admits, or why it admits nothing."""
+
+    @abstractmethod
+    def settle(self, assembly: Assembly, step: Step[Any], progress: Progress) -> Settled:
+        """The model with what a step admits, refitted and compared."""
+
+    # --- what it may have ---
+
+    def candidates(self, model: Model, named: tuple[str, ...] | None) -> tuple[Effect, ...] | None:
+        """Candidates of the strategy's own making (of its library), ``named`` among them only.
+
+        ``None`` : those that fit the system, as the question names them.
+        """
+        return None
+
+    def ranked(self, step: Step[Any]) -> tuple[Suggestion, ...]:
+        """All that a step scored, by its evidence; a step's suggestions may be only the best."""
+        return step.suggestions
+
+    def choose(
+        self, assembly: Assembly, standing: FitState, step: Step[Any], label: str
+    ) -> Step[Any]:
+        """The step with another candidate in place of its own; asked where ``by_hand`` is set."""
+        raise NotImplementedError
+
+    def admit(
+        self, assembly: Assembly, standing: FitState, label: str, progress: Progress
+    ) -> Settled:
+        """The model with another candidate, refitted and compared; asked where ``by_name`` is."""
+        raise NotImplementedError
+
+    def compare(self, problem: Problem, progress: Progress) -> Comparison:
+        """The model as it is, fitted and compared: that of the beginning, without candidates."""
+        return self.begin(replace(problem, candidates=()), progress).comparison
+
+    def add(
+        self, problem: Problem, effects: tuple[Effect, ...], progress: Progress
+    ) -> Added | None:
+        """Effects added by hand, all in one fit; ``None``: one after the other by ``admit``."""
+        return None
+
+    def diagnose(self, problem: Problem, progress: Progress) -> Diagnosis | None:
+        """A diagnosis of the strategy's own making; ``None``: that of its first round."""
+        return None

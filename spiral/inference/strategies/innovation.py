@@ -21,20 +21,17 @@ from spiral.engine.filter.task import task_with
 from spiral.engine.filter.whitened import Whitened
 from spiral.engine.gate import Judgement, Trial, through
 from spiral.engine.statistics import whiteness
-from spiral.inference.evidence.admission import stepped
+from spiral.inference.evidence.admission import cannot_be_asked, stepped
 from spiral.inference.evidence.assembly import Assembly, Variant, columns, to_model
 from spiral.inference.evidence.comparison import compared, prepared, refined
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import tested_keys
 from spiral.inference.problem import Problem, Progress
-from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.strategies.base import Begun, Settled, Step
+from spiral.inference.strategy_options import InnovationOptions
 from spiral.physics.compile import compile_model
 from spiral.types.record import Array
 from spiral.types.run import Comparison, Suggestion
-
-_BLOCK = 256
-_TRAIN = 0.7
-_LISTED = 5
 
 
 @dataclass(frozen=True)
@@ -47,7 +44,16 @@ class Offered:
     energy: float
 
 
-def _begin(problem: Problem, progress: Progress) -> Begun:
+@dataclass(frozen=True)
+class Admission:
+    """What a round admits: the state with it, and the refit that its gate asked for, if any."""
+
+    state: FitState
+    refit: Climbed | None
+
+
+def begin(problem: Problem, progress: Progress) -> Begun:
+    """The seed at its most likely values and process noise."""
     progress("compiling the model and all candidates")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
     assembly, standing = prepared(replace(problem, settings=settings))
@@ -56,13 +62,14 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
     return Begun(assembly, settled.standing, settled.comparison, settled.details)
 
 
-def _propose(
+def propose(
+    options: InnovationOptions,
     assembly: Assembly,
     standing: FitState,
     comparison: Comparison,
-    number: int,
     progress: Progress,
-) -> Step:
+) -> Step[Admission]:
+    """The candidates scored by the innovations; those that the gates let through."""
     progress("tuning the process noise of the model as it is")
     begun = _prepared(assembly, standing)
     base = climbed(begun, ())
@@ -83,36 +90,37 @@ def _propose(
         rise = 2 * (refits[group].log_likelihood - base.log_likelihood)
         return max(rise, 0.0) if np.isfinite(rise) else 0.0
 
-    trial, offered = _trial(assembly, parts, len(moving), absent, keys, gain)
+    trial, offered = _trial(options, assembly, parts, len(moving), absent, keys, gain)
     log: dict[str, Any] = {"process_noise": dict(base.levels)}
-    assert assembly.problem.innovation is not None
-    ordered = sorted(assembly.problem.innovation, key=lambda g: not g.guard)
+    ordered = sorted(options.gate, key=lambda g: not g.guard)
     trial, judgement = through(ordered, trial, log, progress)
     gains = {g: 2 * (c.log_likelihood - base.log_likelihood) for g, c in refits.items()}
     if not trial.kept:
         white = comparison.whiteness_p >= assembly.problem.settings.whiteness_level
-        return _ended(offered, gains, judgement, white, log)
-    return _admission(assembly, standing, trial, offered, gains, refits, log)
+        return _ended(options, offered, gains, judgement, white, log)
+    return _admission(options, assembly, standing, trial, offered, gains, refits, log)
 
 
 def _ended(
+    options: InnovationOptions,
     offered: Offered,
     gains: Mapping[tuple[int, ...], float],
     judgement: Judgement,
     white: bool,
     log: dict[str, Any],
-) -> Step:
+) -> Step[Admission]:
     """Nothing admitted, and why."""
     log["ended"] = {"reason": judgement.reason or "no_candidate"}
     return Step(
-        _suggestions(offered, gains, (), ()),
-        dict(list(judgement.refused.items())[:_LISTED]),
+        _suggestions(offered, gains, (), ())[: options.listed],
+        dict(list(judgement.refused.items())[: options.listed]),
         stopped="whiteness" if white else "no_candidate",
         details=log,
     )
 
 
 def _admission(
+    options: InnovationOptions,
     assembly: Assembly,
     standing: FitState,
     trial: Trial,
@@ -120,7 +128,7 @@ def _admission(
     gains: Mapping[tuple[int, ...], float],
     refits: Mapping[tuple[int, ...], Climbed],
     log: dict[str, Any],
-) -> Step:
+) -> Step[Admission]:
     """The effects whose columns were let through, at the values of their refit."""
     kept = set(trial.kept)
     chosen = [
@@ -142,19 +150,32 @@ def _admission(
     names = tuple(v.original.label for v, _ in chosen)
     alone = chosen[0][0].companion is None and len(chosen) == 1
     return Step(
-        _suggestions(offered, gains, names, alike),
+        _suggestions(offered, gains, names, alike)[: options.listed],
         log["refused"],
         admitted=names,
         aliases=dict.fromkeys(names, alike),
         meaning="; ".join(v.original.meaning() for v, _ in chosen),
         details=log,
-        found=(wider, refits.get(chosen[0][1]) if alone else None),
+        found=Admission(wider, refits.get(chosen[0][1]) if alone else None),
     )
 
 
-def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
-    wider, found = step.found
-    return _refitted(assembly, wider, found, progress)
+def settle(assembly: Assembly, step: Step[Admission], progress: Progress) -> Settled:
+    """Most likely values and process noise with what was admitted."""
+    found = step.needed()
+    return _refitted(assembly, found.state, found.refit, progress)
+
+
+def admit(assembly: Assembly, standing: FitState, label: str, progress: Progress) -> Settled:
+    """The same with an effect that a person names, in the shape whose refit is most likely."""
+    variants = [v for v in _absent(assembly, standing) if v.original.label == label]
+    if not variants:
+        raise cannot_be_asked(assembly, label)
+    found = [
+        _refitted(assembly, replace(standing, labels=(*standing.labels, v.label)), None, progress)
+        for v in variants
+    ]
+    return max(found, key=lambda s: s.details.get("log_likelihood", -np.inf))
 
 
 def _refitted(
@@ -227,6 +248,7 @@ def _absent(assembly: Assembly, standing: FitState) -> tuple[Variant, ...]:
 
 
 def _trial(
+    options: InnovationOptions,
     assembly: Assembly,
     parts: tuple[Whitened, ...],
     active: int,
@@ -239,11 +261,11 @@ def _trial(
     slopes = np.concatenate([p.columns for p in parts])
     record = np.repeat(np.arange(len(parts)), [len(p.innovations) for p in parts])
     size = np.concatenate([np.linalg.norm(s.y, axis=1) for s in assembly.study.series])
-    block = np.arange(len(e)) // _BLOCK
+    block, held = np.arange(len(e)) // options.block, 1 - options.train
     bare = Trial(
         names=keys, kept=tuple(range(len(keys))), target=e, active=slopes[..., :active],
         candidates=slopes[..., active:], residual=e,
-        train=np.floor((block + 1) * (1 - _TRAIN)) == np.floor(block * (1 - _TRAIN)),
+        train=np.floor((block + 1) * held) == np.floor(block * held),
         amplitude=size, record=record, tests=len(absent), gain=gain,
     )  # fmt: skip
     groups = {v.label: tuple(keys.index(k) for k in tested_keys(assembly, v)) for v in absent}
@@ -269,7 +291,7 @@ def _suggestions(
     admitted: tuple[str, ...],
     alike: tuple[str, ...],
 ) -> tuple[Suggestion, ...]:
-    """The best candidates, those admitted first; by twice the gain in log L where refitted."""
+    """All candidates, those admitted first; by twice the gain in log L where refitted."""
     from scipy import special
 
     def rank(i: int) -> tuple[bool, float, float]:
@@ -278,7 +300,7 @@ def _suggestions(
         return first, gains.get(group, 0.0), offered.scores[i]
 
     found = []
-    for i in sorted(range(len(offered.groups)), key=rank, reverse=True)[:_LISTED]:
+    for i in sorted(range(len(offered.groups)), key=rank, reverse=True):
         effect, group = offered.variants[i].original, offered.groups[i]
         statistic = gains.get(group, offered.scores[i])
         found.append(
@@ -293,6 +315,3 @@ def _suggestions(
             )
         )
     return tuple(found)
-
-
-INNOVATION = Strategy("innovation", _begin, _propose, _settle)

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.likelihood.fit import informed
-from spiral.engine.likelihood.noise import OWN
 from spiral.engine.statistics import spent
+from spiral.inference.evidence.admission import cannot_be_asked, second_order
 from spiral.inference.evidence.assembly import Assembly, check_candidates, compiled_with, offers
 from spiral.inference.evidence.comparison import refined
 from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_masks
@@ -52,8 +52,9 @@ from spiral.inference.likelihood.starts import (
     resolved_in_time,
 )
 from spiral.inference.problem import Problem, Progress, Settings, silent
-from spiral.inference.strategies.base import Begun, Settled, Step, Strategy, second_order
+from spiral.inference.strategies.base import Begun, Settled, Step
 from spiral.inference.strategies.retire import let_go
+from spiral.inference.strategy_options import LikelihoodOptions, ShootingOptions
 from spiral.inference.suggest import by_evidence
 from spiral.inference.unknown.holding import carried, emptied, having
 from spiral.inference.unknown.shape import applies, unknown_shape
@@ -64,12 +65,11 @@ from spiral.types.run import Comparison, Stopped, Suggestion
 
 _LAST = 1e-6  # whiteness from which a model may be the last
 _WARM = 6  # scoring steps from the values on all samples to those on the selecting half
-_ASKED = 3  # rivals that may be judged in one round
-_LISTED = 5
 _BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
-def _begin(problem: Problem, progress: Progress) -> Begun:
+def begin_study(problem: Problem, progress: Progress) -> Begun:
+    """The model as it is, most likely with the noise that its record wants."""
     progress("compiling the model")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
     problem = replace(problem, settings=settings)
@@ -116,9 +116,11 @@ class Scored:
     settled: Settled | None = None
 
 
-def _propose(
-    assembly: Assembly, state: FitState, comparison: Comparison, number: int, progress: Progress
-) -> Step:
+def propose(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
+    number: int, progress: Progress,
+) -> Step[Scored]:  # fmt: skip
+    """The candidate that makes the record most likely, if it passes on other blocks."""
     assembly = having(assembly, state.labels)
     select, judge = half_masks(assembly)
     progress("scoring candidates by one-step predictions")
@@ -126,45 +128,45 @@ def _propose(
     ranked = ranking(assembly, base, base.estimate.noise, select)
     if ranked is None:
         return Step((), {}, stopped="diverged")
-    run = race(assembly, base, list(ranked.ranked), select, progress)
+    run = race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
     rejected: dict[str, str] = {}
-    level = spent(assembly.problem.settings.level, number) / _ASKED
-    for rival, rivals in itertools.islice(run.winners(), _ASKED):
+    level = spent(assembly.problem.settings.level, number) / options.judged
+    for rival, rivals in itertools.islice(run.winners(), options.judged):
         reason = _refused(assembly, base, rival, judge, level)
         if reason:
             rejected[rival.label] = reason
             continue
-        chosen, aliases = machine_first(rival, alike(rivals), rivals)
+        chosen, aliases = machine_first(rival, alike(rivals, options.odds), rivals)
         progress(f"most likely values with {chosen.label}")
         settled = _with(chosen.assembly, chosen.fit.state, chosen.ranked.variant.label, progress)
-        reason = _unhelpful(comparison, settled.comparison, assembly.problem.settings)
+        reason = _unhelpful(options, comparison, settled.comparison, assembly.problem.settings)
         if reason:
             rejected[chosen.label] = reason
             continue
         effect = chosen.ranked.variant.original
         return Step(
-            _suggestions(run.tried, ranked, effect.label, aliases)[:_LISTED], rejected,
+            _suggestions(run.tried, ranked, effect.label, aliases)[: options.listed], rejected,
             (effect.label,), {effect.label: aliases}, second_order(effect, assembly, state),
             effect.meaning(), found=Scored(ranked, run.tried, settled),
         )  # fmt: skip
     near = near_noise(comparison, assembly.problem.settings)
     stopped: Stopped = "whiteness" if near else "no_candidate"
-    step = Step(_suggestions(run.tried, ranked, "", ())[:_LISTED], rejected, stopped=stopped,
-                found=Scored(ranked, run.tried))  # fmt: skip
+    step = Step(_suggestions(run.tried, ranked, "", ())[: options.listed], rejected,
+                stopped=stopped, found=Scored(ranked, run.tried))  # fmt: skip
     return step if near else _with_curve(assembly, state, step, (select, judge), number, progress)
 
 
 def _with_curve(
-    assembly: Assembly, state: FitState, step: Step, masks: tuple[Masks, Masks], number: int,
-    progress: Progress,
-) -> Step:  # fmt: skip
+    assembly: Assembly, state: FitState, step: Step[Scored], masks: tuple[Masks, Masks],
+    number: int, progress: Progress,
+) -> Step[Scored]:  # fmt: skip
     """The step with the curve of what no candidate explains, where there is one.
 
     It is found on windows (``spiral.inference.unknown``), and admitted where the settings say so.
     """
     if not applies(assembly):
         return step
-    found = unknown_shape(assembly, state, masks, number, progress)
+    found = unknown_shape(ShootingOptions(), assembly, state, masks, number, progress)
     if found is None:
         return step
     details = {**step.details, "unknown": found.shape.as_dict()}
@@ -179,7 +181,7 @@ def _with_curve(
     gone = (*settled.retired, *found.proposal.dropped)
     return replace(
         step, admitted=(variant.original.label,), meaning=variant.original.meaning(),
-        details=details, found=replace(step.found, settled=replace(settled, retired=gone)),
+        details=details, found=replace(step.needed(), settled=replace(settled, retired=gone)),
     )  # fmt: skip
 
 
@@ -209,14 +211,16 @@ def _refused(
     return ""
 
 
-def _unhelpful(before: Comparison, after: Comparison, settings: Settings) -> str:
+def _unhelpful(
+    options: LikelihoodOptions, before: Comparison, after: Comparison, settings: Settings
+) -> str:
     """Why an effect does no good to what is predicted; empty where it does.
 
     The squared error that it takes away, over what is left, is a size in standard deviations of
     the noise; the largest over the horizons and the free run of the fitted records counts.
     """
     forces = max(random_forces(after).values(), default=0.0)
-    if forces >= _BOUND * OWN:
+    if forces >= _BOUND * options.random_limit:
         return (
             "with it, too, a random force as large as the machine's own would have to act: the "
             "model has not found its values, or is of another machine"
@@ -269,7 +273,8 @@ def _without_superfluous(
             continue
         keys = tested_keys(assembly, assembly.variant(label))
         values, errors = found.estimate.values, found.estimate.errors
-        if any(abs(values.get(k, 0.0)) > 3 * errors.get(k, np.inf) for k in keys):
+        least = assembly.problem.settings.least_t
+        if any(abs(values.get(k, 0.0)) > least * errors.get(k, np.inf) for k in keys):
             continue
         trial = refitted(assembly, let_go(assembly, found.state, (label,)))
         if trial.height > found.height - price(len(keys), trial.estimate.prepared):
@@ -278,37 +283,46 @@ def _without_superfluous(
     return found, tuple(gone)
 
 
-def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
-    return step.found.settled
+def settle(step: Step[Scored]) -> Settled:
+    """What was refitted and compared when it was proposed."""
+    settled = step.needed().settled
+    assert settled is not None
+    return settled
 
 
-def _ranked(step: Step) -> tuple[Suggestion, ...]:
-    scored: Scored = step.found
+def ranked_by_worth(step: Step[Scored]) -> tuple[Suggestion, ...]:
+    """All candidates in one order, whatever is proposed; none where the fit has diverged."""
+    if step.found is None:
+        return ()
+    scored = step.found
     label = next(iter(step.admitted), "")
     found = _suggestions(scored.rivals, scored.ranking, label, step.aliases.get(label, ()))
-    return tuple(sorted(found, key=lambda s: -(s.net or 0.0)))  # one order, whatever is proposed
+    return tuple(sorted(found, key=lambda s: -(s.net or 0.0)))
 
 
-def _choose(assembly: Assembly, state: FitState, step: Step, label: str) -> Step:
+def choose(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, step: Step[Scored], label: str
+) -> Step[Scored]:
     """Another candidate in place of the proposal; no gate is asked."""
-    scored: Scored = step.found
+    scored = step.needed()
     assembly = having(assembly, state.labels)
     rival = next((r for r in scored.rivals if r.label == label), None)
     if rival is None:
         base = refitted(assembly, state, steps=_WARM, rough=True)
-        rival = refit_alone(assembly, base, _of(scored.ranking, label))
+        rival = refit_alone(assembly, base, _of(assembly, scored.ranking, label))
     settled = _with(rival.assembly, rival.fit.state, rival.ranked.variant.label, silent)
     effect = next(v.original for v in assembly.offered if v.original.label == label)
     group = set(step.admitted) | {x for v in step.aliases.values() for x in v}
     aliases = tuple(sorted(group - {label})) if label in group else ()
     return replace(
-        step, suggestions=_ranked(step)[:_LISTED], admitted=(label,), aliases={label: aliases},
+        step, suggestions=ranked_by_worth(step)[: options.listed], admitted=(label,),
+        aliases={label: aliases},
         second_order=second_order(effect, assembly, state), meaning=effect.meaning(),
         found=replace(scored, settled=settled),
     )  # fmt: skip
 
 
-def _admit(assembly: Assembly, state: FitState, label: str, progress: Progress) -> Settled:
+def admit(assembly: Assembly, state: FitState, label: str, progress: Progress) -> Settled:
     """An effect admitted by its name, with the shapes that the record prefers."""
     assembly = having(assembly, state.labels)
     base = refitted(assembly, state, steps=_WARM, rough=True)
@@ -317,17 +331,16 @@ def _admit(assembly: Assembly, state: FitState, label: str, progress: Progress) 
     if found is None:
         raise ConfigError(f"add {label}", "a model whose fit does not diverge",
                           "check units and signs of the channels")  # fmt: skip
-    rival = refit_alone(assembly, base, _of(found, label))
+    rival = refit_alone(assembly, base, _of(assembly, found, label))
     return _with(rival.assembly, rival.fit.state, rival.ranked.variant.label, progress)
 
 
-def _of(found: Ranking, label: str) -> Ranked:
+def _of(assembly: Assembly, found: Ranking, label: str) -> Ranked:
     """The best variant of an effect among those ranked."""
     for ranked in found.ranked:
         if ranked.variant.original.label == label:
             return ranked
-    raise ConfigError(f"add {label}", "an effect that these records can be asked about",
-                      "it is no number along them, or nothing moves at its port")  # fmt: skip
+    raise cannot_be_asked(assembly, label)
 
 
 def _suggestions(
@@ -366,6 +379,3 @@ def _as_suggestion(rival: Rival, listed: Mapping[str, Suggestion]) -> Suggestion
         explains=1 - float(np.exp(-2 * gain / count)),
         net=1 - float(np.exp(-2 * rival.worth / count)),
     )  # fmt: skip
-
-
-LIKELIHOOD = Strategy("likelihood", _begin, _propose, _settle, _ranked, _choose, _admit)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.gate import Judgement, Trial, through
+from spiral.inference.evidence.admission import cannot_be_asked
 from spiral.inference.evidence.assembly import Assembly, assemble, first_row, to_model
 from spiral.inference.evidence.comparison import compared, refined
 from spiral.inference.evidence.fit_state import FitState
@@ -34,14 +35,13 @@ from spiral.inference.paper.regression import (
     equations,
     with_coefficients,
 )
-from spiral.inference.problem import Problem, Progress, Published
-from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.problem import Problem, Progress
+from spiral.inference.strategies.base import Begun, Settled, Step
+from spiral.inference.strategy_options import PaperOptions
 from spiral.types.learner import Learned, learned
 from spiral.types.library import Term, terms_of
 from spiral.types.record import Array
-from spiral.types.run import Comparison, Stopped
-
-_BLOCK = 256
+from spiral.types.run import Stopped
 
 ENDED = {
     "white": "the residual is white (guard)",
@@ -70,11 +70,11 @@ class Regression:
     regressor: Regressor
 
 
-def _begin(problem: Problem, progress: Progress) -> Begun:
-    published = _of(problem)
+def begin(options: PaperOptions, problem: Problem, progress: Progress) -> Begun:
+    """Derivatives, equations and columns of the study; the seed by joint least squares."""
     progress("compiling the model and the library")
     assembly = assemble(problem)
-    terms = terms_of(published.library, problem.model.system)
+    terms = terms_of(options.library, problem.model.system)
     labels = problem.model.labels
     known = FitState(labels, first_row(assembly), corrected=False)
     offered = {v.original.label for v in assembly.variants if not v.effect.undirected()}
@@ -82,22 +82,23 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
     wanted = [t for t in terms if t.effect.label in offered and t.key not in active]
     found = equations(assembly, (*active, *(t.key for t in wanted)))
     progress("estimating derivatives")
-    samples = differentiated(assembly, published.derivative)
+    samples = differentiated(assembly, options.derivative)
     columns, target = design(found, samples, known.values)
-    split = _split(samples, published)
+    split = _split(options, samples)
     kept = Regression(
         samples, found, terms, columns, target, column_names(found, samples), split,
         regressor(problem.model.system, assembly.study.compiled.traced),
     )  # fmt: skip
-    assembly = replace(assembly, regression=kept)
-    settled = _refitted(assembly, known, progress)
+    assembly = replace(assembly, kept=kept)
+    settled = _refitted(options, assembly, known, progress)
     assembly = refined(assembly, settled.standing)
     return Begun(assembly, settled.standing, settled.comparison, settled.details)
 
 
-def _of(problem: Problem) -> Published:
-    assert problem.published is not None
-    return problem.published
+def _kept(assembly: Assembly) -> Regression:
+    """What ``begin`` keeps with the study."""
+    assert isinstance(assembly.kept, Regression)
+    return assembly.kept
 
 
 def _amplitudes(assembly: Assembly) -> set[str]:
@@ -108,13 +109,13 @@ def _amplitudes(assembly: Assembly) -> set[str]:
     return {k for k, p in pairs if p.role == "amplitude" and k != origin}
 
 
-def _split(samples: Samples, published: Published) -> Array:
+def _split(options: PaperOptions, samples: Samples) -> Array:
     """(N,) True for training samples (paper: 70 %)."""
     count = len(samples.states)
-    share = 1.0 - published.sampling.train
-    if published.sampling.split == "tail":
-        return np.arange(count) < round(count * published.sampling.train)
-    block = np.arange(count) // _BLOCK
+    share = 1.0 - options.train
+    if options.split == "tail":
+        return np.arange(count) < round(count * options.train)
+    block = np.arange(count) // options.block
     return np.floor((block + 1) * share) == np.floor(block * share)
 
 
@@ -127,8 +128,8 @@ def _active(kept: Regression, standing: FitState, assembly: Assembly) -> list[in
     return [i for i, n in enumerate(kept.names) if n.split(" ")[0] in keys]
 
 
-def _trial(assembly: Assembly, standing: FitState) -> Trial:
-    kept: Regression = assembly.regression
+def _trial(options: PaperOptions, assembly: Assembly, standing: FitState) -> Trial:
+    kept = _kept(assembly)
     active = _active(kept, standing, assembly)
     chosen = set(active)
     library = {t.key for t in kept.terms}
@@ -145,16 +146,18 @@ def _trial(assembly: Assembly, standing: FitState) -> Trial:
         train=kept.train,
         amplitude=np.linalg.norm(moving, axis=1),
         record=at.record,
-        seed=_of(assembly.problem).sampling.seed,
+        seed=options.seed,
     )
     return replace(bare, residual=kept.target - bare.active @ bare.before.b)
 
 
-def _refitted(assembly: Assembly, standing: FitState, progress: Progress) -> Settled:
+def _refitted(
+    options: PaperOptions, assembly: Assembly, standing: FitState, progress: Progress
+) -> Settled:
     """Joint least squares on the training samples (paper, eq. joint_ols), and the comparison."""
-    kept: Regression = assembly.regression
+    kept = _kept(assembly)
     progress("joint least squares on the training samples")
-    trial = _trial(assembly, standing)
+    trial = _trial(options, assembly, standing)
     names = tuple(kept.names[i] for i in _active(kept, standing, assembly))
     log, errors = model_log(trial, names, {t.key: t for t in kept.terms})
     values = with_coefficients(
@@ -171,52 +174,53 @@ def _refitted(assembly: Assembly, standing: FitState, progress: Progress) -> Set
 # --- one round -----------------------------------------------------------------------------------
 
 
-def _propose(
-    assembly: Assembly,
-    standing: FitState,
-    comparison: Comparison,
-    number: int,
-    progress: Progress,
-) -> Step:
-    published, trial = _of(assembly.problem), _trial(assembly, standing)
+def propose(
+    options: PaperOptions, assembly: Assembly, standing: FitState, progress: Progress
+) -> Step[FitState]:
+    """Algorithm 1 up to the annotation: what passes all gates, at what the loop ends otherwise."""
+    trial = _trial(options, assembly, standing)
     if not trial.kept:
-        return _ended(trial, {}, Judgement((), {}), None)
+        return _ended(options, trial, {}, Judgement((), {}))
     log: dict[str, Any] = {}
-    for gate in (g for g in published.gates if g.guard):
+    for gate in (g for g in options.gate if g.guard):
         progress(f"guard {gate.plugin_name()}")
         judgement = gate.judge(trial)
         log[gate.plugin_name()] = dict(judgement.log)
         if not judgement.kept:
-            return _ended(trial, log, judgement, None)
+            return _ended(options, trial, log, judgement)
     function = None
-    if published.sampling.sampling != "samples":
-        function, trial = _learned(assembly, standing, trial, log, progress)
-    tests = [g for g in published.gates if not g.guard]
+    if options.sampling != "samples":
+        function, trial = _learned(options, assembly, standing, trial, log, progress)
+    tests = [g for g in options.gate if not g.guard]
     trial, judgement = through(tests, trial, log, progress)
     if not trial.kept:
-        if function is not None and published.library.closure:
+        if function is not None and options.library.closure:
             xi = _xi(assembly)
             log["closure"] = closure_log(trial, function.predict(xi))
-        return _ended(trial, log, judgement, function)
-    return _admission(assembly, standing, trial, log)
+        return _ended(options, trial, log, judgement)
+    return _admission(options, assembly, standing, trial, log)
 
 
 def _xi(assembly: Assembly) -> Array:
-    kept: Regression = assembly.regression
+    kept = _kept(assembly)
     return kept.regressor.of(kept.samples.states, kept.samples.inputs)
 
 
 def _learned(
-    assembly: Assembly, standing: FitState, trial: Trial, log: dict[str, Any], progress: Progress
+    options: PaperOptions,
+    assembly: Assembly,
+    standing: FitState,
+    trial: Trial,
+    log: dict[str, Any],
+    progress: Progress,
 ) -> tuple[Learned, Trial]:
     """Steps 2 to 4: learn the residual, and project it onto the library."""
-    published, kept = _of(assembly.problem), assembly.regression
-    options = published.sampling
-    progress(f"learning the residual ({published.learner.plugin_name()})")
+    kept = _kept(assembly)
+    progress(f"learning the residual ({options.learner.plugin_name()})")
     function = learned(
-        published.learner, _xi(assembly), trial.residual, trial.train, options.seed, progress
+        options.learner, _xi(assembly), trial.residual, trial.train, options.seed, progress
     )
-    log["learner"] = {"name": published.learner.plugin_name(), **function.log}
+    log["learner"] = {"name": options.learner.plugin_name(), **function.log}
     progress(f"projecting onto {len(trial.names)} terms of the library")
     if options.sampling == "box":
         points = box_points(kept.regressor, kept.samples, options.points, options.seed)
@@ -231,21 +235,23 @@ def _learned(
 
 
 def _ended(
-    trial: Trial, log: dict[str, Any], judgement: Judgement, function: Learned | None
-) -> Step:
+    options: PaperOptions, trial: Trial, log: dict[str, Any], judgement: Judgement
+) -> Step[FitState]:
     """Nothing admitted: why, in the paper's words and in the contract's."""
     log["ended"] = {
         "reason": judgement.reason or "library_exhausted",
         "text": ENDED[judgement.reason],
     }
     stopped: Stopped = "whiteness" if judgement.reason == "white" else "no_candidate"
-    shown = dict(list(judgement.refused.items())[:5])
+    shown = dict(list(judgement.refused.items())[: options.listed])
     return Step((), shown, stopped=stopped, details=log)
 
 
-def _admission(assembly: Assembly, standing: FitState, trial: Trial, log: dict[str, Any]) -> Step:
+def _admission(
+    options: PaperOptions, assembly: Assembly, standing: FitState, trial: Trial, log: dict[str, Any]
+) -> Step[FitState]:
     """Terms that passed, as effects of the model with their physical origin."""
-    kept: Regression = assembly.regression
+    kept = _kept(assembly)
     by_key = {t.key: t for t in kept.terms}
     chosen = tuple(trial.names[k] for k in trial.kept)
     log["admitted"] = term_log(trial, by_key)
@@ -266,7 +272,7 @@ def _admission(assembly: Assembly, standing: FitState, trial: Trial, log: dict[s
             others = [_owner(k) for k in cluster["members"] if _owner(k) not in labels]
             aliases[label] = tuple(dict.fromkeys((*aliases[label], *others)))
     return Step(
-        suggestions(trial, by_key, aliases),
+        suggestions(trial, by_key, aliases)[: options.listed],
         {},
         admitted=labels,
         aliases=aliases,
@@ -280,8 +286,22 @@ def _owner(key: str) -> str:
     return key.rsplit(".", 1)[0]
 
 
-def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
-    return _refitted(assembly, step.found, progress)
+def settle(
+    options: PaperOptions, assembly: Assembly, step: Step[FitState], progress: Progress
+) -> Settled:
+    """Joint least squares with the admitted terms."""
+    return _refitted(options, assembly, step.needed(), progress)
 
 
-PAPER = Strategy("paper", _begin, _propose, _settle)
+def admit(
+    options: PaperOptions, assembly: Assembly, standing: FitState, label: str, progress: Progress
+) -> Settled:
+    """The same with the terms of an effect that a person names; its other amplitudes are held."""
+    kept = _kept(assembly)
+    free = {t.key for t in kept.terms if t.effect.label == label}
+    if not free & {n.split(" ")[0] for n in kept.names}:
+        raise cannot_be_asked(assembly, label)
+    wider = replace(standing, labels=(*standing.labels, label))
+    own = {k for k in wider.keys(assembly) if k in _amplitudes(assembly) and _owner(k) == label}
+    wider = replace(wider, held=(*standing.held, *sorted(own - free)))
+    return _refitted(options, assembly, wider, progress)

@@ -33,17 +33,18 @@ from spiral.inference.evidence.judge import held_out
 from spiral.inference.evidence.scoring import group_of, scored, tested_keys
 from spiral.inference.evidence.spectrum import STEP, frequencies, others_of, peaks, spectral
 from spiral.inference.problem import Progress
+from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried, held_variants, reassembled, variant_of
 from spiral.types.effect import Effect, SensorEffect
 from spiral.types.record import Array
 
-_MOST_OF_IT = 0.7  # share of the rest beyond noise from which an effect without memory explains it
 VALUES = 3  # peaks whose frequencies are tried
 _FINE = np.linspace(-0.9, 0.9, 13)  # refinement of a peak, in steps
 
 
 def remembered(
+    options: ShootingOptions,
     assembly: Assembly,
     standing: FitState,
     proposal: Proposal,
@@ -56,13 +57,13 @@ def remembered(
 
     It is in terms of the study ``wide`` if one of them is admitted, else the proposal as it was.
     """
-    waiting = called_for(assembly, standing, proposal, white)
+    waiting = called_for(options, assembly, standing, proposal, white)
     if not waiting:
         return proposal
     progress("resolving what is left into resonances and lags")
     assert proposal.evidence is not None
     wide, _ = widened(assembly, standing, proposal.evidence.stage, waiting)
-    found = propose(wide, carried(standing, assembly, wide), masks, round_number, progress)
+    found = propose(options, wide, carried(standing, assembly, wide), masks, round_number, progress)
     if found.admitted is None or not found.admitted.variant.original.states:
         return proposal
     progress(f"following {found.admitted.variant.original.label} over the whole records")
@@ -105,14 +106,18 @@ def _over_whole(
 
 
 def called_for(
-    assembly: Assembly, standing: FitState, proposal: Proposal, white: bool
+    options: ShootingOptions,
+    assembly: Assembly,
+    standing: FitState,
+    proposal: Proposal,
+    white: bool,
 ) -> tuple[Effect, ...]:
     """Candidates with states of their own that a round tries; none while others explain the rest.
 
     They are tried where no other candidate passes and what is left is not white, and where the one
-    that passes leaves more than three tenths of what is left beyond the noise, or is a sensor's (a
-    reading that comes late and a force that comes late look much the same) and leaves no white
-    noise after its refit.
+    that passes explains less than ``memory_share`` of what is left beyond the noise, or is a
+    sensor's (a reading that comes late and a force that comes late look much the same) and leaves
+    no white noise after its refit.
     """
     present = {label.split("#")[0] for label in standing.labels}
     waiting = tuple(e for e in assembly.later if e.label not in present)
@@ -124,7 +129,7 @@ def called_for(
     lead = next(r for r in proposal.evidence.ranked if r.variant.label == label)
     if isinstance(lead.variant.original, SensorEffect):
         return () if _leaves_noise(assembly, proposal.admitted) else waiting
-    return waiting if lead.score.gain < _MOST_OF_IT * (table.rest - table.dof) else ()
+    return waiting if lead.score.gain < options.memory_share * (table.rest - table.dof) else ()
 
 
 def _leaves_noise(assembly: Assembly, admitted: Admitted) -> bool:

@@ -19,6 +19,7 @@ from spiral.inference.evidence.comparison import fitted_model
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.judge import held_out
 from spiral.inference.evidence.scoring import tested_keys
+from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, listed
 from spiral.types.model import Model
 
@@ -52,7 +53,13 @@ def superfluous(
     return tuple(gone)
 
 
-def simplest(assembly: Assembly, standing: FitState, proposal: Proposal, mask: Masks) -> Proposal:
+def simplest(
+    options: ShootingOptions,
+    assembly: Assembly,
+    standing: FitState,
+    proposal: Proposal,
+    mask: Masks,
+) -> Proposal:
     """The proposal with the member of its alias group beside which the fewest effects are needed.
 
     Aliases stay those that need as few.
@@ -69,7 +76,7 @@ def simplest(assembly: Assembly, standing: FitState, proposal: Proposal, mask: M
         gone.append(len(superfluous(assembly, one, model, mask, evidence.block)))
     best = [a for a, count in zip(group, gone, strict=True) if count == max(gone)]
     aliases = tuple(a.variant.original.label for a in best[1:])
-    shown = listed(evidence, best[0], aliases)
+    shown = listed(options, evidence, best[0], aliases)
     return replace(proposal, admitted=best[0], aliases=aliases, suggestions=shown)
 
 

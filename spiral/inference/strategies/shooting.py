@@ -6,28 +6,33 @@ on the other half, and reports estimates refitted on that other half.
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from spiral.inference.evidence.admission import Admitted, admit
+from spiral.engine.growth import Stage
+from spiral.inference.evidence.admission import Admitted, admit, second_order, with_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import judged, last_stage, prepared
-from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
+from spiral.inference.evidence.fit_state import FitState, Masks, all_samples, half_masks
 from spiral.inference.evidence.scoring import tested_keys
 from spiral.inference.identifiability.parameters import entangled
 from spiral.inference.problem import Problem, Progress
-from spiral.inference.strategies.base import Begun, Settled, Step, Strategy, second_order
-from spiral.inference.strategies.resolved import remembered
+from spiral.inference.strategies.base import Added, Begun, Settled, Step
+from spiral.inference.strategies.resolved import remembered, widened
 from spiral.inference.strategies.retire import let_go, simplest, superfluous
+from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, by_evidence, propose
 from spiral.inference.unknown.holding import carried, having, holding, moved
 from spiral.inference.unknown.shape import Found, applies, unknown_shape
+from spiral.types.effect import Effect
 from spiral.types.run import Comparison, Stopped, Suggestion
 
 
-def _begin(problem: Problem, progress: Progress) -> Begun:
+def begin(problem: Problem, progress: Progress) -> Begun:
+    """The seed fitted on growing windows of the half that judges."""
     progress("compiling the model and all candidates")
     assembly, standing = prepared(problem)
     tangle = entangled(assembly, standing)
@@ -36,25 +41,27 @@ def _begin(problem: Problem, progress: Progress) -> Begun:
     return Begun(assembly, standing, comparison, refused=tangle is not None, groups=groups)
 
 
-def _propose(
+def propose_one(
+    options: ShootingOptions,
     assembly: Assembly,
     standing: FitState,
     comparison: Comparison,
     number: int,
     progress: Progress,
-) -> Step:
+) -> Step[Proposal]:
+    """The candidate that one half of the blocks selects and the other half confirms."""
     begun, assembly = assembly, holding(assembly, standing)
     masks = half_masks(assembly)
-    proposal = propose(assembly, standing, masks, number, progress)
+    proposal = propose(options, assembly, standing, masks, number, progress)
     level = assembly.problem.settings.whiteness_level
     white = comparison.whiteness_p >= level
-    proposal = remembered(assembly, standing, proposal, white, masks, number, progress)
-    proposal = simplest(assembly, standing, proposal, masks[1])
+    proposal = remembered(options, assembly, standing, proposal, white, masks, number, progress)
+    proposal = simplest(options, assembly, standing, proposal, masks[1])
     if proposal.admitted is not None:
         return _step(standing, assembly, _in_place(begun, proposal.wide or assembly, proposal))
     stopped = _why_stopped(proposal, comparison, level)
     details = _details(proposal)
-    found = curve_of(assembly, standing, proposal, comparison, number, progress)
+    found = curve_of(options, assembly, standing, proposal, comparison, number, progress)
     if found is not None:
         details["unknown"] = found.shape.as_dict()
     if found is not None and assembly.problem.settings.learned:
@@ -66,6 +73,7 @@ def _propose(
 
 
 def curve_of(
+    options: ShootingOptions,
     assembly: Assembly,
     standing: FitState,
     proposal: Proposal,
@@ -83,7 +91,9 @@ def curve_of(
     astray = proposal.diverged or not np.isfinite(comparison.fit_error + comparison.test_error)
     if white or not applies(assembly) or (proposal.diverged and standing.labels == seed):
         return None
-    return unknown_shape(assembly, standing, half_masks(assembly), number, progress, astray)
+    return unknown_shape(
+        options, assembly, standing, half_masks(assembly), number, progress, astray
+    )
 
 
 def _details(proposal: Proposal) -> dict[str, Any]:
@@ -110,7 +120,7 @@ def _in_place(begun: Assembly, place: Assembly, proposal: Proposal) -> Proposal:
     return replace(proposal, admitted=moved(admitted, place, final))
 
 
-def _step(standing: FitState, place: Assembly, proposal: Proposal) -> Step:
+def _step(standing: FitState, place: Assembly, proposal: Proposal) -> Step[Proposal]:
     assert proposal.admitted is not None
     effect = proposal.admitted.variant.original
     return Step(
@@ -125,16 +135,19 @@ def _step(standing: FitState, place: Assembly, proposal: Proposal) -> Step:
     )
 
 
-def _ranked(step: Step) -> tuple[Suggestion, ...]:
-    proposal: Proposal = step.found
+def ranked(step: Step[Proposal]) -> tuple[Suggestion, ...]:
+    """All candidates by their evidence on the same windows."""
+    proposal = step.needed()
     if proposal.evidence is None:
         return proposal.suggestions
     return by_evidence(proposal.evidence, proposal.admitted, proposal.aliases)
 
 
-def _choose(assembly: Assembly, standing: FitState, step: Step, label: str) -> Step:
+def choose(
+    assembly: Assembly, standing: FitState, step: Step[Proposal], label: str
+) -> Step[Proposal]:
     """Another candidate at the windows on which all were scored; no gate is asked."""
-    proposal: Proposal = step.found
+    proposal = step.needed()
     evidence = proposal.evidence
     assert evidence is not None
     begun, assembly = assembly, holding(assembly, standing)
@@ -149,9 +162,9 @@ def _choose(assembly: Assembly, standing: FitState, step: Step, label: str) -> S
     return _step(standing, study, _in_place(begun, study, chosen))
 
 
-def _settle(assembly: Assembly, step: Step, progress: Progress) -> Settled:
+def settle(assembly: Assembly, step: Step[Proposal], progress: Progress) -> Settled:
     """Refit and compare after an admission, letting go of effects it has made superfluous."""
-    proposal: Proposal = step.found
+    proposal = step.needed()
     latest = proposal.admitted
     assert latest is not None
     begun, assembly = assembly, holding(assembly, latest.standing)
@@ -202,4 +215,42 @@ def _why_stopped(proposal: Proposal, comparison: Comparison, level: float) -> St
     return "whiteness" if comparison.whiteness_p >= level else "no_candidate"
 
 
-SHOOTING = Strategy("shooting", _begin, _propose, _settle, _ranked, _choose)
+def added(problem: Problem, effects: tuple[Effect, ...], progress: Progress) -> Added:
+    """The model before and after effects added by hand, each fitted to all samples."""
+    clock = time.perf_counter()
+    assembly, before_standing = prepared(problem, effects)
+    masks = all_samples(assembly)
+    progress("fitting before")
+    stage = last_stage(assembly, before_standing, masks)
+    before_standing = replace(before_standing, values=stage.fitted.point.values)
+    before = judged(assembly, before_standing, stage, progress)
+    spent = time.perf_counter() - clock
+    assembly, standing = _with_all(assembly, before_standing, stage, effects, progress)
+    progress("fitting after")
+    stage = last_stage(assembly, standing, masks)
+    standing = replace(standing, values=stage.fitted.point.values)
+    return Added(before, judged(assembly, standing, stage, progress), spent)
+
+
+def _with_all(
+    assembly: Assembly,
+    standing: FitState,
+    stage: Stage,
+    effects: tuple[Effect, ...],
+    progress: Progress,
+) -> tuple[Assembly, FitState]:
+    """Admit effects without gates; those with states of their own bring a study that holds them.
+
+    Their frequencies are free from then on: beside an amplitude the long windows tell them well.
+    """
+    late = tuple(e for e in effects if e.states)
+    if not late:
+        return assembly, with_effects(assembly, standing, effects, progress)
+    progress("resolving what is left into resonances and lags")
+    wide, _ = widened(assembly, standing, stage, late)
+    found = with_effects(wide, carried(standing, assembly, wide), effects, progress)
+    final = having(assembly, found.labels)
+    chosen = (v for v in final.variants if v.label in found.labels and v.original in late)
+    tuned = tuple(k for v in chosen for k in v.tuned if k not in found.freed)
+    found = replace(carried(found, wide, final), freed=(*found.freed, *tuned))
+    return holding(final, found), found

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks, begin
 from spiral.inference.problem import Progress
+from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.forcecurve import Unknown, described
 from spiral.inference.unknown.holding import carried, held_variants, moved, reassembled
@@ -29,6 +30,7 @@ class Found:
 
 
 def unknown_shape(
+    options: ShootingOptions,
     assembly: Assembly,
     standing: FitState,
     masks: tuple[Masks, Masks],
@@ -44,6 +46,7 @@ def unknown_shape(
 
     Parameters
     ----------
+    options : of the windows on which it is looked for.
     assembly, standing : the study, none of whose candidates passes.
     masks : (select, judge), as in ``propose``; the curve is fitted on the half that judges.
     astray : whether what was admitted before leads nowhere, so that only the seed is tried.
@@ -55,7 +58,7 @@ def unknown_shape(
         starts.insert(0, _fresh(assembly, standing, kept))
     for start in starts or [standing]:
         progress("trying curves over each state")
-        found = _found(assembly, standing, start, masks, round_number, progress)
+        found = _found(options, assembly, standing, start, masks, round_number, progress)
         if found is not None:
             return found
     return None
@@ -82,6 +85,7 @@ def _learned(assembly: Assembly, standing: FitState) -> list[str]:
 
 
 def _found(
+    options: ShootingOptions,
     assembly: Assembly,
     standing: FitState,
     start: FitState,
@@ -98,7 +102,7 @@ def _found(
     kept = tuple(c for c in assembly.problem.candidates if c.label in present)
     own = held_variants(assembly, standing.labels)
     wide = reassembled(assembly, (*kept, *learned), own)
-    first = propose(wide, carried(start, assembly, wide), masks, round_number, progress)
+    first = propose(options, wide, carried(start, assembly, wide), masks, round_number, progress)
     labels = [e.label for e in learned]
     if first.admitted is None or first.admitted.variant.original.label not in labels:
         return None

@@ -74,12 +74,17 @@ def _listed(entry: Entry, width: int) -> list[str]:
 
 
 def _described(entry: Entry, group: str) -> list[str]:
-    """A plugin by itself: its meaning, its fields with their usual values, its parameters."""
+    """A plugin by itself: its meaning, its fields with usual values, its parameters."""
+    from spiral.types.fields import field_meanings
+
     lines = [f"{group}={entry.name}", *_filled(_meaning(entry), "  ")]
     key = f"effect.{entry.name}" if group == "effect" else group
+    meanings, own = field_meanings(entry.plugin), " ".join(f"{s}=" for s in _sections_of(entry))
     for name, value in _fields(entry).items():
         shown = "null" if value is None else repr(value)
         lines += _filled(f"{key}.{name}={shown}", "    ")
+        lines += _filled(meanings[name], " " * 8) if name in meanings else []
+    lines += _filled(f"beside them: {own}", "    ") if own else []
     parameters = getattr(entry.plugin, "parameters", ())
     if parameters and isinstance(parameters, tuple):
         named = ", ".join(f"{p.name} ({p.unit or '1'})" for p in parameters)
@@ -95,7 +100,15 @@ def _meaning(entry: Entry) -> str:
 def _fields(entry: Entry) -> dict[str, Any]:
     from spiral.types.fields import defaults_of
 
-    return {k: v for k, v in defaults_of(entry.plugin).items() if k != "variant"}
+    hidden = {"variant", *_sections_of(entry)}
+    return {k: v for k, v in defaults_of(entry.plugin).items() if k not in hidden}
+
+
+def _sections_of(entry: Entry) -> tuple[str, ...]:
+    """Fields that are options of their own: the plugins of a strategy."""
+    from spiral.io.strategy_config import sections
+
+    return sections(entry.plugin) if entry.kind == "strategy" else ()
 
 
 def _failed(registry: Registry) -> list[str]:

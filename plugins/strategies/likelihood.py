@@ -1,0 +1,76 @@
+"""Evidence from the likelihood of whole records."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.strategy_options import LikelihoodOptions
+
+if TYPE_CHECKING:
+    from spiral.inference.evidence.assembly import Assembly
+    from spiral.inference.evidence.fit_state import FitState
+    from spiral.inference.problem import Problem, Progress
+    from spiral.inference.strategies.likelihood import Scored
+    from spiral.types.run import Comparison, Suggestion
+
+
+class Likelihood(LikelihoodOptions, Strategy):
+    """The likelihood of the whole record, with a model of what is random: the usual strategy.
+
+    G = 2 (log L_1 - log L_0) of a candidate refitted on half of the blocks must hold on the other
+    half, and no error on unseen data may grow, at any horizon (docs/method.md).
+    """
+
+    everywhere = True
+    curves = True
+    by_hand = True
+    by_name = True
+    ignores = ("phase_knot",)  # the filter tracks the phase itself
+
+    def begin(self, problem: Problem, progress: Progress) -> Begun:
+        """The model as it is, most likely with the noise that its record wants."""
+        from spiral.inference.strategies.likelihood import begin_study
+
+        return begin_study(problem, progress)
+
+    def propose(
+        self,
+        assembly: Assembly,
+        standing: FitState,
+        comparison: Comparison,
+        number: int,
+        progress: Progress,
+    ) -> Step[Scored]:
+        """The candidate that makes the record most likely, if it passes on other blocks."""
+        from spiral.inference.strategies.likelihood import propose
+
+        return propose(self, assembly, standing, comparison, number, progress)
+
+    def settle(self, assembly: Assembly, step: Step[Scored], progress: Progress) -> Settled:
+        """What was refitted and compared when it was proposed."""
+        from spiral.inference.strategies.likelihood import settle
+
+        return settle(step)
+
+    def ranked(self, step: Step[Scored]) -> tuple[Suggestion, ...]:
+        """All candidates by what they are worth."""
+        from spiral.inference.strategies.likelihood import ranked_by_worth
+
+        return ranked_by_worth(step)
+
+    def choose(
+        self, assembly: Assembly, standing: FitState, step: Step[Scored], label: str
+    ) -> Step[Scored]:
+        """Another candidate in place of the proposal; no gate is asked."""
+        from spiral.inference.strategies.likelihood import choose
+
+        return choose(self, assembly, standing, step, label)
+
+    def admit(
+        self, assembly: Assembly, standing: FitState, label: str, progress: Progress
+    ) -> Settled:
+        """An effect by its name, with the shapes that the record prefers."""
+        from spiral.inference.strategies.likelihood import admit
+
+        return admit(assembly, standing, label, progress)

@@ -1,0 +1,85 @@
+"""Evidence from trajectories on windows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from spiral.inference.strategies.base import Added, Begun, Settled, Step, Strategy
+from spiral.inference.strategy_options import ShootingOptions
+
+if TYPE_CHECKING:
+    from spiral.inference.evidence.assembly import Assembly
+    from spiral.inference.evidence.fit_state import FitState
+    from spiral.inference.problem import Problem, Progress
+    from spiral.inference.suggest import Proposal
+    from spiral.types.effect import Effect
+    from spiral.types.run import Comparison, Diagnosis, Suggestion
+
+
+class Shooting(ShootingOptions, Strategy):
+    """Trajectories on windows with free starts, judged on windows that did not select.
+
+    F = ((RSS_0 - RSS_1) / q) / s^2 of each candidate on half of the blocks, and a robust Wald
+    statistic; its refit must lower the error on the other half (docs/method.md).
+    """
+
+    curves = True
+    by_hand = True
+    by_name = True
+
+    def begin(self, problem: Problem, progress: Progress) -> Begun:
+        """The seed fitted on growing windows of the half that judges."""
+        from spiral.inference.strategies.shooting import begin
+
+        return begin(problem, progress)
+
+    def propose(
+        self,
+        assembly: Assembly,
+        standing: FitState,
+        comparison: Comparison,
+        number: int,
+        progress: Progress,
+    ) -> Step[Proposal]:
+        """The candidate that one half of the blocks selects and the other half confirms."""
+        from spiral.inference.strategies.shooting import propose_one
+
+        return propose_one(self, assembly, standing, comparison, number, progress)
+
+    def settle(self, assembly: Assembly, step: Step[Proposal], progress: Progress) -> Settled:
+        """Refitted on the half that did not select; effects made superfluous let go."""
+        from spiral.inference.strategies.shooting import settle
+
+        return settle(assembly, step, progress)
+
+    def ranked(self, step: Step[Proposal]) -> tuple[Suggestion, ...]:
+        """All candidates by their evidence on the same windows."""
+        from spiral.inference.strategies.shooting import ranked
+
+        return ranked(step)
+
+    def choose(
+        self, assembly: Assembly, standing: FitState, step: Step[Proposal], label: str
+    ) -> Step[Proposal]:
+        """Another candidate at the windows on which all were scored; no gate is asked."""
+        from spiral.inference.strategies.shooting import choose
+
+        return choose(assembly, standing, step, label)
+
+    def compare(self, problem: Problem, progress: Progress) -> Comparison:
+        """The model fitted to all samples on growing windows."""
+        from spiral.inference.compare import on_windows
+
+        return on_windows(problem, progress)
+
+    def add(self, problem: Problem, effects: tuple[Effect, ...], progress: Progress) -> Added:
+        """Before and after, each fitted to all samples."""
+        from spiral.inference.strategies.shooting import added
+
+        return added(problem, effects, progress)
+
+    def diagnose(self, problem: Problem, progress: Progress) -> Diagnosis:
+        """Of the model fitted to all samples; the best suggestions are tried on the test record."""
+        from spiral.inference.diagnose import on_windows
+
+        return on_windows(self, problem, progress)
