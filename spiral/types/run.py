@@ -198,7 +198,8 @@ class Diagnosis(Readable):
     ``not_separable`` are candidates that effects of the model take over on this record, in part or
     whole: had they been there, they could not have been found. ``unknown`` is the shape of what no
     candidate explains (``spiral.inference.unknown.shape``). ``left_out`` are candidates that these
-    records cannot be asked about, and why. ``summary`` is the verdict with its figures.
+    records cannot be asked about, and why. ``summary`` is the verdict with its figures; ``memory``
+    what is told of a missing force that has any (``spiral.inference.unknown.memory``).
     """
 
     verdict: Verdict
@@ -212,6 +213,7 @@ class Diagnosis(Readable):
     unknown: Mapping[str, Any] | None = None
     left_out: Mapping[str, str] = field(default_factory=dict)
     summary: str = ""
+    memory: Mapping[str, Any] | None = None
 
     def _shown(self) -> Summary:
         rows = tuple(
@@ -237,6 +239,7 @@ class Diagnosis(Readable):
             "comparison": self.comparison.as_dict(),
             "not_separable": {k: list(v) for k, v in self.not_separable.items()},
             "unknown": self.unknown,
+            "memory": self.memory,
             "left_out": dict(self.left_out),
         }
 
@@ -354,6 +357,11 @@ class Run:
         found = [r.details["unknown"] for r in self.rounds if "unknown" in r.details]
         return found[-1] if found else None
 
+    @property
+    def memory(self) -> Mapping[str, Any] | None:
+        """What is told of a missing force that has memory, where one is left at the end."""
+        return self.rounds[-1].details.get("memory") if self.rounds else None
+
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
         return {
@@ -370,6 +378,7 @@ class Run:
             "run_id": self.run_id,
             "context": dict(self.context),
             "unknown": self.unknown,
+            "memory": self.memory,
         }
 
 

@@ -294,17 +294,17 @@ def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) 
     ----------
     base : the model as it is. masks : the blocks that did not select.
     """
-    theirs, ours = (_most_likely(f, masks, {}) for f in (rival.fit, base))
-    before = max(_most_likely(base, masks, bounds_of(assembly, base.estimate.keys)), ours)
+    theirs, ours = (most_likely(f, masks, {}) for f in (rival.fit, base))
+    before = max(most_likely(base, masks, bounds_of(assembly, base.estimate.keys)), ours)
     own = bounds_of(rival.assembly, rival.fit.estimate.keys)
-    after = max(_most_likely(rival.fit, masks, own), theirs)
+    after = max(most_likely(rival.fit, masks, own), theirs)
     freed = set(rival.fit.state.freed) - set(base.state.freed)
     terms = len(rival.ranked.columns) + len(freed)
     searched = rival.ranked.variant.searched if freed else 1
     return Judged(theirs - ours, after - before, terms, searched)
 
 
-def _most_likely(
+def most_likely(
     fit: LikelihoodFit, masks: Masks, bounds: Mapping[str, tuple[float, float]]
 ) -> float:
     """The highest log-likelihood of a model on some blocks, by its noise and what has bounds."""

@@ -12,7 +12,7 @@ into what each explains, and the largest peaks, refined, are candidates like all
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,14 +67,26 @@ def ranking(
 
     They are not compiled: their signatures are carried along the predicted motion.
     """
+    present = present_labels(assembly, fit.state)
+
+    def offered(passage: Passage) -> list[Variant]:
+        found = [v for v in assembly.offered if v.original.label not in present]
+        for effect in (e for e in assembly.later if e.label not in present):
+            found += resonances(passage, effect)
+        return found
+
+    return ranked_along(assembly, fit, noise, masks, offered)
+
+
+def ranked_along(
+    assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks,
+    offered: Callable[[Passage], Sequence[Variant]],
+) -> Ranking | None:  # fmt: skip
+    """Variants that are offered along a pass of the filter, by their score on some blocks."""
     passage = _passage(assembly, fit, noise, masks)
     if passage is None:
         return None
-    present = present_labels(assembly, fit.state)
-    offered = [v for v in assembly.offered if v.original.label not in present]
-    for effect in (e for e in assembly.later if e.label not in present):
-        offered += resonances(passage, effect)
-    reduction, groups = _pass(passage, offered)
+    reduction, groups = _pass(passage, offered(passage))
     first, _ = columns(assembly, passage.active)
     return rank(reduction, owners_of(assembly, first), groups, passage.block)
 

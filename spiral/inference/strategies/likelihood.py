@@ -41,6 +41,7 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.identify import untold
 from spiral.inference.likelihood.ladder import climbed_ladder, pruned, quieted
+from spiral.inference.likelihood.memory import memory_of
 from spiral.inference.likelihood.scores import ranking
 from spiral.inference.likelihood.starts import (
     best_fit,
@@ -53,8 +54,10 @@ from spiral.inference.strategies.base import Begun, Settled, Step, Strategy, sec
 from spiral.inference.strategies.retire import let_go
 from spiral.inference.suggest import by_evidence
 from spiral.inference.unknown.holding import carried, emptied, having
+from spiral.inference.unknown.memory import Memory
 from spiral.inference.unknown.shape import applies, unknown_shape
 from spiral.inference.verdict import near_noise, random_forces
+from spiral.types.effect import InputEffect
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import changes
 from spiral.types.run import Comparison, Stopped, Suggestion
@@ -144,7 +147,34 @@ def _propose(
     stopped: Stopped = "whiteness" if near else "no_candidate"
     step = Step(_suggestions(run.tried, ranked, "", ())[:_LISTED], rejected, stopped=stopped,
                 found=Scored(ranked, run.tried))  # fmt: skip
+    memory = _memory(assembly, base, comparison, (select, judge), progress)
+    if memory is not None:  # a curve over the present state would only stand in for it
+        return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
     return step if near else _with_curve(assembly, state, step, (select, judge), number, progress)
+
+
+def _memory(
+    assembly: Assembly, base: LikelihoodFit, comparison: Comparison, masks: tuple[Masks, Masks],
+    progress: Progress,
+) -> Memory | None:  # fmt: skip
+    """The memory of what is missing, where it has any.
+
+    Effects without memory that were admitted, and a random force or coloured noise beside them, may
+    have stood in for it: it is then looked for in what the model without them lacks, too, and must
+    be more likely than they are.
+    """
+    found = memory_of(assembly, base, masks, progress)
+    held = {v.label: v.effect for v in assembly.variants if v.label in base.state.labels}
+    gone = tuple(x for x, e in held.items() if not (e.states or isinstance(e, InputEffect)))
+    near = near_noise(comparison, assembly.problem.settings) and not comparison.random
+    if found is not None or near or not gone:
+        return found
+    before = refitted(assembly, replace(let_go(assembly, base.state, gone), noise=None), rough=True)
+    before = climbed_ladder(assembly, before, progress)
+    if not before.estimate.finite:
+        return None
+    before = refitted(assembly, before.state, masks=masks[0], steps=_WARM, rough=True)
+    return memory_of(assembly, before, masks, progress, base)
 
 
 def _with_curve(
