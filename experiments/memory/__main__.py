@@ -1,4 +1,4 @@
-"""Is the memory of a missing force seen where no effect with memory is in the catalog?
+"""Whether the memory of a missing force is seen where no effect in the catalog has any.
 
 python -m experiments.memory [--only KIND ...] [--noise 0.005 ...] [--seeds 0 1] [--jobs 1]
     [--out runs/memory]
@@ -22,30 +22,42 @@ from joblib import Parallel, delayed, parallel_config
 
 from experiments.memory.truth import MEMORY, NO_MEMORY, RATE, simulated
 from experiments.studies.rates import rate, rate_told
+from spiral.io.registry import load_registry
+from spiral.types.model import seed_model
+from spiral.types.record import make_record
+from spiral.types.run import Run
 
 Row = dict[str, Any]
 NOISES = (0.005, 0.01, 0.02, 0.05)
 SAYS = "What is missing has memory"
 
 
-def study(kind: str, noise: float, seed: int) -> Row:
-    """One study with all effects of the catalog that have no states of their own as candidates."""
-    import spiral
-    from spiral.io.registry import load_registry
-    from spiral.types.model import seed_model
-    from spiral.types.record import make_record
-
-    registry, clock = load_registry(None), time.process_time()
+def blank() -> list[str]:
+    """Labels of all effects of the catalog that fit the machine and have no states of their own."""
+    registry = load_registry(None)
     system = registry.make("system", "oscillator")
+    present = seed_model(system).labels
+    found = registry.candidates(system, everywhere=True)
+    return [e.label for e in found if not e.states and e.label not in present]
+
+
+def asked(kind: str, noise: float, seed: int, candidates: Sequence[str]) -> Run:
+    """What is said of a machine of which these are the candidates."""
+    import spiral
+
+    system = load_registry(None).make("system", "oscillator")
     found = simulated(kind, noise, seed)
     record, test = (
         make_record(system, name, np.arange(len(y)) / RATE, {"x": y}, {"force": u})
         for name, y, u in zip(("record", "test"), found.reading, found.force, strict=True)
     )
-    present = seed_model(system).labels
-    blank = [e.label for e in registry.candidates(system, everywhere=True)
-             if not e.states and e.label not in present]  # fmt: skip
-    run = spiral.discover(record, system, test=test, candidates=blank)
+    return spiral.discover(record, system, test=test, candidates=candidates)
+
+
+def study(kind: str, noise: float, seed: int) -> Row:
+    """One study with a catalog that has no effect with memory; ``seconds`` of one processor."""
+    clock = time.process_time()
+    run = asked(kind, noise, seed, blank())
     memory = run.memory or {}
     return {
         "kind": kind, "noise": noise, "seed": seed, "verdict": run.verdict,
@@ -69,8 +81,8 @@ def table(rows: Sequence[Row]) -> str:
 
     def line(name: str, some: Sequence[Row]) -> None:
         if some:
-            seconds = np.median([r["seconds"] for r in some])
-            lines.append(f"| {name} | {len(some)} | {rate_told(rate(some, right))} | {seconds:.0f} |")
+            told, seconds = rate_told(rate(some, right)), np.median([r["seconds"] for r in some])
+            lines.append(f"| {name} | {len(some)} | {told} | {seconds:.0f} |")
 
     for title, kinds in (("memory", MEMORY), ("no memory", NO_MEMORY)):
         mine = [r for r in rows if r["kind"] in kinds]

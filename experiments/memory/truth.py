@@ -18,7 +18,7 @@ import numpy as np
 Array = np.ndarray
 MASS, DAMPING, SPRING, RATE, FINE, MOTION = 1.0, 4.0, 400.0, 100.0, 5, 0.01
 _PUSH, _BAND = 2.5, 8.0  # N rms, Hz
-_SAMPLES, _TESTED = 3000, 1500
+_SAMPLES, _TESTED = 2500, 1000
 
 State = Sequence[float]
 Force = Callable[[float, float, State, float], tuple[float, list[float]]]
@@ -183,7 +183,7 @@ class Simulated:
 
 
 def simulated(kind: str, noise: float, seed: int) -> Simulated:
-    """A record of 30 s and a test of 15 s, ``noise`` a share of the motion's deviation."""
+    """A record of 25 s and a test of 10 s, ``noise`` a share of the motion's deviation."""
     makers = {**MEMORY, **NO_MEMORY}
     draws = np.random.default_rng([seed, list(makers).index(kind), round(1e4 * noise)])
     size, length = SPRING * draws.uniform(0.2, 0.6), MOTION * draws.uniform(0.2, 0.6)

@@ -21,7 +21,8 @@ from spiral.inference.strategies.resolved import remembered
 from spiral.inference.strategies.shooting import SHOOTING, curve_of
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried
-from spiral.inference.verdict import advice_for, memory_of, seed_verdict, verdict_sentence
+from spiral.inference.unknown.memory import memory_said
+from spiral.inference.verdict import advice_for, seed_verdict, verdict_sentence
 from spiral.inference.where.regions import where
 from spiral.types.run import Comparison, Diagnosis, Round, Stopped, Suggestion
 
@@ -81,7 +82,7 @@ def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Dia
     return Diagnosis(
         verdict, comparison, suggestions, where(begun.assembly, stage), advice, stage.length,
         step.stopped == "diverged", unknown=shape, left_out=begun.assembly.left_out,
-        summary=f"{verdict_sentence(verdict, comparison, settings)} {memory_of([first])}".strip(),
+        summary=f"{verdict_sentence(verdict, comparison, settings)} {memory_said([first])}".strip(),
         memory=memory,
     )  # fmt: skip
 

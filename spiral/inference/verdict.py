@@ -24,6 +24,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from spiral.inference.problem import Settings
+from spiral.inference.unknown.memory import forgotten, memory_said
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model
 from spiral.types.run import Comparison, Round, Stopped, Verdict
@@ -200,19 +201,7 @@ def missing(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
 
     Where what is left has memory, effects without any may only have stood in for it.
     """
-    return () if _worse(rounds) or _forgets(rounds) else determined(rounds, settings)
-
-
-def _forgets(rounds: Sequence[Round]) -> bool:
-    """Whether what is left has memory, and no effect that was admitted has any."""
-    admitted = _admitted(rounds)
-    held = rounds[-1].comparison.model.effects
-    return bool(memory_of(rounds)) and not any(e.states for e in held if e.label in admitted)
-
-
-def memory_of(rounds: Sequence[Round]) -> str:
-    """The memory of what is left after a study in words; empty where none was seen."""
-    return rounds[-1].details.get("memory", {}).get("sentence", "")
+    return () if _worse(rounds) or forgotten(rounds) else determined(rounds, settings)
 
 
 def _admitted(rounds: Sequence[Round]) -> tuple[str, ...]:
@@ -232,7 +221,7 @@ def study_verdict(rounds: Sequence[Round], stopped: Stopped, settings: Settings)
     """The verdict on the seed after a study: ``effect_missing`` where it found one.
 
     Where it admitted effects of which none is determined, or which raise the error on unseen data,
-    something is missing and nothing explains it; so where what is left has memory and they have none.
+    something is missing and nothing explains it; so where what is left has memory, they none.
     """
     if stopped != "not_identifiable" and len(rounds) > 1 and "unknown" not in rounds[0].details:
         return "effect_missing" if missing(rounds, settings) else "unknown_structure"
@@ -303,14 +292,14 @@ def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, setting
     if not admitted:
         if stopped == "diverged":
             return "The fit diverged."
-        return f"{verdict_sentence(verdict, first, settings)} {memory_of(rounds)}".strip()
+        return f"{verdict_sentence(verdict, first, settings)} {memory_said(rounds)}".strip()
     said = [_change(rounds, admitted, settings)]
     said += [
         f"This record does not determine {label}: {doubt}."
         for label in admitted
         if (doubt := doubts(last.model, label, settings))
     ]
-    said += [memory] if (memory := memory_of(rounds)) else []
+    said.append(memory_said(rounds))
     if reasons := shortfalls(last, settings):
         more = "More is missing" if last.converged else "Whether more is missing cannot be told"
         said.append(f"{more}: {'; '.join(reasons)}.")
@@ -330,10 +319,10 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
             f"The model now holds {', '.join(admitted)}, but on data that no fit has seen the "
             f"error grew: {change}. Do not take {them} for what is missing."
         )
-    if _forgets(rounds):
+    if forgotten(rounds):
         return (
-            f"Something is missing that no known effect explains. {', '.join(admitted)}, which "
-            f"the model now holds, may only stand in for it: {change}."
+            f"{_VERDICTS['unknown_structure']}. The model now holds {', '.join(admitted)}, which "
+            f"may only stand in for it: {change}."
         )
     named = determined(rounds, settings)
     if not named:
@@ -383,10 +372,10 @@ def advice_for(
             f"Its shape: {shape['sentence']} Admit the curve (spiral add {shape['effect']} "
             "run=latest, or settings.learned=true), or write the effect that it suggests."
         )
-    if _forgets(rounds):
+    if forgotten(rounds):
         return (
-            "Offer effects with states of their own (bouc_wen, jenkins, lag: leave candidates= "
-            "out), or write one (spiral new effect NAME)."
+            "Offer effects with states of their own (bouc_wen, jenkins, lag), or write one "
+            "(spiral new effect NAME)."
         )
     if verdict == "unknown_structure" and len(rounds) == 1:
         return (

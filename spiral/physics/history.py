@@ -5,17 +5,18 @@ With z = q / Q and w = v / V (Q, V the rms position and velocity at a port), for
     f(q, v, t) = sum a_i A_i(z) + sum b_j B_j(w) + sum c_ij C_i(z) D_j(w) + t (e q + g v)
                  + what is linear in other axes, and of third order in the radius
 
-is a force without memory: natural cubic splines in z and in w, friction of several widths, products
-of both, and a spring and damper that drift. A force that remembers has states that the motion drives,
+is a force without memory: natural cubic splines in z and in w, friction of several widths,
+products of both, and a spring and damper that drift. A force that remembers has states that the
+motion drives,
 
     T z' = T v - z                     a spring in series with a damper (Maxwell)
     z' = v - (|v| z + v |z|) / L       a spring that yields at L / 2 and is stiff again on return
     T z' = q^3 / Q^2 - z               a curved force that comes late
 
 for times T and lengths L over the motion's own scales, and is linear in their amplitudes.
-``LateReading`` and ``LateInput`` are what sensors and actuators do that average, lag or come late by
-a few samples. None of these is a
-candidate: they tell whether what is missing has memory (``spiral.inference.likelihood.memory``).
+``LateReading`` and ``LateInput`` are what sensors and actuators do that average, lag or come late
+by a few samples. None of these is a candidate: they tell whether what is missing has memory
+(``spiral.inference.likelihood.memory``).
 """
 
 from __future__ import annotations
@@ -87,14 +88,14 @@ class PresentForce(ForceEffect):
         *_SCALES,
     )
 
-    def force(self, at, u, p):
+    def force(self, at, u, p) -> list[Any]:
         """The sum per axis."""
         return [
             sum(getattr(p, name)[i] * x for name, x in zip(_NAMES, terms, strict=True))
             for i, terms in enumerate(self.terms(at, u, p))
         ]
 
-    def terms(self, at, u, p):
+    def terms(self, at, u, p) -> list[list[Any]]:
         """For every axis what its coefficients are factors of, by its shapes alone."""
         z = [q / p.reach for q in at.position]
         w = [v / p.pace for v in at.velocity]
@@ -118,7 +119,7 @@ class RememberedForce(ForceEffect):
         *_SCALES[:2],
     )
 
-    def force(self, at, u, p):
+    def force(self, at, u, p) -> list[Any]:
         """The sum of all states, each times its amplitude."""
         names = (*YIELDING, *RELAXING)
         return [

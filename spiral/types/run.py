@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from spiral.types.formatting import number, percent, probability
 from spiral.types.horizon import Change, Horizon
-from spiral.types.model import Estimate, Model
+from spiral.types.model import Model, estimates_dict
 from spiral.types.record import Array
 from spiral.types.showing import Readable, Summary
 
@@ -391,16 +391,3 @@ def estimate_rows(result: Mapping[str, Any]) -> list[dict[str, Any]]:
         for owner, table in owners.items()
         for name, values in table.items()
     ]
-
-
-def estimates_dict(model: Model) -> dict[str, Any]:
-    """``{"effects": {effect: {parameter: estimate}}, "system": {parameter: estimate}}``."""
-
-    def rows(table: dict[str, Estimate]) -> dict[str, Any]:
-        return {name: estimate.as_dict() for name, estimate in table.items()}
-
-    table = model.estimates()
-    return {
-        "effects": {owner: rows(t) for owner, t in table.items() if owner != "system"},
-        "system": rows(table.get("system", {})),
-    }

@@ -8,14 +8,16 @@ noise, on the blocks that select:
     past        the same, and a force with memory there: springs that yield, forces that relax
 
 (``spiral.physics.history``). The port is the one where forces with memory score best. Memory is
-told where the past is significant on the blocks that select (Wilks' test at ``settings.level``), and
+told where the past is significant on the blocks that select (Wilks' test, ``settings.level``) and
 
     log L(past) - log L(present) > log(1 / level)
 
-on the blocks that judge, both with their values from the others: were ``present`` right, the ratio's
-expectation would be one, so that it is above 1 / level at most at that level (Markov's inequality;
-the split likelihood ratio of Wasserman, Ramdas and Balakrishnan 2020). What changes the predictions
-by less than ``settings.smallest`` standard deviations is not told.
+on the blocks that judge, both with their values from the others and each with the noise as these
+have it. Against the true values of ``present`` the ratio would have the expectation one, and so be
+above 1 / level with a probability of ``level`` at most (Markov's inequality; the split likelihood
+ratio of Wasserman, Ramdas and Balakrishnan 2020); here both are estimates, so its rate of false
+alarms is measured (``experiments/memory``). What changes the predictions by less than
+``settings.smallest`` standard deviations is not told.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ from spiral.types.port import At
 from spiral.types.record import Array
 from spiral.types.system import has_coordinates, place_name
 
-_FIRST, _LAST = 25, 15  # scoring steps with gains held, and with slopes by differences
+_STEPS = 40  # scoring steps, at most, with the filter's gains held
 _CLEARLY = 3.0  # times the other's Wald statistic from which one kind of memory is told
 _CYCLES, _POINTS = 2.0, 200  # periods of a loop that is kept, and its points
 
@@ -167,12 +169,9 @@ def _wider(trial: _Trial, variants: Sequence[Variant], select: Masks) -> _Trial:
             values[:, own.study.index(key)] = value
     labels = (*state.labels, *(v.label for v in variants))
     state = replace(state, labels=labels, values=values)
-    like = at.prepared
     fit = refitted(
-        own, state, at.noise, select, _FIRST, True, at.kept, differences=False, like=like
+        own, state, at.noise, select, _STEPS, True, at.kept, differences=False, like=at.prepared
     )
-    kept = fit.estimate.kept
-    fit = refitted(own, fit.state, fit.estimate.noise, select, _LAST, True, kept, like=like)
     return _Trial(own, fit)
 
 
@@ -204,8 +203,11 @@ def _described(trial: _Trial, past: Variant, p_value: float, told: float) -> Mem
 
 @dataclass(frozen=True)
 class _Forces:
-    """Along one record, (samples, axes) each: what is missing beside a spring and a damper, and
-    what of it no function of the present explains; ``period`` of the motion in samples."""
+    """What is missing beside a spring and a damper along one record, (samples, axes) each.
+
+    ``remembered`` is what of it no function of the present explains; ``period`` of the motion in
+    samples.
+    """
 
     position: Array
     missing: Array
@@ -219,9 +221,7 @@ def _forces(trial: _Trial, past: Variant, record: int) -> _Forces:
     along = motion_of(trial.assembly, task, part)
     position, velocity = at_port_along(along, past.effect)
     remembered = _remembered(task, along, past)
-    present = next(
-        v.effect for v in trial.assembly.variants if isinstance(v.effect, PresentForce)
-    )
+    present = next(v.effect for v in trial.assembly.variants if isinstance(v.effect, PresentForce))
     at, u = At(tuple(position.T), tuple(velocity.T), SimpleNamespace()), inputs_seen(along, 0.0)
     p = values_for(present, along.system.place(past.effect).axes, _values(task))
     missing = remembered + _stacked(present.force(at, u, p), len(position))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from spiral.types.formatting import number, percent
 from spiral.types.record import Array
+from spiral.types.run import Round
 
 Kind = Literal["yields", "relaxes", "either"]
 _KINDS = {
@@ -54,7 +56,7 @@ class Memory:
         return (
             f"What is missing has memory: at {self.port} {number(self.size, 2)} {self.unit} (rms) "
             f"depend on how the motion came to where it is, {percent(min(self.share, 1.0))} of the "
-            f"missing force's energy. {_KINDS[self.kind]}"
+            f"missing force's mean square. {_KINDS[self.kind]}"
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -64,3 +66,15 @@ class Memory:
             for x in self.loops
         ]
         return {**vars(self), "sentence": self.sentence, "loops": loops}
+
+
+def memory_said(rounds: Sequence[Round]) -> str:
+    """The memory of what is left after a study, in words; empty where none was seen."""
+    return rounds[-1].details.get("memory", {}).get("sentence", "")
+
+
+def forgotten(rounds: Sequence[Round]) -> bool:
+    """Whether what is left has memory, and no effect has any that was admitted and is held."""
+    admitted = {x for r in rounds for x in r.admitted}
+    held = rounds[-1].comparison.model.effects
+    return bool(memory_said(rounds)) and not any(e.states for e in held if e.label in admitted)
