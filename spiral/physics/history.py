@@ -1,6 +1,7 @@
 """Forces that follow the present alone, and forces that remember: two families to be compared.
 
-With z = q / Q and w = v / V (Q, V the rms position and velocity at a port), for every axis
+With z = (q - q_0) / Q and w = (v - v_0) / V (means and deviations of position and velocity at a
+port, the means zero where it has several axes), for every axis
 
     f(q, v, t) = sum a_i A_i(z) + sum b_j B_j(w) + sum c_ij C_i(z) D_j(w) + t (e q + g v)
                  + what is linear in other axes, and of third order in the radius
@@ -11,7 +12,7 @@ motion drives,
 
     T z' = T v - z                     a spring in series with a damper (Maxwell)
     z' = v - (|v| z + v |z|) / L       a spring that yields at L / 2 and is stiff again on return
-    T z' = q^3 / Q^2 - z               a curved force that comes late
+    T z' = (q - q_0)^3 / Q^2 - z       a curved force that comes late
 
 for times T and lengths L over the motion's own scales, and is linear in their amplitudes.
 ``LateReading`` and ``LateInput`` are what sensors and actuators do that average, lag or come late
@@ -27,9 +28,9 @@ from spiral.math import length, maximum, tanh
 from spiral.types.effect import ForceEffect, InputEffect, SensorEffect
 from spiral.types.parameter import Parameter, State
 
-_KNOTS = (-2.5, -1.0, -0.3, 0.3, 1.0, 2.5)  # of curves, in the rms of their state
-_WIDTHS = (0.03, 0.15, 0.6)  # of friction, in the rms velocity
-LENGTHS = (0.3, 1.0, 3.0)  # of what yields, in the rms position
+_KNOTS = (-2.5, -1.0, -0.3, 0.3, 1.0, 2.5)  # of curves, in deviations of their state
+_WIDTHS = (0.03, 0.15, 0.6)  # of friction, in V
+LENGTHS = (0.3, 1.0, 3.0)  # of what yields, in Q
 TIMES = (0.7, 2.0, 6.0)  # of what relaxes, in the motion's own time Q / V
 _LATE = (1.0,)  # times of curved forces that come late
 YIELDING = tuple(f"yielding{k}" for k in range(len(LENGTHS)))
@@ -38,9 +39,10 @@ _PASSES = 3  # through which an input is filtered
 _MOST = 3.0  # of what each changes: an input that is late by so many samples
 
 _SCALES = (
+    Parameter("middle", "position", start=0.0, role="shape"),
     Parameter("reach", "position", lower=0.0, start=1.0, role="shape"),
+    Parameter("drift", "velocity", start=0.0, role="shape"),
     Parameter("pace", "velocity", lower=0.0, start=1.0, role="shape"),
-    Parameter("record", "s", lower=0.0, start=1.0, role="shape"),
 )
 
 
@@ -52,25 +54,20 @@ def _bends(x: Any) -> list[Any]:
     return [part - parts[-1] for part in parts[:-1]]
 
 
-def _over_velocity(w: Any) -> list[Any]:
-    """Friction of several widths, and a curve; the damper has the linear part."""
-    return [*(tanh(w / x) for x in _WIDTHS), *_bends(w)]
-
-
-def _over_both(z: Any, w: Any) -> list[Any]:
+def _over_both(z: Any, w: Any, s: Any) -> list[Any]:
     """Damping and friction that depend on place, a spring that depends on velocity."""
     sizes = (z, length([z]))
-    ways = (tanh(w / _WIDTHS[1]), length([w]))
+    ways = (tanh(s / _WIDTHS[1]), length([w]))
     return [*(x * w for x in (*sizes, *_bends(z))), *(x * y for x in sizes for y in ways)]
 
 
-def _own_terms(z: Any, w: Any, t: Any) -> list[Any]:
-    """All functions of one axis."""
-    drifts = [t * z, t * w]
-    return [1 + 0 * z, *_bends(z), *_over_velocity(w), *_over_both(z, w), *drifts]
+def _own_terms(z: Any, w: Any, s: Any, t: Any) -> list[Any]:
+    """All functions of one axis; s is v / V. The model's spring and damper have z and w."""
+    friction = [tanh(s / x) for x in _WIDTHS]
+    return [1 + 0 * z, *_bends(z), *friction, *_bends(w), *_over_both(z, w, s), t * z, t * w]
 
 
-_OWN = len(_own_terms(0.0, 0.0, 0.0))
+_OWN = len(_own_terms(0.0, 0.0, 0.0, 0.0))
 _NAMES = (*(f"c{k}" for k in range(_OWN)), *(f"cross{k}" for k in range(4)))
 
 
@@ -86,6 +83,7 @@ class PresentForce(ForceEffect):
     parameters = (
         *(Parameter(name, "force", per_axis=True) for name in _NAMES),
         *_SCALES,
+        Parameter("record", "s", lower=0.0, start=1.0, role="shape"),
     )
 
     def force(self, at, u, p) -> list[Any]:
@@ -97,14 +95,14 @@ class PresentForce(ForceEffect):
 
     def terms(self, at, u, p) -> list[list[Any]]:
         """For every axis what its coefficients are factors of, by its shapes alone."""
-        z = [q / p.reach for q in at.position]
-        w = [v / p.pace for v in at.velocity]
+        z = [(q - p.middle) / p.reach for q in at.position]
+        w = [(v - p.drift) / p.pace for v in at.velocity]
         t, found = u.time / p.record, []
         for i, (a, b) in enumerate(zip(z, w, strict=True)):
             others = [j for j in range(len(z)) if j != i]
             radius = sum(z[j] * z[j] for j in others)
             cross = [sum(z[j] for j in others), sum(w[j] for j in others), radius * a, radius * b]
-            found.append([*_own_terms(a, b, t), *cross])
+            found.append([*_own_terms(a, b, at.velocity[i] / p.pace, t), *cross])
         return found
 
 
@@ -116,7 +114,7 @@ class RememberedForce(ForceEffect):
     parameters = (
         *(Parameter(f"by_{name}", "force/position", per_axis=True) for name in YIELDING),
         *(Parameter(f"by_{name}", "force/position", per_axis=True) for name in RELAXING),
-        *_SCALES[:2],
+        *_SCALES,
     )
 
     def force(self, at, u, p) -> list[Any]:
@@ -138,7 +136,8 @@ class RememberedForce(ForceEffect):
             elif name.startswith("relaxing"):
                 found[name] = [v - z / (share * time) for _, v, z in rows]
             else:
-                found[name] = [(q * (q / p.reach) ** 2 - z) / (share * time) for q, _, z in rows]
+                cubes = ((q - p.middle) ** 3 / p.reach**2 - z for q, _, z in rows)
+                found[name] = [left / (share * time) for left in cubes]
         return found
 
 

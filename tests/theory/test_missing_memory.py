@@ -30,7 +30,7 @@ def test_hysteresis_is_told_and_a_curve_is_not(kind):
 
 def _driven(speed):
     """States of the force with memory over ten cycles of one path, run through at some speed."""
-    effect, p = RememberedForce(), SimpleNamespace(reach=1.0, pace=1.0)
+    effect, p = RememberedForce(), SimpleNamespace(middle=0.0, reach=1.0, drift=0.0, pace=1.0)
     names = [s.name for s in effect.states]
     steps = 4_000
     dt, z, path = 10 * 2 * np.pi / speed / steps, dict.fromkeys(names, 0.0), []
@@ -65,7 +65,7 @@ def test_the_curves_of_a_force_without_memory_are_natural_splines():
 def test_a_force_without_memory_is_the_sum_of_its_terms():
     effect, rng = PresentForce(), np.random.default_rng(1)
     at = At(tuple(rng.normal(size=(2, 5))), tuple(rng.normal(size=(2, 5))), SimpleNamespace())
-    shapes = {"reach": 2.0, "pace": 3.0, "record": 10.0}
+    shapes = {"middle": 0.1, "reach": 2.0, "drift": 0.2, "pace": 3.0, "record": 10.0}
     u = SimpleNamespace(time=np.linspace(0.0, 10.0, 5))
     names = [q.name for q in effect.amplitudes()]
     terms = effect.terms(at, u, SimpleNamespace(**shapes))

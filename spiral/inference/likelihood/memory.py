@@ -134,12 +134,19 @@ def _offered(passage: Passage) -> list[Variant]:
     found = []
     for effect in at_every_place(passage.assembly.problem.model.system, RememberedForce()):
         moved = [at_port_along(along, effect) for along in passage.motions]
-        reach, pace = (
-            float(np.sqrt(np.mean(np.concatenate([m[i] for m in moved]) ** 2))) for i in (0, 1)
+        (middle, reach), (drift, pace) = (
+            _scales(np.concatenate([m[i] for m in moved])) for i in (0, 1)
         )
         if reach > 0 and pace > 0:
-            found.append(variant_of(effect, "", {"reach": reach, "pace": pace}))
+            shapes = {"middle": middle, "reach": reach, "drift": drift, "pace": pace}
+            found.append(variant_of(effect, "", shapes))
     return found
+
+
+def _scales(values: Array) -> tuple[float, float]:
+    """Mean and deviation of a motion (samples, axes); of several axes about zero."""
+    middle = float(values.mean()) if values.shape[1] == 1 else 0.0
+    return middle, float(np.sqrt(np.mean((values - middle) ** 2)))
 
 
 def _without_memory(assembly: Assembly, past: Variant) -> tuple[Variant, ...]:
@@ -229,7 +236,7 @@ def _forces(trial: _Trial, past: Variant, record: int) -> _Forces:
         own = [np.ones(len(position)), position[:, i], velocity[:, i]]
         missing[:, i] = _beside(own, missing[:, i])
         remembered[:, i] = _beside([*own, *terms], remembered[:, i])
-    time = float(np.sqrt(np.mean(position**2) / np.mean(velocity**2)))
+    time = float(np.sqrt(np.var(position) / np.var(velocity)))
     return _Forces(position, missing, remembered, 2 * np.pi * time / task.series.dt)
 
 
@@ -289,7 +296,8 @@ def _wald(trial: _Trial, past: Variant, names: Sequence[str]) -> float:
 def _loop(axis: str, position: Array, force: Array, period: float) -> Loop:
     """Force over position around the largest motion, in order of time."""
     half = max(int(_CYCLES * period / 2), 8)
-    middle = int(np.clip(np.argmax(np.abs(position)), half, max(len(position) - half, half)))
+    farthest = int(np.argmax(np.abs(position - position.mean())))
+    middle = int(np.clip(farthest, half, max(len(position) - half, half)))
     part = slice(max(middle - half, 0), middle + half)
     step = max(len(position[part]) // _POINTS, 1)
     return Loop(axis, position[part][::step], force[part][::step])
