@@ -42,6 +42,7 @@ from spiral.types.effect import Effect
 from spiral.types.record import Array
 
 _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
+_HUGE = 1e60  # a slope from which one is no number: own states that run away
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
 _STEP = 1e-5  # of an input's largest value, for the slopes of the rates by it
 _FINE = (STEP ** np.linspace(-0.8, 0.8, 5), STEP ** np.linspace(-0.3, 0.3, 5))  # around a peak
@@ -111,7 +112,7 @@ def _pass(passage: Passage, offered: Sequence[Variant]) -> tuple[Reduction, list
     groups = [_group(passage.assembly, v, len(passage.parts)) for v in offered]
     with np.errstate(all="ignore"):
         carried = [_carried(passage, r, groups) for r in range(len(passage.parts))]
-    finite = np.all([np.all(np.isfinite(c), axis=(0, 1)) for c in carried], axis=0)
+        finite = np.all([np.abs(c).max(axis=(0, 1)) < _HUGE for c in carried], axis=0)
     groups, carried = _finite(groups, carried, finite)
     return _reduced(passage.parts, carried, passage.masks, passage.block), groups
 
