@@ -221,7 +221,7 @@ def study_verdict(rounds: Sequence[Round], stopped: Stopped, settings: Settings)
     """The verdict on the seed after a study: ``effect_missing`` where it found one.
 
     Where it admitted effects of which none is determined, or which raise the error on unseen data,
-    something is missing and nothing explains it; so where what is left has memory, they none.
+    something is missing and nothing explains it; likewise where the rest has memory and they none.
     """
     if stopped != "not_identifiable" and len(rounds) > 1 and "unknown" not in rounds[0].details:
         return "effect_missing" if missing(rounds, settings) else "unknown_structure"

@@ -30,6 +30,7 @@ import numpy as np
 from scipy import special
 
 from spiral.engine.filter.task import Task
+from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.own_states import own_of, own_states_along
 from spiral.engine.likelihood.predict import Masks, predicted
 from spiral.inference.evidence.assembly import Assembly, Variant
@@ -264,9 +265,7 @@ def _stacked(forces: Sequence[Array], count: int) -> Array:
 def _beside(columns: Sequence[Array], force: Array) -> Array:
     """What is left of a force once these columns have taken what they can."""
     x = np.stack([np.broadcast_to(c, force.shape) for c in columns], axis=1)
-    size = np.linalg.norm(x, axis=0)
-    x = x[:, size > 0] / size[size > 0]
-    return force - x @ np.linalg.lstsq(x, force, rcond=1e-9)[0]
+    return force - x @ least_squares(x, force).b
 
 
 def _kind(trial: _Trial, past: Variant) -> Kind:

@@ -34,8 +34,8 @@ class Memory:
     Parameters
     ----------
     port : where it acts best. kind : ``yields`` (whatever the speed), ``relaxes``, or ``either``.
-    size : rms of what no function of the present position and velocity explains, in ``unit``;
-    share : its part of the energy of all that is missing beside a spring and a damper.
+    size : rms of what no function of the present position and velocity explains, in ``unit``.
+    share : of the mean square of all that is missing beside a spring and a damper.
     p_value : on the blocks that select; ``log_ratio`` of likelihoods on those that judge.
     loops : one for each axis of the port; positions in ``position_unit``.
     """
