@@ -143,8 +143,8 @@ class Iwan(ForceEffect):
 
     Each z_i is a ``jenkins``, its limit L / 5, 3 L / 5, ... 9 L / 5: Iwan's uniform distribution
     about L (J. Appl. Mech. 33, 1966), a bolted joint whose contact slips from its edge inwards. But
-    for the rounding of each corner inner loops close; those of ``bouc_wen`` drift. It is tried where
-    it is asked for by name (``candidates=``).
+    for the rounding of each corner inner loops close; those of ``bouc_wen`` drift. It is tried
+    where it is asked for by name (``candidates=``).
     """
 
     axes = 1
