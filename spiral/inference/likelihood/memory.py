@@ -17,7 +17,8 @@ have it. Against the true values of ``present`` the ratio would have the expecta
 above 1 / level with a probability of ``level`` at most (Markov's inequality; the split likelihood
 ratio of Wasserman, Ramdas and Balakrishnan 2020); here both are estimates, so its rate of false
 alarms is measured (``experiments/memory``). What changes the predictions by less than
-``settings.smallest`` standard deviations is not told.
+``settings.smallest`` standard deviations, or is under a twentieth of the missing force's mean
+square, is not told: a curve or a sensor that the present cannot follow exactly leaves that much.
 """
 
 from __future__ import annotations
@@ -57,6 +58,7 @@ from spiral.types.port import At
 from spiral.types.record import Array
 from spiral.types.system import has_coordinates, place_name
 
+_LEAST = 0.05  # share of the missing force's mean square from which memory counts
 _STEPS = 40  # scoring steps, at most, with the filter's gains held
 _CLEARLY = 3.0  # times the other's Wald statistic from which one kind of memory is told
 _CYCLES, _POINTS = 2.0, 200  # periods of a loop that is kept, and its points
@@ -105,7 +107,8 @@ def memory_of(
         return None
     if size < assembly.problem.settings.smallest:
         return None
-    return _described(wide, past, p_value, told)
+    found = _described(wide, past, p_value, told)
+    return found if found.share >= _LEAST else None
 
 
 def _readings(fit: LikelihoodFit, masks: Masks) -> int:
