@@ -6,7 +6,7 @@ enters as a plain factor of what they exert.
 
 from __future__ import annotations
 
-from spiral.math import length, ramp, where
+from spiral.math import exp, length, ramp, where
 from spiral.types.effect import ForceEffect
 from spiral.types.parameter import Parameter, State
 
@@ -127,7 +127,81 @@ class Jenkins(ForceEffect):
 
     def rate(self, at, u, p):
         """v (1 - s), s from 0 at |z| = 0.8 L to 1 at L where v z > 0."""
-        (v,), z = at.velocity, at.own.slip
-        depth, bend = length([z]) - 0.9 * p.length, 0.05 * p.length
-        slides = (ramp(depth + bend, bend) - ramp(depth - bend, bend)) / (2 * bend)
-        return {"slip": v * where(v * z > 0 * v * z, 1 - slides, 1 + 0 * slides)}
+        (v,) = at.velocity
+        return {"slip": _sliding(v, at.own.slip, p.length)}
+
+
+def _sliding(v, z, limit):
+    """z' of a spring that slides at its limit, the last fifth before it rounded."""
+    depth, bend = length([z]) - 0.9 * limit, 0.05 * limit
+    slides = (ramp(depth + bend, bend) - ramp(depth - bend, bend)) / (2 * bend)
+    return v * where(v * z > 0 * v * z, 1 - slides, 1 + 0 * slides)
+
+
+class Iwan(ForceEffect):
+    """Five springs in parallel that slide one after the other: F = -k mean(z_i).
+
+    Each z_i is a ``jenkins``, its limit L / 5, 3 L / 5, ... 9 L / 5: Iwan's uniform distribution
+    about L (J. Appl. Mech. 33, 1966), a bolted joint whose contact slips from its edge inwards. But
+    for the rounding of each corner inner loops close; those of ``bouc_wen`` drift. It is tried
+    where it is asked for by name (``candidates=``).
+    """
+
+    axes = 1
+    bare = True
+    states = tuple(State(f"slip{i}", "position") for i in range(5))
+    parameters = (
+        Parameter("stiffness", "force/position", lower=0.0),
+        Parameter("length", "position", lower=0.0, role="shape", grid=(0.05, 0.2, 0.6)),
+    )
+
+    def force(self, at, u, p):
+        """-k times the mean of z_i."""
+        return [-p.stiffness * sum(getattr(at.own, s.name) for s in self.states) / 5]
+
+    def rate(self, at, u, p):
+        """v, less where z_i is at its limit."""
+        (v,) = at.velocity
+        limits = [p.length * (2 * i + 1) / 5 for i in range(5)]
+        pairs = zip(self.states, limits, strict=True)
+        return {s.name: _sliding(v, getattr(at.own, s.name), x) for s, x in pairs}
+
+
+class Lugre(ForceEffect):
+    """Friction of bristles: F = -(k z + d z'), z' = v - |v| z / g(v), g = L (1 + r exp(-(v/s)^2)).
+
+    A spring first, with a damper of its own; then it slides, at a force that falls with speed. At a
+    constant v it is ``coulomb_friction`` of the level k L and ``stribeck_friction`` of k L r
+    (Canudas de Wit, Olsson, Astrom and Lischinsky, IEEE Trans. Automatic Control 40, 1995; their
+    viscous term is ``linear_damping``). With r and d zero it is ``bouc_wen`` without asymmetry. It
+    is tried where it is asked for by name (``candidates=``).
+    """
+
+    special = ("bouc_wen", "coulomb_friction")
+    bare = True
+    states = (State("bristle", "position", per_axis=True),)
+    parameters = (
+        Parameter("stiffness", "force/position", lower=0.0, per_axis=True),
+        Parameter("damping", "force/velocity", lower=0.0, per_axis=True),
+        Parameter("length", "position", lower=0.0, role="shape", grid=(0.05, 0.2, 0.6)),
+        Parameter("rise", "", lower=0.0, role="shape", grid=(0.2, 0.6)),
+        Parameter("speed", "velocity", lower=0.0, role="shape", grid=(0.05, 0.2)),
+    )
+
+    def force(self, at, u, p):
+        """-(k z + d z') per axis."""
+        rows = zip(p.stiffness, p.damping, at.own.bristle, _bristles(at, p), strict=True)
+        return [-(k * z + d * rate) for k, d, z, rate in rows]
+
+    def rate(self, at, u, p):
+        """v - |v| z / g(v)."""
+        return {"bristle": _bristles(at, p)}
+
+
+def _bristles(at, p):
+    """z' per axis."""
+    found = []
+    for v, z in zip(at.velocity, at.own.bristle, strict=True):
+        ratio = v / p.speed
+        found.append(v - length([v]) * z / (p.length * (1 + p.rise * exp(-ratio * ratio))))
+    return found

@@ -357,8 +357,8 @@ def draw(
 
 _COMPARED = ("amplitude", "missing_force")
 _ORDER = (
-    *FIRST, "missing_force", "surface", "unknown", "evidence", "coefficients", "orbit", "bode",
-    "waterfall", "whirl", "correlation", "hidden", "campbell",
+    *FIRST, "missing_force", "surface", "unknown", "memory", "evidence", "coefficients", "orbit",
+    "bode", "waterfall", "whirl", "correlation", "hidden", "campbell",
 )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ _TICK = 0.15  # s between looks at the session
 TABS = (
     ("Measured and model", ("free_run",)),
     ("Where it fails", ("where", "amplitude")),
-    ("Missing force", ("missing_force", "surface", "unknown")),
+    ("Missing force", ("missing_force", "surface", "unknown", "memory")),
     ("Spectra", ("orbit", "bode", "waterfall", "whirl")),
     ("Residual", ("correlation",)),
     ("Hidden states", ("hidden",)),

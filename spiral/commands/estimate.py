@@ -55,7 +55,7 @@ def _calibrated(study: Command, model: Model, records: tuple[Record, ...]) -> Ca
 
 
 def _calibration_dict(fitted: Calibration) -> dict[str, Any]:
-    from spiral.types.run import estimates_dict
+    from spiral.types.model import estimates_dict
 
     return {
         "converged": fitted.converged,

@@ -123,7 +123,7 @@ def diagnose(study: Command) -> Outcome:
 def add(study: Command) -> Outcome:
     """The model before and after the named effects; exit 3 where the fit did not converge."""
     from spiral.inference.discover import add
-    from spiral.types.run import estimates_dict
+    from spiral.types.model import estimates_dict
 
     if not study.request.names:
         raise ConfigError("add without an effect", "spiral add EFFECT...", "spiral plugins effect")

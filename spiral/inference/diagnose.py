@@ -22,6 +22,7 @@ from spiral.inference.strategies.shooting import curve_of
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried
+from spiral.inference.unknown.memory import memory_said
 from spiral.inference.verdict import advice_for, seed_verdict, verdict_sentence
 from spiral.inference.where.regions import where
 from spiral.types.run import Comparison, Diagnosis, Round, Stopped, Suggestion
@@ -69,8 +70,9 @@ def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Dia
         stage = whole(begun.assembly, standing.labels, standing.values)
         return _tangled(begun.assembly, comparison, begun.groups, stage)
     step = strategy.propose(begun.assembly, standing, comparison, 1, progress)
-    shape = step.details.get("unknown")
-    first = replace(first, details={} if shape is None else {"unknown": shape})
+    shape, memory = step.details.get("unknown"), step.details.get("memory")
+    told = {"unknown": shape, "memory": memory}
+    first = replace(first, details={k: v for k, v in told.items() if v is not None})
     verdict = seed_verdict(first, step.stopped, settings, bool(step.admitted))
     suggestions = () if verdict == "nothing_missing" else step.suggestions
     advice = advice_for(verdict, step.stopped, [first], (), settings)
@@ -83,7 +85,8 @@ def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Dia
     return Diagnosis(
         verdict, comparison, suggestions, where(begun.assembly, stage), advice, stage.length,
         step.stopped == "diverged", unknown=shape, left_out=begun.assembly.left_out,
-        summary=verdict_sentence(verdict, comparison, settings),
+        summary=f"{verdict_sentence(verdict, comparison, settings)} {memory_said([first])}".strip(),
+        memory=memory,
     )  # fmt: skip
 
 

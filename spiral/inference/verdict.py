@@ -24,6 +24,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from spiral.inference.problem import Settings
+from spiral.inference.unknown.memory import forgotten, memory_said
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model
 from spiral.types.run import Comparison, Round, Stopped, Verdict
@@ -196,8 +197,11 @@ def determined(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
 
 
 def missing(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
-    """The effects that were missing: determined ones, where they lower the error on unseen data."""
-    return () if _worse(rounds) else determined(rounds, settings)
+    """The effects that were missing: determined ones, where they lower the error on unseen data.
+
+    Where what is left has memory, effects without any may only have stood in for it.
+    """
+    return () if _worse(rounds) or forgotten(rounds) else determined(rounds, settings)
 
 
 def _admitted(rounds: Sequence[Round]) -> tuple[str, ...]:
@@ -217,7 +221,7 @@ def study_verdict(rounds: Sequence[Round], stopped: Stopped, settings: Settings)
     """The verdict on the seed after a study: ``effect_missing`` where it found one.
 
     Where it admitted effects of which none is determined, or which raise the error on unseen data,
-    something is missing and nothing explains it.
+    something is missing and nothing explains it; likewise where the rest has memory and they none.
     """
     if stopped != "not_identifiable" and len(rounds) > 1 and "unknown" not in rounds[0].details:
         return "effect_missing" if missing(rounds, settings) else "unknown_structure"
@@ -236,7 +240,7 @@ def seed_verdict(
         return "not_identifiable"
     if proposed and "unknown" not in seed.details:
         return "effect_missing"
-    if stopped == "diverged" or "unknown" in seed.details:
+    if stopped == "diverged" or {"unknown", "memory"} & set(seed.details):
         return "unknown_structure"
     return "nothing_missing" if near_noise(seed.comparison, settings) else "unknown_structure"
 
@@ -288,13 +292,14 @@ def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, setting
     if not admitted:
         if stopped == "diverged":
             return "The fit diverged."
-        return verdict_sentence(verdict, first, settings)
+        return f"{verdict_sentence(verdict, first, settings)} {memory_said(rounds)}".strip()
     said = [_change(rounds, admitted, settings)]
     said += [
         f"This record does not determine {label}: {doubt}."
         for label in admitted
         if (doubt := doubts(last.model, label, settings))
     ]
+    said.append(memory_said(rounds))
     if reasons := shortfalls(last, settings):
         more = "More is missing" if last.converged else "Whether more is missing cannot be told"
         said.append(f"{more}: {'; '.join(reasons)}.")
@@ -313,6 +318,11 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
         return (
             f"The model now holds {', '.join(admitted)}, but on data that no fit has seen the "
             f"error grew: {change}. Do not take {them} for what is missing."
+        )
+    if forgotten(rounds):
+        return (
+            f"{_VERDICTS['unknown_structure']}. The model now holds {', '.join(admitted)}, which "
+            f"may only stand in for it: {change}."
         )
     named = determined(rounds, settings)
     if not named:
@@ -361,6 +371,11 @@ def advice_for(
         return (
             f"Its shape: {shape['sentence']} Admit the curve (spiral add {shape['effect']} "
             "run=latest, or settings.learned=true), or write the effect that it suggests."
+        )
+    if forgotten(rounds):
+        return (
+            "Offer effects with states of their own (bouc_wen, jenkins, lag), or write one "
+            "(spiral new effect NAME)."
         )
     if verdict == "unknown_structure" and len(rounds) == 1:
         return (

@@ -142,3 +142,13 @@ def expand(
         else:
             pairs.append((f"{owner}.{parameter.name}", parameter))
     return tuple(pairs)
+
+
+def values_for(effect: Effect, axes: tuple[str, ...], values: Mapping[str, Any]) -> SimpleNamespace:
+    """An effect's parameters as its equations see them, from values by full name."""
+    p = SimpleNamespace()
+    for parameter in effect.parameters:
+        found = [values[k] for k, _ in expand(effect.label, (parameter,), axes)]
+        one = tuple(found) if parameter.per_axis else found[0]
+        setattr(p, parameter.name, one)
+    return p

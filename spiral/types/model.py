@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -176,6 +177,19 @@ class Model:
 def seed_model(system: System, effects: tuple[Effect, ...] = (), **options) -> Model:
     """The system with its seed and further effects."""
     return Model(system, (*system.seed, *effects), **options)
+
+
+def estimates_dict(model: Model) -> dict[str, Any]:
+    """``{"effects": {effect: {parameter: estimate}}, "system": {parameter: estimate}}``."""
+
+    def rows(table: dict[str, Estimate]) -> dict[str, Any]:
+        return {name: estimate.as_dict() for name, estimate in table.items()}
+
+    table = model.estimates()
+    return {
+        "effects": {owner: rows(t) for owner, t in table.items() if owner != "system"},
+        "system": rows(table.get("system", {})),
+    }
 
 
 def pretty_unit(unit: str) -> str:

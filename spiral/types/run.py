@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from spiral.types.formatting import number, percent, probability
 from spiral.types.horizon import Change, Horizon
-from spiral.types.model import Estimate, Model
+from spiral.types.model import Model, estimates_dict
 from spiral.types.record import Array
 from spiral.types.showing import Readable, Summary
 
@@ -198,7 +198,8 @@ class Diagnosis(Readable):
     ``not_separable`` are candidates that effects of the model take over on this record, in part or
     whole: had they been there, they could not have been found. ``unknown`` is the shape of what no
     candidate explains (``spiral.inference.unknown.shape``). ``left_out`` are candidates that these
-    records cannot be asked about, and why. ``summary`` is the verdict with its figures.
+    records cannot be asked about, and why. ``summary`` is the verdict with its figures; ``memory``
+    what is told of a missing force that has any (``spiral.inference.unknown.memory``).
     """
 
     verdict: Verdict
@@ -212,6 +213,7 @@ class Diagnosis(Readable):
     unknown: Mapping[str, Any] | None = None
     left_out: Mapping[str, str] = field(default_factory=dict)
     summary: str = ""
+    memory: Mapping[str, Any] | None = None
 
     def _shown(self) -> Summary:
         rows = tuple(
@@ -237,6 +239,7 @@ class Diagnosis(Readable):
             "comparison": self.comparison.as_dict(),
             "not_separable": {k: list(v) for k, v in self.not_separable.items()},
             "unknown": self.unknown,
+            "memory": self.memory,
             "left_out": dict(self.left_out),
         }
 
@@ -354,6 +357,11 @@ class Run:
         found = [r.details["unknown"] for r in self.rounds if "unknown" in r.details]
         return found[-1] if found else None
 
+    @property
+    def memory(self) -> Mapping[str, Any] | None:
+        """What is told of a missing force that has memory, where one is left at the end."""
+        return self.rounds[-1].details.get("memory") if self.rounds else None
+
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
         return {
@@ -370,6 +378,7 @@ class Run:
             "run_id": self.run_id,
             "context": dict(self.context),
             "unknown": self.unknown,
+            "memory": self.memory,
         }
 
 
@@ -382,16 +391,3 @@ def estimate_rows(result: Mapping[str, Any]) -> list[dict[str, Any]]:
         for owner, table in owners.items()
         for name, values in table.items()
     ]
-
-
-def estimates_dict(model: Model) -> dict[str, Any]:
-    """``{"effects": {effect: {parameter: estimate}}, "system": {parameter: estimate}}``."""
-
-    def rows(table: dict[str, Estimate]) -> dict[str, Any]:
-        return {name: estimate.as_dict() for name, estimate in table.items()}
-
-    table = model.estimates()
-    return {
-        "effects": {owner: rows(t) for owner, t in table.items() if owner != "system"},
-        "system": rows(table.get("system", {})),
-    }

@@ -45,6 +45,13 @@ def unknown(run: Run) -> go.Figure | None:
     return shape.curves(_result(run))
 
 
+def memory(run: Run) -> go.Figure | None:
+    """The loop of a missing force that has memory, where one is told."""
+    from spiral.view.report import unknown as shape
+
+    return shape.loops(_result(run))
+
+
 def measured(run: Run) -> go.Figure | None:
     """The final model's free run beside the test record."""
     return figures(run).get("free_run") or figures(run).get("before")

@@ -356,8 +356,8 @@ def test_a_corner_that_was_held_takes_its_most_likely_width():
     record = record_of(4, 1500, 0.01, (Clearance(),), truth)
     model = seed_model(Oscillator(), values=TRUTH)
     problem = put(load_registry(None), model, (record,), None, candidates=("clearance",))
-    begun = LIKELIHOOD.begin(problem, silent)
-    settled = LIKELIHOOD.admit(begun.assembly, begun.standing, "clearance", silent)
+    begun = Likelihood().begin(problem, silent)
+    settled = Likelihood().admit(begun.assembly, begun.standing, "clearance", silent)
     found = settled.comparison.model
     label = next(k.rsplit(".", 1)[0] for k in found.errors if k.startswith("clearance"))
     names = {k: k.replace("clearance", label) for k in truth}
@@ -387,7 +387,7 @@ def test_a_hidden_state_that_begins_far_off_is_found():
     guess = {k: f * v for (k, v), f in zip(truth.items(), (1.15, 0.9, 1.1), strict=True)}
     seed = seed_model(model, values=guess)
     problem = put(load_registry(None), seed, (record,), (record,), candidates=())
-    begun = LIKELIHOOD.begin(problem, silent)
+    begun = Likelihood().begin(problem, silent)
     found = begun.comparison.model
     errors = [(found.values[k] - v) / found.errors[k] for k, v in truth.items()]
     assert np.all(np.abs(errors) < 3.5)

@@ -1,6 +1,7 @@
 """Effects with states of their own: systems written out, found from records, not invented."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ from spiral.physics.trace import trace
 from spiral.types.effect import FlowEffect
 from spiral.types.model import Model, seed_model
 from spiral.types.parameter import Input, Parameter, State
-from spiral.types.port import Port
+from spiral.types.port import At, Port
 from spiral.types.system import MechanicalSystem
 from spiral.types.units import check_units
 from tests.scenes import admitted, effect, planar_problem, planar_record
@@ -150,6 +151,40 @@ def test_hysteresis_on_a_way_without_return_saturates_as_written(asymmetry):
     x = np.linspace(0, 4 * LENGTH, 400)
     wanted = LENGTH / (1 + asymmetry) * (1 - np.exp(-(1 + asymmetry) * x / LENGTH))
     np.testing.assert_allclose(z, wanted, atol=1e-6 * LENGTH)
+
+
+@pytest.mark.parametrize("v", [-0.3, -0.02, 0.004, 0.1])
+def test_bristles_that_slide_are_dry_friction_that_falls_with_speed(v):
+    """At rest z' is zero where |z| = g(v), and F is that of Coulomb's and Stribeck's friction."""
+    k, length, rise, speed = 5e4, 2e-3, 0.4, 0.05
+    z = np.sign(v) * length * (1 + rise * np.exp(-((v / speed) ** 2)))
+    shapes = {"length": length, "rise": rise, "speed": speed}
+    p = SimpleNamespace(stiffness=(k,), damping=(30.0,), **shapes)
+    at = At((0.0,), (v,), SimpleNamespace(bristle=(z,)))
+    bristles = effect("lugre")
+    np.testing.assert_allclose(bristles.rate(at, None, p)["bristle"], 0.0, atol=1e-15)
+    sharp = SimpleNamespace(level=(k * length,), width=1e-9)
+    fallen = SimpleNamespace(level=(k * length * rise,), width=1e-9, speed=speed)
+    dry = effect("coulomb_friction").force(at, None, sharp)[0]
+    dry += effect("stribeck_friction").force(at, None, fallen)[0]
+    np.testing.assert_allclose(bristles.force(at, None, p), dry)
+
+
+def test_sliders_in_parallel_slide_one_after_the_other_and_are_stiff_on_return():
+    """On a way without return the mean of min(x, limit), its corners rounded; then slope k."""
+    sliders, p = effect("iwan"), SimpleNamespace(stiffness=2.0, length=LENGTH)
+    z, dx, forces = [0.0] * 5, LENGTH / 400, []
+    way = [1.0] * 1000 + [-1.0] * 40
+    for v in way:
+        own = SimpleNamespace(**{f"slip{i}": x for i, x in enumerate(z)})
+        at = At((0.0,), (v,), own)
+        z = [x + dx * r for x, r in zip(z, sliders.rate(at, None, p).values(), strict=True)]
+        forces.append(-sliders.force(at, None, p)[0])
+    x = dx * np.arange(1000)
+    limits = LENGTH * np.array([1, 3, 5, 7, 9]) / 5
+    wanted = 2.0 * np.minimum(x[:, None], limits).mean(axis=1)
+    np.testing.assert_allclose(forces[:1000], wanted, atol=0.05 * 2.0 * LENGTH)
+    np.testing.assert_allclose(np.diff(forces[1001:]), -2.0 * dx)
 
 
 def test_hysteresis_does_not_know_how_fast_it_is_run_through():

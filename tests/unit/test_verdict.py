@@ -181,3 +181,34 @@ def test_no_words_of_success_beside_figures_of_failure(stopped, chi2, error):
             assert not success
         if not error <= POOR.test_error:
             assert not success
+
+
+MEMORY = {"memory": {"sentence": "What is missing has memory: at mass."}}
+
+
+def test_what_is_left_with_memory_is_not_told_in_names_of_effects_without():
+    first, last = rounds(replace(GOOD, whiteness_p=0.0, whiteness_effect=0.5))
+    verdict, words, advice = said((first, replace(last, details=MEMORY)))
+    assert verdict == "unknown_structure"
+    assert missing((first, replace(last, details=MEMORY)), SETTINGS) == ()
+    assert "has memory" in words
+    assert not any(w in words for w in WORDS_OF_SUCCESS)
+    assert "states of their own" in advice
+
+
+def test_an_effect_with_memory_is_named_whatever_memory_is_left():
+    label = "bouc_wen"
+    held = replace(GOOD, model=model(effect(label), bouc_wen__stiffness=(3.0, 0.1)))
+    first = Round(0, (), {}, {}, (), POOR, 1.0)
+    last = Round(1, (label,), {}, {}, (), held, 1.0, details=MEMORY)
+    verdict, words, _ = said((first, last))
+    assert verdict == "effect_missing"
+    assert f"Missing was {label}" in words
+    assert "has memory" in words
+
+
+def test_a_seed_that_lacks_memory_alone_is_unknown_structure_though_near_its_noise():
+    seed = Round(0, (), {}, {}, (), GOOD, 1.0, details=MEMORY)
+    verdict, words, _ = said((seed,))
+    assert verdict == "unknown_structure"
+    assert words.endswith(MEMORY["memory"]["sentence"])

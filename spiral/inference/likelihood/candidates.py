@@ -328,9 +328,9 @@ def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) 
     ----------
     base : the model as it is. masks : the blocks that did not select.
     """
-    theirs, ours = (_most_likely(f.estimate, masks, {}) for f in (rival.fit, base))
-    before = _most_likely(ours, masks, bounds_of(assembly, base.estimate.keys))
-    after = _most_likely(theirs, masks, bounds_of(rival.assembly, rival.fit.estimate.keys))
+    theirs, ours = (most_likely(f.estimate, masks, {}) for f in (rival.fit, base))
+    before = most_likely(ours, masks, bounds_of(assembly, base.estimate.keys))
+    after = most_likely(theirs, masks, bounds_of(rival.assembly, rival.fit.estimate.keys))
     freed = set(rival.fit.state.freed) - set(base.state.freed)
     terms = len(rival.ranked.columns) + len(freed)
     searched = rival.ranked.variant.searched if freed else 1
@@ -341,7 +341,7 @@ def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) 
     return Judged(predicted, again, terms, searched)
 
 
-def _most_likely(at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, float]]) -> Maximum:
+def most_likely(at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, float]]) -> Maximum:
     """A model at its most likely on some blocks, by its noise and what has bounds, from here on."""
     return maximise(at.prepared, tuple(bounds), at.noise, bounds, masks, _RACE, kept=at.kept)
 

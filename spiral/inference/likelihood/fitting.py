@@ -21,6 +21,7 @@ from spiral.inference.evidence.scales import spread_out
 from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
+WARM = 6  # scoring steps from the values on all samples to those on the selecting half
 _SMALL = 0.05  # level of a random force that is a small one
 _FAR = 30.0  # times its motion that a hidden state may lie from where it is first looked for
 _AGAIN = 12  # times that beginnings are looked for

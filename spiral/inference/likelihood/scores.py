@@ -12,7 +12,7 @@ into what each explains, and the largest peaks, refined, are candidates like all
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +42,7 @@ from spiral.types.effect import Effect
 from spiral.types.record import Array
 
 _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
+_HUGE = 1e60  # a slope from which one is no number: own states that run away
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
 _STEP = 1e-5  # of an input's largest value, for the slopes of the rates by it
 _FINE = (STEP ** np.linspace(-0.8, 0.8, 5), STEP ** np.linspace(-0.3, 0.3, 5))  # around a peak
@@ -67,14 +68,26 @@ def ranking(
 
     They are not compiled: their signatures are carried along the predicted motion.
     """
+    present = present_labels(assembly, fit.state)
+
+    def offered(passage: Passage) -> list[Variant]:
+        found = [v for v in assembly.offered if v.original.label not in present]
+        for effect in (e for e in assembly.later if e.label not in present):
+            found += resonances(passage, effect)
+        return found
+
+    return ranked_along(assembly, fit, noise, masks, offered)
+
+
+def ranked_along(
+    assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks,
+    offered: Callable[[Passage], Sequence[Variant]],
+) -> Ranking | None:  # fmt: skip
+    """Variants that are offered along a pass of the filter, by their score on some blocks."""
     passage = _passage(assembly, fit, noise, masks)
     if passage is None:
         return None
-    present = present_labels(assembly, fit.state)
-    offered = [v for v in assembly.offered if v.original.label not in present]
-    for effect in (e for e in assembly.later if e.label not in present):
-        offered += resonances(passage, effect)
-    reduction, groups = _pass(passage, offered)
+    reduction, groups = _pass(passage, offered(passage))
     first, _ = columns(assembly, passage.active)
     return rank(reduction, owners_of(assembly, first), groups, passage.block)
 
@@ -99,7 +112,7 @@ def _pass(passage: Passage, offered: Sequence[Variant]) -> tuple[Reduction, list
     groups = [_group(passage.assembly, v, len(passage.parts)) for v in offered]
     with np.errstate(all="ignore"):
         carried = [_carried(passage, r, groups) for r in range(len(passage.parts))]
-    finite = np.all([np.all(np.isfinite(c), axis=(0, 1)) for c in carried], axis=0)
+        finite = np.all([np.abs(c).max(axis=(0, 1)) < _HUGE for c in carried], axis=0)
     groups, carried = _finite(groups, carried, finite)
     return _reduced(passage.parts, carried, passage.masks, passage.block), groups
 

@@ -35,6 +35,7 @@ from spiral.inference.likelihood.candidates import (
 )
 from spiral.inference.likelihood.comparison import compared_by_likelihood
 from spiral.inference.likelihood.fitting import (
+    WARM,
     LikelihoodFit,
     colour,
     price,
@@ -53,6 +54,7 @@ from spiral.inference.likelihood.starts import (
 )
 from spiral.inference.problem import Problem, Progress, Settings, silent
 from spiral.inference.strategies.base import Begun, Settled, Step
+from spiral.inference.strategies.remembered import missing_memory
 from spiral.inference.strategies.retire import let_go
 from spiral.inference.strategy_options import LikelihoodOptions, ShootingOptions
 from spiral.inference.suggest import by_evidence
@@ -64,7 +66,6 @@ from spiral.types.horizon import changes
 from spiral.types.run import Comparison, Stopped, Suggestion
 
 _LAST = 1e-6  # whiteness from which a model may be the last
-_WARM = 6  # scoring steps from the values on all samples to those on the selecting half
 _BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
@@ -124,7 +125,7 @@ def propose(
     assembly = having(assembly, state.labels)
     select, judge = half_masks(assembly)
     progress("scoring candidates by one-step predictions")
-    base = refitted(assembly, state, masks=select, steps=_WARM, rough=True)
+    base = refitted(assembly, state, masks=select, steps=WARM, rough=True)
     ranked = ranking(assembly, base, base.estimate.noise, select)
     if ranked is None:
         return Step((), {}, stopped="diverged")
@@ -153,6 +154,9 @@ def propose(
     stopped: Stopped = "whiteness" if near else "no_candidate"
     step = Step(_suggestions(run.tried, ranked, "", ())[: options.listed], rejected,
                 stopped=stopped, found=Scored(ranked, run.tried))  # fmt: skip
+    memory = missing_memory(assembly, base, comparison, (select, judge), progress)
+    if memory is not None:  # a curve over the present state would only stand in for it
+        return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
     return step if near else _with_curve(assembly, state, step, (select, judge), number, progress)
 
 
@@ -308,7 +312,7 @@ def choose(
     assembly = having(assembly, state.labels)
     rival = next((r for r in scored.rivals if r.label == label), None)
     if rival is None:
-        base = refitted(assembly, state, steps=_WARM, rough=True)
+        base = refitted(assembly, state, steps=WARM, rough=True)
         rival = refit_alone(assembly, base, _of(assembly, scored.ranking, label))
     settled = _with(rival.assembly, rival.fit.state, rival.ranked.variant.label, silent)
     effect = next(v.original for v in assembly.offered if v.original.label == label)
@@ -325,7 +329,7 @@ def choose(
 def admit(assembly: Assembly, state: FitState, label: str, progress: Progress) -> Settled:
     """An effect admitted by its name, with the shapes that the record prefers."""
     assembly = having(assembly, state.labels)
-    base = refitted(assembly, state, steps=_WARM, rough=True)
+    base = refitted(assembly, state, steps=WARM, rough=True)
     progress(f"refitting with {label}")
     found = ranking(assembly, base, base.estimate.noise, None)
     if found is None:

@@ -14,7 +14,7 @@ from spiral.engine.sensitivities import run_windows
 from spiral.inference.evidence.assembly import Assembly, effects_of
 from spiral.inference.evidence.scales import at_port
 from spiral.physics.learned import Learned, LearnedFlow
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, expand
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, values_for
 from spiral.types.port import At
 from spiral.types.record import Array
 
@@ -108,13 +108,8 @@ class Path:
         return total
 
     def _values(self, effect: Effect, row: Array) -> SimpleNamespace:
-        study, p = self.assembly.study, SimpleNamespace()
         axes = self.assembly.problem.model.system.place(effect).axes
-        for parameter in effect.parameters:
-            keys = [k for k, _ in expand(effect.label, (parameter,), axes)]
-            values = [row[study.index(k)] for k in keys]
-            setattr(p, parameter.name, tuple(values) if parameter.per_axis else values[0])
-        return p
+        return values_for(effect, axes, dict(zip(self.assembly.study.keys, row, strict=False)))
 
     def _given(self, effect: Effect, p: SimpleNamespace, velocity: float) -> Any:
         """The force of one effect along the axis, or its flow into the channel."""

@@ -46,6 +46,7 @@ def figures(
         ("evidence", "Evidence for each candidate", text.EVIDENCE,
          lambda: evidence.candidates(result)),
         ("unknown", "A force in no catalog", text.UNKNOWN, lambda: unknown.curves(result)),
+        ("memory", "A force with memory", text.MEMORY, lambda: unknown.loops(result)),
         ("coefficients", "Coefficients with their intervals", text.COEFFICIENTS,
          lambda: evidence.coefficients(table)),
     ]  # fmt: skip
@@ -125,7 +126,7 @@ def page(saved: Mapping[str, Any], curves: Curves | None) -> tuple[str, list[str
     shown = figures(saved, curves)
     parts = {s.name: _section(s) for s in shown}
     first = [n for n in ("before", "where", "amplitude", "missing_force", "surface") if n in parts]
-    second = [n for n in ("evidence", "unknown", "error_falling") if n in parts]
+    second = [n for n in ("evidence", "unknown", "memory", "error_falling") if n in parts]
     third = [n for n in parts if n not in (*first, *second, "coefficients")]
     body = [
         text.header(saved, curves),

@@ -49,6 +49,11 @@ UNKNOWN = (
     "is left of it beside the model's own effects, the band holds the whole curve with 95 %. Bars "
     "show how often each value was visited."
 )
+MEMORY = (
+    "What is missing beside a spring and a damper, over some periods around the largest motion: a "
+    "force without memory would take the same way there and back. Its size is an estimate of the "
+    "model that tells whether there is memory; no effect with a name gives it."
+)
 EVIDENCE = (
     "Bars in orange cannot be told from the effect admitted, on this record. p is the larger of "
     "the classical value and the robust one."

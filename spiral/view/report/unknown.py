@@ -1,4 +1,4 @@
-"""The curve of a force that no effect with a name explains."""
+"""A force that no effect with a name explains: its curve, or its loop where it has memory."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spiral.view.report.style import BLUE, GREY, SKY, blank, scaled, titled
+from spiral.view.report.style import BLUE, GREY, ORANGE, SKY, blank, scaled, titled
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -44,4 +44,30 @@ def curves(result: Mapping[str, Any]) -> go.Figure | None:
         name = c["state"].replace("_rate", "'")
         figure.update_xaxes(title_text=titled(name, state_unit), row=1, col=column)
     figure.update_yaxes(title_text=titled(what, force_unit), row=1, col=1)
+    return figure
+
+
+def loops(result: Mapping[str, Any]) -> go.Figure | None:
+    """A missing force with memory over position, in order of time, one panel for each axis.
+
+    Where the position grows the line is drawn in another colour than where it falls.
+    """
+    found = result.get("memory")
+    if not found:
+        return None
+    panels = found["loops"]
+    figure = blank(1, len(panels), 430, horizontal_spacing=0.12)
+    wide, unit = scaled(found["position_unit"], *(np.array(c["position"]) for c in panels))
+    high, force_unit = scaled(found["unit"], *(np.array(c["force"]) for c in panels))
+    for column, c in enumerate(panels, 1):
+        at, force = wide * np.array(c["position"]), high * np.array(c["force"])
+        grows = np.gradient(at) > 0
+        for name, color, shown in (("there", BLUE, grows), ("back", ORANGE, ~grows)):
+            figure.add_scatter(
+                x=at, y=np.where(shown, force, np.nan), name=name, mode="lines+markers",
+                line={"color": color, "width": 2}, marker={"size": 4}, showlegend=column == 1,
+                row=1, col=column,
+            )  # fmt: skip
+        figure.update_xaxes(title_text=titled(c["axis"], unit), row=1, col=column)
+    figure.update_yaxes(title_text=titled("force", force_unit), row=1, col=1)
     return figure

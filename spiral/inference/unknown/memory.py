@@ -1,0 +1,80 @@
+"""What is told of a missing force that has memory: where, how large, of which kind, its loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from spiral.types.formatting import number, percent
+from spiral.types.record import Array
+from spiral.types.run import Round
+
+Kind = Literal["yields", "relaxes", "either"]
+_KINDS = {
+    "yields": "It yields, at every speed alike: hysteresis, or friction that is a spring first.",
+    "relaxes": "It follows the motion late and fades with time: a relaxing spring or damper.",
+    "either": "Whether it yields, at every speed alike, or relaxes with time is not clear.",
+}
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The missing force over the position along one axis, through the largest motion in time."""
+
+    axis: str
+    position: Array
+    force: Array
+
+
+@dataclass(frozen=True)
+class Memory:
+    """A missing force that depends on how the motion came where it is.
+
+    Parameters
+    ----------
+    port : where it acts best. kind : ``yields`` (whatever the speed), ``relaxes``, or ``either``.
+    size : rms of what no function of the present position and velocity explains, in ``unit``.
+    share : of the mean square of all that is missing beside a spring and a damper.
+    p_value : on the blocks that select; ``log_ratio`` of likelihoods on those that judge.
+    loops : one for each axis of the port; positions in ``position_unit``.
+    """
+
+    port: str
+    kind: Kind
+    size: float
+    share: float
+    unit: str
+    position_unit: str
+    p_value: float
+    log_ratio: float
+    loops: tuple[Loop, ...]
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        return (
+            f"What is missing has memory: at {self.port} {number(self.size, 2)} {self.unit} (rms) "
+            f"depend on how the motion came to where it is, {percent(min(self.share, 1.0))} of the "
+            f"missing force's mean square. {_KINDS[self.kind]}"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the JSON contract writes it."""
+        loops = [
+            {"axis": x.axis, "position": x.position.tolist(), "force": x.force.tolist()}
+            for x in self.loops
+        ]
+        return {**vars(self), "sentence": self.sentence, "loops": loops}
+
+
+def memory_said(rounds: Sequence[Round]) -> str:
+    """The memory of what is left after a study, in words; empty where none was seen."""
+    return rounds[-1].details.get("memory", {}).get("sentence", "")
+
+
+def forgotten(rounds: Sequence[Round]) -> bool:
+    """Whether what is left has memory, and no effect has any that was admitted and is held."""
+    admitted = {x for r in rounds for x in r.admitted}
+    held = rounds[-1].comparison.model.effects
+    return bool(memory_said(rounds)) and not any(e.states for e in held if e.label in admitted)
