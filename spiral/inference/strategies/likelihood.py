@@ -123,11 +123,10 @@ def propose(
 ) -> Step[Scored]:  # fmt: skip
     """The candidate that makes the record most likely, if it passes on other blocks."""
     assembly = having(assembly, state.labels)
-    select, judge = half_masks(assembly)
+    masks = select, judge = half_masks(assembly)
     progress("scoring candidates by one-step predictions")
     base = refitted(assembly, state, masks=select, steps=WARM, rough=True)
-    ranked = ranking(assembly, base, base.estimate.noise, select)
-    if ranked is None:
+    if (ranked := ranking(assembly, base, base.estimate.noise, select)) is None:
         return Step((), {}, stopped="diverged")
     run = race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
     rejected: dict[str, str] = {}
@@ -154,10 +153,10 @@ def propose(
     stopped: Stopped = "whiteness" if near else "no_candidate"
     step = Step(_suggestions(run.tried, ranked, "", ())[: options.listed], rejected,
                 stopped=stopped, found=Scored(ranked, run.tried))  # fmt: skip
-    memory = missing_memory(assembly, base, comparison, (select, judge), progress)
+    memory = missing_memory(assembly, base, comparison, masks, progress)
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
-    return step if near else _with_curve(assembly, state, step, (select, judge), number, progress)
+    return step if near else _with_curve(assembly, state, step, masks, number, progress)
 
 
 def _with_curve(
