@@ -26,7 +26,6 @@ import numpy as np
 Judged = Literal["better", "same", "worse"]
 
 _EQUAL = 0.005  # share of an error that is no difference: three digits show it alike
-_SURE = 2.0  # standard errors from which a difference is one: by chance once in 22
 
 
 @dataclass(frozen=True)
@@ -69,8 +68,8 @@ class Horizon:
 class Change:
     """What a step does to the error at one horizon.
 
-    ``judged`` is ``same`` where the difference is within twice its ``standard_error``, or below
-    half a percent of the error.
+    ``judged`` is ``same`` where the difference is within its ``standard_error``, or below half a
+    percent of the error.
     """
 
     horizon: str
@@ -104,9 +103,7 @@ def _change(before: Horizon, after: Horizon) -> Change:
     old, new = before.error, after.error
     spread = _standard_error(before, after) if np.isfinite(old + new) else np.inf
     judged: Judged = "better" if new < old else "worse"
-    if old == new or (
-        np.isfinite(old + new) and abs(new - old) <= max(_SURE * spread, _EQUAL * old)
-    ):
+    if old == new or (np.isfinite(old + new) and abs(new - old) <= max(spread, _EQUAL * old)):
         judged = "same"
     return Change(after.name, after.samples, after.seconds, old, new, spread, judged)
 

@@ -127,7 +127,7 @@ def horizon(squares, name="ahead"):
 
 
 def test_the_standard_error_is_that_of_paired_blocks():
-    """Of two equal models the difference lies within two standard errors 19 times in 20 (t, 19)."""
+    """Of two equal models the difference lies within one standard error two times in three."""
     rng = np.random.default_rng(3)
     common = rng.gamma(1.0, size=(2000, 2, 20))  # what both miss alike
     pairs = [
@@ -137,7 +137,7 @@ def test_the_standard_error_is_that_of_paired_blocks():
     z = np.array([(p.after - p.before) / p.standard_error for p in pairs])
     assert z.std() == pytest.approx(1.0, abs=0.08)
     same = np.mean([p.judged == "same" for p in pairs])
-    assert same == pytest.approx(0.94, abs=0.02)
+    assert same == pytest.approx(0.67, abs=0.04)
 
 
 def test_what_is_common_to_both_hides_no_difference():
