@@ -249,11 +249,12 @@ def test_a_database_locked_for_30_s_by_another_program_is_waited_for_or_caught_u
     assert spiral(tmp_path, *words).returncode == 0
     database = sqlite3.connect(tmp_path / "runs" / "mlflow.db", check_same_thread=False)
     database.execute("BEGIN EXCLUSIVE")
-    threading.Timer(30.0, database.rollback).start()
+    release = threading.Timer(30.0, database.rollback)
+    release.start()
     done = spiral(tmp_path, *words, "record.seed=1")
     assert done.returncode == 0
     assert "Traceback" not in done.stderr
-    time.sleep(1)
+    release.join()
     assert spiral(tmp_path, *words, "record.seed=2").returncode == 0
     runs = run_ids(tmp_path / "runs")
     assert len(runs) == 3
