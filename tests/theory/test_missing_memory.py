@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from experiments.memory.__main__ import SAYS, asked
+from experiments.memory.bench import SAYS, asked
 from spiral.physics.history import _KNOTS, PresentForce, RememberedForce, _bends
 from spiral.types.port import At
 

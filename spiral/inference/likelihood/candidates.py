@@ -226,15 +226,28 @@ def _further(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Riv
 
 def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
     """A rival with its shapes set free, where the record tells them."""
-    tuned, own, fit = rival.ranked.variant.tuned, rival.assembly, rival.fit
+    tuned, own = rival.ranked.variant.tuned, rival.assembly
     if not tuned:
         return rival
-    freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *tuned))))
-    at = fit.estimate
-    loose = refitted(own, freer, at.noise, masks, _RACE, rough=True, kept=at.kept, like=at.prepared)
+    loose = _loosened(own, rival.fit, tuned, masks, _RACE)
     if not (loose.estimate.finite and told(loose, tuned, rival.ranked.variant.effect)):
         return rival
     return _rival(own, base, rival.ranked, loose)
+
+
+def _loosened(
+    assembly: Assembly,
+    fit: LikelihoodFit,
+    keys: tuple[str, ...],
+    masks: Masks = None,
+    steps: int = 40,
+) -> LikelihoodFit:
+    """A fit taken on with these shapes free; ``masks`` and ``steps`` as in ``refitted``."""
+    freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *keys))))
+    at = fit.estimate
+    return refitted(
+        assembly, freer, at.noise, masks, steps, rough=True, kept=at.kept, like=at.prepared
+    )
 
 
 def with_own_shapes(
@@ -248,9 +261,7 @@ def with_own_shapes(
     """
     if not keys or not found.estimate.finite:
         return found
-    at = found.estimate
-    freer = replace(found.state, freed=(*found.state.freed, *keys))
-    loose = refitted(assembly, freer, at.noise, rough=True, kept=at.kept, like=at.prepared)
+    at, loose = found.estimate, _loosened(assembly, found, keys)
     if not loose.height > found.height + price(len(keys), at.prepared):
         return found
     if told(loose, keys, effect):
@@ -334,11 +345,8 @@ def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) 
     freed = set(rival.fit.state.freed) - set(base.state.freed)
     terms = len(rival.ranked.columns) + len(freed)
     searched = rival.ranked.variant.searched if freed else 1
-    predicted, again = (
-        mine.log_likelihood - model.log_likelihood
-        for mine, model in ((theirs, ours), (after, before))
-    )
-    return Judged(predicted, again, terms, searched)
+    predicted = theirs.log_likelihood - ours.log_likelihood
+    return Judged(predicted, after.log_likelihood - before.log_likelihood, terms, searched)
 
 
 def most_likely(at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, float]]) -> Maximum:
