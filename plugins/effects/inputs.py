@@ -95,6 +95,7 @@ class RateLimit(InputEffect):
     felt; below it the actuator follows like a lag of w / R.
     """
 
+    special = ("actuator_lag",)
     states = (State("followed", "position"),)
     parameters = (
         Parameter("share", "", lower=0.0),

@@ -171,6 +171,8 @@ def between_samples(values: Array, coarse: Array, fine: Array, how: str, substep
     """An input on the half-step grid, run between its samples as ``Input.interpolation`` says."""
     if how == "zero_order":
         return held_values(values, substeps)
+    if how == "linear":
+        return np.interp(fine, coarse, values)
     if how == "band_limited":
         from scipy.signal import resample_poly
 

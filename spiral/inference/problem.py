@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 from spiral.types.effect import Effect
 from spiral.types.model import Model
+from spiral.types.parameter import Interpolation
 from spiral.types.plugin import Plugin
 from spiral.types.record import Record
 
@@ -81,3 +82,10 @@ class Problem:
     dictionary: tuple[Effect, ...] = ()
     strategy: Plugin | None = None
     scaled: tuple[str, ...] = ()
+
+    def running(self, ways: Mapping[str, Interpolation]) -> Problem:
+        """The question with inputs that run so between samples where a record does not say."""
+        if not ways:
+            return self
+        records, test = (tuple(r.running(ways) for r in x) for x in (self.records, self.test))
+        return replace(self, records=records, test=test)

@@ -45,12 +45,13 @@ def gather(
     Only the records' own nuisances are estimated again; the parameters stand as they are.
     """
     wide = _wide(problem.model, [c.model for c in comparisons.values()])
-    whole = replace(problem, model=wide, candidates=())
+    final = list(comparisons)[-1]
+    asked = problem.running(comparisons[final].between)
+    whole = replace(asked, model=wide, candidates=())
     progress("curves for the report")
     assembly = assemble(whole)
     kept: dict[str, Array] = {}
     about: dict[str, Any] = {}
-    final = list(comparisons)[-1]
     for name, comparison in comparisons.items():
         narrow = replace(assembly, problem=replace(whole, model=comparison.model))
         values = _zeroed(narrow, first_row(narrow), comparison.model)

@@ -88,7 +88,15 @@ class State:
         _check_name("state", self.name)
 
 
-Interpolation = Literal["smooth", "band_limited", "zero_order"]
+Interpolation = Literal["smooth", "band_limited", "linear", "zero_order"]
+
+BETWEEN: dict[Interpolation, str] = {
+    "smooth": "a cubic spline through the samples",
+    "band_limited": "a band-limited signal through the samples",
+    "linear": "straight lines through the samples",
+    "zero_order": "held until the next sample",
+}
+"""How an input runs between its samples, in words."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +104,10 @@ class Input:
     """A known input, and how it runs between samples.
 
     ``smooth`` is a cubic spline (speed, phase), ``band_limited`` a polyphase FIR interpolation
-    (a measured force), ``zero_order`` holds each value until the next sample. ``derived_from``
-    names another input that this one follows from where it is not measured (``phase`` from
-    ``speed``).
+    (a measured force), ``linear`` straight lines, ``zero_order`` holds each value until the next
+    sample. A record may say otherwise (``record.hold``); where none does, the default strategy
+    takes the most likely of the four. ``derived_from`` names another input that this one follows
+    from where it is not measured (``phase`` from ``speed``).
     """
 
     name: str

@@ -93,6 +93,10 @@ class Record:
         """How an input runs between its samples: as the record says, else as its system does."""
         return self.hold.get(known.name, known.interpolation)
 
+    def running(self, ways: Mapping[str, Interpolation]) -> Record:
+        """The record with inputs that run so between their samples where it does not say."""
+        return replace(self, hold={**ways, **self.hold}) if ways else self
+
     def gone(self, channel: str) -> Array | None:
         """(samples,) True where a channel's reading is no measurement; nothing where all are."""
         found = [s.where for s in self.spoilt.get(channel, ()) if s.where.any()]

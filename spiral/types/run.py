@@ -9,6 +9,7 @@ from typing import Any, Literal
 from spiral.types.formatting import number, percent, probability
 from spiral.types.horizon import Change, Horizon
 from spiral.types.model import Model, estimates_dict
+from spiral.types.parameter import Interpolation
 from spiral.types.record import Array
 from spiral.types.showing import Readable, Summary
 
@@ -65,6 +66,7 @@ class Comparison(Readable):
     has one; ``spoilt`` says in words which readings are no measurement, ``departures`` what neither
     the model nor its noise can hold (a parameter that drifts, noise that grows with its reading);
     ``disturbed`` is the error that the random forces are expected to make of the test's free run.
+    ``between`` says how inputs run between their samples where the likelihood decided.
     ``traces`` are what the errors were computed from, while the program that did is running; no
     file keeps them.
     """
@@ -88,6 +90,7 @@ class Comparison(Readable):
     spoilt: tuple[str, ...] = ()
     departures: tuple[str, ...] = ()
     disturbed: float = 0.0
+    between: Mapping[str, Interpolation] = field(default_factory=dict)
     traces: Traces | None = field(default=None, compare=False, repr=False)
 
     def _shown(self) -> Summary:
@@ -112,6 +115,7 @@ class Comparison(Readable):
             "spoilt": list(self.spoilt),
             "departures": list(self.departures),
             "disturbed": self.disturbed,
+            "between": dict(self.between),
             "channels": {k: v.as_dict() for k, v in self.channels.items()},
             "chi2_per_dof": self.chi2_per_dof,
             "whiteness_p": self.whiteness_p,

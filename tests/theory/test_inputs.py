@@ -87,17 +87,79 @@ def test_an_input_that_is_held_is_integrated_as_one():
     assert errors["band_limited"] > 0.02
 
 
-def test_a_hold_that_nobody_told_of_is_guessed_at():
-    """Half a sample of lag; told of the hold nothing is missing, and the values are the truth."""
+def test_a_hold_that_nobody_told_of_is_found():
+    """Nothing is missing then, the values are the truth, and the notes name the hold."""
     run = spiral.discover(recorded(None), "oscillator", values=WRONG)
-    assert run.missing in (("actuator_lag",), ("delay",), ("sensor_lag",))
-    assert "record.hold=zero_order" in run.summary
-    run = spiral.discover(recorded("zero_order"), "oscillator", values=WRONG)
     assert run.verdict == "nothing_missing"
+    last = run.rounds[-1].comparison
+    assert last.between == {"force": "zero_order"}
+    assert "record.hold=zero_order" in " ".join(last.notes)
     for key, value in TRUTH.items():
         owner, name = key.split(".")
         found = run.model.estimates()[owner][name]
         assert abs(found.estimate - value) < 3 * found.se
+
+
+def test_a_model_of_which_nothing_is_free_is_compared():
+    """All values known: there is nothing to fit but the noise."""
+    found = spiral.compare(recorded("zero_order"), "oscillator", values=TRUTH, fixed=list(TRUTH))
+    assert found.chi2_per_dof == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_hold_that_is_declared_is_believed_and_its_half_sample_told():
+    """Declared as a measured signal, a held input comes half a sample late."""
+    run = spiral.discover(recorded("band_limited"), "oscillator", values=WRONG)
+    assert run.missing in (("actuator_lag",), ("delay",), ("sensor_lag",))
+    assert "record.hold=zero_order" in run.summary
+    assert not run.rounds[-1].comparison.between
+
+
+def straight(seed, rate):
+    """The motion under a force in straight lines between its samples, by an exact step for each."""
+    count, dt = 3000, 1 / rate
+    force = 8 * np.random.default_rng(seed).normal(size=count)
+    whole = np.zeros((4, 4))
+    whole[:2] = [[0.0, 1.0, 0.0, 0.0], [-400.0, -2.0, 1.0, 0.0]]
+    whole[2, 3] = 1.0
+    step, state, found = expm(whole * dt), np.zeros(2), []
+    for now, following in zip(force, np.append(force[1:], 0.0), strict=True):
+        found.append(state[0])
+        state = step[:2] @ np.array([*state, now, (following - now) / dt])
+    x = np.array(found)
+    noise = 0.01 * x.std() * np.random.default_rng(seed + 1).normal(size=count)
+    return make_record(
+        Oscillator(), "straight", np.arange(count) * dt, {"x": x + noise}, {"force": force}
+    )
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_straight_lines_between_samples_are_found(seed):
+    """A rough force at seven samples a period: a spline through it is another force."""
+    run = spiral.discover(straight(seed, 20.0), "oscillator", values=WRONG)
+    assert run.verdict == "nothing_missing"
+    assert run.rounds[-1].comparison.between == {"force": "linear"}
+    for key, value in TRUTH.items():
+        owner, name = key.split(".")
+        found = run.model.estimates()[owner][name]
+        assert abs(found.estimate - value) < 3 * found.se
+
+
+def test_an_input_that_the_record_cannot_tell_runs_as_its_system_says():
+    """Under 10 Hz at 200 samples per second lines, splines and filters are one."""
+    time = np.arange(4000) / 200
+    force = band_limited(np.random.default_rng(0), 8.0, (0.3, 10.0), 20.0)(time)
+    model = seed_model(Oscillator(), values=TRUTH)
+    record = simulate(model, time, {"force": force}, 0.01, np.random.default_rng(1))
+    found = spiral.compare(replace(record, noise={}), "oscillator", values=WRONG)
+    assert not found.between
+
+
+def test_a_lag_is_no_hold():
+    """A lag that is missing makes a hold likely, which is let go once the lag is in the model."""
+    run = spiral.discover(driven(1, "actuator_lag"), "oscillator", values=WRONG)
+    assert run.rounds[0].comparison.between == {"force": "zero_order"}
+    assert run.missing == ("actuator_lag",)  # and no rate limit that is never reached
+    assert not run.rounds[-1].comparison.between
 
 
 @pytest.mark.parametrize(

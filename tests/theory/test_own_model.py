@@ -236,7 +236,7 @@ def test_a_file_of_second_order_equations(tmp_path):
         ("free:", "fre:", ["fre", "did you mean 'free'"]),
         ("m1*x''", "m1*x''**2", ["equation 1", "not linear in x''"]),
         ("m1*x''", "m1*x'' + m2*z''", ["not symmetric"]),
-        ("N, interpolation: band_limited", "N, interpolation: linear", ["zero_order"]),
+        ("N, interpolation: band_limited", "N, interpolation: lines", ["zero_order"]),
     ],
 )  # fmt: skip
 def test_a_wrong_file_is_refused_at_its_place(tmp_path, old, new, said):

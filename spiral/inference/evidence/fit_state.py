@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from spiral.inference.evidence.assembly import (
 )
 from spiral.physics.trace import trace
 from spiral.types.effect import Effect
+from spiral.types.parameter import Interpolation
 from spiral.types.record import Array
 
 Masks = tuple[Array | None, ...]
@@ -36,7 +37,8 @@ class FitState:
     or one with own states, which short windows would begin anew too often. ``free_from`` is the
     longest windows on which shapes were set free. ``noise`` is what acts at random, and
     ``substeps`` the integration steps per sample, where the evidence is a likelihood; ``starts``
-    (states,) where each record begins, as all of it tells.
+    (states,) where each record begins, as all of it tells. ``between`` says how inputs run between
+    their samples where the likelihood prefers another way than their system's.
     """
 
     labels: tuple[str, ...]
@@ -49,6 +51,7 @@ class FitState:
     noise: NoiseModel | None = None
     substeps: int = 1
     starts: tuple[Array, ...] | None = None
+    between: Mapping[str, Interpolation] = field(default_factory=dict)
 
     def keys(self, assembly: Assembly) -> tuple[str, ...]:
         """Parameters that a fit of this standing moves."""

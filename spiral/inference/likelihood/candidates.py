@@ -365,14 +365,19 @@ def alike(rivals: list[Rival], odds: float) -> tuple[str, ...]:
     return tuple(dict.fromkeys(r.label for r in near if r.label != first.label))
 
 
-def machine_first(
+def plainest(
     rival: Rival, aliases: tuple[str, ...], rivals: list[Rival]
 ) -> tuple[Rival, tuple[str, ...]]:
-    """A change of the machine in place of one of a sensor that is not told from it."""
-    if not isinstance(rival.ranked.variant.original, SensorEffect):
-        return rival, aliases
-    for other in rivals:
-        own = other.ranked.variant.original
-        if other.label in aliases and not isinstance(own, SensorEffect):
-            return other, (rival.label, *(x for x in aliases if x != other.label))
-    return rival, aliases
+    """The plainest of a group that the records do not tell apart, and the rest of it.
+
+    A change of the machine comes before one of a sensor, then one of few parameters: an actuator
+    that limits its rate far beyond what it is asked for is one that lags.
+    """
+    group = [rival, *(next(r for r in rivals if r.label == x) for x in aliases)]
+
+    def order(one: Rival) -> tuple[bool, int]:
+        effect = one.ranked.variant.original
+        return isinstance(effect, SensorEffect), len(effect.parameters)
+
+    chosen = min(group, key=order)
+    return chosen, tuple(r.label for r in group if r is not chosen)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -39,13 +40,14 @@ from spiral.inference.evidence.horizons import (
     task_for,
 )
 from spiral.inference.evidence.judge import FreeRun, run_free
+from spiral.inference.likelihood.between import told
 from spiral.inference.likelihood.departures import departures
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     colour,
     force_levels,
     innovations,
-    on_steps,
+    integrated,
     settled_values,
 )
 from spiral.inference.problem import Problem, Progress
@@ -70,7 +72,7 @@ def compared_by_likelihood(
     estimate = found.estimate
     state = settled_values(found) if estimate.finite else found.state
     model = to_model(assembly, state.labels, state.values, estimate.errors, state.freed, state.held)
-    assembly = on_steps(assembly, state.substeps)  # as fine as the filter's
+    assembly = integrated(assembly, state)
     progress("free run on the test record")
     own, _ = _runs(assembly, state, model, None)
     names, run, unseen = model.system.observed, own, ()
@@ -93,8 +95,7 @@ def compared_by_likelihood(
         **left,
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
-        notes=tuple(n for r in problem.records for n in r.remarks),
-        spoilt=tuple(n for r in problem.records for n in r.spoilt_words),
+        **_remarks(problem, state),
         noise_ratio=_stated(problem.records, state.noise),
         unseen=unseen,
         random=sizes,
@@ -103,6 +104,15 @@ def compared_by_likelihood(
         departures=departures(model, estimate, white, sizes),
         traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
     )
+
+
+def _remarks(problem: Problem, state: FitState) -> dict[str, Any]:
+    """What is to be said of the records, and how their inputs run."""
+    return {
+        "notes": (*(n for r in problem.records for n in r.remarks), *told(state.between)),
+        "spoilt": tuple(n for r in problem.records for n in r.spoilt_words),
+        "between": dict(state.between),
+    }
 
 
 def _disturbed(estimate: Maximum, run: FreeRun) -> float:

@@ -82,9 +82,11 @@ def _noisy_inputs(estimate: Maximum, random: Iterable[str]) -> tuple[str, ...]:
 def _drifts(estimate: Maximum) -> tuple[str, ...]:
     """The parameter that drifts most clearly, and those that look alike."""
     parts, keys, values = estimate.parts, estimate.keys, estimate.values
+    if not keys:
+        return ()
     x = np.concatenate([p.columns.reshape(-1, len(keys)) for p in parts])
     e = np.concatenate([p.whitened.ravel() for p in parts])
-    if not keys or not np.all(np.isfinite(x)):
+    if not np.all(np.isfinite(x)):
         return ()
     m = parts[0].misses.shape[1]
     times = [np.repeat(np.linspace(-0.5, 0.5, len(p.misses)), m) for p in parts]

@@ -90,7 +90,7 @@ def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) 
     tasks = [
         task_with(model, compiled, row.copy(), series.record, start, series=series)
         for row, start, series in zip(
-            rows, begins, on_steps(assembly, state.substeps).study.series, strict=True
+            rows, begins, integrated(assembly, state).study.series, strict=True
         )
     ]
     if like is not None:
@@ -98,11 +98,13 @@ def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) 
     return tuple(filter_prepared(task, followed, known) for task in tasks)
 
 
-def on_steps(assembly: Assembly, substeps: int) -> Assembly:
-    """The study with at least so many integration steps per sample."""
-    if substeps <= assembly.study.series[0].substeps:
+def integrated(assembly: Assembly, state: FitState) -> Assembly:
+    """The study with at least a state's steps per sample, its inputs run as the state says."""
+    substeps = max(state.substeps, assembly.study.series[0].substeps)
+    if not state.between and substeps == assembly.study.series[0].substeps:
         return assembly
-    return with_steps(assembly, substeps)
+    problem = assembly.problem.running(state.between)
+    return with_steps(replace(assembly, problem=problem), substeps)
 
 
 def finer(found: LikelihoodFit) -> int:

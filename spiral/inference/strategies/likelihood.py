@@ -23,12 +23,13 @@ from spiral.inference.evidence.assembly import Assembly, check_candidates, compi
 from spiral.inference.evidence.comparison import refined
 from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
+from spiral.inference.likelihood.between import with_likely_inputs
 from spiral.inference.likelihood.candidates import (
     Rival,
     alike,
     held_shapes,
     judged,
-    machine_first,
+    plainest,
     race,
     refit_alone,
     with_own_shapes,
@@ -82,6 +83,7 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
     for effect in problem.model.effects:
         keys = tuple(k for k in problem.scaled if k.rsplit(".", 1)[0] == effect.label)
         found = with_own_shapes(bare, found, effect, keys)
+    found = with_likely_inputs(bare, found, progress)
     found = finished(bare, found, progress)
     settled = _settled(bare, found, progress)
     fitted = replace(problem, model=settled.comparison.model)
@@ -136,7 +138,7 @@ def propose(
         if reason:
             rejected[rival.label] = reason
             continue
-        chosen, aliases = machine_first(rival, alike(rivals, options.odds), rivals)
+        chosen, aliases = plainest(rival, alike(rivals, options.odds), rivals)
         progress(f"most likely values with {chosen.label}")
         settled = _with(chosen.assembly, chosen.fit.state, chosen.ranked.variant.label, progress)
         reason = _unhelpful(options, comparison, settled.comparison, assembly.problem.settings)
@@ -257,7 +259,7 @@ def _with(own: Assembly, state: FitState, label: str, progress: Progress) -> Set
     found = restarted(own, on_finer_steps(own, found))
     found, effect = pruned(own, found, progress), own.variant(label).effect
     found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
-    found = finished(own, found, progress)
+    found = finished(own, with_likely_inputs(own, found, progress), progress)
     found, gone = _without_superfluous(own, found, label)
     settled = _settled(own, found, progress, gone)
     if not gone:

@@ -21,15 +21,9 @@ from spiral.io.export.names import plain, word
 from spiral.physics.trace import Traced, own_states, trace
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model
+from spiral.types.parameter import BETWEEN
 from spiral.types.placement import TIME
 from spiral.types.units import short_form
-
-BETWEEN = {
-    "smooth": "a cubic spline through the samples",
-    "band_limited": "band-limited interpolation (polyphase FIR)",
-    "zero_order": "held until the next sample",
-}
-"""How an input runs between its samples in fits and free runs of this program."""
 
 
 @dataclass(frozen=True)

@@ -86,8 +86,8 @@ class Columns(Source):
         {path: FILE}: where the shaft turns slowly; mean and 1X there are subtracted everywhere.
     fill_gaps : longest gap, in samples, that is bridged by interpolation.
     resample : samples per s to bring the record to, through an anti-alias filter.
-    hold : how inputs run between their samples: ``zero_order`` (a controller holds each value),
-        ``smooth`` or ``band_limited``, for all or by name; left out, as the system says.
+    hold : how inputs run between their samples (``types.parameter.Input``), for all or by name;
+        left out, as is most likely (``strategy=likelihood``), or as the system says.
     """
 
     path: str | tuple[str, ...] | None = None
