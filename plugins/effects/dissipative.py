@@ -59,6 +59,7 @@ class StribeckFriction(ForceEffect):
     Dupont and Canudas de Wit, Automatica 30, 1994), beside ``coulomb_friction``, the kinetic part.
     """
 
+    special = ("coulomb_friction",)
     parameters = (
         Parameter("level", "force", lower=0.0, per_axis=True),
         Parameter("speed", "velocity", lower=0.0, role="shape", grid=(0.05, 0.2)),

@@ -14,6 +14,7 @@ from spiral.inference.evidence.comparison import judged, last_stage, prepared, t
 from spiral.inference.evidence.fit_state import FitState, all_samples, half_masks
 from spiral.inference.evidence.judge import whole
 from spiral.inference.identifiability.parameters import entangled
+from spiral.inference.likelihood.fitting import integrated
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.rounds import strategy_for
 from spiral.inference.strategies.base import Strategy
@@ -70,6 +71,9 @@ def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Dia
         stage = whole(begun.assembly, standing.labels, standing.values)
         return _tangled(begun.assembly, comparison, begun.groups, stage)
     step = strategy.propose(begun.assembly, standing, comparison, 1, progress)
+    if step.again is not None:
+        standing, comparison = step.again.standing, step.again.comparison
+        first = replace(first, comparison=comparison)
     shape, memory = step.details.get("unknown"), step.details.get("memory")
     told = {"unknown": shape, "memory": memory}
     first = replace(first, details={k: v for k, v in told.items() if v is not None})
@@ -81,9 +85,10 @@ def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Dia
         best, *others = step.suggestions
         best = replace(best, test_error_before=comparison.test_error, test_error_after=after)
         suggestions, advice = (best, *others), _advice(best)
-    stage = whole(begun.assembly, standing.labels, standing.values)
+    assembly = integrated(begun.assembly, standing)
+    stage = whole(assembly, standing.labels, standing.values)
     return Diagnosis(
-        verdict, comparison, suggestions, where(begun.assembly, stage), advice, stage.length,
+        verdict, comparison, suggestions, where(assembly, stage), advice, stage.length,
         step.stopped == "diverged", unknown=shape, left_out=begun.assembly.left_out,
         summary=f"{verdict_sentence(verdict, comparison, settings)} {memory_said([first])}".strip(),
         memory=memory,

@@ -54,15 +54,18 @@ def looked(
     strategy: Strategy, assembly: Assembly, at: Checkpoint, progress: Progress
 ) -> tuple[Checkpoint, Step]:
     """The last round with its candidates ranked, and what the strategy would admit next."""
-    last = at.rounds[-1]
-    step = strategy.propose(assembly, at.standing, last.comparison, len(at.rounds), progress)
+    last, standing = at.rounds[-1], at.standing
+    step = strategy.propose(assembly, standing, last.comparison, len(at.rounds), progress)
+    if step.again is not None:
+        standing, details = step.again.standing, {**last.details, **step.again.details}
+        last = replace(last, comparison=step.again.comparison, details=details)
     ranked = replace(
         last,
         suggestions=step.suggestions,
         rejected={**assembly.left_out, **step.rejected},
         details={**last.details, **step.details},
     )
-    return Checkpoint((*at.rounds[:-1], ranked), at.standing), step
+    return Checkpoint((*at.rounds[:-1], ranked), standing), step
 
 
 def chosen(strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, label: str) -> Step:

@@ -13,9 +13,10 @@ from typing import get_args
 
 import numpy as np
 
-from spiral.engine.likelihood.predict import all_predicted
+from spiral.engine.likelihood.predict import Masks, all_predicted
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.likelihood.fitting import LikelihoodFit, refitted, subjects
+from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.likelihood.fitting import LikelihoodFit, explains, refitted, subjects
 from spiral.inference.problem import Problem, Progress
 from spiral.types.parameter import BETWEEN, Input, Interpolation
 
@@ -31,24 +32,52 @@ def with_likely_inputs(
 ) -> LikelihoodFit:
     """The fit with every input run between its samples in the way that is most likely.
 
-    Asked for each input that no record declares and nothing else follows from. A way is fitted
-    where the records could tell it from the present one: where it changes the whitened misses, in
-    squares and summed, by one. The system's own way stands unless another is ``ODDS`` times as
-    likely.
+    The system's own way stands unless another is ``ODDS`` times as likely and the model explains
+    the records with it: what a model lacks makes wrong ways likely too.
     """
     for known in assembly.problem.model.system.inputs:
-        if not found.estimate.finite or not _open(assembly.problem, known):
-            continue
-        ways = [w for w in get_args(Interpolation) if w != _way(found, known)]
-        fits = [found]
-        for way in ways:
-            state = replace(found.state, between=_with(found, known, way))
-            if not _differs(assembly, found, replace(found, state=state)):
-                continue
-            progress(f"asking how {known.name} runs between its samples")
-            fits.append(refitted(assembly, state, rough=True))
-        found = max(fits, key=lambda f: f.height + _favour(f, known))
+        others = _others(assembly, found, known, None, progress)
+        able = [f for f in others if _way(f, known) == known.interpolation or explains(f)]
+        found = max([found, *able], key=lambda f: f.height + _favour(f, known))
     return found
+
+
+def likelier_inputs(
+    assembly: Assembly, base: LikelihoodFit, masks: Masks, least: float, progress: Progress
+) -> LikelihoodFit | None:
+    """The fit with one input run in another way, where that makes most of the samples that count.
+
+    ``least`` : log-likelihood that something else (a candidate) makes of them.
+    """
+    fits = [
+        fit
+        for known in assembly.problem.model.system.inputs
+        for fit in _others(assembly, base, known, masks, progress)
+    ]
+    best = max(fits, key=lambda f: f.height, default=None)
+    if best is None or best.height - base.height < max(least, float(np.log(ODDS))):
+        return None
+    return best
+
+
+def _others(
+    assembly: Assembly, found: LikelihoodFit, known: Input, masks: Masks, progress: Progress
+) -> list[LikelihoodFit]:
+    """Fits with an input run in each other way that changes what is predicted.
+
+    Asked where no record declares the way and nothing else follows from the input; a way is fitted
+    where it changes the whitened misses, in squares and summed, by one.
+    """
+    fits: list[LikelihoodFit] = []
+    if not found.estimate.finite or not _open(assembly.problem, known):
+        return fits
+    for way in get_args(Interpolation):
+        state = replace(found.state, between=_with(found, known, way))
+        if way == _way(found, known) or not _differs(assembly, found, state):
+            continue
+        progress(f"asking how {known.name} runs between its samples")
+        fits.append(refitted(assembly, state, masks=masks, rough=True))
+    return fits
 
 
 def told(between: Ways) -> Iterator[str]:
@@ -71,7 +100,9 @@ def _way(found: LikelihoodFit, known: Input) -> Interpolation:
 
 def _with(found: LikelihoodFit, known: Input, way: Interpolation) -> Ways:
     """The ways of a fit with one more; the system's own need not be told."""
-    others = {k: w for k, w in found.state.between.items() if k != known.name}
+    others: dict[str, Interpolation] = {
+        k: w for k, w in found.state.between.items() if k != known.name
+    }
     return others if way == known.interpolation else {**others, known.name: way}
 
 
@@ -79,10 +110,10 @@ def _favour(found: LikelihoodFit, known: Input) -> float:
     return float(np.log(ODDS)) if _way(found, known) == known.interpolation else 0.0
 
 
-def _differs(assembly: Assembly, found: LikelihoodFit, other: LikelihoodFit) -> bool:
+def _differs(assembly: Assembly, found: LikelihoodFit, other: FitState) -> bool:
     """Whether the same values and noise predict otherwise, by more than the records' noise."""
     at = found.estimate
-    trial = all_predicted([(subjects(assembly, other.state), at.noise)])[0]
+    trial = all_predicted([(subjects(assembly, other), at.noise)])[0]
     if not all(p.whole for p in trial):
         return True
     changes = ((t.misses - p.misses) * p.weight for p, t in zip(at.parts, trial, strict=True))

@@ -46,8 +46,9 @@ _NEAR = 0.6  # share of the best gain that keeps up to the end
 class Rival:
     """A candidate refitted on the blocks that select.
 
-    ``gain`` in log-likelihood over the model as it is; ``worth`` the same less Schwarz's price. The
-    fit is in terms of a study of its own, the model with this candidate.
+    ``gain`` in log-likelihood over the model as it is; ``worth`` the same less Schwarz's price of
+    its amplitudes and of the ``shapes`` that took their most likely values here. The fit is in
+    terms of a study of its own, the model with this candidate.
     """
 
     assembly: Assembly
@@ -55,6 +56,7 @@ class Rival:
     fit: LikelihoodFit
     gain: float
     worth: float
+    shapes: int = 0
 
     @property
     def label(self) -> str:
@@ -85,6 +87,12 @@ class Race:
     def tried(self) -> tuple[Rival, ...]:
         """All: the finalists, then those behind."""
         return (*self.finalists, *self.behind)
+
+    @property
+    def promised(self) -> float:
+        """The most that a candidate makes of the blocks that select, or is to make by its score."""
+        scores = (_PROMISED * r.ranked.score.gain for r in self.runners)
+        return max((*(r.worth for r in self.runners), *scores), default=0.0)
 
     def winners(self) -> Iterator[tuple[Rival, list[Rival]]]:
         """One after the other with the rivals that are left in its final, most likely first.
@@ -141,7 +149,7 @@ def race(
 def _first(found: list[Ranked], most: int) -> list[Ranked]:
     """The promising ones that come first, and the special cases of these."""
     chosen = [r for r in found if r.rank < 0 and not r.whole][:most]
-    known = {r.variant.original.label: r for r in found}
+    known = {r.variant.original.label: r for r in reversed(found)}
     effects = [r.variant.original for r in chosen]
     labels = [f"{name}@{e.port}" if e.port else name for e in effects for name in e.special]
     special = (known[label] for label in dict.fromkeys(labels) if label in known)
@@ -221,26 +229,24 @@ def _further(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Riv
         if found.height >= fit.height:
             fit = found
             break
-    return _rival(own, base, rival.ranked, fit)
+    return _rival(own, base, rival.ranked, fit, rival.shapes)
 
 
 def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
-    """A rival with its shapes set free, where the record tells them."""
-    tuned, own = rival.ranked.variant.tuned, rival.assembly
-    if not tuned:
+    """A rival with its shapes at their most likely values, where that is worth their price."""
+    variant, own = rival.ranked.variant, rival.assembly
+    fit = with_own_shapes(own, rival.fit, variant.effect, variant.tuned, masks, _RACE)
+    if fit is rival.fit:
         return rival
-    loose = _loosened(own, rival.fit, tuned, masks, _RACE)
-    if not (loose.estimate.finite and told(loose, tuned, rival.ranked.variant.effect)):
-        return rival
-    return _rival(own, base, rival.ranked, loose)
+    return _rival(own, base, rival.ranked, fit, len(variant.tuned))
 
 
 def _loosened(
     assembly: Assembly,
     fit: LikelihoodFit,
     keys: tuple[str, ...],
-    masks: Masks = None,
-    steps: int = 40,
+    masks: Masks,
+    steps: int,
 ) -> LikelihoodFit:
     """A fit taken on with these shapes free; ``masks`` and ``steps`` as in ``refitted``."""
     freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *keys))))
@@ -251,23 +257,31 @@ def _loosened(
 
 
 def with_own_shapes(
-    assembly: Assembly, found: LikelihoodFit, effect: Effect, keys: tuple[str, ...]
+    assembly: Assembly,
+    found: LikelihoodFit,
+    effect: Effect,
+    keys: tuple[str, ...],
+    masks: Masks = None,
+    steps: int = 40,
 ) -> LikelihoodFit:
     """A fit in which shapes ``keys`` of an effect that it holds take their most likely values.
 
     They were held while it was a candidate: the corner of a gap rounded over a share of the motion,
     say. Where the record tells them they are free, with an error of their own; where their most
-    likely values are better than their price, they are held there; else they stay.
+    likely values are better than their price, they are held there; else they stay. ``masks`` and
+    ``steps`` as in ``refitted``.
     """
     if not keys or not found.estimate.finite:
         return found
-    at, loose = found.estimate, _loosened(assembly, found, keys)
+    at, loose = found.estimate, _loosened(assembly, found, keys, masks, steps)
     if not loose.height > found.height + price(len(keys), at.prepared):
         return found
     if told(loose, keys, effect):
         return loose
     held = replace(loose.state, freed=found.state.freed)
-    again = refitted(assembly, held, loose.estimate.noise, rough=True, like=at.prepared)
+    again = refitted(
+        assembly, held, loose.estimate.noise, masks, steps, rough=True, like=at.prepared
+    )
     return again if again.height > found.height else found
 
 
@@ -299,11 +313,12 @@ def told(fit: LikelihoodFit, keys: tuple[str, ...], effect: Effect) -> bool:
     )
 
 
-def _rival(assembly: Assembly, base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit) -> Rival:
+def _rival(
+    assembly: Assembly, base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit, shapes: int = 0
+) -> Rival:
     gain = fit.height - base.height
-    return Rival(
-        assembly, ranked, fit, gain, gain - price(len(ranked.columns), fit.estimate.prepared)
-    )
+    worth = gain - price(len(ranked.columns) + shapes, fit.estimate.prepared)
+    return Rival(assembly, ranked, fit, gain, worth, shapes)
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,8 @@ class Step(Generic[Found]):
     ``admitted`` are labels of effects, none where the loop ends here, for the reason ``stopped``.
     ``second_order`` and ``meaning`` describe what is admitted; ``details`` log how it came about;
     ``found`` is what the strategy itself needs to settle, nothing where there is nothing to settle.
+    ``again`` is the model as it is, where the strategy came to fit that otherwise before it ranked
+    candidates.
     """
 
     suggestions: tuple[Suggestion, ...]
@@ -59,6 +61,7 @@ class Step(Generic[Found]):
     stopped: Stopped = "no_candidate"
     details: Mapping[str, Any] = field(default_factory=dict)
     found: Found | None = None
+    again: Settled | None = None
 
     def needed(self) -> Found:
         """What the strategy found, of a step that has it."""

@@ -1,10 +1,8 @@
 """``strategy=likelihood``: the whole record's likelihood decides, with a model of what is random.
 
-    several starts -> most likely values and noise -> score, race and judge the candidates ->
-    admission, where no horizon on unseen data grows worse -> refit, noise and effects that are
-    no longer wanted let go.
-
-Windows (``strategy=shooting``) are one of the starts.
+several starts -> most likely values and noise -> score, race and judge the candidates ->
+admission, where no horizon on unseen data grows worse -> refit, noise and effects that are
+no longer wanted let go.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from spiral.inference.evidence.assembly import Assembly, check_candidates, compi
 from spiral.inference.evidence.comparison import refined
 from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
-from spiral.inference.likelihood.between import with_likely_inputs
+from spiral.inference.likelihood.between import likelier_inputs, with_likely_inputs
 from spiral.inference.likelihood.candidates import (
     Rival,
     alike,
@@ -131,6 +129,9 @@ def propose(
     if (ranked := ranking(assembly, base, base.estimate.noise, select)) is None:
         return Step((), {}, stopped="diverged")
     run = race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
+    other = likelier_inputs(assembly, base, select, run.promised, progress)
+    if other is not None:
+        return _otherwise(options, assembly, other.state, number, progress)
     rejected: dict[str, str] = {}
     level = spent(assembly.problem.settings.level, number) / options.judged
     for rival, rivals in itertools.islice(run.winners(), options.judged):
@@ -159,6 +160,17 @@ def propose(
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
     return step if near else _with_curve(assembly, state, step, masks, number, progress)
+
+
+def _otherwise(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, number: int,
+    progress: Progress,
+) -> Step[Scored]:  # fmt: skip
+    """The proposal beside the model as it is with inputs that run otherwise between samples."""
+    found = finished(assembly, refitted(assembly, state, rough=True), progress)
+    again = _settled(assembly, found, progress)
+    step = propose(options, assembly, again.standing, again.comparison, number, progress)
+    return replace(step, again=step.again or again)
 
 
 def _with_curve(
