@@ -167,7 +167,7 @@ def test_a_lag_is_no_hold():
 
 def test_a_hold_is_found_beside_a_random_force():
     """Gusts that the model cannot explain: the hold is likelier than any actuator."""
-    run = spiral.discover(recorded(None, push=0.025), "oscillator", values=WRONG)
+    run = spiral.discover(recorded(None, 4000, push=0.025), "oscillator", values=WRONG)
     last = run.rounds[-1].comparison
     assert run.missing == ()
     assert last.between == {"force": "zero_order"}

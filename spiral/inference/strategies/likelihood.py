@@ -129,14 +129,12 @@ def propose(
     if (ranked := ranking(assembly, base, base.estimate.noise, select)) is None:
         return Step((), {}, stopped="diverged")
     run = race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
-    other = likelier_inputs(assembly, base, select, run.promised, progress)
-    if other is not None:
+    if (other := likelier_inputs(assembly, base, select, run.promised, progress)) is not None:
         return _otherwise(options, assembly, other.state, number, progress)
     rejected: dict[str, str] = {}
     level = spent(assembly.problem.settings.level, number) / options.judged
     for rival, rivals in itertools.islice(run.winners(), options.judged):
-        reason = _refused(assembly, base, rival, judge, level)
-        if reason:
+        if reason := _refused(assembly, base, rival, judge, level):
             rejected[rival.label] = reason
             continue
         chosen, aliases = plainest(rival, alike(rivals, options.odds), rivals)
