@@ -18,7 +18,7 @@ from scipy import special
 
 from spiral.engine.likelihood.fit import Maximum, maximise
 from spiral.engine.likelihood.noise import EXTRA
-from spiral.engine.likelihood.predict import Masks, log_likelihood
+from spiral.engine.likelihood.predict import Masks
 from spiral.engine.score import Score
 from spiral.inference.evidence.admission import TOLD, stepped
 from spiral.inference.evidence.assembly import Assembly, Variant
@@ -34,7 +34,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.holding import carried as carried_to
 from spiral.inference.unknown.holding import with_variants
-from spiral.types.effect import Effect, SensorEffect
+from spiral.types.effect import Effect
 
 _HEAT, _RACE = 3, 12  # scoring steps for all rivals, at most, and for those that keep up
 _FAR, _FAR_ONES = 0.1, 3  # share of its bound that an amplitude starts from; shapes tried so
@@ -68,14 +68,20 @@ class Rival:
 class Race:
     """Candidates refitted on the blocks that select, and taken on as long as they keep up.
 
-    ``runners`` have been taken a few steps, best first; ``finalists`` to the likelihood's maximum.
+    ``runners`` have been taken a few steps, best first; those of ``finals`` to the likelihood's
+    maximum.
     """
 
     base: LikelihoodFit
     masks: Masks
     progress: Progress
     runners: list[Rival]
-    finalists: list[Rival] = field(default_factory=list)
+    finals: list[list[Rival]] = field(default_factory=list)
+
+    @property
+    def finalists(self) -> tuple[Rival, ...]:
+        """Those of all finals so far."""
+        return tuple(r for final in self.finals for r in final)
 
     @property
     def behind(self) -> list[Rival]:
@@ -89,10 +95,9 @@ class Race:
         return (*self.finalists, *self.behind)
 
     @property
-    def promised(self) -> float:
-        """The most that a candidate makes of the blocks that select, or is to make by its score."""
-        scores = (_PROMISED * r.ranked.score.gain for r in self.runners)
-        return max((*(r.worth for r in self.runners), *scores), default=0.0)
+    def best(self) -> float:
+        """The most that a candidate makes of the blocks that select, beyond its price."""
+        return max((r.worth for r in self._at(0)), default=0.0)
 
     def winners(self) -> Iterator[tuple[Rival, list[Rival]]]:
         """One after the other with the rivals that are left in its final, most likely first.
@@ -100,13 +105,19 @@ class Race:
         After a final, those it left behind run theirs: one that makes the most of the blocks that
         select may be nothing on the others.
         """
-        while self.behind:
-            last = self._final(self.behind)
-            self.finalists += last
+        number = 0
+        while last := self._at(number):
             if not last[0].worth > 0:
                 return
             for place, rival in enumerate(last):
                 yield rival, last[place:]
+            number += 1
+
+    def _at(self, number: int) -> list[Rival]:
+        """A final, run when it is first asked for; empty where nobody is left for it."""
+        if number == len(self.finals) and self.behind:
+            self.finals.append(self._final(self.behind))
+        return self.finals[number] if number < len(self.finals) else []
 
     def _final(self, runners: list[Rival]) -> list[Rival]:
         promised = _PROMISED * runners[0].ranked.score.gain
@@ -367,32 +378,3 @@ def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) 
 def most_likely(at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, float]]) -> Maximum:
     """A model at its most likely on some blocks, by its noise and what has bounds, from here on."""
     return maximise(at.prepared, tuple(bounds), at.noise, bounds, masks, _RACE, kept=at.kept)
-
-
-def alike(rivals: list[Rival], odds: float) -> tuple[str, ...]:
-    """Rivals that the whole records do not tell from the first one: less than ``odds`` to one."""
-    first, *others = rivals
-
-    def worth(rival: Rival) -> float:
-        return log_likelihood(rival.fit.estimate.parts) - (rival.gain - rival.worth)
-
-    near = [r for r in others if worth(first) - worth(r) < np.log(odds)]
-    return tuple(dict.fromkeys(r.label for r in near if r.label != first.label))
-
-
-def plainest(
-    rival: Rival, aliases: tuple[str, ...], rivals: list[Rival]
-) -> tuple[Rival, tuple[str, ...]]:
-    """The plainest of a group that the records do not tell apart, and the rest of it.
-
-    A change of the machine comes before one of a sensor, then one of few parameters: an actuator
-    that limits its rate far beyond what it is asked for is one that lags.
-    """
-    group = [rival, *(next(r for r in rivals if r.label == x) for x in aliases)]
-
-    def order(one: Rival) -> tuple[bool, int]:
-        effect = one.ranked.variant.original
-        return isinstance(effect, SensorEffect), len(effect.parameters)
-
-    chosen = min(group, key=order)
-    return chosen, tuple(r.label for r in group if r is not chosen)

@@ -8,7 +8,6 @@ no longer wanted let go.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,11 +22,10 @@ from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_mas
 from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
 from spiral.inference.likelihood.between import likelier_inputs, with_likely_inputs
 from spiral.inference.likelihood.candidates import (
+    Race,
     Rival,
-    alike,
     held_shapes,
     judged,
-    plainest,
     race,
     refit_alone,
     with_own_shapes,
@@ -42,6 +40,7 @@ from spiral.inference.likelihood.fitting import (
     restarted,
     taken_on,
 )
+from spiral.inference.likelihood.groups import alike, plainest
 from spiral.inference.likelihood.identify import untold
 from spiral.inference.likelihood.ladder import climbed_ladder, pruned, quieted
 from spiral.inference.likelihood.scores import ranking
@@ -51,18 +50,18 @@ from spiral.inference.likelihood.starts import (
     rebalanced,
     resolved_in_time,
 )
+from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Problem, Progress, Settings, silent
 from spiral.inference.strategies.base import Begun, Settled, Step
 from spiral.inference.strategies.remembered import missing_memory
 from spiral.inference.strategies.retire import let_go
 from spiral.inference.strategy_options import LikelihoodOptions, ShootingOptions
-from spiral.inference.suggest import by_evidence
 from spiral.inference.unknown.holding import carried, emptied, having
 from spiral.inference.unknown.shape import applies, unknown_shape
 from spiral.inference.verdict import near_noise, random_forces
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import changes
-from spiral.types.run import Comparison, Stopped, Suggestion
+from spiral.types.run import Comparison, Suggestion
 
 _LAST = 1e-6  # whiteness from which a model may be the last
 _BOUND = 0.99  # share of the largest random force from which one stands at its bound
@@ -129,10 +128,45 @@ def propose(
     if (ranked := ranking(assembly, base, base.estimate.noise, select)) is None:
         return Step((), {}, stopped="diverged")
     run = race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
-    if (other := likelier_inputs(assembly, base, select, run.promised, progress)) is not None:
+    least = run.best - np.log(options.odds)  # what is not told apart is no effect
+    if (other := likelier_inputs(assembly, base, select, least, progress)) is not None:
         return _otherwise(options, assembly, other.state, number, progress)
-    rejected: dict[str, str] = {}
     level = spent(assembly.problem.settings.level, number) / options.judged
+    passed, rejected = _first_to_pass(
+        options, assembly, base, run, judge, level, comparison, progress
+    )
+    if passed is not None:
+        effect, aliases = passed.rival.ranked.variant.original, passed.aliases
+        return Step(
+            suggestions(run.tried, ranked, effect.label, aliases)[: options.listed], rejected,
+            (effect.label,), {effect.label: aliases}, second_order(effect, assembly, state),
+            effect.meaning(), found=Scored(ranked, run.tried, passed.settled),
+        )  # fmt: skip
+    step = Step(suggestions(run.tried, ranked, "", ())[: options.listed], rejected,
+                found=Scored(ranked, run.tried))  # fmt: skip
+    if near_noise(comparison, assembly.problem.settings):
+        step = replace(step, stopped="whiteness")
+    memory = missing_memory(assembly, base, comparison, masks, progress)
+    if memory is not None:  # a curve over the present state would only stand in for it
+        return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
+    return _with_curve(assembly, state, step, masks, number, progress)
+
+
+@dataclass(frozen=True)
+class _Passed:
+    """A candidate that passed, those that the records do not tell from it, the model with it."""
+
+    rival: Rival
+    aliases: tuple[str, ...]
+    settled: Settled
+
+
+def _first_to_pass(
+    options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, run: Race, judge: Masks,
+    level: float, comparison: Comparison, progress: Progress,
+) -> tuple[_Passed | None, dict[str, str]]:  # fmt: skip
+    """The first winner that holds on other blocks and helps, and why those before it do not."""
+    rejected: dict[str, str] = {}
     for rival, rivals in itertools.islice(run.winners(), options.judged):
         if reason := _refused(assembly, base, rival, judge, level):
             rejected[rival.label] = reason
@@ -141,23 +175,10 @@ def propose(
         progress(f"most likely values with {chosen.label}")
         settled = _with(chosen.assembly, chosen.fit.state, chosen.ranked.variant.label, progress)
         reason = _unhelpful(options, comparison, settled.comparison, assembly.problem.settings)
-        if reason:
-            rejected[chosen.label] = reason
-            continue
-        effect = chosen.ranked.variant.original
-        return Step(
-            _suggestions(run.tried, ranked, effect.label, aliases)[: options.listed], rejected,
-            (effect.label,), {effect.label: aliases}, second_order(effect, assembly, state),
-            effect.meaning(), found=Scored(ranked, run.tried, settled),
-        )  # fmt: skip
-    near = near_noise(comparison, assembly.problem.settings)
-    stopped: Stopped = "whiteness" if near else "no_candidate"
-    step = Step(_suggestions(run.tried, ranked, "", ())[: options.listed], rejected,
-                stopped=stopped, found=Scored(ranked, run.tried))  # fmt: skip
-    memory = missing_memory(assembly, base, comparison, masks, progress)
-    if memory is not None:  # a curve over the present state would only stand in for it
-        return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
-    return step if near else _with_curve(assembly, state, step, masks, number, progress)
+        if not reason:
+            return _Passed(chosen, aliases, settled), rejected
+        rejected[chosen.label] = reason
+    return None, rejected
 
 
 def _otherwise(
@@ -179,7 +200,7 @@ def _with_curve(
 
     It is found on windows (``spiral.inference.unknown``), and admitted where the settings say so.
     """
-    if not applies(assembly):
+    if step.stopped == "whiteness" or not applies(assembly):
         return step
     found = unknown_shape(ShootingOptions(), assembly, state, masks, number, progress)
     if found is None:
@@ -311,7 +332,7 @@ def ranked_by_worth(step: Step[Scored]) -> tuple[Suggestion, ...]:
         return ()
     scored = step.found
     label = next(iter(step.admitted), "")
-    found = _suggestions(scored.rivals, scored.ranking, label, step.aliases.get(label, ()))
+    found = suggestions(scored.rivals, scored.ranking, label, step.aliases.get(label, ()))
     return tuple(sorted(found, key=lambda s: -(s.net or 0.0)))
 
 
@@ -356,41 +377,3 @@ def _of(assembly: Assembly, found: Ranking, label: str) -> Ranked:
         if ranked.variant.original.label == label:
             return ranked
     raise cannot_be_asked(assembly, label)
-
-
-def _suggestions(
-    rivals: Sequence[Rival], found: Ranking, label: str, aliases: tuple[str, ...]
-) -> tuple[Suggestion, ...]:
-    """The admitted one, then what was refitted by its worth, then others by their score.
-
-    A score promises what refits do not keep; of the others, whose scores are lower, no more is said
-    than what the least of those refitted explains.
-    """
-    listed = {s.effect: s for s in by_evidence(found, None, ())}
-    tried: dict[str, Suggestion] = {}
-    for rival in rivals:
-        tried.setdefault(rival.label, _as_suggestion(rival, listed))
-    least, net = (min((getattr(s, n) or 0.0 for s in tried.values()), default=1.0)
-                  for n in ("explains", "net"))  # fmt: skip
-    others = [
-        replace(s, explains=min(s.explains, least), net=min(s.net or 0.0, net))
-        for s in listed.values()
-        if s.effect not in tried
-    ]
-    named = [*tried.values(), *others]
-    named = [replace(s, aliases=aliases) if s.effect == label else s for s in named]
-    return tuple(sorted(named, key=lambda s: s.effect != label))
-
-
-def _as_suggestion(rival: Rival, listed: Mapping[str, Suggestion]) -> Suggestion:
-    """A refitted candidate: twice its gain in log-likelihood, and the share of the misses."""
-    from scipy import stats
-
-    count = sum(p.misses.size for p in rival.fit.estimate.parts) / 2  # the half that selects
-    gain, terms = max(rival.gain, 0.0), len(rival.ranked.columns)
-    p_value = float(stats.chi2.sf(2 * gain, terms))
-    return replace(
-        listed[rival.label], statistic=2 * gain, p_value=p_value, wald_p_value=p_value,
-        explains=1 - float(np.exp(-2 * gain / count)),
-        net=1 - float(np.exp(-2 * rival.worth / count)),
-    )  # fmt: skip

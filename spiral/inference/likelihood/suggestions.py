@@ -1,0 +1,51 @@
+"""What a round of the likelihood's strategy says of its candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from spiral.inference.evidence.scoring import Ranking
+from spiral.inference.likelihood.candidates import Rival
+from spiral.inference.suggest import by_evidence
+from spiral.types.run import Suggestion
+
+
+def suggestions(
+    rivals: Sequence[Rival], found: Ranking, label: str, aliases: tuple[str, ...]
+) -> tuple[Suggestion, ...]:
+    """The admitted one, then what was refitted by its worth, then others by their score.
+
+    A score promises what refits do not keep; of the others, whose scores are lower, no more is said
+    than what the least of those refitted explains.
+    """
+    listed = {s.effect: s for s in by_evidence(found, None, ())}
+    tried: dict[str, Suggestion] = {}
+    for rival in rivals:
+        tried.setdefault(rival.label, _as_suggestion(rival, listed))
+    least, net = (min((getattr(s, n) or 0.0 for s in tried.values()), default=1.0)
+                  for n in ("explains", "net"))  # fmt: skip
+    others = [
+        replace(s, explains=min(s.explains, least), net=min(s.net or 0.0, net))
+        for s in listed.values()
+        if s.effect not in tried
+    ]
+    named = [*tried.values(), *others]
+    named = [replace(s, aliases=aliases) if s.effect == label else s for s in named]
+    return tuple(sorted(named, key=lambda s: s.effect != label))
+
+
+def _as_suggestion(rival: Rival, listed: Mapping[str, Suggestion]) -> Suggestion:
+    """A refitted candidate: twice its gain in log-likelihood, and the share of the misses."""
+    from scipy import stats
+
+    count = sum(p.misses.size for p in rival.fit.estimate.parts) / 2  # the half that selects
+    gain, terms = max(rival.gain, 0.0), len(rival.ranked.columns)
+    p_value = float(stats.chi2.sf(2 * gain, terms))
+    return replace(
+        listed[rival.label], statistic=2 * gain, p_value=p_value, wald_p_value=p_value,
+        explains=1 - float(np.exp(-2 * gain / count)),
+        net=1 - float(np.exp(-2 * rival.worth / count)),
+    )  # fmt: skip
