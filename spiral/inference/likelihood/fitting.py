@@ -11,7 +11,13 @@ from spiral.engine.filter.setup import smoothed
 from spiral.engine.filter.task import Task, linearised, on_scales, task_with
 from spiral.engine.likelihood.fit import Kept, Maximum, maximise
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
-from spiral.engine.likelihood.predict import Masks, Prepared, predicted
+from spiral.engine.likelihood.predict import (
+    Masks,
+    Prepared,
+    all_predicted,
+    log_likelihood,
+    predicted,
+)
 from spiral.engine.series import Series
 from spiral.engine.statistics import Whiteness, whiteness
 from spiral.inference.evidence.assembly import Assembly, columns, with_steps
@@ -175,7 +181,11 @@ def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
     the motion of what is measured suggests (those who may still fall ill, beside those who are):
     beginnings are looked for that far, and the fit taken on from there, while that pays.
     """
-    found = _begun_again(assembly, found, 1.0)
+    for _ in range(_AGAIN):
+        better = _begun_again(assembly, found, 1.0)
+        if better is found:
+            break
+        found = better
     if explains(found):
         return found
     stretch = 1.0
@@ -193,17 +203,29 @@ def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
 def _begun_again(
     assembly: Assembly, found: LikelihoodFit, spread: float, stretch: float = 1.0
 ) -> LikelihoodFit:
-    """The fit from where the records say they begin, if that is more likely."""
-    starts = _beginnings(found, spread, stretch) if found.estimate.finite else None
-    if starts is None:
+    """The fit from where the records say they begin, if that is more likely.
+
+    Within the doubt that a filter of a linear machine begins with it changes next to nothing.
+    """
+    at = found.estimate
+    if not at.finite:
         return found
-    kept = found.estimate.kept
-    again = refitted(assembly, replace(found.state, starts=starts), rough=True, kept=kept)
+    starts, far = _beginnings(found, spread, stretch)
+    state = replace(found.state, starts=starts)
+    if not far:
+        trial = all_predicted([(subjects(assembly, state, at.prepared), at.noise)])[0]
+        if not log_likelihood(trial) > found.height + _WORTH:
+            return found
+    again = refitted(assembly, state, rough=True, kept=at.kept)
     return again if again.height > found.height else found
 
 
-def _beginnings(found: LikelihoodFit, spread: float, stretch: float) -> tuple[Array, ...] | None:
-    """Where every record begins, of first states that lie so far off; none where they are known.
+def _beginnings(
+    found: LikelihoodFit, spread: float, stretch: float
+) -> tuple[tuple[Array, ...], bool]:
+    """Where every record begins, of first states that lie so far off.
+
+    And whether that is beyond the doubt that the filter has of a state.
 
     Along a valley where a parameter makes up for a beginning the smoother goes in small steps,
     which are ``stretch`` times as long here.
@@ -217,7 +239,7 @@ def _beginnings(found: LikelihoodFit, spread: float, stretch: float) -> tuple[Ar
         doubt = np.sqrt(np.diag(settings.covariance))
         far = far or bool(np.any(np.abs(start - settings.start) > doubt))
         starts.append(settings.start + stretch * (start - settings.start))
-    return tuple(starts) if far else None
+    return tuple(starts), far
 
 
 def _head(series: Series) -> Series:
