@@ -103,6 +103,8 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .judged.worse {{ background:var(--worse); color:var(--worse-ink); border-left:0; }}
 .tried {{ display:grid; grid-template-columns:minmax(0,1fr) auto auto; gap:3px 10px;
   font-size:13.5px; color:var(--soft); margin-top:7px; font-variant-numeric:tabular-nums; }}
+.effect > .try {{ grid-column:1 / -1; justify-self:start; margin-top:4px; font-weight:500; }}
+.effect .q-expansion-item .q-item {{ padding:2px 0; min-height:32px; font-size:13.5px; }}
 .effect > .wide {{ grid-column:1 / -1; }}
 .effect .share {{ color:var(--ink); font-weight:600; }}
 .working {{ display:flex; align-items:center; gap:14px; padding:8px 0 10px; width:100%; }}

@@ -145,7 +145,7 @@ def test_aliases_are_compared_side_by_side(tab, served, picture):
     assert sorted(rows[0][1:]) == ["cubic stiffness", "hardening"]
     assert [rows[1][0], rows[3][0]] == ["next sample", "free run"]
     assert re.fullmatch(r"0\.\d+ s ahead", rows[2][0])
-    assert rows[-1][0].startswith("χ²/dof, stretches of ")
+    assert rows[-1][0].startswith("χ²/dof, over ")
     same = [one == other for _, one, other in rows[1:-1]]  # to the digits shown
     assert all(same), rows
     assert float(rows[-1][1]) == pytest.approx(float(rows[-1][2]), rel=0.002)

@@ -60,7 +60,7 @@ def test_an_effect_that_predicts_worse_is_not_the_filled_button(tab, study, pict
     tab.goto(study)
     tab.wait_for_selector("#proposal.worse")
     said = tab.inner_text("#proposal")
-    assert "cubic stiffness passes all gates" in said
+    assert "cubic stiffness is confirmed" in said
     assert "predicts the test record worse: " in said
     assert "next sample, 0.1 s ahead and free run" in said
     assert filled(tab) == []
