@@ -235,7 +235,8 @@ class StudyView:
             return
         with region:
             if title == WHERE and turn.sentence:
-                ui.label(turn.sentence).classes("sentence")
+                calm = "level of the noise everywhere" in turn.sentence
+                ui.label(turn.sentence).classes("good" if calm else "sentence")
             if title == MODEL:
                 ui.html(panels.model(turn), sanitize=False).style("width:100%")
             for name, heading, caption in turn.figures:

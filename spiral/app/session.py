@@ -144,7 +144,7 @@ class Session:
             self._ask(scene, "start", "Fitting the model as it is")
 
     def add(self, ident: str, effect: str, serial: int) -> None:
-        """Add an effect to the turn that the asking tab shows.
+        """Add an effect to the turn that the asking tab shows; or show it again.
 
         Raises
         ------
@@ -152,6 +152,14 @@ class Session:
         """
         with self._lock:
             scene = self._free(ident, serial)
+            again = [
+                t
+                for t in scene.study.after(serial)
+                if t.added == effect and t.candidates is not None
+            ]
+            if again and effect.partition("@")[0] not in scene.study.own:  # a formula may differ
+                self.move(ident, again[-1].serial, serial)
+                return
             self._ask(scene, "add", f"Adding {words(effect)}", effect=effect, base=serial,
                       first=scene.study.turns[0].serial)  # fmt: skip
 

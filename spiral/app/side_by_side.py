@@ -77,8 +77,8 @@ class SideBySide:
             ui.html("<p class='soft'>Tick two steps or more.</p>", sanitize=False)
             return
         self._figure(study, turns)
-        ui.html(errors(study, turns), sanitize=False).style("margin-bottom:14px")
-        ui.html(parameters(study, turns), sanitize=False)
+        ui.html(errors(study, turns), sanitize=False).classes("w-full").style("margin-bottom:14px")
+        ui.html(parameters(study, turns), sanitize=False).classes("w-full")
 
     def shown(self, study: Study) -> list[Turn]:
         """The steps chosen; at first the ends of all branches, or the last step and the first."""
