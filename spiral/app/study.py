@@ -59,9 +59,7 @@ class Turn:
     verdict: str = ""
     advice: str = ""
     shape: str = ""
-    memory: str = ""
     preview: Mapping[str, Any] = field(default_factory=dict)
-    trials: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     sentence: str = ""
     equation: tuple[Mapping[str, Any], ...] = ()
     figures: tuple[tuple[str, str, str], ...] = ()
@@ -72,6 +70,8 @@ class Turn:
     parent: int | None = None
     caveats: tuple[str, ...] = ()
     alike: tuple[tuple[str, ...], ...] = ()
+    memory: str = ""
+    trials: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
