@@ -56,7 +56,7 @@ def test_settings_that_a_message_tells_to_try_are_offered_but_no_word_that_stand
 def test_a_unit_of_another_dimension_names_the_field_that_sets_the_systems_own():
     known = registry()
     machine = known.make("system", "oscillator")
-    with pytest.raises(InputError, match="system.force_unit='V'"):
+    with pytest.raises(InputError, match=r"system\.force_unit='V'"):
         scale("V", machine, "force")
     with pytest.raises(InputError) as refused:
         scale("blorps", machine, "force")
@@ -119,8 +119,10 @@ def test_steps_side_by_side_have_a_column_each(tmp_path):
         if name:
             effects[name] = {"stiffness": {"estimate": 7.0, "se": 1.0, "unit": "N/m^3"}}
         unseen = [{"horizon": "free_run", "seconds": None, "error": error}]
-        result = {"test_error": error, "fit_error": error, "unseen": unseen, "chi2_per_dof": 1.0,
-                  "channels": {"x": {"relative": error}}, "model": {"effects": effects}}  # fmt: skip
+        result = {
+            "test_error": error, "fit_error": error, "unseen": unseen, "chi2_per_dof": 1.0,
+            "channels": {"x": {"relative": error}}, "model": {"effects": effects},
+        }  # fmt: skip
         study = added(study, Turn(study.serials + len(study.turns), name, result))
     told = errors(study, study.turns)
     assert "the model as it was" in told
