@@ -38,6 +38,7 @@ _SCRIPT = r"""
     const first = document.createElement("b"); first.textContent = error.given; box.append(first);
     for (const [name, text] of [["Expected", error.expected], ["Try", error.try]])
       if (text) box.append(document.createElement("br"), `${name}: ${text}`);
+    box.scrollIntoView({block: "nearest"});
   };
   const send = (file) => {
     at("drop-trouble").hidden = true;
@@ -45,7 +46,8 @@ _SCRIPT = r"""
       return tell({given: `${file.name}: a file of ${(file.size / 1e9).toPrecision(3)} GB`,
                    expected: "EXPECTED", try: "TRY"});
     if (!file.size)
-      return tell({given: `${file.name}: an empty file`, expected: "rows of numbers", try: ""});
+      return tell({given: `${file.name}: an empty file`, expected: "rows of numbers",
+                   try: "export it again"});
     const request = new XMLHttpRequest(), share = at("drop-share");
     share.hidden = false; share.value = 0;
     request.upload.onprogress = (e) => { if (e.total) share.value = e.loaded / e.total; };

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -13,24 +13,30 @@ from typing import Any
 from nicegui import run, ui
 
 from spiral.app import frame
+from spiral.app.address import View
 from spiral.app.session import Session
 from spiral.app.study import turn_place
 from spiral.types.errors import SpiralError
 
-View = dict[str, Any]
-"""Ranges of the axes as Plotly tells them: ``xaxis.range[0]`` and so on."""
+Span = tuple[float, float]
+Closer = Callable[[Span | None], list[Any]]
+"""x and y of every trace of a figure, dense between two moments; empty where there is no more."""
 
 _AXIS = re.compile(r"([xy]axis\d*)\.(range\[[01]\]|autorange)")
 
 
 @dataclass
 class Figures:
-    """The figures of a study; what was zoomed in one is so again when it is drawn anew."""
+    """The figures of a study; what was zoomed in one is so again when it is drawn anew.
+
+    ``moved`` is told when a zoom has changed.
+    """
 
     session: Session
     ident: str
+    moved: Callable[[], None] = lambda: None
     views: dict[str, View] = field(default_factory=dict)
-    asked: int = 0
+    asked: dict[str, int] = field(default_factory=dict)
 
     def show(self, serial: int, name: str, heading: str, caption: str) -> None:
         """Draw a figure from its file, with what it says."""
@@ -40,8 +46,17 @@ class Figures:
         if data is None:
             ui.html("<p class='soft'>This figure is not there any more.</p>", sanitize=False)
             return
+
+        def closer(looked_at: Span | None) -> list[Any]:
+            return samples(folder / "free", name, looked_at)
+
+        self.put(data, name, f"{heading}. {caption}", closer)
+        ui.html(f"<p class='caption'>{escape(caption)}</p>", sanitize=False)
+
+    def put(self, data: Mapping[str, Any], name: str, said: str, closer: Closer) -> None:
+        """Draw a figure as it was looked at last; a zoom is kept, and filled with its samples."""
         view = self.views.setdefault(name, {})
-        plot = frame.plot(seen(data, view), name, f"{heading}. {caption}")
+        plot = frame.plot(seen(data, view), name, said)
 
         async def looked(event: Any) -> None:
             moved = {k: v for k, v in event.args.items() if _AXIS.fullmatch(k)}
@@ -49,26 +64,25 @@ class Figures:
                 return
             before = span(view)
             remember(view, moved)
+            self.moved()
             if span(view) != before:
-                await self._closer(plot, folder, name)
+                await self._closer(plot, name, closer)
 
         plot.on("plotly_relayout", looked)
         if span(view):
-            ui.timer(0.3, lambda: self._closer(plot, folder, name), once=True)
-        ui.html(f"<p class='caption'>{escape(caption)}</p>", sanitize=False)
+            ui.timer(0.3, lambda: self._closer(plot, name, closer), once=True)
 
-    async def _closer(self, plot: ui.plotly, folder: Path, name: str) -> None:
+    async def _closer(self, plot: ui.plotly, name: str, closer: Closer) -> None:
         """Put the samples of what is looked at in the place of the thinned ones."""
-        self.asked += 1
-        mine = self.asked
-        rows = await run.io_bound(samples, folder / "free", name, span(self.views[name]))
-        if not rows or mine != self.asked or plot.is_deleted:
+        mine = self.asked[name] = self.asked.get(name, 0) + 1
+        rows = await run.io_bound(closer, span(self.views[name]))
+        if not rows or mine != self.asked[name] or plot.is_deleted:
             return
         x, y = ([list(map(float, row[i])) for row in rows] for i in (0, 1))
         plot.run_plot_method("restyle", {"x": x, "y": y}, list(range(len(rows))))
 
 
-def samples(folder: Path, name: str, looked_at: tuple[float, float] | None) -> list[Any]:
+def samples(folder: Path, name: str, looked_at: Span | None) -> list[Any]:
     """x and y of every trace of a figure of a series, dense between two moments."""
     from spiral.io.curves import read_curves
     from spiral.view.report.page import closer
@@ -92,7 +106,7 @@ def remember(view: View, moved: Mapping[str, Any]) -> None:
             view[key] = value
 
 
-def span(view: View) -> tuple[float, float] | None:
+def span(view: View) -> Span | None:
     """From where to where of time is looked at; all of it with ``None``."""
     starts = [k for k in view if k.startswith("x") and k.endswith("[0]")]
     ends = [(view[k], view.get(k.replace("[0]", "[1]"))) for k in starts]

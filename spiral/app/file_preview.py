@@ -34,6 +34,7 @@ def describe_file(order: Mapping[str, Any], tell: Callable[[str, Mapping[str, An
     numbers = {n: v for n in table.columns[:_MOST] if (v := _numbers(table, n)) is not None}
     if not numbers:
         name, found = Path(order["path"]).name, ", ".join(table.columns[:9])
+        _first_text(table)
         raise InputError(
             f"{name}: no column of numbers among {found}",
             "columns of numbers, one row for each sample", "export it with a row of names",
@@ -47,6 +48,21 @@ def describe_file(order: Mapping[str, Any], tell: Callable[[str, Mapping[str, An
     _draw(numbers, table, Path(order["folder"]) / PICTURE)
     tell("columns", {"columns": columns, "rows": rows, "systems": _systems(order.get("plugins")),
                      "drawn": True})  # fmt: skip
+
+
+def _first_text(table: Table) -> None:
+    """Say where a column of numbers has its first text, where some have numbers too."""
+    for name in table.columns[:_MOST]:
+        values = table.values[name]
+        if any(isinstance(v, str) and _is_number(v) for v in values[:_FIRST]):
+            table.column(name, name, 0, len(values), missing=True)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return np.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 def _numbers(table: Table, name: str) -> Any:

@@ -10,11 +10,14 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from spiral.app.drawing import FIRST, draw
 from spiral.app.own_effect import example
+from spiral.app.side_steps import drawn_why, planned
 from spiral.app.study import turn_place
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.discover import Checkpoint
@@ -32,6 +35,7 @@ from spiral.inference.rounds import (
 )
 from spiral.inference.strategies.base import Begun, Step, Strategy
 from spiral.inference.unknown.holding import having, holding
+from spiral.inference.unknown.memory import memory_said
 from spiral.inference.verdict import doubts
 from spiral.io.checkpoint import read_checkpoint, write_checkpoint
 from spiral.io.curves import FINAL, Curves, beside, read_curves, write_curves
@@ -43,7 +47,7 @@ from spiral.view.report.style import words
 
 Tell = Callable[[str, Mapping[str, Any]], None]
 """Told what happened: a kind (``progress``, ``turn``, ``ranked``, ``preview``, ``contrast``,
-``figures``) and plain data."""
+``plan``, ``figures``) and plain data."""
 
 Order = Mapping[str, Any]
 """What to do, in plain data: study, overrides, plugins, serial, and what the step needs."""
@@ -132,10 +136,28 @@ class FitWorker:
     def preview(self, order: Order) -> None:
         """What adding an effect would come to on the test record; the study stays as it is."""
         self._open(order)
-        last = self._with(order["base"], order["effect"]).rounds[-1]
+        at = self._with(order["base"], order["effect"])
+        last, folder = at.rounds[-1], turn_place(self.out, self.ident, order["base"])
+        drawn = False
+        with suppress(ArithmeticError, ValueError):  # LinAlgError is a ValueError
+            held = holding(self._assembly(), at.standing)
+            after = free_curves(held, FINAL, at.standing, last.comparison)
+            before = read_curves(folder / FREE)
+            drawn = drawn_why(folder / FIGURES, order["effect"], before, after)
         said = {"effect": order["effect"], "test_error": last.comparison.test_error,
-                "changes": [c.as_dict() for c in last.changes]}  # fmt: skip
+                "changes": [c.as_dict() for c in last.changes], "drawn": drawn}  # fmt: skip
         self.tell("preview", {"preview": finite(said)})
+
+    @one_blas_thread
+    def plan(self, order: Order) -> None:
+        """Rank the tests that would tell effects apart, from the model of a turn."""
+        self._open(order)
+        at, _ = self._ready(order["base"])
+        assert self.problem is not None
+        assert self.registry is not None
+        model = at.rounds[-1].comparison.model
+        found = planned(self.problem, model, order["effects"], self.registry, self._progress)
+        self.tell("plan", {"plan": found})
 
     @one_blas_thread
     def contrast(self, order: Order) -> None:
@@ -270,7 +292,8 @@ class FitWorker:
         stopped = "max_rounds" if step.admitted else step.stopped
         run = concluded(at, stopped, settings)
         ranked = _ranked(run, step, tuple(_candidates(self._strategy(), step)))
-        self.tell("ranked", {**ranked, "caveats": caveats(at, settings)})
+        told = {"caveats": caveats(at, settings), "alike": alike(at)}
+        self.tell("ranked", {**ranked, **told})
 
     def _strategy(self) -> Strategy:
         assert self.strategy is not None
@@ -305,6 +328,13 @@ def _placed(at: Checkpoint, folder: Path, assembly: Assembly) -> Checkpoint:
     return Checkpoint(at.rounds, replace(at.standing, values=values))
 
 
+def alike(at: Checkpoint) -> list[tuple[str, ...]]:
+    """Each effect of a turn's model that others cannot be told from, before those others."""
+    held = at.rounds[-1].comparison.model.labels
+    found = {k: v for one in at.rounds for k, v in one.aliases.items() if k in held and v}
+    return [(label, *others) for label, others in found.items()]
+
+
 def caveats(at: Checkpoint, settings: Settings) -> list[str]:
     """What is to be held against a turn's verdict, in sentences, the model's own doubts first."""
     from spiral.view.report.text import doubted
@@ -321,45 +351,6 @@ def caveats(at: Checkpoint, settings: Settings) -> list[str]:
         found += doubted({"aliases": kept, "details": {"not_separable": lost},
                           "admitted": one.admitted, "second_order": one.second_order})  # fmt: skip
     return list(dict.fromkeys(found))
-
-
-FIRST = ("free_run", "where", "amplitude")
-"""Figures that are drawn before all others."""
-
-
-def draw(
-    at: Checkpoint,
-    alone: Curves | None,
-    both: Curves | None,
-    folder: Path,
-    part: Callable[[str], bool] = lambda name: True,
-) -> list[tuple[str, str, str]]:
-    """Write figures of a turn as JSON; returns name, heading, caption of each.
-
-    ``alone`` are the curves of this turn's model; ``both`` with those of the first beside them.
-    """
-    from spiral.view.report.page import figures
-
-    folder.mkdir(parents=True, exist_ok=True)
-    run = concluded(at, "max_rounds", Settings(), "")
-    now_unknown = {"unknown": at.rounds[-1].details.get("unknown"), "noise_floor": None}
-    saved = {"result": finite({**run.as_dict(), **now_unknown})}
-    names = [n for n in _ORDER if part(n)]
-    compared = [n for n in names if n in _COMPARED]
-    now = ["before" if n == "free_run" else n for n in names if n not in _COMPARED]
-    shown = figures(saved, alone, now) + figures(saved, both or alone, compared)
-    found = {"free_run" if s.name == "before" else s.name: s for s in shown}
-    for name, one in found.items():
-        write_whole(folder / f"{name}.json", one.figure.to_json())
-    heads = {"free_run": "Measured against the model, on the test record"}
-    return [(n, heads.get(n, found[n].heading), found[n].caption) for n in names if n in found]
-
-
-_COMPARED = ("amplitude", "missing_force")
-_ORDER = (
-    *FIRST, "missing_force", "surface", "unknown", "memory", "evidence", "coefficients", "orbit",
-    "bode", "waterfall", "whirl", "correlation", "hidden", "campbell",
-)  # fmt: skip
 
 
 def _result(found: Round) -> dict[str, Any]:
@@ -389,4 +380,5 @@ def _ranked(run: Run, step: Step | None, found: tuple[Any, ...]) -> dict[str, An
         "verdict": run.verdict if step is None or step.admitted else step.stopped,
         "advice": run.advice,
         "shape": (run.rounds[-1].details.get("unknown") or {}).get("sentence", ""),
+        "memory": memory_said(run.rounds),
     }

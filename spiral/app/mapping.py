@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -78,8 +79,23 @@ class Form:
             with frame.told(opened.setup.trouble):
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
+                self._advice(opened.setup)
             if not opened.setup.columns:
                 self._layout(opened.setup)
+
+    def _advice(self, setup: RecordSetup) -> None:
+        """A button for each setting that the message tells to try."""
+        lines = kept.advised(setup.trouble) if setup.columns else []
+        if not lines:
+            return
+        with ui.row().classes("gap-2").style("margin-top:8px").props('id="advice"'):
+            for line in lines:
+                button = ui.button(f"Use {line}")
+                button.on_click(functools.partial(self._use, line)).props("outline")
+
+    def _use(self, line: str) -> None:
+        more = self.session.file_setup.look(self.ident).setup.choice.more
+        self._add_line(kept.with_line(more, line))
 
     def _layout(self, setup: RecordSetup) -> None:
         """What to say of a text file whose columns were not found: ``record.separator`` and so."""
@@ -241,9 +257,8 @@ class Form:
             return
         ui.html(said, sanitize=False)
         if panels.kept_apart(setup.seen):
-            more = f"{setup.choice.more.rstrip()}\n{_BLOCKS}".strip()
             button = ui.button("Keep parts of five blocks apart instead")
-            button.on_click(lambda: self._add_line(more)).props("outline")
+            button.on_click(functools.partial(self._use, _BLOCKS)).props("outline")
 
     def _add_line(self, more: str) -> None:
         """Another text in *More*, shown there too."""

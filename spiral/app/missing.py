@@ -9,10 +9,10 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import panels, unseen
+from spiral.app import frame, panels, unseen
 from spiral.app.own_effect import own_name
 from spiral.app.session import Scene, Session
-from spiral.app.study import Turn
+from spiral.app.study import Turn, turn_place, why_file
 from spiral.types.errors import SpiralError
 
 _SHOWN = 5  # candidates before "show all"
@@ -20,6 +20,10 @@ _OWN = (
     ("name", "Name", "hardening"),
     ("formula", "Force on the machine", "-k3*q**3"),
     ("shape", "Gaps, widths, open units (SI)", "w=0.003, b=N/m"),
+)
+_WHY = (
+    "Error of the free run on the test record, moment by moment: green where it helps, red where "
+    "it costs. Dotted: the sensor's noise."
 )
 OWN = "invent"  # the order that an effect of one's own gives
 
@@ -38,6 +42,7 @@ class Missing:
     every: bool = False
     typed: dict[str, str] = field(default_factory=dict)
     wrong: Mapping[str, str] | None = None
+    why: set[tuple[int, str]] = field(default_factory=set)
 
     def build(self, scene: Scene) -> None:
         """Draw the list of the turn that is looked at."""
@@ -57,6 +62,8 @@ class Missing:
         else:
             self._ending(scene, turn)
         ui.html(panels.caveats(turn.caveats), sanitize=False)
+        for alike in turn.alike:
+            self._plan(scene, turn, tuple(alike))
         self._list(scene, turn)
         self._own(scene, turn)
 
@@ -142,14 +149,57 @@ class Missing:
             add.props["aria-label"] = f"Add {panels.words(effect)}"
             add.set_enabled(scene.busy is None)
             ui.html(panels.evidence(found), sanitize=False).classes("evidence")
-            if effect == turn.preview.get("effect"):
-                ui.html(unseen.tried(turn.preview["changes"]), sanitize=False).classes("wide")
+            self._trial(scene, turn, effect)
             if effect in turn.rejected:
                 ui.label(f"Refused: {turn.rejected[effect]}").classes("alike")
             if aliases:
                 with ui.element("div").classes("alike"):
                     ui.html(panels.alike(aliases), sanitize=False)
                     self._compare_aliases(scene, turn, (effect, *aliases))
+                    self._plan(scene, turn, (effect, *aliases))
+
+    def _trial(self, scene: Scene, turn: Turn, effect: str) -> None:
+        """What an effect does on the test record, and where; a button where that is not known."""
+        found = panels.trial(turn, effect)
+        if not found:
+            attempt = functools.partial(self.session.preview, self.ident, effect, turn.serial)
+            button = ui.button("Try it on the test record", on_click=lambda: self.ask(attempt))
+            button.props("flat dense").classes("try").set_enabled(scene.busy is None)
+            button.props["aria-label"] = f"Try {panels.words(effect)} on the test record"
+            return
+        ui.html(unseen.tried(found["changes"]), sanitize=False).classes("wide")
+        if not found.get("drawn"):
+            return
+        key = (turn.serial, effect)
+        with ui.expansion("Where it helps", value=key in self.why).classes("wide") as box:
+            if key in self.why:
+                self._where(turn, effect)
+        box.on_value_change(functools.partial(self._why, key))
+
+    def _why(self, key: tuple[int, str], event: Any) -> None:
+        if bool(event.value) != (key in self.why):
+            self.why ^= {key}
+            self.again()
+
+    def _where(self, turn: Turn, effect: str) -> None:
+        """The error over time without an effect and with it."""
+        figures = turn_place(self.session.out, self.ident, turn.serial) / "figures"
+        data = frame.figure_of(why_file(figures, effect))
+        if data is None:
+            ui.html("<p class='soft'>This figure is not there any more.</p>", sanitize=False)
+            return
+        frame.plot(data, "why", f"Where {panels.words(effect)} helps. {_WHY}")
+        ui.html(f"<p class='soft'>{_WHY}</p>", sanitize=False)
+
+    def _plan(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
+        """The test to run next that tells effects apart; a button where none was asked for."""
+        if scene.plan.get("effects") == list(effects):
+            ui.html(panels.plan(scene.plan), sanitize=False).props('id="plan"')
+            return
+        wanted = functools.partial(self.session.plan, self.ident, effects, turn.serial)
+        names = unseen.listed([panels.words(e) for e in effects])
+        button = ui.button(f"Which test tells {names} apart?", on_click=lambda: self.ask(wanted))
+        button.props("flat dense").set_enabled(scene.busy is None)
 
     def _compare_aliases(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
         if scene.contrast:

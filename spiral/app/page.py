@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
-from urllib.parse import quote
 
 from nicegui import ui
 
 from spiral.app import branches, frame, panels, unseen
+from spiral.app.address import Address, written
 from spiral.app.figures import Figures
 from spiral.app.missing import OWN, Missing
 from spiral.app.session import Scene, Session
+from spiral.app.side_by_side import NAME, SideBySide
 from spiral.app.study import Turn
 from spiral.types.errors import SpiralError
 from spiral.view.report.evidence import error_falling
@@ -43,15 +44,23 @@ class StudyView:
 
     session: Session
     ident: str
+    at: Address
     version: int = -1
     drawn: dict[str, Any] = field(default_factory=dict)
     regions: dict[str, ui.element] = field(default_factory=dict)
     tab: str = TABS[0][0]
+    told: str = ""
     fall: ui.plotly | None = None
     said: ui.label | None = None
 
     def __post_init__(self) -> None:
-        self.figures = Figures(self.session, self.ident)
+        self.client = ui.context.client
+        self.tab = self.at.tab or self.tab
+        views = {name: dict(view) for name, view in self.at.views.items()}
+        self.figures = Figures(self.session, self.ident, self._tell, views)
+        self.beside = SideBySide(
+            self.figures, lambda: self.again("beside"), self._tell, self.at.beside
+        )
         self.missing = Missing(self.session, self.ident, self._ask, lambda: self.again("missing"))
 
     def scene(self) -> Scene:
@@ -73,6 +82,22 @@ class StudyView:
                 region.clear()
             with region:
                 build(scene)
+        self._tell()
+
+    def _tell(self) -> None:
+        """Have the browser's address say what this tab looks at."""
+        turn = self.scene().study.turn
+        views = {k: v for k, v in self.figures.views.items() if k in self._on_show()}
+        serial = None if turn is None else turn.serial
+        said = written(Address(serial, self.tab, views, self.beside.address()))
+        if said != self.told:
+            self.told = said
+            with self.client:  # what was clicked may have been drawn anew meanwhile
+                ui.navigate.history.replace(said)
+
+    def _on_show(self) -> tuple[str, ...]:
+        """Names of the figures that this tab shows."""
+        return (*dict(TABS).get(self.tab, ()), NAME)
 
     def again(self, name: str) -> None:
         """Draw a region anew at the next look."""
@@ -91,11 +116,12 @@ class StudyView:
             ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor)),
             (FALLING, self._falling, (tuple(t.serial for t in study.line), study.noise_floor)),
             ("missing", self.missing.build,
-             (key, ranked, bool(busy), scene.contrast, turn.preview if turn else None,
+             (key, ranked, bool(busy), scene.contrast, scene.plan, turn.trials if turn else None,
               study.trouble)),
             ("figures", self._figures,
              None if turn is None else
              (key, turn.figures, turn.sentence, len(turn.equation), bool(turn.figures or busy))),
+            ("beside", self.beside.build, tuple(t.serial for t in study.turns)),
             ("data", self._data, (len(study.records), key)),
             ("links", self._links,
              None if turn is None else (key, turn.run_id, turn.tracked, turn.untracked,
@@ -196,8 +222,8 @@ class StudyView:
     def _choose_tab(self, event: Any) -> None:
         if event.value and event.value != self.tab:
             self.tab = event.value
-            ui.navigate.history.replace(f"?tab={quote(event.value)}")
             self._tab(event.value)
+            self._tell()
 
     def _tab(self, title: str) -> None:
         """Only the figures of the chosen tab travel to the browser."""
@@ -209,7 +235,8 @@ class StudyView:
             return
         with region:
             if title == WHERE and turn.sentence:
-                ui.label(turn.sentence).classes("sentence")
+                calm = "level of the noise everywhere" in turn.sentence
+                ui.label(turn.sentence).classes("good" if calm else "sentence")
             if title == MODEL:
                 ui.html(panels.model(turn), sanitize=False).style("width:100%")
             for name, heading, caption in turn.figures:
@@ -250,14 +277,17 @@ class StudyView:
 _NEVER = object()
 
 
-def study_page(session: Session, ident: str, tab: str = "") -> None:
-    """Build the page of one study, with a tab of its figures open."""
+def study_page(session: Session, ident: str, at: Address) -> None:
+    """Build the page of one study as its address says: at a step, with a tab of its figures."""
     try:
         scene = session.scene(ident)
+        here = scene.study.turn
+        if here and at.turn is not None and not scene.busy and scene.study.turn_of(at.turn):
+            session.move(ident, at.turn, here.serial)
     except SpiralError as error:
         frame.nothing_here(error)
         return
-    view = StudyView(session, ident, tab=tab or TABS[0][0])
+    view = StudyView(session, ident, at)
     with frame.bar(scene.study.title):
         view.regions["links"] = ui.row().classes("items-center gap-2")
     with frame.progress_bar():
@@ -272,6 +302,7 @@ def study_page(session: Session, ident: str, tab: str = "") -> None:
         with ui.element("div").classes("split"):
             view.regions["missing"] = ui.element("section").classes("card")
             view.regions["figures"] = ui.element("section").classes("card")
+        view.regions["beside"] = ui.element("section").classes("card")
         view.regions["data"] = ui.element("section").classes("card")
     view.look()
     ui.timer(_TICK, view.look)

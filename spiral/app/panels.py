@@ -8,7 +8,7 @@ from typing import Any
 
 from spiral.app import unseen
 from spiral.app.study import LEARNED, Study, Turn
-from spiral.types.formatting import number, percent, probability
+from spiral.types.formatting import digits, number, percent, probability
 from spiral.view.report import text
 from spiral.view.report.style import symbols, words
 from spiral.view.terminal.preview import kept_apart, quiet_test
@@ -21,7 +21,7 @@ _NET = (
 _FAR = 3.0  # times the noise, above which a free run misses more than noise
 ENDINGS = {
     "whiteness": "Nothing more is missing: what is left is white noise.",
-    "no_candidate": "No further effect passes the gates; the list below says how far each comes.",
+    "no_candidate": "No further effect of the list is confirmed; below is how far each comes.",
     "diverged": "The model runs away from the record even on short windows. Check units and signs "
     "of the channels, or undo.",
     "not_identifiable": "This record cannot tell the model's own effects apart.",
@@ -50,8 +50,8 @@ def caveats(said: Sequence[str]) -> str:
     """What is to be held against a verdict; nothing where there is nothing."""
     if not said:
         return ""
-    items = "".join(f"<li>{escape(one)}</li>" for one in said)
-    return f'<div class="note caveats" id="caveats"><b>Hold against it</b><ul>{items}</ul></div>'
+    items = "".join(f"<li>{escape(one[:1].upper() + one[1:])}</li>" for one in said)
+    return f'<div class="note caveats" id="caveats"><b>Caveats</b><ul>{items}</ul></div>'
 
 
 def ending(study: Study, turn: Turn) -> str:
@@ -61,6 +61,8 @@ def ending(study: Study, turn: Turn) -> str:
     if turn.verdict == "whiteness" and error and floor and error > _FAR * floor:
         said += f" The free run on the test record still misses by {percent(error)}, though: such a"
         said += " model may be right and its motion hard to predict, or the test record differs."
+    if turn.memory:
+        said += f" <b>{escape(turn.memory)}</b> Its loop is drawn under <i>Missing force</i>."
     if turn.shape:
         said += f" What is left: {escape(turn.shape[:1].lower() + turn.shape[1:])}"
     return said
@@ -85,8 +87,8 @@ def headline(study: Study) -> str:
     return (
         '<p class="label">Free-run error on the test record</p>'
         f'<div class="number" id="error-now">{value}{before}</div>'
-        f'<p class="soft">Share of each channel\'s deviation; this record chose nothing.{noise}</p>'
-        + quiet(study.records)
+        '<p class="soft">As a share of each channel\'s standard deviation, on data that no fit and '
+        f"no choice has seen.{noise}</p>" + quiet(study.records)
     )
 
 
@@ -128,10 +130,10 @@ def channels(turn: Turn, units: Mapping[str, str]) -> str:
     table = text.table(("channel", "rms error", "of its deviation"), rows,
                        ("rms error", "of its deviation"))  # fmt: skip
     chi2 = turn.result.get("chi2_per_dof")
-    fit = "" if chi2 is None else f"χ² per degree of freedom {number(chi2, 3)}; "
+    fit = "" if chi2 is None else f"χ² per degree of freedom {digits(chi2)}; "
     fit += (
-        f"whiteness p {probability(turn.result.get('whiteness_p'))}; stretches of "
-        f"{turn.result.get('horizon') or '-'} samples"
+        f"whiteness p {probability(turn.result.get('whiteness_p'))}; fitted over "
+        f"{turn.result.get('horizon') or '-'} samples at a time"
     )
     return plain(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'
 
@@ -198,8 +200,8 @@ def order(turn: Turn) -> str:
         names = unseen.listed([words(e) for e in above])
         said += (
             f" {words(first or '').capitalize()} is proposed although {names} "
-            f"{'explains' if len(above) == 1 else 'explain'} more there: the gates decide, on data "
-            "that ordered nothing."
+            f"{'explains' if len(above) == 1 else 'explain'} more there: other data, on which "
+            "nothing was ordered, decide."
         )
     return escape(said)
 
@@ -212,7 +214,7 @@ def proposal(turn: Turn) -> tuple[str, str]:
     if not turn.proposed:
         return "", ""
     name = words(turn.proposed[0])
-    passes = f"<b>{escape(name)}</b> passes all gates on data that did not order the list"
+    passes = f"<b>{escape(name)}</b> is confirmed on data that took no part in its choice"
     if turn.preview.get("effect") not in turn.proposed:
         return f"{passes}; what it does on the test record is not known yet.", "trying"
     where = unseen.worse(turn.preview["changes"])
@@ -226,6 +228,23 @@ def alike(others: Sequence[str]) -> str:
     """What this record cannot tell apart from it."""
     names = ", ".join(words(o) for o in others)
     return f"This record cannot tell it from <b>{escape(names)}</b>."
+
+
+def trial(turn: Turn, effect: str) -> Mapping[str, Any]:
+    """What came of trying an effect on the test record; nothing where it was not tried."""
+    if turn.preview.get("effect") == effect:
+        return {**turn.preview, **turn.trials.get(effect, {})}
+    return turn.trials.get(effect, {})
+
+
+def plan(found: Mapping[str, Any]) -> str:
+    """Planned tests with the chance that each tells effects apart, and what to do."""
+    rows = [
+        (row["test"], "-" if row["failure"] else percent(row["probability"]))
+        for row in found["rows"]
+    ]
+    table = text.table(("test", "tells them apart"), rows, ("tells them apart",))
+    return f"{plain(table)}<p class='soft' style='margin-top:6px'>{escape(found['advice'])}</p>"
 
 
 def trouble(error: Mapping[str, str]) -> str:
@@ -246,7 +265,7 @@ def contrast(rows: Sequence[Mapping[str, Any]], windows: int) -> str:
     ]
     figures += [
         ("fitted record, free run", [_shown(r["fit_error"]) for r in rows]),
-        (f"χ²/dof, stretches of {windows}", [number(r["chi2_per_dof"], 3) for r in rows]),
+        (f"χ²/dof, over {windows} samples", [digits(r["chi2_per_dof"]) for r in rows]),
     ]
     columns = ("error on", *(words(r["effect"]) for r in rows))
     return plain(text.table(columns, [(name, *cells) for name, cells in figures], columns[1:]))

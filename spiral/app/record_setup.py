@@ -20,6 +20,9 @@ from spiral.types.errors import ConfigError
 
 FILE = "setup.json"
 _ID = re.compile(r"[0-9a-f-]{8,40}")
+_ADVISED = re.compile(  # a key of the command line with a value, and no word that stands for one
+    r"\b((?:record|system)\.\w+|holdout_blocks)=((?![A-Z_]+\b)(?:'[^']*'|[^\s',;]*[^\s',;.]))"
+)
 _TIMES = ("time", "t", "seconds", "zeit", "clock")
 _NAMED = {"rpm": "rpm", "hz": "Hz", "um": "um", "µm": "um", "mm": "mm", "ms": "ms", "mv": "mV",
           "rad": "rad", "deg": "deg"}  # fmt: skip
@@ -240,6 +243,23 @@ def overrides(setup: RecordSetup) -> tuple[str, ...]:
             given.append(f"record.{key}={{{inside}}}")
     given += _of_the_model(choice)
     return (*given, *(line.strip() for line in choice.more.splitlines() if line.strip()))
+
+
+def advised(trouble: Mapping[str, str] | None) -> list[str]:
+    """Lines for *More* that a message tells to try, as ``record.resample=299.9``; each key once."""
+    found = {
+        key: f"{key}={value}" for key, value in _ADVISED.findall((trouble or {}).get("try", ""))
+    }
+    return list(found.values())
+
+
+def with_line(more: str, line: str) -> str:
+    """The text of *More* with a line, in the place of one that says something else of its key."""
+    key = line.partition("=")[0]
+    kept = [
+        old for old in more.splitlines() if old.strip() and old.partition("=")[0].strip() != key
+    ]
+    return "\n".join([*kept, line])
 
 
 def _of_the_model(choice: Choice) -> list[str]:

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from spiral.app.fit_worker import FIGURES, STATE, Order, Tell, draw
+from spiral.app.drawing import draw
+from spiral.app.fit_worker import FIGURES, STATE, Order, Tell
 from spiral.app.study import turn_place
 from spiral.inference.problem import Problem
 from spiral.inference.rounds import Checkpoint, concluded

@@ -161,6 +161,7 @@ def application(session: Any, viewer: Any) -> Any:
     from fastapi import FastAPI
     from nicegui import app, ui
 
+    from spiral.app.address import read
     from spiral.app.downloads import routes
     from spiral.app.mapping import file_page
     from spiral.app.page import study_page
@@ -178,8 +179,8 @@ def application(session: Any, viewer: Any) -> Any:
         start_page(session)
 
     @ui.page("/study/{ident}", title="SPIRAL")
-    def _study(ident: str, tab: str = "") -> None:
-        study_page(session, ident, tab)
+    def _study(ident: str, turn: str = "", tab: str = "", zoom: str = "", beside: str = "") -> None:
+        study_page(session, ident, read(turn, tab, zoom, beside))
 
     @ui.page("/file/{ident}", title="SPIRAL")
     def _file(ident: str) -> None:

@@ -25,7 +25,9 @@ from spiral.io.tracking.store import URI_VARIABLE
 from spiral.types.errors import ConfigError
 
 _RANKS = ("start", "add", "rank", "invent")  # orders that end with a ranking
+_OF_A_TURN = ("invent", "rank", "preview", "plan")  # orders that make no new one
 _FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send
+_PLANNED = 40  # and the judging of planned tests
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ class Busy:
 class Scene:
     """A study with what is under way; ``version`` grows with every change.
 
-    ``contrast`` are candidates side by side, their chi2 on windows of ``windows`` samples.
+    ``contrast`` are candidates side by side, their chi2 on windows of ``windows`` samples; ``plan``
+    the tests that would tell effects apart.
     """
 
     study: Study
@@ -59,6 +62,7 @@ class Scene:
     writing: tuple[int, ...] = ()
     contrast: tuple[Mapping[str, Any], ...] = ()
     windows: int = 0
+    plan: Mapping[str, Any] = field(default_factory=dict)
 
 
 class Session:
@@ -75,6 +79,7 @@ class Session:
             "invent": _FIRST,
             "rank": _FIRST,
             "preview": _AGAIN,
+            "plan": _PLANNED,
         }
         self._fits = Process("fits", out, self._on_fits)
         self.file_setup = FileSetup(out, lambda order: self._fits.give(order), plugins, self._lock)
@@ -139,7 +144,7 @@ class Session:
             self._ask(scene, "start", "Fitting the model as it is")
 
     def add(self, ident: str, effect: str, serial: int) -> None:
-        """Add an effect to the turn that the asking tab shows.
+        """Add an effect to the turn that the asking tab shows; or show it again.
 
         Raises
         ------
@@ -147,6 +152,14 @@ class Session:
         """
         with self._lock:
             scene = self._free(ident, serial)
+            again = [
+                t
+                for t in scene.study.after(serial)
+                if t.added == effect and t.candidates is not None
+            ]
+            if again and effect.partition("@")[0] not in scene.study.own:  # a formula may differ
+                self.move(ident, again[-1].serial, serial)
+                return
             self._ask(scene, "add", f"Adding {words(effect)}", effect=effect, base=serial,
                       first=scene.study.turns[0].serial)  # fmt: skip
 
@@ -198,11 +211,18 @@ class Session:
             self._ask(scene, "contrast", f"Comparing {' and '.join(map(words, effects))}",
                       effects=list(effects), base=serial)  # fmt: skip
 
+    def plan(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
+        """Look for the test that would tell these apart; the study stays as it is."""
+        with self._lock:
+            scene = self._free(ident, serial)
+            what = f"Planning a test for {' and '.join(map(words, effects))}"
+            self._ask(scene, "plan", what, effects=list(effects), base=serial)
+
     def move(self, ident: str, to: int, serial: int) -> None:
         """Look at another turn: undo, do again, another branch; every turn is kept."""
         with self._lock:
             scene = self._free(ident, serial)
-            self._put(replace(scene, study=kept.moved(scene.study, to), contrast=()))
+            self._put(replace(scene, study=kept.moved(scene.study, to), contrast=(), plan={}))
 
     def cancel(self, ident: str) -> None:
         """End what is under way; the study stays as it was before."""
@@ -224,7 +244,7 @@ class Session:
         serial = scene.study.serials
         study = replace(scene.study, serials=serial + 1, trouble=None)
         busy = Busy(what, serial, self._awaited(), expected=self._expected[do])
-        self._put(replace(scene, study=study, contrast=(), busy=busy))
+        self._put(replace(scene, study=study, contrast=(), plan={}, busy=busy))
         self._fits.give({**self._order(study, do, serial), **more})
 
     def _awaited(self) -> str:
@@ -288,10 +308,14 @@ class Session:
             return replace(scene, study=study, busy=busy)
         if kind == "contrast":
             return replace(scene, contrast=tuple(data["rows"]), windows=data["horizon"])
+        if kind == "plan":
+            return replace(scene, plan=data["plan"])
         values = {k: v for k, v in data.items() if k in Turn.__dataclass_fields__}
         if kind == "ranked":
-            values["preview"] = {}  # another ranking proposes anew
-        for name in ("candidates", "proposed", "equation", "caveats"):
+            values |= {"preview": {}, "trials": {}}  # another ranking proposes anew
+        if kind == "preview":
+            values = _tried(study.turn_of(serial), data["preview"])
+        for name in ("candidates", "proposed", "equation", "caveats", "alike"):
             if name in values:
                 values[name] = tuple(values[name])
         if "figures" in values:
@@ -336,6 +360,15 @@ class Session:
                 self._put(self._changed(order, kind, data, scene))
 
 
+def _tried(turn: Turn | None, found: Mapping[str, Any]) -> dict[str, Any]:
+    """What a turn knows once an effect was tried: its own trial, and the proposal's where it is."""
+    if turn is None:
+        return {}
+    effect = found["effect"]
+    known = {"trials": {**turn.trials, effect: found}}
+    return {**known, "preview": found} if effect in turn.proposed else known
+
+
 def _about(order: Mapping[str, Any]) -> int:
     """The turn that an order's ranking belongs to: a new one, or one that is there."""
-    return order["base"] if order["do"] in ("invent", "rank", "preview") else order["serial"]
+    return order["base" if order["do"] in _OF_A_TURN else "serial"]

@@ -37,12 +37,15 @@ class Turn:
     """One state of a study, in plain data.
 
     ``parent`` is the serial of the turn that it was made from; ``added`` the effect that made it;
-    ``caveats`` are sentences to hold against its verdict; ``result`` its figures as a
+    ``caveats`` are sentences to hold against its verdict, ``alike`` effects of the model with what
+    they cannot be told from; ``result`` its figures as a
     round of the JSON contract;
     ``candidates`` what may be missing next, best first; ``proposed`` what the gates would admit;
-    ``shape`` what the force is like that none of them explains, in words;
+    ``shape`` what the force is like that none of them explains, in words, ``memory`` what it
+    depends on besides the present state;
     ``preview`` is what adding the proposed effect would come to, tried on the test record (effect,
-    changes at each horizon, test error); empty until it was tried;
+    changes at each horizon, test error); empty until it was tried; ``trials`` the same for every
+    effect that was tried, by its name, and whether there is a figure of where it helps;
     ``figures`` what is drawn (name, heading, caption), one JSON file each; ``tracked`` its place in
     MLflow's page, or ``untracked`` why it has none.
     """
@@ -66,6 +69,9 @@ class Turn:
     untracked: str = ""
     parent: int | None = None
     caveats: tuple[str, ...] = ()
+    alike: tuple[tuple[str, ...], ...] = ()
+    memory: str = ""
+    trials: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -200,6 +206,11 @@ def place(out: Path, ident: str) -> Path:
 def turn_place(out: Path, ident: str, serial: int) -> Path:
     """The folder of one turn: its checkpoint, its curves, its figures."""
     return place(out, ident) / f"turn-{serial}"
+
+
+def why_file(figures: Path, effect: str) -> Path:
+    """Where the figure of an effect's trial lies."""
+    return figures / f"why-{re.sub(r'[^a-z0-9_]', '-', effect)}.json"
 
 
 def save(out: Path, study: Study) -> None:

@@ -20,6 +20,7 @@ STYLE = f"""
   .q-btn.bg-primary, .q-btn.bg-primary .q-btn__content {{ color:#06121b !important; }}
   .js-plotly-plot .main-svg {{ filter:invert(1) hue-rotate(180deg); }}
   .js-plotly-plot .main-svg image {{ filter:invert(1) hue-rotate(180deg); }}
+  .js-plotly-plot .main-svg .cbfills {{ filter:invert(1) hue-rotate(180deg); }}
   .js-plotly-plot .modebar-btn path {{ fill:#a9b2bd !important; }}
 }}
 :focus-visible {{ outline:3px solid var(--ring) !important; outline-offset:2px; }}
@@ -85,6 +86,7 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
   border-left:4px solid var(--orange); padding:6px 10px; border-radius:0 6px 6px 0; }}
 .worse {{ border-left-color:var(--vermilion); background:var(--wrong); }}
 #worse {{ margin-top:12px; display:grid; gap:8px; justify-items:start; }}
+#plan {{ margin:4px 0 12px; }}
 #proposal {{ margin-bottom:10px; }} #proposal.soft {{ padding:0; }}
 .caveats {{ margin:8px 0 10px; font-size:14px; }}
 .caveats ul {{ margin:2px 0 0; padding-left:18px; }}
@@ -103,6 +105,8 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .judged.worse {{ background:var(--worse); color:var(--worse-ink); border-left:0; }}
 .tried {{ display:grid; grid-template-columns:minmax(0,1fr) auto auto; gap:3px 10px;
   font-size:13.5px; color:var(--soft); margin-top:7px; font-variant-numeric:tabular-nums; }}
+.effect > .try {{ grid-column:1 / -1; justify-self:start; margin-top:4px; font-weight:500; }}
+.effect .q-expansion-item .q-item {{ padding:2px 0; min-height:32px; font-size:13.5px; }}
 .effect > .wide {{ grid-column:1 / -1; }}
 .effect .share {{ color:var(--ink); font-weight:600; }}
 .working {{ display:flex; align-items:center; gap:14px; padding:8px 0 10px; width:100%; }}
@@ -126,7 +130,7 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .drop span {{ color:var(--soft); font-size:14px; }}
 .drop input {{ display:none; }}
 .drop progress {{ width:min(420px,100%); margin-top:10px; accent-color:var(--blue); }}
-#drop-trouble {{ margin-top:12px; }}
+#drop-trouble {{ margin-top:12px; scroll-margin:16px; }}
 .mapping {{ display:grid; grid-template-columns:minmax(70px,auto) minmax(0,1fr) 88px; gap:8px 10px;
   align-items:center; margin:14px 0 6px; font-size:14.5px; }}
 .mapping .soft {{ display:block; font-size:12.5px; line-height:1.2; max-width:80px; }}
@@ -142,7 +146,8 @@ table.plain th, table.plain td {{ padding:5px 14px 5px 0; text-align:left; verti
   border-bottom:1px solid var(--line); }}
 table.plain td.n, table.plain th.n {{ text-align:right; font-variant-numeric:tabular-nums;
   white-space:nowrap; }}
-.wide {{ overflow-x:auto; }}
+.wide {{ overflow-x:auto; }} #beside .wide {{ max-width:100%; }}
+#beside table.plain {{ width:auto; }}
 .command {{ display:flex; align-items:start; gap:8px; background:var(--ground); padding:8px 12px; }}
 .command > :first-child {{ flex:1 1 auto; min-width:0; }}
 .command pre {{ white-space:pre-wrap; overflow-wrap:anywhere; margin:0; font-size:13.5px; }}

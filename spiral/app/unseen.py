@@ -27,7 +27,7 @@ _HINT = (
 def horizon(row: Mapping[str, Any]) -> str:
     """How far ahead, in words: ``next sample``, ``0.1 s ahead``, ``free run``."""
     if row["horizon"] == "ahead":
-        return f"{row['seconds']:.3g} s ahead"
+        return f"{row['seconds']:.2g} s ahead"
     return {"one_sample": "next sample", "free_run": "free run"}[row["horizon"]]
 
 

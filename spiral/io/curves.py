@@ -37,6 +37,12 @@ class Curves:
         found = self.arrays.get(".".join(map(str, key)))
         return None if found is None else np.asarray(found, dtype=float)
 
+    @property
+    def tested(self) -> int:
+        """The first test record; where there is none, the first that was fitted."""
+        parts = [r["part"] for r in self.meta["records"]]
+        return parts.index("test") if "test" in parts else 0
+
     def time(self, record: int) -> Array:
         """Time of a record, s."""
         about = self.meta["records"][record]

@@ -23,6 +23,13 @@ def number(value: float | None, digits: int = 4) -> str:
     return "-" if not _finite(value) else f"{float(value):.{digits}g}"  # type: ignore[arg-type]
 
 
+def digits(value: float | None, count: int = 3) -> str:
+    """So many significant digits, those of a round number too: ``1.00``."""
+    if not _finite(value) or not 1e-3 <= abs(float(value)) < 1e4:  # type: ignore[arg-type]
+        return number(value, count)
+    return f"{float(value):#.{count}g}".removesuffix(".")  # type: ignore[arg-type]
+
+
 def probability(value: float | None) -> str:
     """A p-value: ``0.32``, ``2e-09``, ``< 1e-99``."""
     if not _finite(value):

@@ -287,7 +287,10 @@ def check_increasing(name: str, time: Array) -> None:
         raise InputError(
             f"{name}: time runs from {time[row - 1]:.9g} s to {time[row]:.9g} s at row {row}",
             "time that increases in every row",
-            "sort the file, drop repeated rows, or give record.rate instead of a time column",
+            "sort the file, drop repeated rows, or leave the column of time out: "
+            f"record.rate={1 / float(np.median(steps[steps > 0])):.6g}"
+            if np.any(steps > 0)
+            else "give record.rate instead of a time column",
         )
 
 
@@ -310,8 +313,8 @@ def _even_steps(steps: Array, mean: float) -> str:
     longest = float(steps.max() / np.median(steps))
     if longest > 1.5:
         return (
-            f"record.fill_gaps={round(longest) - 1} bridges gaps of so many samples, record.rows "
-            "cuts the record there, record.resample makes uneven steps even"
+            f"record.resample={1 / mean:.4g} makes uneven steps even; where samples are missing, "
+            f"record.fill_gaps={round(longest) - 1} bridges so many, record.rows cuts there"
         )
     return (
         f"record.resample={1 / mean:.4g} makes the steps even, record.rate={1 / mean:.4g} says so"

@@ -44,6 +44,12 @@ def judged(page, where):
     return re.findall(r"(better|same|worse)", text)
 
 
+def legend(page, figure):
+    """Names in the legend of a figure."""
+    wanted = f"#plot-{figure} .legendtext"
+    return page.eval_on_selector_all(wanted, "all => all.map(e => e.textContent)")
+
+
 def choose(page, label, option):
     """Choose a column for a series in the mapping."""
     page.click(f"[data-for='{label}'] .q-select")

@@ -107,6 +107,46 @@ def test_a_file_becomes_a_study(tab, served, files, picture):
     tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
 
 
+def test_a_machine_that_works_in_volts_needs_no_typing_but_its_units(tab, served, files, picture):
+    """The message about a unit of another kind offers the setting; a click takes it over."""
+    rows = np.loadtxt(files / "rig.csv", delimiter=";", skiprows=2)
+    head = "t;out;drive"
+    np.savetxt(files / "volts.csv", rows * [1e-3, 1e-3, 1.0], "%.9g", delimiter=";", header=head,
+               comments="")  # fmt: skip
+    tab.goto(served.address)
+    tab.set_input_files("#drop-file", files / "volts.csv")
+    tab.click(".q-select >> nth=0")
+    tab.click(".q-menu .q-item:has-text('oscillator')")
+    tab.wait_for_selector(".mapping")
+    choose(tab, "x", "out")
+    choose(tab, "force", "drive")
+    for name, field in (("x", "position_unit"), ("force", "force_unit")):
+        tab.fill(f"input[aria-label='unit of {name}']", "V")
+        offer = f"#advice button:has-text(\"Use system.{field}='V'\")"
+        tab.wait_for_selector(offer)
+        picture(tab, f"volts-{name}")
+        tab.click(offer)
+        tab.wait_for_selector(offer, state="detached")
+    tab.wait_for_selector("button:has-text('Compare with the model'):enabled")
+    units = tab.eval_on_selector_all(
+        "section:has-text('What was understood') td:last-child", "a => a.map(c => c.innerText)"
+    )
+    assert units.count("V") == 4  # x and force, fitted and test
+    tab.click("button:has-text('Compare with the model')")
+    tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
+
+
+def test_what_is_wrong_with_a_file_is_in_view(tab, served, files):
+    """Also on a low screen, where the place for files is at the bottom."""
+    tab.set_viewport_size({"width": 1280, "height": 640})
+    tab.goto(served.address)
+    tab.set_input_files("#drop-file", files / "empty.csv")
+    tab.wait_for_selector("#drop-trouble:visible")
+    tab.wait_for_function(
+        "document.querySelector('#drop-trouble').getBoundingClientRect().bottom <= innerHeight"
+    )
+
+
 def test_an_effect_of_ones_own_is_tested_at_once(tab, served, picture):
     """On the study of the test before: the formula is found equal to the effect that it writes."""
     tab.goto(served.address)
@@ -145,11 +185,20 @@ def test_aliases_are_compared_side_by_side(tab, served, picture):
     assert sorted(rows[0][1:]) == ["cubic stiffness", "hardening"]
     assert [rows[1][0], rows[3][0]] == ["next sample", "free run"]
     assert re.fullmatch(r"0\.\d+ s ahead", rows[2][0])
-    assert rows[-1][0].startswith("χ²/dof, stretches of ")
+    assert rows[-1][0].startswith("χ²/dof, over ")
     same = [one == other for _, one, other in rows[1:-1]]  # to the digits shown
     assert all(same), rows
     assert float(rows[-1][1]) == pytest.approx(float(rows[-1][2]), rel=0.002)
     picture(tab, "aliases-compared")
+    tab.click("button:has-text('Which test tells'):enabled")
+    tab.wait_for_selector("#plan table")
+    told = tab.inner_text("#plan")
+    assert "the record at hand" in told
+    assert "No planned test reaches 95%" in told  # one effect under two names
+    picture(tab, "planned")
+    tab.wait_for_selector("button:has-text('Compare them'):enabled")
+    tab.click("button:has-text('Compare them'):enabled")
+    tab.wait_for_selector(".alike table")
     tab.click(".alike button:has-text('Add hardening'):enabled")
     tab.wait_for_selector(".chip.added:has-text('hardening')")
 

@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spiral.app.study import Turn, new_study, save
-from tests.browser.steps import SECOND, add, error, filled, judged, ready, shows
+from spiral.app.study import Turn, new_study, save, turn_place
+from spiral.view.report.style import hovering
+from spiral.view.report.unknown import loops
+from tests.browser.steps import SECOND, add, error, filled, judged, legend, ready, shows
 
 RATE, SAMPLES = 500.0, 3000
 
@@ -60,7 +62,7 @@ def test_an_effect_that_predicts_worse_is_not_the_filled_button(tab, study, pict
     tab.goto(study)
     tab.wait_for_selector("#proposal.worse")
     said = tab.inner_text("#proposal")
-    assert "cubic stiffness passes all gates" in said
+    assert "cubic stiffness is confirmed" in said
     assert "predicts the test record worse: " in said
     assert "next sample, 0.1 s ahead and free run" in said
     assert filled(tab) == []
@@ -123,6 +125,29 @@ def test_every_branch_is_kept_and_caveats_stand_beside_the_verdict(tab, served, 
     tab.wait_for_selector("button:has-text('Redo clearance')")
     tab.click("button:has-text('Redo cubic stiffness')")
     tab.wait_for_selector("#caveats")
+
+
+def test_memory_of_what_is_missing_is_told_and_drawn(tab, served, picture):
+    """A study on disk: a loop that is there at every speed, with the sentence that tells it."""
+    angle = np.linspace(0.0, 4 * np.pi, 160)
+    loop = {"axis": "x", "position": (1e-3 * np.sin(angle)).tolist(),
+            "force": (20 * np.cos(angle)).tolist()}  # fmt: skip
+    told = "What is missing has memory: at mass 14 N (rms) depend on how the motion came there."
+    figure = hovering(loops({"memory": {"loops": [loop], "position_unit": "m", "unit": "N"}}))
+    made = new_study(served.out, "memory", ("experiment=rotor_coastdown",))
+    folder = turn_place(served.out, made.ident, 0) / "figures"
+    folder.mkdir(parents=True)
+    (folder / "memory.json").write_text(figure.to_json())
+    drawn = (("memory", "A force with memory", "There and back."),)
+    turn = Turn(0, "", {"test_error": 0.2}, (), verdict="no_candidate", memory=told, figures=drawn,
+                run_id="20260101-000000-abc")  # fmt: skip
+    save(served.out, replace(made, turns=(turn,), serials=1))
+    tab.goto(f"{served.address}/study/{made.ident}")
+    tab.wait_for_selector("#ending:has-text('What is missing has memory')")
+    tab.click(".q-tab:has-text('Missing force')")
+    tab.wait_for_selector("#plot-memory .main-svg")
+    assert legend(tab, "memory") == ["position grows", "position falls", "begins here"]
+    picture(tab, "memory")
 
 
 def test_an_effect_that_was_let_go_is_no_part_of_the_model(tab, served, picture):

@@ -7,7 +7,18 @@ import time
 import pytest
 
 from tests.browser.conftest import PATIENCE
-from tests.browser.steps import FIRST, SECOND, add, error, filled, held, judged, ready, shows
+from tests.browser.steps import (
+    FIRST,
+    SECOND,
+    add,
+    error,
+    filled,
+    held,
+    judged,
+    legend,
+    ready,
+    shows,
+)
 
 DRAWN = """[...document.querySelectorAll('.js-plotly-plot')].every(
     plot => plot.querySelector('.main-svg'))"""
@@ -144,7 +155,7 @@ def test_every_tab_of_figures_draws(tab, study, picture):
     assert {"Measured and model", "Where it fails", "Spectra", "Hidden states"} <= set(titles)
     tab.click(".q-tab:has-text('Where it fails')")
     tab.wait_for_selector(".sentence:has-text('The model fails between')")
-    assert tab.url.endswith("?tab=Where%20it%20fails")
+    assert tab.url.endswith("&tab=Where%20it%20fails")
 
 
 SEEN = """(() => {
@@ -179,6 +190,56 @@ def test_zooming_shows_every_sample_and_stays(tab, study, picture):
     assert tab.evaluate(SEEN) == zoomed
 
 
+def test_why_an_effect_is_proposed_is_drawn_and_any_other_can_be_tried(tab, study, picture):
+    tab.goto(study["address"])
+    ready(tab, SECOND)
+    tab.click("text=Where it helps")
+    tab.wait_for_selector("#plot-why .main-svg")
+    assert "without it" in tab.text_content("#plot-why")
+    other = tab.locator("button[aria-label^='Try ']:enabled").first
+    name = other.get_attribute("aria-label").removeprefix("Try ").partition(" on the test")[0]
+    other.click()
+    tried = f".effect:has(button[aria-label='Add {name}']) .tried"
+    tab.wait_for_selector(tried)
+    assert len(judged(tab, tried)) == 3
+    assert filled(tab) == [f"Add {SECOND}"]  # a trial proposes nothing
+    picture(tab, "why")
+
+
+def test_a_link_opens_the_same_view_of_steps_side_by_side(tab, chromium, served, study, picture):
+    """Two steps compared, a stretch zoomed: another tab that opens the address shows the same."""
+    tab.goto(study["address"])
+    ready(tab, SECOND)
+    tab.click("text=Compare steps and branches side by side")
+    tab.wait_for_selector("#plot-beside .nsewdrag")
+    assert legend(tab, "beside") == ["measured", "the model as it was", f"+ {FIRST}"]
+    rows = [r.split("\t") for r in tab.inner_text("#beside table >> nth=0").split("\n")]
+    free = next(r for r in rows if r[0] == "free run")
+    assert [float(c.split()[0]) for c in free[1:]] == [study["before"][0], study["after"][0]]
+    assert "linear stiffness, stiffness x" in tab.inner_text("#beside table >> nth=1")
+    tab.locator("#plot-beside").scroll_into_view_if_needed()
+    box = tab.locator("#plot-beside .nsewdrag >> nth=0").bounding_box()
+    at = (box["x"] + 0.6 * box["width"], box["y"] + box["height"] / 2)
+    tab.mouse.move(*at)
+    tab.mouse.down()
+    tab.mouse.move(at[0] + 50, at[1], steps=5)
+    tab.mouse.up()
+    tab.wait_for_function("location.search.includes('zoom=beside.xaxis:')")
+    picture(tab, "beside")
+    other = served.enter(chromium.new_page())
+    other.goto(tab.url)
+    other.wait_for_selector("#plot-beside .main-svg")
+    ranges = "document.querySelector('#plot-beside').layout.xaxis.range.map(x => +x.toFixed(3))"
+    assert other.evaluate(ranges) == tab.evaluate(ranges)
+    assert other.url == tab.url
+    other.goto(f"{study['address'].partition('?')[0]}?turn=0&tab=Nonsense&zoom=free_run.xaxis:a:b")
+    other.wait_for_selector(f"button:has-text('Redo {FIRST}')")  # the step that was asked for
+    shows(other, study["before"])
+    other.click(f"button:has-text('Redo {FIRST}')")
+    shows(tab, study["after"])
+    other.close()
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_no_violation_of_accessibility(chromium, served, study, scheme):
     """axe-core on the start page, and on a study with every tab of its figures."""
@@ -198,6 +259,10 @@ def test_no_violation_of_accessibility(chromium, served, study, scheme):
     assert page.title() == "Rotor coastdown - SPIRAL"
     assert page.get_attribute("html", "lang") == "en-US"
     page.click("text=Write an effect of your own")
+    page.click("text=Where it helps")
+    page.wait_for_selector("#plot-why .main-svg")
+    page.click("text=Compare steps and branches side by side")
+    page.wait_for_selector("#plot-beside .main-svg")
     for number in range(page.locator(".q-tab").count()):
         page.click(f".q-tab >> nth={number}")
         page.wait_for_function(DRAWN)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from spiral.io.readers import preparation
+from spiral.io.readers import own_units, preparation
 from spiral.io.readers.files import Table
 from spiral.io.readers.pulses import Edge
 from spiral.io.readers.sampling import FileSeries, resampled, without_gaps
@@ -19,7 +19,6 @@ from spiral.types.fields import construct
 from spiral.types.record import Array, Record, check_increasing, check_noise, make_record
 from spiral.types.source import Source
 from spiral.types.system import System
-from spiral.types.units import factor
 
 _TIME_COLUMNS = ("time", "t")
 
@@ -209,9 +208,7 @@ class Columns(Source):
         inputs = {n: c for n, c in inputs.items() if n not in constant}
         clock = self._clock(table)
         units = self._units(system, table, {**channels, **inputs, **clock})
-        scale = {
-            n: factor(u, "s" if n == "time" else system.unit_of(n), n) for n, u in units.items()
-        }
+        scale = {n: own_units.scale(u, system, n) for n, u in units.items()}
         offset = self._offsets((*channels, *inputs))
         pulse = {} if self.pulse is None else {"pulse": self.pulse}
         return ColumnLayout(channels, inputs, clock, pulse, units, scale, offset, constant)

@@ -100,7 +100,7 @@ def npz_arrays(given: str, path: Path) -> dict[str, np.ndarray]:
 
     Raises
     ------
-    InputError : no NPZ file, or more than may be unpacked.
+    InputError : no NPZ file, Python objects in it, or more than may be unpacked.
     """
     if not zipfile.is_zipfile(path):
         raise InputError(f"{given}: no NPZ file", "named arrays in an NPZ file", "numpy.savez")
@@ -109,7 +109,20 @@ def npz_arrays(given: str, path: Path) -> dict[str, np.ndarray]:
         for member in packed.infolist():
             allowance.take(max(member.file_size, _declared(packed, member)))
     with np.load(path, allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+        return {name: _numbers(given, arrays, name) for name in arrays.files}
+
+
+def _numbers(given: str, arrays: Any, name: str) -> np.ndarray:
+    """One array; Python objects are never loaded, since loading them runs what they hold."""
+    try:
+        return arrays[name]
+    except ValueError as error:
+        if "allow_pickle" not in str(error):
+            raise
+        raise InputError(
+            f"{given}: {name!r} holds Python objects", "arrays of numbers",
+            f"numpy.savez(FILE, {name}=numpy.asarray({name}, float))",
+        ) from error  # fmt: skip
 
 
 def _declared(packed: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,8 @@ from spiral.view.report.style import (
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+_FEW, _LABELS = 8, 5  # points of a curve that all have words beside them; else so many of them
+_TICKS = 16
 _LABEL = 16  # letters of a label's line
 _LEAST = 1e-3  # percent, where an error of zero is drawn
 
@@ -58,7 +61,9 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
             line={"color": colour, "width": 3, "shape": "hv", "dash": dash}, marker={"size": 10},
             hovertemplate="%{customdata}<br>%{y:.3g} %",
         )  # fmt: skip
-    for number, name, r in zip(numbers, names, found, strict=True):
+    told = _told([_percent(r.get("test_error")) for r in found])
+    for index in told:
+        number, name, r = numbers[index], names[index], found[index]
         value = _percent(r.get("test_error"))
         at = {"y": 1, "yref": "paper", "yanchor": "top", "font": {"size": 13, "color": VERMILION}}
         if value is not None:
@@ -68,6 +73,26 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
                               showarrow=False, xanchor="left", xshift=7, **at)  # fmt: skip
     _floor_and_axes(figure, found, result.get("noise_floor"))
     return figure
+
+
+def _told(values: Sequence[float | None]) -> list[int]:
+    """Which points of a curve have room for their words: all of a few, else where most happens.
+
+    Of many: the first, the last, those that are not finite, and after the largest changes.
+    """
+    if len(values) <= _FEW:
+        return list(range(len(values)))
+    size = [
+        math.inf if b is None or a is None else abs(math.log(b / a))
+        for a, b in itertools.pairwise(values)
+    ]
+    order = sorted(range(1, len(values) - 1), key=lambda i: size[i - 1], reverse=True)
+    chosen = [0, len(values) - 1]
+    apart = len(values) / (_LABELS + 1)  # so that the words of two do not meet
+    for i in order:
+        if len(chosen) < _LABELS and min(abs(i - c) for c in chosen) >= apart and size[i - 1] > 0:
+            chosen.append(i)
+    return sorted(chosen)
 
 
 def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], share: float | None) -> None:
@@ -85,14 +110,15 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], share: floa
             font={"size": 13, "color": "#555"},
         )
     numbers = [r["round"] for r in found]
-    figure.update_xaxes(title_text="round", tickmode="array", tickvals=numbers,
+    ticks = numbers[:: math.ceil(len(numbers) / _TICKS)]
+    figure.update_xaxes(title_text="round", tickmode="array", tickvals=ticks,
                         range=[-0.15, numbers[-1] + max(0.8, 0.28 * numbers[-1])])  # fmt: skip
     values = _known(found)
     low, high = min([*values, floor or math.inf]), max(values)
     bottom, top = math.log10(low) - 0.25, math.log10(high)
     span = [bottom, top + max(0.45, 0.2 * (top - bottom))]  # room for the labels of the highest
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
-                        range=span, dtick=decades(*span),
+                        range=span, **decades(*span),
                         minor={"showgrid": True, "gridcolor": "rgba(0,0,0,0.047)"})  # fmt: skip
 
 

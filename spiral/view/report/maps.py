@@ -135,7 +135,7 @@ def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
     drawn = np.concatenate([np.asarray(t.y, dtype=float) for t in figure.data])
     drawn = np.log10(drawn[drawn > 0])  # bars begin at the noise, or below the lowest curve
     span = [min(0.0, drawn.min() - 0.1), drawn.max() + 0.15]
-    figure.update_yaxes(type="log", dtick=decades(*span), range=span,
+    figure.update_yaxes(type="log", **decades(*span), range=span,
                         minor={"showgrid": True, "gridcolor": "rgba(0,0,0,0.047)"})  # fmt: skip
     if phase is not None:
         angle = {"dtick": 90, "range": [0, 360]}

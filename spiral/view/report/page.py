@@ -64,12 +64,12 @@ def closer(curves: Curves, name: str, span: Span) -> Figure | None:
     """A figure of a series whose samples between two moments are all drawn, or many of them."""
     if name != FREE_RUN:
         return None
-    return motion.measured_against_model(curves, _test(curves), maps.first_model(curves), span)
+    return motion.measured_against_model(curves, curves.tested, maps.first_model(curves), span)
 
 
 def _before(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]:
     """What is seen before anything is added."""
-    model, test = maps.first_model(c), _test(c)
+    model, test = maps.first_model(c), c.tested
     number = c.meta["models"][model].get("record", 0)
     turning = c.get(number, "phase") is not None
     axes = ", frequency, speed, order" if turning else " and frequency"
@@ -89,7 +89,7 @@ def _before(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]
 
 def _after(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]:
     """What is seen with the final model."""
-    test = _test(c)
+    test = c.tested
     free: list[tuple[str, str, str, Callable[[], Figure | None]]] = []
     if SEED in c.meta["models"]:
         free = [("free_run", "Free run on the test record", text.FREE,
@@ -105,12 +105,6 @@ def _after(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]
         ("hidden", "States that no sensor sees", text.HIDDEN, lambda: motion.hidden_states(c)),
         ("campbell", "Natural frequencies and damping", text.CAMPBELL, lambda: maps.campbell(c)),
     ]  # fmt: skip
-
-
-def _test(curves: Curves) -> int:
-    """The first test record; where there is none, the first that was fitted."""
-    parts = [r["part"] for r in curves.meta["records"]]
-    return parts.index("test") if "test" in parts else 0
 
 
 def report_of(saved: SavedRun) -> str | None:

@@ -5,6 +5,7 @@ The palette is that of Okabe and Ito (2008).
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from functools import lru_cache
@@ -133,9 +134,16 @@ def _look() -> Any:
     return go.layout.Template(layout=look)
 
 
-def decades(low: float, high: float) -> Any:
-    """The ticks of a logarithmic axis: decades, or 1, 2, 5 where there are few; log10 of both."""
-    return 1 if high - low > 1.7 else "D2"
+def decades(low: float, high: float) -> dict[str, Any]:
+    """The ticks of a logarithmic axis: decades, or 1, 2, 5 where there are few; log10 of both.
+
+    Those few are written out: Plotly writes 20 as 2 beside its decade, which may be out of view.
+    """
+    if high - low > 1.7:
+        return {"dtick": 1}
+    powers = range(math.floor(low), math.ceil(high))
+    values = [m * 10.0**p for p in powers for m in (1, 2, 5)]
+    return {"tickvals": values, "ticktext": [f"{v:g}" for v in values]}
 
 
 def line(

@@ -50,7 +50,8 @@ def curves(result: Mapping[str, Any]) -> go.Figure | None:
 def loops(result: Mapping[str, Any]) -> go.Figure | None:
     """A missing force with memory over position, in order of time, one panel for each axis.
 
-    Where the position grows the line is drawn in another colour than where it falls.
+    Where the position grows the line is drawn in another colour than where it falls; the two meet
+    where the motion turns, and a ring marks where the line begins.
     """
     found = result.get("memory")
     if not found:
@@ -61,13 +62,27 @@ def loops(result: Mapping[str, Any]) -> go.Figure | None:
     high, force_unit = scaled(found["unit"], *(np.array(c["force"]) for c in panels))
     for column, c in enumerate(panels, 1):
         at, force = wide * np.array(c["position"]), high * np.array(c["force"])
-        grows = np.gradient(at) > 0
-        for name, color, shown in (("there", BLUE, grows), ("back", ORANGE, ~grows)):
+        grows = np.diff(at) > 0  # from each point to the next
+        for name, color, shown in (("position grows", BLUE, grows),
+                                   ("position falls", ORANGE, ~grows)):  # fmt: skip
+            x, y = _steps(at, force, shown)
             figure.add_scatter(
-                x=at, y=np.where(shown, force, np.nan), name=name, mode="lines+markers",
-                line={"color": color, "width": 2}, marker={"size": 4}, showlegend=column == 1,
-                row=1, col=column,
+                x=x, y=y, name=name, mode="lines", line={"color": color, "width": 2},
+                showlegend=column == 1, row=1, col=column,
             )  # fmt: skip
+        figure.add_scatter(
+            x=at[:1], y=force[:1], name="begins here", mode="markers", showlegend=column == 1,
+            marker={"color": "rgba(0,0,0,0)", "size": 11, "line": {"color": GREY, "width": 2}},
+            row=1, col=column,
+        )  # fmt: skip
         figure.update_xaxes(title_text=titled(c["axis"], unit), row=1, col=column)
     figure.update_yaxes(title_text=titled("force", force_unit), row=1, col=1)
     return figure
+
+
+def _steps(x: np.ndarray, y: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of a path (samples) the steps that are shown (samples - 1), as one line with gaps."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], shown, [0]])))
+    pieces = [np.append(np.arange(a, b + 1), -1) for a, b in edges.reshape(-1, 2)]
+    at = np.concatenate(pieces) if pieces else np.array([], int)
+    return np.where(at < 0, np.nan, x[at]), np.where(at < 0, np.nan, y[at])

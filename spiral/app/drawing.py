@@ -1,0 +1,50 @@
+"""Figures of a step, each a JSON file in the step's folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from spiral.inference.discover import Checkpoint
+from spiral.inference.problem import Settings
+from spiral.inference.rounds import concluded
+from spiral.io.curves import Curves
+from spiral.io.writing import finite, write_whole
+
+FIRST = ("free_run", "where", "amplitude")
+"""Figures that are drawn before all others."""
+
+
+def draw(
+    at: Checkpoint,
+    alone: Curves | None,
+    both: Curves | None,
+    folder: Path,
+    part: Callable[[str], bool] = lambda name: True,
+) -> list[tuple[str, str, str]]:
+    """Write figures of a turn as JSON; returns name, heading, caption of each.
+
+    ``alone`` are the curves of this turn's model; ``both`` with those of the first beside them.
+    """
+    from spiral.view.report.page import figures
+
+    folder.mkdir(parents=True, exist_ok=True)
+    run = concluded(at, "max_rounds", Settings(), "")
+    now_unknown = {"unknown": at.rounds[-1].details.get("unknown"), "noise_floor": None}
+    saved = {"result": finite({**run.as_dict(), **now_unknown})}
+    names = [n for n in _ORDER if part(n)]
+    compared = [n for n in names if n in _COMPARED]
+    now = ["before" if n == "free_run" else n for n in names if n not in _COMPARED]
+    shown = figures(saved, alone, now) + figures(saved, both or alone, compared)
+    found = {"free_run" if s.name == "before" else s.name: s for s in shown}
+    for name, one in found.items():
+        write_whole(folder / f"{name}.json", one.figure.to_json())
+    heads = {"free_run": "Measured against the model, on the test record"}
+    return [(n, heads.get(n, found[n].heading), found[n].caption) for n in names if n in found]
+
+
+_COMPARED = ("amplitude", "missing_force")
+_ORDER = (
+    *FIRST, "missing_force", "surface", "unknown", "memory", "evidence", "coefficients", "orbit",
+    "bode", "waterfall", "whirl", "correlation", "hidden", "campbell",
+)  # fmt: skip

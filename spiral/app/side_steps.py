@@ -1,0 +1,50 @@
+"""What a person may ask of a step without taking another: why an effect, and which test to run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from spiral.app.study import why_file
+from spiral.inference.problem import Problem, Progress
+from spiral.io.curves import Curves
+from spiral.io.registry import Registry
+from spiral.io.writing import finite, write_whole
+from spiral.types.model import Model
+
+_SHOWN = 4  # planned tests that are told, beside the record at hand
+
+
+def drawn_why(figures: Path, effect: str, before: Curves | None, after: Curves) -> bool:
+    """Draw where an effect helps on the test record; whether there was anything to draw."""
+    from spiral.view.report.style import hovering
+    from spiral.view.report.trial import helped
+
+    figure = None if before is None else helped(before, after)
+    if figure is None:
+        return False
+    figures.mkdir(parents=True, exist_ok=True)
+    write_whole(why_file(figures, effect), hovering(figure).to_json())
+    return True
+
+
+def planned(
+    problem: Problem, model: Model, effects: Sequence[str], registry: Registry, progress: Progress
+) -> Mapping[str, Any]:
+    """The tests that tell effects apart best, the record at hand first, in plain data."""
+    from spiral.inference.plan import Wanted, plan
+    from spiral.inference.plan_options import plan_options
+    from spiral.inference.planned_tests import planned_tests, simulator
+
+    chosen, question = plan_options({}), replace(problem, model=model)
+    wanted = Wanted(tuple(registry.effect_from_label(e) for e in effects), "", None)
+    tests = planned_tests(question, chosen)
+    found = plan(question, wanted, tests, simulator(question, registry.simulation), progress)
+    names = ("the record at hand", *(o.test.words for o in found.tests))
+    rows = [
+        {"test": name, "probability": o.probability, "rise": o.noncentrality, "failure": o.failure}
+        for name, o in zip(names, (found.now, *found.tests[:_SHOWN]), strict=False)
+    ]
+    return finite({"effects": list(effects), "rows": rows, "advice": found.advice})
