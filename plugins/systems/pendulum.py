@@ -14,8 +14,8 @@ class Pendulum(MechanicalSystem):
     """I theta'' + c theta' + g sin theta = torque: angle measured, rate hidden.
 
     A common factor of all terms leaves the motion as it is, so the inertia I is fixed to 1: torque
-    and coefficients are per unit inertia. ``torque_unit=N*m`` makes I a number in kg m^2, which
-    ``values`` sets and ``free`` lets the fit find.
+    and coefficients are per unit inertia. With ``torque_unit=N*m`` I is a number in kg m^2 that the
+    fit finds, or that ``values`` and ``fixed`` set.
     """
 
     torque_unit: str = "rad/s^2"
@@ -29,8 +29,9 @@ class Pendulum(MechanicalSystem):
 
     @property
     def parameters(self):
-        """The inertia, 1 unless given."""
-        return (Parameter("inertia", f"({self.torque_unit})*s^2/rad", lower=0.0, start=1.0),)
+        """The inertia: 1 where torque is per unit inertia, else unknown."""
+        start = 1.0 if self.torque_unit == "rad/s^2" else None
+        return (Parameter("inertia", f"({self.torque_unit})*s^2/rad", lower=0.0, start=start),)
 
     @property
     def ports(self):

@@ -183,11 +183,15 @@ def _injected(
     """(samples, injections) that an effect with these values injects."""
     system, count = along.system, len(along.states)
     names = [i.name for i in system.injections]
+    found = np.zeros((count, len(names)))
     if isinstance(effect, ForceEffect):
         position, velocity, jacobian = along.once(port.name, lambda: _moved(along, port))
         at = At(tuple(position.T), tuple(velocity.T), own)
-        return _applied(jacobian, _columns(asked(effect, "force", effect.force, at, u, p), count))
-    found = np.zeros((count, len(names)))
+        forces = _columns(asked(effect, "force", effect.force, at, u, p), count)
+        assert has_coordinates(system)
+        pushed = [names.index(q.name) for q in system.coordinates]
+        found[:, pushed] = _applied(jacobian, forces)
+        return found
     if isinstance(effect, StateFlow):
         at = At(tuple(_levels(along, port).T), (), own)
         into = asked(effect, "flow", effect.flow, at, u, p)

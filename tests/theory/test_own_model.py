@@ -7,9 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 from spiral_plugins.effects.restoring import ConstantLoad
 
 import spiral
+from experiments.studies.signals import band_limited
 from spiral.io.config import build_system, compose
 from spiral.io.registry import NO_FOLDER, load_registry
 from spiral.io.storage import model_data, model_from
@@ -18,6 +21,7 @@ from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
 from spiral.types.errors import SpiralError
 from spiral.types.model import seed_model
+from spiral.types.record import make_record
 
 
 def motor(t, x, u, p):
@@ -247,3 +251,37 @@ def test_a_wrong_file_is_refused_at_its_place(tmp_path, old, new, said):
         spiral.system(file)
     for words in (*said, *(["two.yaml"] if "YAML" not in said else [])):
         assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("hidden", [0.0, 0.03])
+def test_friction_is_found_in_a_machine_that_has_states_of_first_order_too(hidden):
+    """A motor whose current lags its voltage, integrated by SciPy with dry friction and without."""
+    time = np.arange(3000) / 500
+    voltage = band_limited(np.random.default_rng(3), 4.0, (0.3, 20.0), 6.0)(time)
+    drive = CubicSpline(time, voltage)
+
+    def truth(t, x):
+        given = {"k": 0.1, "d": 1e-3, "J": 1e-3, "R": 2.0, "L": 0.01}
+        rates = motor(t, x, [float(drive(t))], Given(given))
+        rates["w"] -= hidden * math.tanh(x[1] / 0.5) / 1e-3
+        return [rates["th"], rates["w"], rates["i"]]
+
+    motion = solve_ivp(truth, (0, time[-1]), [0, 0, 0], "DOP853", time, rtol=1e-9, atol=1e-12).y
+    drawn = np.random.default_rng(4).normal(size=(2, len(time)))
+    th, i = (motion[k] + 0.005 * motion[k].std() * e for k, e in zip((0, 2), drawn, strict=True))
+    system = spiral.system(motor, **{**MOTOR, "observed": ["th", "i"]}, free=["J", "d", "R"])
+    record = make_record(system, "motor", time, {"th": th, "i": i}, {"U": voltage})
+    wrong = {"system.J": 1.2e-3, "system.d": 0.8e-3, "system.R": 2.2}
+    run = spiral.discover(record, system, values=wrong)
+    assert run.missing == (("coulomb_friction",) if hidden else ())
+    values = run.model.estimates()
+    assert abs(values["system"]["J"].estimate - 1e-3) < 3 * values["system"]["J"].se
+    if hidden:
+        level = values["coulomb_friction"]["level"]
+        assert abs(level.estimate - hidden) < 3 * level.se
+
+
+class Given(dict):
+    """Parameters by name, as attributes too."""
+
+    __getattr__ = dict.__getitem__
