@@ -23,6 +23,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from spiral.inference.acting import (
+    acting,
+    coloured_noise,
+    random_forces,
+    random_sentence,
+    record_sentence,
+)
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import forgotten, memory_said
 from spiral.types.formatting import number, percent
@@ -104,63 +111,18 @@ def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
             where = name.partition(".")[2]
             reasons.append(f"the noise of {where} would be {percent(share)} of what it shows")
     modelled = found.innovation_chi2 is None or found.random is not None
-    allowed = limit * floor**2 + _STRETCHES * found.disturbed**2
+    carried = float(np.hypot(found.disturbed, found.uncertain))
+    allowed = limit * floor**2 + _STRETCHES * carried**2
     if modelled and not found.test_error**2 <= allowed:
-        made = percent(float(np.hypot(floor, found.disturbed)))
+        made = percent(float(np.hypot(floor, carried)))
         reasons.append(f"the test error is {percent(found.test_error)} where noise makes {made}")
     return tuple(reasons)
 
 
 def _drifting(found: Comparison) -> float:
     """What drifting sensors add to the error of a free run: rms of their shares over channels."""
-    shares = _acting(found, "drift").values()
+    shares = acting(found, "drift").values()
     return float(np.sqrt(sum(v**2 for v in shares) / max(len(found.channels), 1)))
-
-
-def _acting(found: Comparison, *kinds: str) -> dict[str, float]:
-    """What acts at random of some kinds, by name."""
-    return {k: v for k, v in (found.random or {}).items() if k.partition(".")[0] in kinds}
-
-
-def random_forces(found: Comparison) -> dict[str, float]:
-    """Forces that act at random beside the model, by name, as shares of the machine's own."""
-    return _acting(found, "force", "gust")
-
-
-def coloured_noise(found: Comparison) -> dict[str, float]:
-    """Noise of sensors that is not white, by name, as shares of what these show."""
-    return _acting(found, "coloured", "band")
-
-
-def random_sentence(found: Comparison) -> str:
-    """What acts at random beside white noise of the sensors; empty where nothing does."""
-    said = []
-    for name, share in (found.random or {}).items():
-        kind, _, where = name.partition(".")
-        time = found.random_times.get(name)
-        lasting = "" if time is None else f", correlated over {number(time, 2)} s"
-        if kind in ("force", "gust"):
-            states = "measured" if where == "observed" else where
-            said.append(
-                f"a random force acts on the {states} states: {percent(share)} of the machine's "
-                f"own{lasting or ', white'}"
-            )
-        elif kind == "drift":
-            said.append(f"sensor {where} drifts by {percent(share)} of its motion over the record")
-        else:
-            said.append(
-                f"the noise of sensor {where} is not white: {percent(share)} of its motion{lasting}"
-            )
-    if random_forces(found) and np.isfinite(found.disturbed):
-        said.append(f"random forces make {percent(found.disturbed)} of the motion")
-    text = "; ".join(said)
-    return text[:1].upper() + text[1:] + "." if text else ""
-
-
-def record_sentence(found: Comparison) -> str:
-    """What of the readings is no measurement, and how the record departs from model and noise."""
-    text = "; ".join((*found.spoilt, *found.departures))
-    return text[:1].upper() + text[1:] + "." if text else ""
 
 
 def near_noise(found: Comparison, settings: Settings) -> bool:

@@ -65,8 +65,8 @@ class Comparison(Readable):
     nothing where no such model was fitted; ``random_times`` its correlation time in s, where it
     has one; ``spoilt`` says in words which readings are no measurement, ``departures`` what neither
     the model nor its noise can hold (a parameter that drifts, noise that grows with its reading);
-    ``disturbed`` is the error that the random forces are expected to make of the test's free run.
-    ``between`` says how inputs run between their samples where the likelihood decided.
+    ``disturbed`` and ``uncertain`` are expected errors of the test's free run by random forces, and
+    by values and a start known only so well; ``between`` how inputs were found to run.
     ``traces`` are what the errors were computed from, while the program that did is running; no
     file keeps them.
     """
@@ -90,6 +90,7 @@ class Comparison(Readable):
     spoilt: tuple[str, ...] = ()
     departures: tuple[str, ...] = ()
     disturbed: float = 0.0
+    uncertain: float = 0.0
     between: Mapping[str, Interpolation] = field(default_factory=dict)
     traces: Traces | None = field(default=None, compare=False, repr=False)
 
@@ -115,6 +116,7 @@ class Comparison(Readable):
             "spoilt": list(self.spoilt),
             "departures": list(self.departures),
             "disturbed": self.disturbed,
+            "uncertain": self.uncertain,
             "between": dict(self.between),
             "channels": {k: v.as_dict() for k, v in self.channels.items()},
             "chi2_per_dof": self.chi2_per_dof,

@@ -4,18 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 from spiral_plugins.strategies.shooting import Shooting
 from spiral_plugins.systems.oscillator import Oscillator
 
+import spiral
+from experiments.studies.signals import band_limited
 from spiral.engine.filter.noise import sampled
 from spiral.engine.filter.task import linearised, prepare_task
+from spiral.engine.likelihood.free_doubt import free_doubt
+from spiral.engine.likelihood.noise import first_noise
 from spiral.inference.compare import compare
 from spiral.inference.evidence.horizons import Disturbed, forecast
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate
 from spiral.types.horizon import Horizon, changes
 from spiral.types.model import seed_model
+from spiral.types.record import make_record
 
 TRUTH = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 0.8}
 RATE, NOISE = 200.0, 0.05
@@ -164,3 +171,67 @@ def test_horizons_are_matched_by_name():
     one, two = horizon([[1.0] * 20], "one_sample"), horizon([[1.0] * 20], "free_run")
     assert [c.horizon for c in changes((one, two), (two,))] == ["free_run"]
     assert changes((), (one, two)) == ()
+
+
+def ran(task, start, values):
+    """Readings of a free run from a start with some values, by SciPy."""
+    row = dict(zip(task.keys, task.with_values(values).values, strict=True))
+    a = np.array([[0.0, 1.0], [-row["linear_stiffness.stiffness"], -row["linear_damping.damping"]]])
+    step = expm(a / row["system.mass"] * [[row["system.mass"]], [1.0]] * task.series.dt)
+    x, found = np.array(start), []
+    for _ in range(task.series.samples):
+        found.append(x[0])
+        x = step @ x
+    return np.array(found)
+
+
+def test_what_a_free_run_is_not_known_to_is_what_draws_make_of_it(free):
+    """Starts and values drawn as they are known, before any reading: rms over 400 free runs."""
+    task, _ = free
+    keys = ("linear_stiffness.stiffness", "linear_damping.damping")
+    middle, start = np.array([400.0, 0.8]), np.array([1.0, 0.0])
+    covariance = np.array([[0.25, 0.004], [0.004, 1e-4]])
+    task = replace(task, spread=np.array([0.01, 0.2]))
+    expected = free_doubt(task, start, keys, covariance, first_noise(task, 0.0), 0)[:, 0]
+    rng = np.random.default_rng(1)
+    values = rng.multivariate_normal(middle, covariance, 400)
+    starts = start + task.spread * rng.normal(size=(400, 2))
+    runs = [
+        ran(task, x, dict(zip(keys, v, strict=True))) for x, v in zip(starts, values, strict=True)
+    ]
+    made = np.sqrt(np.mean((np.array(runs) - ran(task, start, {})) ** 2, axis=0))
+    assert np.allclose(expected, made, atol=0.12 * made.max())
+
+
+def test_what_the_head_of_a_record_tells_makes_a_free_run_surer(free):
+    """A second of readings tells the start; of the values little is left to be known too."""
+    task, _ = free
+    noise, none = first_noise(task, 0.0), np.zeros((0, 0))
+    before = free_doubt(task, task.start, (), none, noise, 0)[200:]
+    after = free_doubt(task, task.start, (), none, noise, 200)
+    assert after.max() < 0.3 * before.max()
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.25])
+def test_what_integrates_is_judged_by_what_it_is_known_to(drag):
+    """A mass that nothing holds: its free run drifts with values that are off within their errors.
+
+    Every model of the study is judged on the same stretch of the test.
+    """
+    time = 0.02 * np.arange(3000)
+    thrust = 11.772 + band_limited(np.random.default_rng(1), 1.0, (0.05, 2.0), 60.0)(time)
+    command = CubicSpline(time, thrust)
+
+    def truth(t, x):
+        return [x[1], (x[2] - drag * x[1] * abs(x[1])) / 1.2 - 9.81, (command(t) - x[2]) / 0.15]
+
+    motion = solve_ivp(truth, (0, 60), [0, 0, 11.77], "DOP853", time, rtol=1e-9, atol=1e-12).y
+    z = motion[0] + 0.01 * motion[0].std() * np.random.default_rng(2).normal(size=3000)
+    system = spiral.system(
+        lambda t, x, u, p: [x.v, x.thrust / p.m - 9.81, (p.k * u.cmd - x.thrust) / p.tau],
+        states={"z": "m", "v": "m/s", "thrust": "N"}, inputs={"cmd": "V"}, observed=["z"],
+        parameters={"m": (1.2, "kg"), "k": (0.9, "N/V"), "tau": (0.17, "s")}, free=["k", "tau"],
+    )  # fmt: skip
+    run = spiral.discover(make_record(system, "lift", time, {"z": z}, {"cmd": thrust}), system)
+    assert run.missing == (("quadratic_damping",) if drag else ())
+    assert run.verdict == ("effect_missing" if drag else "nothing_missing")

@@ -133,9 +133,11 @@ def _doubts(task: Task, tracked: tuple[str, ...], given: Mapping[str, float]) ->
     known = dict(task.model.pairs)
     found = []
     for name in tracked:
+        if name in given:
+            found.append(given[name])
+            continue
         value = abs(task.values[task.keys.index(name)])
-        usual = np.pi / _TURNS if known[name].unit == "rad" else _SHARE * value or 1.0
-        found.append(given.get(name, usual))
+        found.append(np.pi / _TURNS if known[name].unit == "rad" else _SHARE * value or 1.0)
     return np.array(found, dtype=float)
 
 

@@ -125,6 +125,15 @@ class Maximum:
         return {k: float(s) for k, s in zip(self.keys, spread, strict=True)}
 
     @property
+    def covariance(self) -> Array:
+        """(keys, keys) covariance of the values; widened as their errors are."""
+        if self.solved is None:
+            return np.full((len(self.keys),) * 2, np.inf)
+        part = self.solved.inverse[: len(self.keys)]
+        wide = np.array(self.widened or (1.0,) * len(self.keys))
+        return (part @ part.T) * np.outer(wide, wide)
+
+    @property
     def noise_errors(self) -> dict[str, float]:
         """Standard errors of the logarithms of the noise's sizes."""
         if self.solved is None:

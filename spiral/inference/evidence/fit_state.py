@@ -38,7 +38,8 @@ class FitState:
     longest windows on which shapes were set free. ``noise`` is what acts at random, and
     ``substeps`` the integration steps per sample, where the evidence is a likelihood; ``starts``
     (states,) where each record begins, as all of it tells. ``between`` says how inputs run between
-    their samples where the likelihood prefers another way than their system's.
+    their samples where the likelihood prefers another way than their system's. ``settle`` are the
+    seconds of each test record that tell where it begins, the same for all models of a study.
     """
 
     labels: tuple[str, ...]
@@ -52,6 +53,7 @@ class FitState:
     substeps: int = 1
     starts: tuple[Array, ...] | None = None
     between: Mapping[str, Interpolation] = field(default_factory=dict)
+    settle: float | None = None
 
     def keys(self, assembly: Assembly) -> tuple[str, ...]:
         """Parameters that a fit of this standing moves."""

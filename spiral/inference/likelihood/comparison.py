@@ -19,6 +19,7 @@ from spiral.engine.filter.task import Task, linearised
 from spiral.engine.fit import fit
 from spiral.engine.growth import Stage, layouts_for
 from spiral.engine.likelihood.fit import Maximum
+from spiral.engine.likelihood.free_doubt import free_doubt
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import predicted
@@ -75,12 +76,12 @@ def compared_by_likelihood(
     assembly = integrated(assembly, state)
     progress("free run on the test record")
     own, _ = _runs(assembly, state, model, None)
-    names, run, unseen = model.system.observed, own, ()
+    names, run, seen = model.system.observed, own, {}
     other = with_test(assembly, state.values)
     if other is not None:
-        run, starts = _runs(other, state, model, _settling(other, estimate.prepared[0][0]))
-        forecaster = _forecaster(state, nuisances(assembly, state, model), starts)
-        unseen = at_horizons(other, model, run, forecaster)
+        if state.settle is None:
+            state = replace(state, settle=_settling(other, estimate.prepared[0][0]))
+        run, seen = _judged(other, state, model, estimate)
     errors, problem = run.errors(names), assembly.problem
     disturbed = _disturbed(estimate, run)
     sizes, times = acting(estimate, disturbed)
@@ -97,13 +98,25 @@ def compared_by_likelihood(
         converged=estimate.converged,
         **_remarks(problem, state),
         noise_ratio=_stated(problem.records, state.noise),
-        unseen=unseen,
+        **seen,
         random=sizes,
         random_times=times,
         disturbed=disturbed,
         departures=departures(model, estimate, white, sizes),
         traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
     )
+
+
+def _judged(
+    other: Assembly, state: FitState, model: Model, estimate: Maximum
+) -> tuple[FreeRun, dict[str, Any]]:
+    """The free run on the test records, errors at all horizons, and what is to be expected."""
+    run, starts = _runs(other, state, model, state.settle)
+    forecaster = _forecaster(state, nuisances(other, state, model), starts, estimate)
+    return run, {
+        "unseen": at_horizons(other, model, run, forecaster),
+        "uncertain": _uncertain(other, model, run, starts, estimate),
+    }
 
 
 def _remarks(problem: Problem, state: FitState) -> dict[str, Any]:
@@ -124,6 +137,24 @@ def _disturbed(estimate: Maximum, run: FreeRun) -> float:
     spread = free_spread(task, settings, estimate.noise, samples)
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.mean(spread / run.deviations()))
+
+
+def _uncertain(
+    other: Assembly, model: Model, run: FreeRun, starts: tuple[Array, ...], estimate: Maximum
+) -> float:
+    """The error that the uncertainty of values and starts is expected to make of a free run."""
+    if not estimate.finite:
+        return 0.0
+    total, count = 0.0, 0
+    for r, series in enumerate(other.study.series):
+        task = task_for(other, model, run.values[r], series.record, series.substeps)
+        begin = starts[r][0][: len(task.states)]
+        doubt = free_doubt(
+            task, begin, estimate.keys, estimate.covariance, estimate.noise, run.settled[r]
+        )
+        total, count = total + np.sum(doubt**2, axis=0), count + len(doubt)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.mean(np.sqrt(total / max(count, 1)) / run.deviations()))
 
 
 def _left(assembly: Assembly, found: LikelihoodFit) -> tuple[dict[str, float], bool]:
@@ -243,20 +274,30 @@ def _refined(heads: Assembly, state: FitState, point: Point) -> Stage:
     return Stage(whole, layouts, found if found.cost <= begun.cost else begun)
 
 
-def _forecaster(state: FitState, tracked: tuple[str, ...], starts: tuple[Array, ...]) -> Forecaster:
-    """Forecasts of a filter with the noise of a fit, begun as free runs are."""
+def _forecaster(
+    state: FitState, tracked: tuple[str, ...], starts: tuple[Array, ...], estimate: Maximum
+) -> Forecaster:
+    """Forecasts of a filter with the noise of a fit, begun as free runs are.
+
+    It knows the parameters only as well as the fit does: of a machine that integrates, a value that
+    is off within its error would else carry it away from readings that it no longer listens to.
+    """
     noise = state.noise
     assert noise is not None
+    values, errors = estimate.values, estimate.errors
+    told = {k: errors[k] for k in estimate.keys if 0 < errors[k] < abs(values[k])}
 
     def forecast(record: int, task: Task, first: int, steps: int) -> tuple[Array, Array]:
-        task, settings = filter_prepared(task, tracked, doubts(tracked))
-        if np.all(np.isfinite(starts[record])):
-            settings = replace(settings, start=starts[record][0].copy())
-        run = predicted(task, settings, noise, keep=True)
-        if not run.whole:
-            lost = np.full((task.series.samples - first, task.series.y.shape[1]), np.inf)
-            return lost, lost
-        return run.misses[first:], ahead_of(task, settings, run.means, first, steps)
+        for more in (told, {}) if told else ({},):  # sure of its values where it runs away else
+            known = {**doubts(tracked), **more}
+            own, settings = filter_prepared(task, (*tracked, *more), known)
+            if np.all(np.isfinite(starts[record])):
+                settings = replace(settings, start=starts[record][0].copy())
+            run = predicted(own, settings, noise, keep=True)
+            if run.whole:
+                return run.misses[first:], ahead_of(own, settings, run.means, first, steps)
+        lost = np.full((task.series.samples - first, task.series.y.shape[1]), np.inf)
+        return lost, lost
 
     return forecast
 

@@ -27,6 +27,7 @@ from spiral.types.formatting import number, percent
 from spiral.types.model import Model
 from spiral.types.record import Array
 
+_KNOWN = 3.0  # standard errors from zero of a parameter that is asked whether it drifts
 _TOLD = 20.0  # twice the gain in log-likelihood from which a departure is told
 _ALIKE = 9.2  # 2 log 100, of the same, under which two parameters are not told apart
 _COUNTS = 0.005  # share of its value that a parameter drifts by
@@ -93,8 +94,9 @@ def _drifts(estimate: Maximum) -> tuple[str, ...]:
     t, width = np.concatenate(times), block_for(tuple(p.whitened for p in parts)) * m
     slopes, inverse = t[:, None] * x, least_squares(x, e).inverse
     beyond = slopes - x @ (inverse @ (inverse.T @ (x.T @ slopes)))
+    errors = estimate.errors
     found = {k: _drift(e, slopes[:, j], beyond[:, j], width)
-             for j, k in enumerate(keys) if values[k]}  # fmt: skip
+             for j, k in enumerate(keys) if abs(values[k]) > _KNOWN * errors[k]}  # fmt: skip
     told = {k: d for k, d in found.items()
             if d.ratio**2 > _TOLD and abs(d.change) > _COUNTS * abs(values[k])}  # fmt: skip
     if not told:

@@ -15,6 +15,7 @@ import numpy as np
 
 from spiral.engine.likelihood.fit import informed
 from spiral.engine.statistics import spent
+from spiral.inference.acting import random_forces
 from spiral.inference.evidence.admission import cannot_be_asked, second_order
 from spiral.inference.evidence.assembly import Assembly, check_candidates, compiled_with, offers
 from spiral.inference.evidence.comparison import refined
@@ -58,7 +59,7 @@ from spiral.inference.strategies.retire import let_go
 from spiral.inference.strategy_options import LikelihoodOptions, ShootingOptions
 from spiral.inference.unknown.holding import carried, emptied, having
 from spiral.inference.unknown.shape import applies, unknown_shape
-from spiral.inference.verdict import near_noise, random_forces
+from spiral.inference.verdict import near_noise
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import changes
 from spiral.types.run import Comparison, Suggestion

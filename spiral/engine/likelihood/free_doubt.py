@@ -1,0 +1,68 @@
+"""How far a free run may be off because its start and its parameters are only known so well.
+
+With J the slopes of the readings by the start x_0 and the parameters p along the free run,
+
+    y(t) - y^(t) = J(t) (dx_0, dp),    V = (diag(S_0, V_p)^-1 + J_h^T R^-1 J_h)^-1,
+
+S_0 the first doubt of the states, V_p the covariance of the estimate, J_h and R the slopes and the
+noise on the samples that tell where the record begins. What a machine integrates grows with time;
+of a chaotic motion it grows until nothing is left to be predicted: sqrt(2) of its deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from spiral.engine.filter.setup import prepared
+from spiral.engine.filter.task import Task
+from spiral.engine.likelihood.noise import NoiseModel, first_noise
+from spiral.engine.likelihood.predict import predicted
+from spiral.types.record import Array
+
+_SMALL = 1e-5  # share of a state's first doubt by which its start is moved
+
+
+def free_doubt(
+    task: Task, start: Array, keys: Sequence[str], covariance: Array, noise: NoiseModel,
+    settled: int,
+) -> Array:  # fmt: skip
+    """(samples - settled, channels) standard deviation of a free run from ``start``.
+
+    Parameters
+    ----------
+    keys : parameters whose ``covariance`` is known. noise : of the sensors. settled : samples that
+        told where the record begins.
+    """
+    task, settings = prepared(task, ())
+    sure = replace(settings, covariance=np.zeros_like(settings.covariance))
+    deviations = task.series.y.std(axis=0)
+    deaf = first_noise(task, 0.0, deviations)  # a filter that is sure of its state corrects nothing
+    spreads = _SMALL * task.spread
+
+    def misses(x: Array, names: Sequence[str] = ()) -> tuple[Array, Array]:
+        run = predicted(task, replace(sure, start=x), deaf, names)
+        left = run.misses if run.whole else np.full_like(run.misses, np.nan)
+        return left, run.slopes
+
+    with np.errstate(all="ignore"):
+        base, slopes = misses(start, keys)
+        moved = [misses(start + step)[0] - base for step in np.diag(spreads)]
+        by_start = np.stack(moved, axis=2) / _SMALL if moved else np.zeros((*base.shape, 0))
+        by_values = -slopes @ _root(covariance)
+        scaled = np.concatenate([by_start, by_values], axis=2)  # for doubts of one
+        white = np.array([noise.values[f"white.{c}"] for c in task.compiled.traced.channels])
+        head = (scaled[:settled] / white[:, None]).reshape(-1, scaled.shape[2])
+        known = np.eye(scaled.shape[2]) + np.nan_to_num(head).T @ np.nan_to_num(head)
+        parts = scaled[settled:] @ np.linalg.inv(np.linalg.cholesky(known)).T
+        found = np.sqrt(np.sum(parts**2, axis=2))
+    most = np.sqrt(2.0) * deviations
+    return np.minimum(np.nan_to_num(found, nan=np.inf, posinf=np.inf), most)
+
+
+def _root(covariance: Array) -> Array:
+    """L of V = L L^T."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -1,0 +1,65 @@
+"""What acts on a record beside the model, and how the record departs from both, in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spiral.types.formatting import number, percent
+from spiral.types.run import Comparison
+
+_SENSITIVE = 0.3  # error of a free run from which no model is asked to follow the motion
+
+
+def acting(found: Comparison, *kinds: str) -> dict[str, float]:
+    """What acts at random of some kinds, by name."""
+    return {k: v for k, v in (found.random or {}).items() if k.partition(".")[0] in kinds}
+
+
+def random_forces(found: Comparison) -> dict[str, float]:
+    """Forces that act at random beside the model, by name, as shares of the machine's own."""
+    return acting(found, "force", "gust")
+
+
+def coloured_noise(found: Comparison) -> dict[str, float]:
+    """Noise of sensors that is not white, by name, as shares of what these show."""
+    return acting(found, "coloured", "band")
+
+
+def random_sentence(found: Comparison) -> str:
+    """What acts at random beside white noise of the sensors; empty where nothing does."""
+    said = []
+    for name, share in (found.random or {}).items():
+        kind, _, where = name.partition(".")
+        time = found.random_times.get(name)
+        lasting = "" if time is None else f", correlated over {number(time, 2)} s"
+        if kind in ("force", "gust"):
+            states = "measured" if where == "observed" else where
+            said.append(
+                f"a random force acts on the {states} states: {percent(share)} of the machine's "
+                f"own{lasting or ', white'}"
+            )
+        elif kind == "drift":
+            said.append(f"sensor {where} drifts by {percent(share)} of its motion over the record")
+        else:
+            said.append(
+                f"the noise of sensor {where} is not white: {percent(share)} of its motion{lasting}"
+            )
+    if random_forces(found) and np.isfinite(found.disturbed):
+        said.append(f"random forces make {percent(found.disturbed)} of the motion")
+    text = "; ".join(said)
+    return text[:1].upper() + text[1:] + "." if text else ""
+
+
+def record_sentence(found: Comparison) -> str:
+    """What of the readings is no measurement, and how the record departs from model and noise."""
+    text = "; ".join((*found.spoilt, *found.departures, *_sensitive(found)))
+    return text[:1].upper() + text[1:] + "." if text else ""
+
+
+def _sensitive(found: Comparison) -> tuple[str, ...]:
+    """What becomes of a free run where little that is not known grows large, as in chaos."""
+    if not found.uncertain > max(_SENSITIVE, found.disturbed, 3 * found.noise_floor):
+        return ()
+    made = percent(found.uncertain)
+    return (f"what is not known of start and values alone makes {made} of a free run: no model "
+            "follows such a motion for so long",)  # fmt: skip
