@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from types import SimpleNamespace
 
 from spiral.types.errors import ConfigError
@@ -90,7 +91,7 @@ class Equations(MechanicalSystem):
 
     @property
     def ports(self):
-        """Those named, then one for each other coordinate; without any, one for each state."""
+        """Those named, one for each other coordinate, one between any two; else each state."""
         if not self.coordinates:
             return tuple(
                 Port(s.name, (s.name,), _state(s.name), s.unit, f"({s.unit or '1'})/s")
@@ -99,7 +100,13 @@ class Equations(MechanicalSystem):
         named = self.form.definition.ports
         taken = {text for _, texts in named for text in texts}
         derived = ((c.name, (c.name,)) for c in self.coordinates if c.name not in taken)
-        return tuple(self._port(name, texts) for name, texts in (*named, *derived))
+        known = {text.replace(" ", "") for text in taken}
+        between = (
+            (f"{a.name}_{b.name}", (f"{b.name} - {a.name}",))
+            for a, b in itertools.combinations(self.coordinates, 2)
+            if a.unit == b.unit and not known & {f"{b.name}-{a.name}", f"{a.name}-{b.name}"}
+        )
+        return tuple(self._port(name, texts) for name, texts in (*named, *derived, *between))
 
     @property
     def seed(self):

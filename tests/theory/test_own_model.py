@@ -253,6 +253,20 @@ def test_a_wrong_file_is_refused_at_its_place(tmp_path, old, new, said):
         assert words in str(caught.value)
 
 
+def test_effects_may_act_between_any_two_coordinates_of_one_unit():
+    """Two masses have a place between them; a carriage and an angle have none."""
+
+    def two(t, x, u, p):
+        return [x.va, x.vb, (u.F - p.k * x.a) / p.m, -p.k * x.b / p.m]
+
+    units = {"a": "m", "b": "m", "va": "m/s", "vb": "m/s"}
+    given = {"inputs": {"F": "N"}, "parameters": {"m": "1 kg", "k": "9 N/m"}, "observed": ["a"]}
+    names = [p.name for p in spiral.system(two, units, **given).ports]
+    assert names == ["a", "b", "a_b"]
+    named = spiral.system(two, units, **given, ports={"coupling": "a - b"})
+    assert [p.name for p in named.ports] == ["coupling", "a", "b"]
+
+
 @pytest.mark.parametrize("hidden", [0.0, 0.03])
 def test_friction_is_found_in_a_machine_that_has_states_of_first_order_too(hidden):
     """A motor whose current lags its voltage, integrated by SciPy with dry friction and without."""
