@@ -126,10 +126,7 @@ def task_with(
     mapping = static_map(compiled.traced, values)
     grid = series.inputs if inputs is None else inputs
     centre, scales, rates = _settled(compiled, series, grid, values, mapping)
-    if start is None:
-        begin = _at_rest(compiled, grid, values, _first_state(compiled, series, mapping))
-    else:
-        begin = np.array(start, float)
+    begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
     return Task(
         model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping
     )
@@ -143,6 +140,32 @@ def on_scales(task: Task, other: Task) -> Task:
             for name, values in found.items():
                 values[i] = getattr(other, name)[other.states.index(state)]
     return replace(task, **found)
+
+
+def at_rest(task: Task) -> Array | None:
+    """A first state whose hidden states of first order are where their own rates are zero.
+
+    By Newton's steps at the mean inputs: a level where what flows out is what is pumped in, a
+    thrust that is asked for. Nothing where there are none, or where the steps lead nowhere.
+    """
+    traced, values = task.compiled.traced, np.ascontiguousarray(task.values)
+    rates = {traced.rate_name(s) for s in traced.states}
+    own = [s for s in traced.states if s not in rates and traced.rate_name(s) not in traced.states]
+    hidden = [traced.states.index(s) for s in own if s not in traced.channels]
+    n, u = len(task.start), np.ascontiguousarray(task.inputs.mean(axis=0))
+    x, rate, a, b = task.start.copy(), np.empty(n), np.empty((n, n)), np.zeros((n, len(values)))
+    x[hidden] = np.where(x[hidden] == 0, _REST, x[hidden])
+    with np.errstate(all="ignore"):
+        for _ in range(_NEWTON if hidden else 0):
+            task.compiled.rate(x, u, values, rate, a, b)
+            part = a[np.ix_(hidden, hidden)]
+            if not (np.all(np.isfinite(part)) and np.all(np.isfinite(rate))):
+                break
+            step = np.linalg.lstsq(part, -rate[hidden], rcond=None)[0]
+            x[hidden] += step
+            if np.all(np.abs(step) <= _CLOSE * np.abs(x[hidden])):
+                return x
+    return None
 
 
 def enough_substeps(compiled: Compiled, values: Array, series: Series) -> int:
@@ -207,36 +230,6 @@ def _guessed(compiled: Compiled, series: Series, mapping: StaticMap | None) -> A
             for j, name in enumerate(mapping.hidden):
                 states[:, names.index(place(name))] = found[:, j]
     return states
-
-
-def _at_rest(compiled: Compiled, grid: Array, values: Array, start: Array) -> Array:
-    """A first state with hidden states of first order where their own rates are zero.
-
-    Newton's steps at the mean inputs (a level where the outflow is what is pumped in, a thrust that
-    is asked for); as it was where these lead to none, or to no number.
-    """
-    traced = compiled.traced
-    moving = {traced.rate_name(c) for c in traced.states}
-    hidden = [
-        i for i, s in enumerate(traced.states)
-        if s not in traced.channels and s not in moving and traced.rate_name(s) not in traced.states
-    ]  # fmt: skip
-    if not hidden:
-        return start
-    n, u = len(start), np.ascontiguousarray(grid.mean(axis=0))
-    x, rate, a, b = start.copy(), np.empty(n), np.empty((n, n)), np.zeros((n, len(values)))
-    x[hidden] = np.where(x[hidden] == 0, _REST, x[hidden])
-    with np.errstate(all="ignore"):
-        for _ in range(_NEWTON):
-            compiled.rate(x, u, np.ascontiguousarray(values), rate, a, b)
-            part = a[np.ix_(hidden, hidden)]
-            if not (np.all(np.isfinite(part)) and np.all(np.isfinite(rate))):
-                return start
-            step = np.linalg.lstsq(part, -rate[hidden], rcond=None)[0]
-            x[hidden] += step
-            if np.all(np.abs(step) <= _CLOSE * np.abs(x[hidden])):
-                return x
-    return start
 
 
 def _first_state(compiled: Compiled, series: Series, mapping: StaticMap | None) -> Array:

@@ -1,6 +1,7 @@
 """The seed fitted from several starts; the likelihood of the whole records decides.
 
-1. the values given, or the balance of forces through the measured motion (``fit_state.begin``);
+1. the values given, or the balance of forces through the measured motion (``fit_state.begin``),
+   hidden states from zero, and once more with those of first order from where they rest;
 2. a fit on windows of 64 and 256 samples, which bears values that are far off where the motion is
    measured;
 3. the first again with process noise ten times smaller and ten times larger to begin with;
@@ -18,6 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from spiral.engine.filter.task import at_rest
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import all_predicted
 from spiral.inference.evidence.assembly import Assembly
@@ -137,6 +139,10 @@ def _starts(
 ) -> Iterator[tuple[FitState, float]]:
     progress("starting from the values given")
     yield state, LEVEL
+    rests = [at_rest(task) for task, _ in subjects(assembly, state)]
+    if all(x is not None for x in rests):
+        progress("starting again from hidden states that rest")
+        yield replace(state, starts=tuple(x for x in rests if x is not None)), LEVEL
     progress("starting again from short windows")
     near = _from_windows(assembly, state)
     if near is not None:
