@@ -146,7 +146,8 @@ def at_rest(task: Task) -> Array | None:
     """A first state whose hidden states of first order are where their own rates are zero.
 
     By Newton's steps at the mean inputs: a level where what flows out is what is pumped in, a
-    thrust that is asked for. Nothing where there are none, or where the steps lead nowhere.
+    thrust that is asked for. Nothing where there are none, where the steps lead nowhere, or no
+    further than the first state may be off.
     """
     traced, values = task.compiled.traced, np.ascontiguousarray(task.values)
     rates = {traced.rate_name(s) for s in traced.states}
@@ -164,7 +165,7 @@ def at_rest(task: Task) -> Array | None:
             step = np.linalg.lstsq(part, -rate[hidden], rcond=None)[0]
             x[hidden] += step
             if np.all(np.abs(step) <= _CLOSE * np.abs(x[hidden])):
-                return x
+                return x if np.any(np.abs(x - task.start) > task.spread) else None
     return None
 
 
