@@ -61,6 +61,13 @@ class Task:
         """Full names of the parameters."""
         return self.compiled.traced.keys
 
+    @property
+    def mean_inputs(self) -> Array:
+        """(input columns,) mean of the inputs over the record."""
+        if self.inputs is self.series.inputs:
+            return self.series.mean_inputs
+        return self.inputs.mean(axis=0) if self.inputs.size else np.zeros(self.inputs.shape[1])
+
     def with_values(self, values: Mapping[str, float]) -> Task:
         """The same with other parameter values."""
         row = self.values.copy()

@@ -52,6 +52,9 @@ _WELL = 0.75  # share of it from which damping falls twice as fast
 _STALE = 0.7  # of the logarithm of a size, that one moves by before slopes by sizes are made anew
 _FRESH = 0.2  # of the same, up to which they count as made here
 _DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
+_STRONGEST = 1e6  # damping from which no step is tried
+_OTHER = 0.3  # share of a step that the next one tried differs by
+_VAIN = 0.05  # share of what is worth a step that one must promise to be tried
 
 
 Beside = Mapping[str, tuple[tuple[Array, Array], ...]]
@@ -238,7 +241,7 @@ class _Search:
         over = found.best < self.enough or (fresh and (self.rough or not faithful))
         if (gain < self.enough and over) or (better is None and fresh):
             if at.kept.stale(at.noise, sizes, _FRESH):  # by slopes of elsewhere it is not over
-                return self.with_sizes(at, _FRESH), damping, fresh, False
+                return self.with_sizes(at, _FRESH), _DAMPING, fresh, False
             return replace(at, converged=True), damping, fresh, True
         if better is None:  # no step rises, however short
             return self.with_differences(at), _DAMPING, True, False
@@ -319,10 +322,12 @@ class _Search:
         norms = np.linalg.norm(upper[:, :-1], axis=0)
         before = float(np.sum(upper[:, -1] ** 2))
         best = 0.5 * (before - solved.rss)
-        promised = 0.0
+        promised, step = 0.0, None
         for _ in range(_TRIES):
-            step = _damped(upper, norms, damping)
+            step, damping = _shorter(upper, norms, damping, step)
             promised = 0.5 * (before - float(np.sum((upper[:, :-1] @ step - upper[:, -1]) ** 2)))
+            if promised < _VAIN * self.enough and promised < _VAIN * best:
+                break
             trial = self._moved(at, names, step, solved.kept)
             parts = all_predicted([trial], self.keys, keep=self.tune)[0]
             height = log_likelihood(parts, self.masks)
@@ -377,6 +382,18 @@ def _change(part: Prediction, misses: Array, spreads: Array) -> tuple[Array, Arr
     grown = np.log(spreads, where=seen, out=np.zeros_like(spreads))
     grown -= np.log(part.spreads, where=seen, out=np.zeros_like(part.spreads))
     return miss, grown / _DIFFERENCE
+
+
+def _shorter(upper: Array, sizes: Array, damping: float, last: Array | None) -> tuple[Array, float]:
+    """A step with this damping, or with as much more as makes it another one than the last."""
+    step = _damped(upper, sizes, damping)
+    if last is None:
+        return step, damping
+    least = _OTHER * float(np.linalg.norm(sizes * last))
+    while np.linalg.norm(sizes * (step - last)) < least and damping < _STRONGEST:
+        damping *= _STRAIN
+        step = _damped(upper, sizes, damping)
+    return step, damping
 
 
 def _damped(upper: Array, sizes: Array, damping: float) -> Array:
