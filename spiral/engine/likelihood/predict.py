@@ -111,7 +111,7 @@ def predicted(
     grid, series = task.inputs, task.series
     y = series.y if series.seen is None else np.where(series.seen, series.y, np.nan)
     done = predict_record(
-        flow.advance, flow.output, compiled.product, compiled.absorb,
+        flow.advance, flow.output, compiled.product, compiled.lower, compiled.absorb,
         np.concatenate([first, np.zeros(size - len(first))]),
         parts.p, task.values.copy(), both, len(tracked), grid, series.stages(grid),
         series.substeps, series.dt, np.ascontiguousarray(y), parts.r, parts.q, parts.phi,
@@ -137,8 +137,8 @@ def varied(
     misses, spreads = (np.zeros((len(others), *run.misses.shape)) for _ in range(2))
     series = task.series
     vary_record(
-        flow.advance, compiled.product, compiled.absorb, task.values.copy(), tracked,
-        series.stages(task.inputs), series.substeps, series.dt, first.phi, first.driven,
+        flow.advance, compiled.product, compiled.lower, compiled.absorb, task.values.copy(),
+        tracked, series.stages(task.inputs), series.substeps, series.dt, first.phi, first.driven,
         run.means, run.gains, run.rows, run.misses, run.spreads, p, r, q, phi, misses, spreads,
     )  # fmt: skip
     return [(misses[j], spreads[j]) for j in range(len(others))]
