@@ -153,6 +153,7 @@ def maximise(
     rough: bool = False,
     kept: Kept | None = None,
     differences: bool = True,
+    least: float = -np.inf,
 ) -> Maximum:
     """The most likely values of parameters that all records share, and of the noise.
 
@@ -167,6 +168,8 @@ def maximise(
     kept : slopes of another search over these records, to begin with.
     differences : whether slopes by differences are made anew where steps keep less than they
         promise; without, a first look is cheap.
+    least : log-likelihood from which the fit is of use. It ends where the steps that are left, each
+        worth as much as the last, would not lead there.
     """
     enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
     still = not (keys and differences)  # slopes are not made anew
@@ -176,11 +179,13 @@ def maximise(
     kept = kept if kept is not None and kept.fits(parts) else Kept()
     at = Maximum(prepared, noise, keys, height, parts, None, False, 0, kept=kept)
     damping, fresh = _DAMPING, still
-    for _ in range(steps):
+    for left in reversed(range(steps)):
         if not at.finite:
             break
+        height = at.log_likelihood
         at, damping, fresh, done = search.advanced(at, damping, fresh)
-        if done:
+        gain = at.log_likelihood - height
+        if done or (gain > 0 and at.log_likelihood + left * gain < least):
             break
     return at
 

@@ -48,7 +48,8 @@ class Rival:
 
     ``gain`` in log-likelihood over the model as it is; ``worth`` the same less Schwarz's price of
     its amplitudes and of the ``shapes`` that took their most likely values here. The fit is in
-    terms of a study of its own, the model with this candidate.
+    terms of a study of its own, the model with this candidate; ``plain`` is how far it came with
+    less at random, where that is not as likely.
     """
 
     assembly: Assembly
@@ -57,6 +58,7 @@ class Rival:
     gain: float
     worth: float
     shapes: int = 0
+    plain: LikelihoodFit | None = None
 
     @property
     def label(self) -> str:
@@ -231,16 +233,28 @@ def added(assembly: Assembly, state: FitState, ranked: Ranked, far: bool = False
 
 def _further(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Rival:
     """A rival's fit taken on, with less at random where the record is as likely so."""
-    own, fit = rival.assembly, rival.fit
-    noise, plain = fit.estimate.noise, fit.estimate.noise.without(*EXTRA)
-    for trial in (plain, noise) if len(plain.terms) < len(noise.terms) else (noise,):
-        kept = fit.estimate.kept
-        like = fit.estimate.prepared
-        found = refitted(own, fit.state, trial, masks, steps, rough=True, kept=kept, like=like)
-        if found.height >= fit.height:
-            fit = found
-            break
-    return _rival(own, base, rival.ranked, fit, rival.shapes)
+    own, fit, plain = rival.assembly, rival.fit, rival.plain
+    noise, less = fit.estimate.noise, fit.estimate.noise.without(*EXTRA)
+    if len(less.terms) < len(noise.terms):
+        if plain is None or plain.state.freed != fit.state.freed:
+            plain = replace(fit, estimate=replace(fit.estimate, noise=less))
+        plain = _taken(own, plain, masks, steps, fit.height)
+        if plain.height >= fit.height:
+            return _rival(own, base, rival.ranked, plain, rival.shapes)
+    found = _taken(own, fit, masks, steps)
+    fit = found if found.height >= fit.height else fit
+    return replace(_rival(own, base, rival.ranked, fit, rival.shapes), plain=plain)
+
+
+def _taken(
+    own: Assembly, fit: LikelihoodFit, masks: Masks, steps: int, least: float = -np.inf
+) -> LikelihoodFit:
+    """A rival's fit taken on by so many steps; ``least`` as in ``maximise``."""
+    at = fit.estimate
+    return refitted(
+        own, fit.state, at.noise, masks, steps, rough=True, kept=at.kept, like=at.prepared,
+        least=least,
+    )  # fmt: skip
 
 
 def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
