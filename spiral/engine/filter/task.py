@@ -36,7 +36,8 @@ class Task:
     ``values`` (parameters,); ``inputs`` on the half-step grid; ``start`` and ``spread`` (n,) mean
     and standard deviation before the first sample; ``centre`` and ``scales`` (n,) mean and standard
     deviation of the settled states, ``rates`` (n,) that of their rates; ``static`` the static map,
-    where there is one.
+    where there is one; ``moved`` are parameters that slopes will be asked by, for which one flow is
+    compiled.
     """
 
     model: Model
@@ -50,6 +51,7 @@ class Task:
     scales: Array
     rates: Array
     static: StaticMap | None
+    moved: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from spiral.engine.filter.extended import FilterSettings, tracked_indices
 from spiral.engine.filter.task import Task
 from spiral.engine.likelihood.noise import NoiseModel, matrices
 from spiral.engine.threads import THREADS
-from spiral.physics.flow import compile_flow
+from spiral.physics.flow import Flow, compile_flow
 from spiral.types.record import Array
 
 Prepared = tuple[tuple[Task, FilterSettings], ...]
@@ -96,8 +96,7 @@ def predicted(
 
     tracked = tracked_indices(task, settings.tracked)
     both = np.concatenate([tracked, tracked_indices(task, tuple(keys))]).astype(np.int64)
-    names = (*settings.tracked, *keys)
-    flow, compiled = compile_flow(task.compiled.traced, names), algebra()
+    flow, compiled = _flow(task, settings, tuple(keys)), algebra()
     parts = matrices(task, settings, noise)
     samples, m = task.series.y.shape
     size, kept = len(parts.q), samples if keep or carry else 0
@@ -120,6 +119,12 @@ def predicted(
     return Prediction(*arrays, int(done))
 
 
+def _flow(task: Task, settings: FilterSettings, keys: tuple[str, ...] = ()) -> Flow:
+    """The flow of a task with slopes by tracked parameters and these; one for all that it moves."""
+    moved = task.moved if task.moved[: len(keys)] == keys else keys
+    return compile_flow(task.compiled.traced, (*settings.tracked, *moved))
+
+
 def varied(
     task: Task, settings: FilterSettings, noise: NoiseModel, others: Sequence[NoiseModel],
     run: Prediction,
@@ -131,7 +136,7 @@ def varied(
     from spiral.engine.likelihood.kernel import vary_record
 
     tracked = tracked_indices(task, settings.tracked)
-    flow, compiled = compile_flow(task.compiled.traced, settings.tracked), algebra()
+    flow, compiled = _flow(task, settings), algebra()
     first, parts = matrices(task, settings, noise), [matrices(task, settings, n) for n in others]
     p, r, q, phi = (np.array([getattr(m, a) for m in parts]) for a in ("p", "r", "q", "phi"))
     misses, spreads = (np.zeros((len(others), *run.misses.shape)) for _ in range(2))

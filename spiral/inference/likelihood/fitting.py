@@ -101,7 +101,8 @@ def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) 
     ]
     if like is not None:
         tasks = [on_scales(t, other) for t, (other, _) in zip(tasks, like, strict=True)]
-    return tuple(filter_prepared(task, followed, known) for task in tasks)
+    moved = moving(assembly, state)
+    return tuple(filter_prepared(replace(t, moved=moved), followed, known) for t in tasks)
 
 
 def integrated(assembly: Assembly, state: FitState) -> Assembly:
