@@ -87,9 +87,9 @@ def _write_product(module: ir.Module, name: str, lower: bool) -> None:
         full = b.mul(b.sdiv(width, block), block)
         with b.if_then(b.icmp_signed(">", full, index(0))), counted(b, full, LANES * _WIDE) as at:
             _columns(b, data, strides, inner, row, at, _WIDE)
-        with b.if_then(b.icmp_signed("<", full, width)):
-            with counted(b, b.sub(width, full), LANES) as more:
-                _columns(b, data, strides, inner, row, b.add(full, more), 1)
+        rest = b.sub(width, full)
+        with b.if_then(b.icmp_signed("<", full, width)), counted(b, rest, LANES) as more:
+            _columns(b, data, strides, inner, row, b.add(full, more), 1)
     ended(b)
 
 
@@ -118,8 +118,9 @@ def _columns(
 def _write_absorb(module: ir.Module) -> None:
     """[P c^T | c S] and s; T = P - (P c^T)(P c^T)^T / s and t = T c^T - K r.
 
-    P <- T - (t K^T + K t^T) / 2. T c^T = K r but for rounding: the last step is what keeps P positive (Joseph's form). Rows of M
-    that a reading does not weigh, most of them, are only read where they are written.
+    P <- T - (t K^T + K t^T) / 2. T c^T = K r but for rounding: the last step is what keeps P
+    positive (Joseph's form). Rows of M that a reading does not weigh, most of them, are only read
+    where they are written.
     """
     b: Any
     b, args = started(module, "absorb", ABSORB)

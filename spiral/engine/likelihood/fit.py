@@ -38,6 +38,7 @@ from spiral.engine.likelihood.predict import (
     side_by_side,
     varied,
 )
+from spiral.engine.likelihood.steps import next_step
 from spiral.engine.score import block_for
 from spiral.types.record import Array
 
@@ -52,8 +53,6 @@ _WELL = 0.75  # share of it from which damping falls twice as fast
 _STALE = 0.7  # of the logarithm of a size, that one moves by before slopes by sizes are made anew
 _FRESH = 0.2  # of the same, up to which they count as made here
 _DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
-_STRONGEST = 1e6  # damping from which no step is tried
-_OTHER = 0.3  # share of a step that the next one tried differs by
 _VAIN = 0.05  # share of what is worth a step that one must promise to be tried
 
 
@@ -329,7 +328,7 @@ class _Search:
         best = 0.5 * (before - solved.rss)
         promised, step = 0.0, None
         for _ in range(_TRIES):
-            step, damping = _shorter(upper, norms, damping, step)
+            step, damping = next_step(upper, norms, damping, _STRAIN, step)
             promised = 0.5 * (before - float(np.sum((upper[:, :-1] @ step - upper[:, -1]) ** 2)))
             if promised < _VAIN * self.enough and promised < _VAIN * best:
                 break
@@ -387,24 +386,3 @@ def _change(part: Prediction, misses: Array, spreads: Array) -> tuple[Array, Arr
     grown = np.log(spreads, where=seen, out=np.zeros_like(spreads))
     grown -= np.log(part.spreads, where=seen, out=np.zeros_like(part.spreads))
     return miss, grown / _DIFFERENCE
-
-
-def _shorter(upper: Array, sizes: Array, damping: float, last: Array | None) -> tuple[Array, float]:
-    """A step with this damping, or with as much more as makes it another one than the last."""
-    step = _damped(upper, sizes, damping)
-    if last is None:
-        return step, damping
-    least = _OTHER * float(np.linalg.norm(sizes * last))
-    while np.linalg.norm(sizes * (step - last)) < least and damping < _STRONGEST:
-        damping *= _STRAIN
-        step = _damped(upper, sizes, damping)
-    return step, damping
-
-
-def _damped(upper: Array, sizes: Array, damping: float) -> Array:
-    """Least squares with every unit column held at zero by ``damping``."""
-    scale = np.where(sizes > 0, sizes, 1.0)
-    k = len(scale)
-    matrix = np.vstack([upper[:, :-1] / scale, np.sqrt(damping) * np.eye(k)])
-    target = np.concatenate([upper[:, -1], np.zeros(k)])
-    return np.linalg.lstsq(matrix, target, rcond=1e-12)[0] / scale

@@ -3,20 +3,16 @@
 1. *Score.* Candidates are ranked along the filtered motion (``scores``).
 2. *Refit.* The best are refitted with parameters and noise on the blocks that select, in a race:
    a few steps for all, more for those that keep up.
-3. *Judge.* On the other blocks the winner must predict better than the model as it is, both with
-   their values from the first; and by Wilks' test, both refitted there, significantly so, for as
-   many tests as values of its shapes were tried.
+3. *Judge.* On the other blocks the winner must predict better (``judging``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import special
 
-from spiral.engine.likelihood.fit import Maximum, maximise
 from spiral.engine.likelihood.noise import EXTRA
 from spiral.engine.likelihood.predict import Masks
 from spiral.engine.score import Score
@@ -26,7 +22,6 @@ from spiral.inference.evidence.fit_state import FitState, two_sided
 from spiral.inference.evidence.scoring import Ranked, present_labels, tested_keys
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
-    bounds_of,
     explains,
     price,
     refitted,
@@ -344,51 +339,3 @@ def _rival(
     gain = fit.height - base.height
     worth = gain - price(len(ranked.columns) + shapes, fit.estimate.prepared)
     return Rival(assembly, ranked, fit, gain, worth, shapes)
-
-
-@dataclass(frozen=True)
-class Judged:
-    """The winner on the blocks that did not select, in log-likelihood.
-
-    ``predicted`` its gain where both models have their values from the blocks that did, the noise
-    of each as these blocks have it; ``refitted`` where both have their most likely values;
-    ``terms`` the parameters that it has beyond
-    the model as it is; ``searched`` among how many values its shapes were looked for.
-    """
-
-    predicted: float
-    refitted: float
-    terms: int
-    searched: int
-
-    def passes(self, level: float) -> bool:
-        """Whether it holds there, at a level of error."""
-        return self.predicted > 0 and self.p_value < level
-
-    @property
-    def p_value(self) -> float:
-        """Of Wilks' test, for as many tests as shapes were searched among."""
-        single = float(special.chdtrc(self.terms, 2 * max(self.refitted, 0.0)))
-        return min(self.searched * single, 1.0)
-
-
-def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) -> Judged:
-    """A winner against the model as it is on other blocks than those that chose it.
-
-    Parameters
-    ----------
-    base : the model as it is. masks : the blocks that did not select.
-    """
-    theirs, ours = (most_likely(f.estimate, masks, {}) for f in (rival.fit, base))
-    before = most_likely(ours, masks, bounds_of(assembly, base.estimate.keys))
-    after = most_likely(theirs, masks, bounds_of(rival.assembly, rival.fit.estimate.keys))
-    freed = set(rival.fit.state.freed) - set(base.state.freed)
-    terms = len(rival.ranked.columns) + len(freed)
-    searched = rival.ranked.variant.searched if freed else 1
-    predicted = theirs.log_likelihood - ours.log_likelihood
-    return Judged(predicted, after.log_likelihood - before.log_likelihood, terms, searched)
-
-
-def most_likely(at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, float]]) -> Maximum:
-    """A model at its most likely on some blocks, by its noise and what has bounds, from here on."""
-    return maximise(at.prepared, tuple(bounds), at.noise, bounds, masks, _RACE, kept=at.kept)
