@@ -3,6 +3,7 @@
 import numba as nb
 import numpy as np
 import pytest
+from spiral_plugins.effects.inputs import InputDelay
 from spiral_plugins.effects.restoring import CubicStiffness
 from spiral_plugins.systems.pendulum import Pendulum
 from spiral_plugins.systems.planar_rotor import PlanarRotor
@@ -186,3 +187,12 @@ def test_other_noise_along_one_motion(effects, values, share):
                                      (spreads, anew.spreads, run.spreads)):  # fmt: skip
             moved = np.linalg.norm(theirs - before)
             assert np.linalg.norm(mine - theirs) <= share * moved
+
+
+def test_what_nothing_disturbs_is_known_ever_better():
+    """P of states without noise underflows to zero; the filter stays with the record."""
+    effects, values = (InputDelay(),), {"input_delay.time": 0.004, "input_delay.scale": 0.01}
+    task, settings = task_of(record_of(3, effects=effects, values=values), effects, values, 2)
+    for scale in (0.006, 0.008, 0.012, 0.017, 0.02):
+        here = task.with_values({"input_delay.time": 0.3 * scale, "input_delay.scale": scale})
+        assert predicted(here, settings, first_noise(task, 0.0)).whole

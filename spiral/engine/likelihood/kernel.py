@@ -13,11 +13,7 @@ no matrix to be factorised and lets any of them be missing:
     s = c P c^T + r,  K = P c^T / s,  x <- x + K e,  P <- (I - K c) P (I - K c)^T + K r K^T.
 
 The slopes S = d(x, theta, z)/dp of the mean follow with the gains held: d = c S + h_p is the slope
-of a prediction, S <- S - K d. They stand beside P in one matrix M = [P | S]. Of the transition
-
-    F = [ A | 0 I 0 | 0 0 Phi ]    (rows of x, of theta, of z)
-
-only A is a full matrix; rows and columns of theta and z follow from it by symmetry.
+of a prediction, S <- S - K d. They stand beside P in one matrix M = [P | S] (``transition``).
 """
 
 from __future__ import annotations
@@ -28,6 +24,16 @@ from numba import types
 
 from spiral.engine.filter.algebra import ABSORB, PRODUCT
 from spiral.engine.filter.kernel import hold, reset, room, sound
+from spiral.engine.likelihood.transition import (
+    carried,
+    carried_slopes,
+    carry_covariance,
+    entries_of,
+    forget,
+    push,
+    transition_rows,
+    whole,
+)
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
 from spiral.physics.lanes import padded
@@ -35,135 +41,6 @@ from spiral.physics.lanes import padded
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
 _FAST = {"contract", "reassoc"}
-
-
-@nb.njit(cache=True, nogil=True)
-def _entries(driven):
-    """Rows and columns of the entries of G that are not zero."""
-    found = np.zeros((driven.size, 2), dtype=np.int64)
-    count = 0
-    for i in range(driven.shape[0]):
-        for j in range(driven.shape[1]):
-            if driven[i, j] != 0.0:
-                found[count, 0], found[count, 1] = i, j
-                count += 1
-    return found[:count].copy()
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _push(x, driven, entries, first, half):
-    """x <- x + G z dt / 2."""
-    for e in range(entries.shape[0]):
-        i, j = entries[e, 0], entries[e, 1]
-        x[i] += half * driven[i, j] * x[first + j]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _forget(x, phi, first, later):
-    """z <- Phi z."""
-    k = phi.shape[0]
-    for i in range(k):
-        later[i] = 0.0
-        for j in range(k):
-            later[i] += phi[i, j] * x[first + j]
-    for i in range(k):
-        x[first + i] = later[i]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _transition(f, driven, entries, first, half, a, turned):
-    """A (n, N), and A^T, from the slopes (n, n + theta + q) of the flow."""
-    n = f.shape[0]
-    for i in range(n):
-        for j in range(first):
-            a[i, j] = f[i, j]
-    for e in range(entries.shape[0]):
-        for i in range(n):
-            a[i, first + entries[e, 1]] = 0.0
-    for e in range(entries.shape[0]):
-        at, j = entries[e, 0], entries[e, 1]
-        weight = half * driven[at, j]
-        a[at, first + j] += weight
-        for i in range(n):
-            a[i, first + j] += weight * f[i, at]
-    for i in range(n):
-        for j in range(turned.shape[0]):
-            turned[j, i] = a[i, j]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _whole(k, a, phi, n, transitions):
-    """F of a sample, where it is asked for."""
-    if transitions.shape[0] == 0:
-        return
-    size = transitions.shape[1]
-    first = size - phi.shape[0]
-    for i in range(size):
-        for j in range(size):
-            transitions[k, i, j] = a[i, j] if i < n else (1.0 if i == j and i < first else 0.0)
-    for i in range(phi.shape[0]):
-        for j in range(phi.shape[0]):
-            transitions[k, first + i, first + j] = phi[i, j]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _later(product, a, phi, m, w, n, size):
-    """W = F M."""
-    first = size - phi.shape[0]
-    product(a, m, w, n, size)
-    for i in range(n, first):
-        for j in range(m.shape[1]):
-            w[i, j] = m[i, j]
-    for i in range(phi.shape[0]):
-        for j in range(m.shape[1]):
-            w[first + i, j] = 0.0
-        for b in range(phi.shape[0]):
-            value = phi[i, b]
-            if value != 0.0:
-                for j in range(m.shape[1]):
-                    w[first + i, j] += value * m[first + b, j]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _covariance(lower, w, turned, phi, q, m, n, size):
-    """P <- W F^T + Q with W = F P; P stays exactly symmetric."""
-    first = size - phi.shape[0]
-    lower(w, turned, m, n, size)
-    for i in range(n, first):
-        for j in range(n):
-            m[i, j] = w[j, i]
-        for j in range(n, i + 1):
-            m[i, j] = w[i, j]
-    for i in range(first, size):
-        for j in range(n):
-            m[i, j] = 0.0
-        for j in range(n, first):
-            m[i, j] = w[i, j]
-        for b in range(first, size):
-            value = phi[i - first, b - first]
-            if value != 0.0:
-                for j in range(n):
-                    m[i, j] += value * w[j, b]
-        for j in range(first, i + 1):
-            m[i, j] = 0.0
-            for b in range(first, size):
-                m[i, j] += w[i, b] * phi[j - first, b - first]
-    for i in range(size):
-        for j in range(i + 1):
-            m[i, j] += q[i, j]
-            m[j, i] = m[i, j]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _slopes(w, f, m, n, first, size, width):
-    """S <- F S + F_p, from W."""
-    wide = m.shape[0]
-    for i in range(n):
-        for j in range(width):
-            m[i, wide + j] = w[i, wide + j] + f[i, first + j]
-    for i in range(n, size):
-        for j in range(width):
-            m[i, wide + j] = w[i, wide + j]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
@@ -282,7 +159,7 @@ def predict_record(
     wide, later = len(p), np.zeros_like(p)
     a, turned = np.zeros((padded(n), size)), np.zeros((size, padded(n)))
     x, c, d = np.zeros(wide), np.zeros((m, wide)), np.zeros((m, padded(width)))
-    scratch, space, entries = np.zeros((2, wide)), np.zeros(2 * p.shape[1]), _entries(driven)
+    scratch, space, entries = np.zeros((2, wide)), np.zeros(2 * p.shape[1]), entries_of(driven)
     x[:size] = mean
     for k in range(samples):
         hold(values, followed, x[:first])
@@ -296,15 +173,15 @@ def predict_record(
             break
         reset(f)
         hold(values, followed, x[:first])
-        _push(x, driven, entries, first, half)
+        push(x, driven, entries, first, half)
         flow(x, stages, k * substeps * 3, 3, substeps, step, values, f, work)
-        _push(x, driven, entries, first, half)
-        _forget(x, phi, first, scratch[0])
-        _transition(f, driven, entries, first, half, a, turned)
-        _whole(k, a, phi, n, transitions)
-        _later(product, a, phi, p, later, n, size)
-        _slopes(later, f, p, n, first, size, width)
-        _covariance(lower, later, turned, phi, q, p, n, size)
+        push(x, driven, entries, first, half)
+        forget(x, phi, first, scratch[0])
+        transition_rows(f, driven, entries, first, half, a, turned)
+        whole(k, a, phi, n, transitions)
+        carried(product, a, phi, p, later, n, size)
+        carried_slopes(later, f, p, n, first, size, width)
+        carry_covariance(lower, later, turned, phi, q, p, n, size)
     return k + 1 if sound(x, p) else k
 
 
@@ -377,7 +254,7 @@ def vary_record(
     x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
     scratch, space, w = np.zeros((2, wide)), np.zeros(2 * wide), np.zeros_like(blank)
     a, turned = np.zeros((padded(n), size)), np.zeros((size, padded(n)))
-    none, entries = np.zeros((1, 0)), _entries(driven)
+    none, entries = np.zeros((1, 0)), entries_of(driven)
     p[:, :size, :size] = starts
     for k in range(samples):
         for v in range(len(starts)):
@@ -388,10 +265,10 @@ def vary_record(
         here[:] = means[k]
         reset(f)
         hold(values, followed, here[:first])
-        _push(here, driven, entries, first, 0.5 * dt)
+        push(here, driven, entries, first, 0.5 * dt)
         flow(here, stages, k * substeps * 3, 3, substeps, dt / substeps, values, f, work)
-        _transition(f, driven, entries, first, 0.5 * dt, a, turned)
+        transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for v in range(len(starts)):
             _departed(x[v], a, means[k], phis[v], phi, n, first, later)
-            _later(product, a, phis[v], p[v], w, n, size)
-            _covariance(lower, w, turned, phis[v], q[v], p[v], n, size)
+            carried(product, a, phis[v], p[v], w, n, size)
+            carry_covariance(lower, w, turned, phis[v], q[v], p[v], n, size)
