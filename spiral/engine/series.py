@@ -79,12 +79,29 @@ class Series:
     def _smoothed(self) -> dict[int, tuple[Array, ...]]:
         return {}
 
+    @cached_property
+    def deviations(self) -> Array:
+        """(channels,) standard deviation of the readings."""
+        return np.array([np.std(column) for column in self.y.T])
+
+    @cached_property
+    def mean_inputs(self) -> Array:
+        """(input columns,) their mean over the record."""
+        return self.inputs.mean(axis=0) if self.inputs.size else np.zeros(self.inputs.shape[1])
+
     def stages(self, grid: Array) -> Array:
         """(3 * steps, columns): inputs at the start, middle and end of every integration step.
 
         On the half-step grid a step shares its end with the start of the next, where a held value
-        jumps; here each step has its own.
+        jumps; here each step has its own. Those of the record's own grid are kept.
         """
+        return self._own_stages if grid is self.inputs else self._staged(grid)
+
+    @cached_property
+    def _own_stages(self) -> Array:
+        return self._staged(self.inputs)
+
+    def _staged(self, grid: Array) -> Array:
         found = np.empty((3 * (len(grid) // 2), grid.shape[1]))
         found[0::3], found[1::3], found[2::3] = grid[:-1:2], grid[1::2], grid[2::2]
         for column in self.held:

@@ -50,7 +50,7 @@ FLOW_FUNCTION = types.FunctionType(
 ``x`` (at least n) and ``S`` (n, columns a multiple of four) are advanced in place by ``substeps``
 of length ``step``; inputs of step i are rows at + i stride of ``u``, and the two behind it (start,
 middle and end). ``work`` (3, n, columns of S) is scratch that begins as zero and is kept from call
-to call.
+to call. Where S has fewer columns than the flow has slopes, the last ones are left out.
 """
 
 
@@ -97,6 +97,7 @@ class _FlowWriter:
         self.layer = b.mul(self.width, index(self.n))
         size = ir.ArrayType(DOUBLE, max(self.n, 1))
         self.slope, self.total = (b.gep(b.alloca(size), [index(0)] * 2) for _ in range(2))
+        self.nowhere = b.alloca(DOUBLE)
 
     def write(self) -> None:
         """The whole function."""
@@ -146,7 +147,9 @@ class _FlowWriter:
         for i, node in enumerate(nodes):
             for k, slope in node.slopes.items():
                 if k >= n:
-                    b.store(slope, b.gep(self._row(self.work, i, 2), [index(k)]))
+                    place = b.gep(self._row(self.work, i, 2), [index(k)])
+                    there = b.icmp_signed("<", index(k), self.width)
+                    b.store(slope, b.select(there, place, self.nowhere))
         needed = sorted({k for node in nodes for k in node.slopes if k < n})
         entries = [{k: spread(b, v) for k, v in m.slopes.items() if k < n} for m in nodes]
         along, weight = spread(b, point), spread(b, gain)

@@ -3,6 +3,7 @@
 import numba as nb
 import numpy as np
 import pytest
+from spiral_plugins.effects.inputs import InputDelay
 from spiral_plugins.effects.restoring import CubicStiffness
 from spiral_plugins.systems.pendulum import Pendulum
 from spiral_plugins.systems.planar_rotor import PlanarRotor
@@ -26,13 +27,13 @@ def advance(flow, x, u, stride, substeps, step, p, s, work):
 
 
 @nb.njit
-def matmul(product, a, b, c):
-    product(a, b, c)
+def matmul(product, a, b, c, rows, inner):
+    product(a, b, c, rows, inner)
 
 
 @nb.njit
-def take_in(absorb, x, p, c, r, miss, gain, work):
-    return absorb(x, p, c, r, miss, gain, work)
+def take_in(absorb, x, m, c, d, j, r, miss, gain, work):
+    return absorb(x, m, c, d, j, r, miss, gain, work)
 
 
 def runge_kutta(rate, x, u, step, p):
@@ -108,8 +109,22 @@ def test_products_of_any_size(width):
     a[:width, :width] = rng.normal(size=(width, width))
     b[:width, : width + 2] = rng.normal(size=(width, width + 2))
     c = np.full(b.shape, np.nan)
-    matmul(algebra().product, a, b, c)
+    matmul(algebra().product, a, b, c, width, width)
     np.testing.assert_allclose(c, a @ b, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("width", [1, 4, 7, 12, 13, 25, 40])
+def test_the_lower_half_of_a_symmetric_product(width):
+    rng = np.random.default_rng(width)
+    wide, inner = padded(width), width + 3
+    a, b = np.zeros((wide, inner)), np.zeros((inner, wide))
+    a[:width] = rng.normal(size=(width, inner))
+    b[:, :width] = a[:width].T
+    c = np.full((wide, wide + 4), np.nan)
+    matmul(algebra().lower, a, b, c, width, inner)
+    lower = np.tril_indices(width)
+    np.testing.assert_allclose(c[lower], (a @ b)[lower], rtol=1e-12, atol=1e-12)
+    assert np.isnan(c[:, wide:]).all()
 
 
 @pytest.mark.parametrize("size", [1, 4, 7, 13])
@@ -117,11 +132,14 @@ def test_a_measurement_is_taken_in_as_joseph_says(size):
     rng = np.random.default_rng(size)
     root = rng.normal(size=(size, size))
     p, c, r, miss = root @ root.T, rng.normal(size=size), 1e-6, 0.3
-    wide = padded(size)
-    mean, cov, row = np.zeros(wide), np.zeros((wide, wide)), np.zeros(wide)
-    cov[:size, :size], row[:size] = p, c
+    wide, width = padded(size), 6
+    slopes, told = rng.normal(size=(size, width)), rng.normal(size=width)
+    mean, m, rows, d = (np.zeros(n) for n in (wide, (wide, wide + 8), (2, wide), (2, 8)))
+    m[:size, :size], m[:size, wide : wide + width] = p, slopes
+    rows[1, :size], d[1, :width] = c, told
     gain = np.zeros(wide)
-    s = take_in(algebra().absorb, mean, cov, row, r, miss, gain, np.zeros(2 * wide))
+    s = take_in(algebra().absorb, mean, m, rows, d, 1, r, miss, gain, np.zeros(2 * m.shape[1]))
+    cov = m[:, :wide]
     k = p @ c / (c @ p @ c + r)
     left = np.eye(size) - np.outer(k, c)
     wanted = left @ p @ left.T + r * np.outer(k, k)
@@ -131,7 +149,12 @@ def test_a_measurement_is_taken_in_as_joseph_says(size):
     np.testing.assert_allclose(cov[:size, :size], wanted, atol=1e-9 * np.abs(p).max())
     np.testing.assert_array_equal(cov, cov.T)
     assert np.linalg.eigvalsh(cov[:size, :size]).min() > -1e-9 * np.abs(p).max()
-    assert not cov[size:].any()
+    told = c @ slopes + told
+    np.testing.assert_allclose(d[1, :width], told, rtol=1e-10)
+    np.testing.assert_allclose(
+        m[:size, wide : wide + width], slopes - np.outer(k, told), rtol=1e-9, atol=1e-9
+    )
+    assert not m[size:].any()
 
 
 def all_noise(task):
@@ -164,3 +187,12 @@ def test_other_noise_along_one_motion(effects, values, share):
                                      (spreads, anew.spreads, run.spreads)):  # fmt: skip
             moved = np.linalg.norm(theirs - before)
             assert np.linalg.norm(mine - theirs) <= share * moved
+
+
+def test_what_nothing_disturbs_is_known_ever_better():
+    """P of states without noise underflows to zero; the filter stays with the record."""
+    effects, values = (InputDelay(),), {"input_delay.time": 0.004, "input_delay.scale": 0.01}
+    task, settings = task_of(record_of(3, effects=effects, values=values), effects, values, 2)
+    for scale in (0.006, 0.008, 0.012, 0.017, 0.02):
+        here = task.with_values({"input_delay.time": 0.3 * scale, "input_delay.scale": scale})
+        assert predicted(here, settings, first_noise(task, 0.0)).whole

@@ -1,15 +1,20 @@
 """What a filter does with its covariance, as machine code over four numbers at a time.
 
     product      C = A B
+    lower        the lower half of C = A B, where C is symmetric
     absorb       one scalar measurement: s = c P c^T + r, K = P c^T / s, x <- x + K e,
-                 P <- (I - K c) P (I - K c)^T + K r K^T
+                 P <- (I - K c) P (I - K c)^T + K r K^T, and beside it d = c S + h_p,
+                 S <- S - K d
 
 Matrices have rows and columns of a multiple of four, zeros behind those of use
-(``spiral.physics.lanes``).
+(``spiral.physics.lanes``). P and S stand side by side in one matrix M = [P | S], so that both are
+carried by one product.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -18,7 +23,7 @@ from llvmlite import ir
 from numba import types
 
 from spiral.physics.compile import ModelFunction, ended, engine_of, started
-from spiral.physics.emit import number
+from spiral.physics.emit import DOUBLE, number
 from spiral.physics.lanes import (
     FUSED,
     LANES,
@@ -32,10 +37,14 @@ from spiral.physics.lanes import (
 )
 
 _V, _M = types.float64[::1], types.float64[:, ::1]
-PRODUCT = types.FunctionType(types.void(_M, _M, _M))
-"""product(A, B, C): C = A B; C is neither of them."""
-ABSORB = types.FunctionType(types.float64(_V, _M, _V, types.float64, types.float64, _V, _V))
-"""absorb(x, P, c, r, e, gain, work) -> s; x, P and gain are written, ``work`` is scratch."""
+_F, _I = types.float64, types.int64
+PRODUCT = types.FunctionType(types.void(_M, _M, _M, _I, _I))
+"""product(A, B, C, rows, inner): C = A B in these rows, sums over ``inner``; C is neither."""
+ABSORB = types.FunctionType(types.float64(_V, _M, _M, _M, _I, _F, _F, _V, _V))
+"""absorb(x, M, C, D, j, r, e, gain, work) -> s, with row j of C.
+
+Row j of D is h_p before and d after; x, M and gain are written, ``work`` is scratch.
+"""
 
 _ROWS, _WIDE = 4, 3  # rows, and lanes of columns, of the block of C that is held in registers
 
@@ -45,6 +54,7 @@ class Algebra:
     """The compiled functions."""
 
     product: Any
+    lower: Any
     absorb: Any
 
 
@@ -52,92 +62,133 @@ class Algebra:
 def algebra() -> Algebra:
     """The functions, compiled once for a process."""
     module = ir.Module("algebra")
-    _write_product(module)
+    _write_product(module, "product", lower=False)
+    _write_product(module, "lower", lower=True)
     _write_absorb(module)
     engine = engine_of(module)
     return Algebra(
-        ModelFunction(PRODUCT, engine, "product"), ModelFunction(ABSORB, engine, "absorb")
+        ModelFunction(PRODUCT, engine, "product"),
+        ModelFunction(PRODUCT, engine, "lower"),
+        ModelFunction(ABSORB, engine, "absorb"),
     )
 
 
-def _write_product(module: ir.Module) -> None:
-    """Blocks of four rows and up to twelve columns of C, each a sum over the columns of A."""
-    b, (first, second, out) = started(module, "product", PRODUCT)
-    left, right, result = (b.extract_value(m, 4) for m in (first, second, out))
-    rows, inner = b.extract_value(first, [5, 0]), b.extract_value(first, [5, 1])
-    width = b.extract_value(second, [5, 1])
-    block = LANES * _WIDE
-    full = b.mul(b.sdiv(width, index(block)), index(block))
-    with b.if_then(b.icmp_signed(">", full, index(0))), counted(b, full, block) as column:
-        _columns(b, (left, right, result), (rows, inner, width), column, _WIDE)
-    with b.if_then(b.icmp_signed("<", full, width)):
+def _write_product(module: ir.Module, name: str, lower: bool) -> None:
+    """Blocks of four rows and up to twelve columns of C, each a sum over the columns of A.
+
+    ``lower``: no columns beyond the block on the diagonal.
+    """
+    b, (first, second, out, rows, inner) = started(module, name, PRODUCT)
+    data = tuple(b.extract_value(m, 4) for m in (first, second, out))
+    strides = tuple(b.extract_value(m, [5, 1]) for m in (first, second, out))
+    block = index(LANES * _WIDE)
+    with counted(b, rows, _ROWS) as row:
+        width = b.add(row, index(_ROWS)) if lower else strides[1]
+        full = b.mul(b.sdiv(width, block), block)
+        with b.if_then(b.icmp_signed(">", full, index(0))), counted(b, full, LANES * _WIDE) as at:
+            _columns(b, data, strides, inner, row, at, _WIDE)
         rest = b.sub(width, full)
-        with counted(b, rest, LANES) as more:
-            _columns(b, (left, right, result), (rows, inner, width), b.add(full, more), 1)
+        with b.if_then(b.icmp_signed("<", full, width)), counted(b, rest, LANES) as more:
+            _columns(b, data, strides, inner, row, b.add(full, more), 1)
     ended(b)
 
 
 def _columns(
-    b: ir.IRBuilder, data: tuple[Any, ...], shape: tuple[Any, ...], column: Any, lanes: int
-) -> None:
+    b: ir.IRBuilder, data: tuple[Any, ...], strides: tuple[Any, ...], inner: Any, row: Any,
+    column: Any, lanes: int,
+) -> None:  # fmt: skip
+    """Four rows and some lanes of columns of C."""
     left, right, result = data
-    rows, inner, width = shape
-    with counted(b, rows, _ROWS) as row:
-        at = [b.mul(b.add(row, index(i)), inner) for i in range(_ROWS)]
-        sums = [ZEROS] * (_ROWS * lanes)
-        with counted(b, inner, sums=sums) as k:
-            start = b.add(b.mul(k, width), column)
-            others = [lane(b, right, b.add(start, index(LANES * j))) for j in range(lanes)]
-            for i in range(_ROWS):
-                own = spread(b, b.load(b.gep(left, [b.add(at[i], k)])))
-                for j in range(lanes):
-                    sums[i * lanes + j] = add_product(b, sums[i * lanes + j], own, others[j])
+    rows = [b.add(row, index(i)) for i in range(_ROWS)]
+    at = [b.mul(r, strides[0]) for r in rows]
+    sums = [ZEROS] * (_ROWS * lanes)
+    with counted(b, inner, sums=sums) as k:
+        start = b.add(b.mul(k, strides[1]), column)
+        others = [lane(b, right, b.add(start, index(LANES * j))) for j in range(lanes)]
         for i in range(_ROWS):
-            start = b.add(b.mul(b.add(row, index(i)), width), column)
+            own = spread(b, b.load(b.gep(left, [b.add(at[i], k)])))
             for j in range(lanes):
-                put(b, sums[i * lanes + j], result, b.add(start, index(LANES * j)))
+                sums[i * lanes + j] = add_product(b, sums[i * lanes + j], own, others[j])
+    for i in range(_ROWS):
+        start = b.add(b.mul(rows[i], strides[2]), column)
+        for j in range(lanes):
+            put(b, sums[i * lanes + j], result, b.add(start, index(LANES * j)))
 
 
 def _write_absorb(module: ir.Module) -> None:
-    """P c^T and s; T = P - (P c^T)(P c^T)^T / s and t = T c^T - K r; P <- T - (t K^T + K t^T) / 2.
+    """[P c^T | c S] and s; T = P - (P c^T)(P c^T)^T / s and t = T c^T - K r.
 
-    T c^T = K r but for rounding: the last step is what keeps P positive (Joseph's form).
+    P <- T - (t K^T + K t^T) / 2. T c^T = K r but for rounding: the last step is what keeps P
+    positive (Joseph's form). Rows of M that a reading does not weigh, most of them, are only read
+    where they are written.
     """
     b: Any
     b, args = started(module, "absorb", ABSORB)
-    x, p, c, gain, work = (b.extract_value(args[i], 4) for i in (0, 1, 2, 5, 6))
-    r, miss = args[3:5]
-    size = b.extract_value(args[1], [5, 1])
-    spent = [r]
+    x, m, gain, work = (b.extract_value(args[i], 4) for i in (0, 1, 7, 8))
+    size, total = (b.extract_value(args[1], [5, i]) for i in (0, 1))
+    c, d = (
+        b.gep(b.extract_value(a, 4), [b.mul(args[4], b.extract_value(a, [5, 1]))])
+        for a in args[2:4]
+    )
+    r, miss = args[5:7]
+    spent = b.alloca(DOUBLE)
+    with counted(b, total, LANES) as column:
+        put(b, ZEROS, work, column)
+    with _weighed(b, c, size) as (k, weight), counted(b, total, LANES) as column:
+        row = lane(b, m, b.add(b.mul(k, total), column))
+        put(b, add_product(b, lane(b, work, column), spread(b, weight), row), work, column)
+    b.store(r, spent)
+    with _weighed(b, c, size) as (k, weight):
+        b.store(add_product(b, b.load(spent), weight, b.load(b.gep(work, [k]))), spent)
+    over = spread(b, b.fdiv(number(1.0), b.load(spent)))
+    moved, back, rest = spread(b, miss), spread(b, b.fneg(r)), b.gep(work, [total])
     with counted(b, size, LANES) as column:
-        sums = [ZEROS]
-        with counted(b, size, sums=sums) as k:
-            own = spread(b, b.load(b.gep(c, [k])))
-            sums[0] = add_product(b, sums[0], own, lane(b, p, b.add(b.mul(k, size), column)))
-        put(b, sums[0], work, column)
-    with counted(b, size, sums=spent) as k:
-        spent[0] = add_product(b, spent[0], b.load(b.gep(c, [k])), b.load(b.gep(work, [k])))
-    inverse = b.fdiv(number(1.0), spent[0])
-    over, moved, back = spread(b, inverse), spread(b, miss), spread(b, b.fneg(r))
-    half = spread(b, number(-0.5))
+        own = b.fmul(lane(b, work, column), over, flags=FUSED)
+        put(b, own, gain, column)
+        put(b, add_product(b, lane(b, x, column), own, moved), x, column)
+        put(b, b.fmul(back, own, flags=FUSED), rest, column)
+    with _weighed(b, c, size) as (k, weight):  # rest = t
+        other = spread(b, b.load(b.gep(work, [k])))
+        with counted(b, size, LANES) as column:
+            less = _less(b, m, b.add(b.mul(k, total), column), lane(b, work, column), other, over)
+            put(b, add_product(b, lane(b, rest, column), spread(b, weight), less), rest, column)
+    _write_taken(b, (m, d, gain, work, rest), (size, total), over)
+    b.ret(b.load(spent))
+
+
+def _write_taken(b: Any, data: tuple[Any, ...], shape: tuple[Any, Any], over: Any) -> None:
+    """d, and M row by row with what a reading tells."""
+    m, d, gain, work, rest = data
+    size, total = shape
+    half, beside = spread(b, number(-0.5)), b.sub(total, size)
+    with b.if_then(b.icmp_signed(">", beside, index(0))), counted(b, beside, LANES) as column:
+        put(b, b.fadd(lane(b, d, column), lane(b, b.gep(work, [size]), column)), d, column)
     with counted(b, size, LANES) as column:
-        own = lane(b, work, column)
-        weight = b.fmul(own, over, flags=FUSED)
-        put(b, weight, gain, column)
-        put(b, add_product(b, lane(b, x, column), weight, moved), x, column)
-        left = [b.fmul(back, weight, flags=FUSED)]
-        with counted(b, size, sums=left) as k:
-            place = b.add(b.mul(k, size), column)
-            both = b.fmul(own, spread(b, b.load(b.gep(work, [k]))), flags=FUSED)
-            less = b.fsub(lane(b, p, place), b.fmul(both, over))
-            put(b, less, p, place)
-            left[0] = add_product(b, left[0], spread(b, b.load(b.gep(c, [k]))), less)
-        put(b, b.fmul(half, left[0]), work, b.add(size, column))
-    rest = b.gep(work, [size])  # -t / 2, behind P c^T
-    with counted(b, size, LANES) as column:
-        own, weight = lane(b, rest, column), lane(b, gain, column)
-        with counted(b, size) as k:
-            place = b.add(b.mul(k, size), column)
-            now = add_product(b, lane(b, p, place), weight, spread(b, b.load(b.gep(rest, [k]))))
-            put(b, add_product(b, now, own, spread(b, b.load(b.gep(gain, [k])))), p, place)
-    b.ret(spent[0])
+        put(b, b.fmul(half, lane(b, rest, column)), rest, column)
+    with counted(b, size) as k:
+        start = b.mul(k, total)
+        other, own, turned = (spread(b, b.load(b.gep(v, [k]))) for v in (work, gain, rest))
+        with counted(b, size, LANES) as column:
+            place = b.add(start, column)
+            now = _less(b, m, place, lane(b, work, column), other, over)
+            now = add_product(b, now, lane(b, gain, column), turned)
+            put(b, add_product(b, now, lane(b, rest, column), own), m, place)
+        with b.if_then(b.icmp_signed(">", beside, index(0))), counted(b, beside, LANES) as column:
+            place = b.add(b.add(start, size), column)
+            less = b.fmul(own, lane(b, d, column), flags=FUSED)
+            put(b, b.fsub(lane(b, m, place), less, flags=FUSED), m, place)
+
+
+def _less(b: Any, m: Any, place: Any, own: Any, other: Any, over: Any) -> Any:
+    """Four numbers of T."""
+    both = b.fmul(own, other, flags=FUSED)
+    return b.fsub(lane(b, m, place), b.fmul(both, over))
+
+
+@contextmanager
+def _weighed(b: Any, c: Any, size: Any) -> Iterator[tuple[Any, Any]]:
+    """A loop over the states that a reading weighs, with their weights."""
+    with counted(b, size) as k:
+        weight = b.load(b.gep(c, [k]))
+        with b.if_then(b.fcmp_unordered("!=", weight, number(0.0))):
+            yield k, weight

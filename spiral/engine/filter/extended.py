@@ -80,7 +80,7 @@ def filtered(
     traced = task.compiled.traced
     second = settings.second_order
     compiled = compile_model(traced, settings.tracked) if second else task.compiled
-    flow = compile_flow(traced, settings.tracked)
+    flow = compile_flow(traced, (*settings.tracked, *task.moved))
     y = task.series.y if samples is None else task.series.y[:samples]
     count, m = y.shape
     size = len(settings.start) + len(tracked)

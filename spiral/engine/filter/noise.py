@@ -48,8 +48,7 @@ def sampled(task: Task, continuous: Array) -> Array:
     from scipy.linalg import expm
 
     n, size = len(continuous), task.scales
-    mean = task.inputs.mean(axis=0) if task.inputs.size else np.zeros(task.inputs.shape[1])
-    a = linearised(task.compiled, task.values, mean, task.centre) * size / size[:, None]
+    a = linearised(task.compiled, task.values, task.mean_inputs, task.centre) * size / size[:, None]
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[n:, n:] = -a, a.T
     block[:n, n:] = np.diag(continuous / size**2)

@@ -37,7 +37,8 @@ class Task:
     ``values`` (parameters,); ``inputs`` on the half-step grid; ``start`` and ``spread`` (n,) mean
     and standard deviation before the first sample; ``centre`` and ``scales`` (n,) mean and standard
     deviation of the settled states, ``rates`` (n,) that of their rates; ``static`` the static map,
-    where there is one.
+    where there is one; ``moved`` are parameters that slopes will be asked by, for which one flow is
+    compiled.
     """
 
     model: Model
@@ -51,6 +52,7 @@ class Task:
     scales: Array
     rates: Array
     static: StaticMap | None
+    moved: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -61,6 +63,13 @@ class Task:
     def keys(self) -> tuple[str, ...]:
         """Full names of the parameters."""
         return self.compiled.traced.keys
+
+    @property
+    def mean_inputs(self) -> Array:
+        """(input columns,) mean of the inputs over the record."""
+        if self.inputs is self.series.inputs:
+            return self.series.mean_inputs
+        return self.inputs.mean(axis=0) if self.inputs.size else np.zeros(self.inputs.shape[1])
 
     def with_values(self, values: Mapping[str, float]) -> Task:
         """The same with other parameter values."""

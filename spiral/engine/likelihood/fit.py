@@ -38,6 +38,7 @@ from spiral.engine.likelihood.predict import (
     side_by_side,
     varied,
 )
+from spiral.engine.likelihood.steps import next_step
 from spiral.engine.score import block_for
 from spiral.types.record import Array
 
@@ -52,6 +53,7 @@ _WELL = 0.75  # share of it from which damping falls twice as fast
 _STALE = 0.7  # of the logarithm of a size, that one moves by before slopes by sizes are made anew
 _FRESH = 0.2  # of the same, up to which they count as made here
 _DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
+_VAIN = 0.05  # share of what is worth a step that one must promise to be tried
 
 
 Beside = Mapping[str, tuple[tuple[Array, Array], ...]]
@@ -159,6 +161,7 @@ def maximise(
     rough: bool = False,
     kept: Kept | None = None,
     differences: bool = True,
+    least: float = -np.inf,
 ) -> Maximum:
     """The most likely values of parameters that all records share, and of the noise.
 
@@ -173,6 +176,8 @@ def maximise(
     kept : slopes of another search over these records, to begin with.
     differences : whether slopes by differences are made anew where steps keep less than they
         promise; without, a first look is cheap.
+    least : log-likelihood from which the fit is of use. It ends where the steps that are left, each
+        worth as much as the last, would not lead there.
     """
     enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
     still = not (keys and differences)  # slopes are not made anew
@@ -182,11 +187,13 @@ def maximise(
     kept = kept if kept is not None and kept.fits(parts) else Kept()
     at = Maximum(prepared, noise, keys, height, parts, None, False, 0, kept=kept)
     damping, fresh = _DAMPING, still
-    for _ in range(steps):
+    for left in reversed(range(steps)):
         if not at.finite:
             break
+        height = at.log_likelihood
         at, damping, fresh, done = search.advanced(at, damping, fresh)
-        if done:
+        gain = at.log_likelihood - height
+        if done or (gain > 0 and at.log_likelihood + left * gain < least):
             break
     return at
 
@@ -247,7 +254,7 @@ class _Search:
         over = found.best < self.enough or (fresh and (self.rough or not faithful))
         if (gain < self.enough and over) or (better is None and fresh):
             if at.kept.stale(at.noise, sizes, _FRESH):  # by slopes of elsewhere it is not over
-                return self.with_sizes(at, _FRESH), damping, fresh, False
+                return self.with_sizes(at, _FRESH), _DAMPING, fresh, False
             return replace(at, converged=True), damping, fresh, True
         if better is None:  # no step rises, however short
             return self.with_differences(at), _DAMPING, True, False
@@ -328,10 +335,12 @@ class _Search:
         norms = np.linalg.norm(upper[:, :-1], axis=0)
         before = float(np.sum(upper[:, -1] ** 2))
         best = 0.5 * (before - solved.rss)
-        promised = 0.0
+        promised, step = 0.0, None
         for _ in range(_TRIES):
-            step = _damped(upper, norms, damping)
+            step, damping = next_step(upper, norms, damping, _STRAIN, step)
             promised = 0.5 * (before - float(np.sum((upper[:, :-1] @ step - upper[:, -1]) ** 2)))
+            if promised < _VAIN * self.enough and promised < _VAIN * best:
+                break
             trial = self._moved(at, names, step, solved.kept)
             parts = all_predicted([trial], self.keys, keep=self.tune)[0]
             height = log_likelihood(parts, self.masks)
@@ -386,12 +395,3 @@ def _change(part: Prediction, misses: Array, spreads: Array) -> tuple[Array, Arr
     grown = np.log(spreads, where=seen, out=np.zeros_like(spreads))
     grown -= np.log(part.spreads, where=seen, out=np.zeros_like(part.spreads))
     return miss, grown / _DIFFERENCE
-
-
-def _damped(upper: Array, sizes: Array, damping: float) -> Array:
-    """Least squares with every unit column held at zero by ``damping``."""
-    scale = np.where(sizes > 0, sizes, 1.0)
-    k = len(scale)
-    matrix = np.vstack([upper[:, :-1] / scale, np.sqrt(damping) * np.eye(k)])
-    target = np.concatenate([upper[:, -1], np.zeros(k)])
-    return np.linalg.lstsq(matrix, target, rcond=1e-12)[0] / scale

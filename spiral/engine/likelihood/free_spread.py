@@ -28,8 +28,7 @@ def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel, samples
     parts = matrices(task, settings, forces)
     n, k, dt = len(task.states), len(parts.phi), task.series.dt
     kept = np.r_[:n, len(parts.q) - k : len(parts.q)]  # without tracked parameters
-    inputs = task.inputs.mean(axis=0)
-    flow = expm(linearised(task.compiled, task.values, inputs, task.centre) * dt)
+    flow = expm(linearised(task.compiled, task.values, task.mean_inputs, task.centre) * dt)
     f = np.zeros((n + k, n + k))
     f[:n, :n], f[n:, n:] = flow, parts.phi
     f[:n, n:] = 0.5 * dt * (flow @ parts.driven + parts.driven)

@@ -13,7 +13,7 @@ no matrix to be factorised and lets any of them be missing:
     s = c P c^T + r,  K = P c^T / s,  x <- x + K e,  P <- (I - K c) P (I - K c)^T + K r K^T.
 
 The slopes S = d(x, theta, z)/dp of the mean follow with the gains held: d = c S + h_p is the slope
-of a prediction, S <- S - K d.
+of a prediction, S <- S - K d. They stand beside P in one matrix M = [P | S] (``transition``).
 """
 
 from __future__ import annotations
@@ -24,6 +24,16 @@ from numba import types
 
 from spiral.engine.filter.algebra import ABSORB, PRODUCT
 from spiral.engine.filter.kernel import hold, reset, room, sound
+from spiral.engine.likelihood.transition import (
+    carried,
+    carried_slopes,
+    carry_covariance,
+    entries_of,
+    forget,
+    push,
+    transition_rows,
+    whole,
+)
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
 from spiral.physics.lanes import padded
@@ -34,139 +44,59 @@ _FAST = {"contract", "reassoc"}
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _slope(c, hp, both, tracked, s, gain, d):
-    """d = c S + h_p, and S <- S - K d."""
-    size, width = s.shape[0], d.shape[0]
-    for j in range(width):
-        d[j] = hp[both[tracked + j]]
-    for i in range(size):
-        if c[i] != 0.0:
-            for j in range(width):
-                d[j] += c[i] * s[i, j]
-    for i in range(size):
-        for j in range(width):
-            s[i, j] -= gain[i] * d[j]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _push(x, driven, first, half):
-    """x <- x + G z dt / 2."""
-    for i in range(driven.shape[0]):
-        for j in range(driven.shape[1]):
-            x[i] += half * driven[i, j] * x[first + j]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _forget(x, phi, first, later):
-    """z <- Phi z."""
-    k = phi.shape[0]
-    for i in range(k):
-        later[i] = 0.0
-        for j in range(k):
-            later[i] += phi[i, j] * x[first + j]
-    for i in range(k):
-        x[first + i] = later[i]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _transition(f, x, phi, driven, tracked, half, scratch, whole):
-    """The (N, N) transition of (x, theta, z) from the slopes (n, n + theta + q) of the flow.
-
-    Beside it z <- Phi z.
-    """
-    n, k = f.shape[0], phi.shape[0]
-    first = n + tracked
-    whole[:] = 0.0
-    for i in range(n):
-        for a in range(first):
-            whole[i, a] = f[i, a]
-        for j in range(k):
-            value = driven[i, j]
-            for a in range(n):
-                value += f[i, a] * driven[a, j]
-            whole[i, first + j] = half * value
-    for i in range(tracked):
-        whole[n + i, n + i] = 1.0
-    for i in range(k):
-        for j in range(k):
-            whole[first + i, first + j] = phi[i, j]
-    _forget(x, phi, first, scratch)
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _carry(product, whole, f, first, width, s, out):
-    """S <- F S + F_p."""
-    product(whole, s, out)
-    for i in range(f.shape[0]):
-        for j in range(width):
-            out[i, j] += f[i, first + j]
-    s[:] = out
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _propagate(product, p, whole, q, work):
-    """P <- F P F^T + Q in place; P stays exactly symmetric."""
-    product(whole, p, work[0])
-    for i in range(whole.shape[0]):
-        for a in range(whole.shape[0]):
-            work[1, a, i] = whole[i, a]
-    product(work[0], work[1], p)
-    for i in range(q.shape[0]):
-        for a in range(i + 1):
-            p[i, a] += q[i, a]
-            p[a, i] = p[i, a]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _rows(cx, cv, both, tracked, seen, x, y, h, c, misses):
+def _rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses):
     """Rows c of all channels by (x, theta, z), and y less what the mean predicts."""
     m, n = cx.shape
     first = n + tracked
     for j in range(m):
-        misses[j] = y[j] - h[j]
+        misses[k, j] = y[k, j] - h[j]
         for i in range(n):
             c[j, i] = cx[j, i]
         for i in range(tracked):
             c[j, n + i] = cv[j, both[i]]
         for i in range(seen.shape[1]):
             c[j, first + i] = seen[j, i]
-            misses[j] -= seen[j, i] * x[first + i]
+            misses[k, j] -= seen[j, i] * x[first + i]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def _measured(
-    absorb, x, p, c, cv, both, tracked, r, s, scratch, work, misses, spreads, slopes, k, gains
+    absorb, x, p, c, cv, both, tracked, r, scratch, work, k, d, misses, spreads, slopes, gains
 ):  # fmt: skip
     """All channels of a sample taken in one by one; False where a variance is not positive.
 
     What the mean has moved since the first channel is taken from the misses of those after it.
     """
-    size, width = gains.shape[2], slopes.shape[1]
+    size, width = len(x), slopes.shape[2]
     before, gain = scratch[0], scratch[1]
-    before[:] = x
+    for i in range(size):
+        before[i] = x[i]
     for j in range(c.shape[0]):
-        if np.isnan(misses[j]):
-            spreads[j] = 0.0
-            misses[j] = 0.0
-            slopes[j] = 0.0
+        if np.isnan(misses[k, j]):
+            spreads[k, j] = misses[k, j] = 0.0
+            for i in range(width):
+                slopes[k, j, i] = 0.0
             continue
-        for i in range(x.shape[0]):
-            misses[j] -= c[j, i] * (x[i] - before[i])
-        spreads[j] = absorb(x, p, c[j], r[j], misses[j], gain, work)
-        if not spreads[j] > 0.0:
+        for i in range(size):
+            misses[k, j] -= c[j, i] * (x[i] - before[i])
+        for i in range(width):
+            d[j, i] = cv[j, both[tracked + i]]
+        spreads[k, j] = absorb(x, p, c, d, j, r[j], misses[k, j], gain, work)
+        if not spreads[k, j] > 0.0:
             return False
+        for i in range(width):
+            slopes[k, j, i] = d[j, i]
         if gains.shape[0] > 0:
-            gains[k, j] = gain[:size]
-        if width:
-            _slope(c[j], cv[j], both, tracked, s, gain, slopes[j])
+            for i in range(gains.shape[2]):
+                gains[k, j, i] = gain[i]
     return True
 
 
 @nb.njit(cache=True, nogil=True)
-def _square(matrix):
-    """A square matrix with zeros around it, in room for lanes."""
+def _square(matrix, width):
+    """[P | S] with S = 0 of so many columns, in room for lanes."""
     wide = padded(len(matrix))
-    out = np.zeros((wide, wide))
+    out = np.zeros((wide, wide + padded(width)))
     out[: len(matrix), : len(matrix)] = matrix
     return out
 
@@ -175,20 +105,24 @@ def _square(matrix):
 def _keep(k, c, x, rows, means):
     """Rows and mean of a sample, where they are asked for."""
     if rows.shape[0] > 0:
-        rows[k] = c[:, : rows.shape[2]]
+        for j in range(rows.shape[1]):
+            for i in range(rows.shape[2]):
+                rows[k, j, i] = c[j, i]
     if means.shape[0] > 0:
-        means[k] = x[: means.shape[1]]
+        for i in range(means.shape[1]):
+            means[k, i] = x[i]
 
 
 @nb.njit(
     types.int64(
-        FLOW_FUNCTION, MODEL_FUNCTION, PRODUCT, ABSORB, _F1, _F2, _F1, _I1, types.int64, _F2, _F2,
-        types.int64, types.float64, _F2, _F1, _F2, _F2, _F2, _F2, _F2, _F2, _F3, _F2, _F3, _F3, _F3,
+        FLOW_FUNCTION, MODEL_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1, _F2, _F1, _I1, types.int64,
+        _F2, _F2, types.int64, types.float64, _F2, _F1, _F2, _F2, _F2, _F2, _F2, _F2, _F3, _F2,
+        _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def predict_record(
-    flow, output, product, absorb, mean, covariance, values, both, tracked, inputs, stages,
+    flow, output, product, lower, absorb, mean, covariance, values, both, tracked, inputs, stages,
     substeps, dt, y, r, q, phi, seen, driven,
     misses, spreads, slopes, means, transitions, gains, rows,
 ):  # fmt: skip
@@ -197,7 +131,7 @@ def predict_record(
     Parameters
     ----------
     flow, output : the model's flow and output with slopes by the parameters ``both``.
-    product, absorb : as in ``filter.algebra``.
+    product, lower, absorb : as in ``filter.algebra``.
     mean : (N,) of (states, tracked parameters, noise states) before the first sample; covariance :
         (N, N) of it. values : (parameters,), overwritten where tracked.
     both : indices of the ``tracked`` parameters, then of those differentiated (width).
@@ -221,78 +155,81 @@ def predict_record(
     first, half, followed, step = n + tracked, 0.5 * dt, both[:tracked], dt / substeps
     f, work = room(n, first + width)
     h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
-    p = _square(covariance)
-    wide, (s, _) = len(p), room(len(p), width)
-    matrices, out, k = np.zeros((3, wide, wide)), np.zeros_like(s), 0
-    x, c, scratch, whole = np.zeros(wide), np.zeros((m, wide)), np.zeros((2, wide)), matrices[2]
-    space = np.zeros(2 * wide)
+    p, k = _square(covariance, width), 0
+    wide, later = len(p), np.zeros_like(p)
+    a, turned = np.zeros((padded(n), size)), np.zeros((size, padded(n)))
+    x, c, d = np.zeros(wide), np.zeros((m, wide)), np.zeros((m, padded(width)))
+    scratch, space, entries = np.zeros((2, wide)), np.zeros(2 * p.shape[1]), entries_of(driven)
     x[:size] = mean
     for k in range(samples):
         hold(values, followed, x[:first])
         output(x[:n], inputs[k * 2 * substeps], values, h, cx, cv)
-        _rows(cx, cv, both, tracked, seen, x, y[k], h, c, misses[k])
-        if not _measured(absorb, x, p, c, cv, both, tracked, r, s, scratch, space, misses[k],
-                         spreads[k], slopes[k], k, gains):  # fmt: skip
+        _rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses)
+        if not _measured(absorb, x, p, c, cv, both, tracked, r, scratch, space, k, d, misses,
+                         spreads, slopes, gains):  # fmt: skip
             return k
         _keep(k, c, x, rows, means)
         if k == samples - 1 or not sound(x, p):
             break
         reset(f)
         hold(values, followed, x[:first])
-        _push(x, driven, first, half)
+        push(x, driven, entries, first, half)
         flow(x, stages, k * substeps * 3, 3, substeps, step, values, f, work)
-        _push(x, driven, first, half)
-        _transition(f, x, phi, driven, tracked, half, scratch[0], whole)
-        if transitions.shape[0] > 0:
-            transitions[k] = whole[:size, :size]
-        if width:
-            _carry(product, whole, f, first, width, s, out)
-        _propagate(product, p, whole, q, matrices)
+        push(x, driven, entries, first, half)
+        forget(x, phi, first, scratch[0])
+        transition_rows(f, driven, entries, first, half, a, turned)
+        whole(k, a, phi, n, transitions)
+        carried(product, a, phi, p, later, n, size)
+        carried_slopes(later, f, p, n, first, size, width)
+        carry_covariance(lower, later, turned, phi, q, p, n, size)
     return k + 1 if sound(x, p) else k
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _follow(absorb, x, p, rows, gains, before, seen, r, scratch, work, misses, spreads):
+def _follow(absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, misses, spreads):
     """A sample taken in with other noise: x is how far its mean is from that of the first run."""
-    size, c, gain = rows.shape[1], scratch[0], scratch[1]
+    size, c, gain = rows.shape[2], scratch[:1], scratch[1]
     for j in range(len(misses)):
         misses[j] = spreads[j] = 0.0
-        if not seen[j] > 0.0:
+        if not seen[k, j] > 0.0:
             continue
-        c[:size] = rows[j]
-        misses[j] = before[j]
+        misses[j] = before[k, j]
         for i in range(size):
-            misses[j] -= rows[j, i] * x[i]
-        spreads[j] = absorb(x, p, c, r[j], misses[j], gain, work)
+            c[0, i] = rows[k, j, i]
+            misses[j] -= rows[k, j, i] * x[i]
+        spreads[j] = absorb(x, p, c, none, 0, r[j], misses[j], gain, work)
         for i in range(size):
-            x[i] -= gains[j, i] * before[j]
+            x[i] -= gains[k, j, i] * before[k, j]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _departed(x, whole, z, phi, before, first, later):
-    """x <- F x + (Phi - Phi_0) z with F = ``whole``, which is given this Phi."""
+def _departed(x, a, z, phi, before, n, first, later):
+    """x <- F x + (Phi - Phi_0) z, F with this Phi."""
     k = phi.shape[0]
+    for i in range(n):
+        later[i] = 0.0
+        for j in range(first + k):
+            later[i] += a[i, j] * x[j]
     for i in range(k):
         later[first + i] = 0.0
         for j in range(k):
             later[first + i] += (phi[i, j] - before[i, j]) * z[first + j]
-            whole[first + i, first + j] = phi[i, j]
-    later[:first] = 0.0
-    for i in range(first + k):
-        for a in range(first + k):
-            later[i] += whole[i, a] * x[a]
-    x[: first + k] = later[: first + k]
+            later[first + i] += phi[i, j] * x[first + j]
+    for i in range(n):
+        x[i] = later[i]
+    for i in range(first, first + k):
+        x[i] = later[i]
 
 
 @nb.njit(
     types.void(
-        FLOW_FUNCTION, PRODUCT, ABSORB, _F1, _I1, _F2, types.int64, types.float64, _F2, _F2,
-        _F2, _F3, _F3, _F2, _F2, _F3, _F2, _F3, _F3, _F3, _F3,
+        FLOW_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1, _I1, _F2, types.int64, types.float64, _F2,
+        _F2, _F2, _F3, _F3, _F2, _F2, _F3, _F2, _F3, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def vary_record(
-    flow, product, absorb, values, followed, stages, substeps, dt, phi, driven,
+    flow, product, lower, absorb, values, followed, stages, substeps, dt, phi, driven,
     means, gains, rows, before, seen, starts, r, q, phis, misses, spreads,
 ):  # fmt: skip
     """One-step predictions of a record under other models of its noise, along one filtered motion.
@@ -312,24 +249,26 @@ def vary_record(
     samples, size = means.shape
     first, n = size - phi.shape[0], size - phi.shape[0] - len(followed)
     f, work = room(n, first)
-    blank = _square(starts[0])
+    blank = _square(starts[0], 0)
     wide, p = len(blank), np.zeros((len(starts), *blank.shape))
     x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
-    scratch, space, matrices = np.zeros((2, wide)), np.zeros(2 * wide), np.zeros((3, *blank.shape))
-    whole = matrices[2]
+    scratch, space, w = np.zeros((2, wide)), np.zeros(2 * wide), np.zeros_like(blank)
+    a, turned = np.zeros((padded(n), size)), np.zeros((size, padded(n)))
+    none, entries = np.zeros((1, 0)), entries_of(driven)
     p[:, :size, :size] = starts
     for k in range(samples):
         for v in range(len(starts)):
-            _follow(absorb, x[v], p[v], rows[k], gains[k], before[k], seen[k], r[v], scratch,
+            _follow(absorb, k, x[v], p[v], rows, gains, before, seen, r[v], scratch, none,
                     space, misses[v, k], spreads[v, k])  # fmt: skip
         if k == samples - 1:
             break
         here[:] = means[k]
         reset(f)
         hold(values, followed, here[:first])
-        _push(here, driven, first, 0.5 * dt)
+        push(here, driven, entries, first, 0.5 * dt)
         flow(here, stages, k * substeps * 3, 3, substeps, dt / substeps, values, f, work)
-        _transition(f, here, phi, driven, len(followed), 0.5 * dt, later, whole)
+        transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for v in range(len(starts)):
-            _departed(x[v], whole, means[k], phis[v], phi, first, later)
-            _propagate(product, p[v], whole, q[v], matrices)
+            _departed(x[v], a, means[k], phis[v], phi, n, first, later)
+            carried(product, a, phis[v], p[v], w, n, size)
+            carry_covariance(lower, w, turned, phis[v], q[v], p[v], n, size)

@@ -117,7 +117,7 @@ def limits(task: Task, name: str) -> tuple[float, float]:
     if kind in ("force", "gust"):
         return _LEVEL, OWN
     channels = task.compiled.traced.channels
-    spread = float(np.std(task.series.y[:, channels.index(where)])) or 1.0
+    spread = float(task.series.deviations[channels.index(where)]) or 1.0
     if kind == "drift":
         length = np.sqrt(task.series.dt * task.series.samples)
         return _LEAST * spread / length, _MOST * spread / length

@@ -20,7 +20,7 @@ from spiral.engine.filter.extended import FilterSettings, tracked_indices
 from spiral.engine.filter.task import Task
 from spiral.engine.likelihood.noise import NoiseModel, matrices
 from spiral.engine.threads import THREADS
-from spiral.physics.flow import compile_flow
+from spiral.physics.flow import Flow, compile_flow
 from spiral.types.record import Array
 
 Prepared = tuple[tuple[Task, FilterSettings], ...]
@@ -96,8 +96,7 @@ def predicted(
 
     tracked = tracked_indices(task, settings.tracked)
     both = np.concatenate([tracked, tracked_indices(task, tuple(keys))]).astype(np.int64)
-    names = (*settings.tracked, *keys)
-    flow, compiled = compile_flow(task.compiled.traced, names), algebra()
+    flow, compiled = _flow(task, settings, tuple(keys)), algebra()
     parts = matrices(task, settings, noise)
     samples, m = task.series.y.shape
     size, kept = len(parts.q), samples if keep or carry else 0
@@ -111,13 +110,19 @@ def predicted(
     grid, series = task.inputs, task.series
     y = series.y if series.seen is None else np.where(series.seen, series.y, np.nan)
     done = predict_record(
-        flow.advance, flow.output, compiled.product, compiled.absorb,
+        flow.advance, flow.output, compiled.product, compiled.lower, compiled.absorb,
         np.concatenate([first, np.zeros(size - len(first))]),
         parts.p, task.values.copy(), both, len(tracked), grid, series.stages(grid),
         series.substeps, series.dt, np.ascontiguousarray(y), parts.r, parts.q, parts.phi,
         parts.seen, parts.driven, *arrays,
     )  # fmt: skip
     return Prediction(*arrays, int(done))
+
+
+def _flow(task: Task, settings: FilterSettings, keys: tuple[str, ...] = ()) -> Flow:
+    """The flow of a task with slopes by tracked parameters and these; one for all that it moves."""
+    moved = task.moved if task.moved[: len(keys)] == keys else keys
+    return compile_flow(task.compiled.traced, (*settings.tracked, *moved))
 
 
 def varied(
@@ -131,14 +136,14 @@ def varied(
     from spiral.engine.likelihood.kernel import vary_record
 
     tracked = tracked_indices(task, settings.tracked)
-    flow, compiled = compile_flow(task.compiled.traced, settings.tracked), algebra()
+    flow, compiled = _flow(task, settings), algebra()
     first, parts = matrices(task, settings, noise), [matrices(task, settings, n) for n in others]
     p, r, q, phi = (np.array([getattr(m, a) for m in parts]) for a in ("p", "r", "q", "phi"))
     misses, spreads = (np.zeros((len(others), *run.misses.shape)) for _ in range(2))
     series = task.series
     vary_record(
-        flow.advance, compiled.product, compiled.absorb, task.values.copy(), tracked,
-        series.stages(task.inputs), series.substeps, series.dt, first.phi, first.driven,
+        flow.advance, compiled.product, compiled.lower, compiled.absorb, task.values.copy(),
+        tracked, series.stages(task.inputs), series.substeps, series.dt, first.phi, first.driven,
         run.means, run.gains, run.rows, run.misses, run.spreads, p, r, q, phi, misses, spreads,
     )  # fmt: skip
     return [(misses[j], spreads[j]) for j in range(len(others))]

@@ -3,20 +3,16 @@
 1. *Score.* Candidates are ranked along the filtered motion (``scores``).
 2. *Refit.* The best are refitted with parameters and noise on the blocks that select, in a race:
    a few steps for all, more for those that keep up.
-3. *Judge.* On the other blocks the winner must predict better than the model as it is, both with
-   their values from the first; and by Wilks' test, both refitted there, significantly so, for as
-   many tests as values of its shapes were tried.
+3. *Judge.* On the other blocks the winner must predict better (``judging``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import special
 
-from spiral.engine.likelihood.fit import Maximum, maximise
 from spiral.engine.likelihood.noise import EXTRA
 from spiral.engine.likelihood.predict import Masks
 from spiral.engine.score import Score
@@ -26,7 +22,6 @@ from spiral.inference.evidence.fit_state import FitState, two_sided
 from spiral.inference.evidence.scoring import Ranked, present_labels, tested_keys
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
-    bounds_of,
     explains,
     price,
     refitted,
@@ -48,7 +43,8 @@ class Rival:
 
     ``gain`` in log-likelihood over the model as it is; ``worth`` the same less Schwarz's price of
     its amplitudes and of the ``shapes`` that took their most likely values here. The fit is in
-    terms of a study of its own, the model with this candidate.
+    terms of a study of its own, the model with this candidate; ``plain`` is how far it came with
+    less at random, where that is not as likely.
     """
 
     assembly: Assembly
@@ -57,6 +53,7 @@ class Rival:
     gain: float
     worth: float
     shapes: int = 0
+    plain: LikelihoodFit | None = None
 
     @property
     def label(self) -> str:
@@ -231,16 +228,28 @@ def added(assembly: Assembly, state: FitState, ranked: Ranked, far: bool = False
 
 def _further(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Rival:
     """A rival's fit taken on, with less at random where the record is as likely so."""
-    own, fit = rival.assembly, rival.fit
-    noise, plain = fit.estimate.noise, fit.estimate.noise.without(*EXTRA)
-    for trial in (plain, noise) if len(plain.terms) < len(noise.terms) else (noise,):
-        kept = fit.estimate.kept
-        like = fit.estimate.prepared
-        found = refitted(own, fit.state, trial, masks, steps, rough=True, kept=kept, like=like)
-        if found.height >= fit.height:
-            fit = found
-            break
-    return _rival(own, base, rival.ranked, fit, rival.shapes)
+    own, fit, plain = rival.assembly, rival.fit, rival.plain
+    noise, less = fit.estimate.noise, fit.estimate.noise.without(*EXTRA)
+    if len(less.terms) < len(noise.terms):
+        if plain is None or plain.state.freed != fit.state.freed:
+            plain = replace(fit, estimate=replace(fit.estimate, noise=less))
+        plain = _taken(own, plain, masks, steps, fit.height)
+        if plain.height >= fit.height:
+            return _rival(own, base, rival.ranked, plain, rival.shapes)
+    found = _taken(own, fit, masks, steps)
+    fit = found if found.height >= fit.height else fit
+    return replace(_rival(own, base, rival.ranked, fit, rival.shapes), plain=plain)
+
+
+def _taken(
+    own: Assembly, fit: LikelihoodFit, masks: Masks, steps: int, least: float = -np.inf
+) -> LikelihoodFit:
+    """A rival's fit taken on by so many steps; ``least`` as in ``maximise``."""
+    at = fit.estimate
+    return refitted(
+        own, fit.state, at.noise, masks, steps, rough=True, kept=at.kept, like=at.prepared,
+        least=least,
+    )  # fmt: skip
 
 
 def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
@@ -330,51 +339,3 @@ def _rival(
     gain = fit.height - base.height
     worth = gain - price(len(ranked.columns) + shapes, fit.estimate.prepared)
     return Rival(assembly, ranked, fit, gain, worth, shapes)
-
-
-@dataclass(frozen=True)
-class Judged:
-    """The winner on the blocks that did not select, in log-likelihood.
-
-    ``predicted`` its gain where both models have their values from the blocks that did, the noise
-    of each as these blocks have it; ``refitted`` where both have their most likely values;
-    ``terms`` the parameters that it has beyond
-    the model as it is; ``searched`` among how many values its shapes were looked for.
-    """
-
-    predicted: float
-    refitted: float
-    terms: int
-    searched: int
-
-    def passes(self, level: float) -> bool:
-        """Whether it holds there, at a level of error."""
-        return self.predicted > 0 and self.p_value < level
-
-    @property
-    def p_value(self) -> float:
-        """Of Wilks' test, for as many tests as shapes were searched among."""
-        single = float(special.chdtrc(self.terms, 2 * max(self.refitted, 0.0)))
-        return min(self.searched * single, 1.0)
-
-
-def judged(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) -> Judged:
-    """A winner against the model as it is on other blocks than those that chose it.
-
-    Parameters
-    ----------
-    base : the model as it is. masks : the blocks that did not select.
-    """
-    theirs, ours = (most_likely(f.estimate, masks, {}) for f in (rival.fit, base))
-    before = most_likely(ours, masks, bounds_of(assembly, base.estimate.keys))
-    after = most_likely(theirs, masks, bounds_of(rival.assembly, rival.fit.estimate.keys))
-    freed = set(rival.fit.state.freed) - set(base.state.freed)
-    terms = len(rival.ranked.columns) + len(freed)
-    searched = rival.ranked.variant.searched if freed else 1
-    predicted = theirs.log_likelihood - ours.log_likelihood
-    return Judged(predicted, after.log_likelihood - before.log_likelihood, terms, searched)
-
-
-def most_likely(at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, float]]) -> Maximum:
-    """A model at its most likely on some blocks, by its noise and what has bounds, from here on."""
-    return maximise(at.prepared, tuple(bounds), at.noise, bounds, masks, _RACE, kept=at.kept)

@@ -178,8 +178,7 @@ def _settling(other: Assembly, task: Task) -> float:
     asked = settling(other)
     if other.problem.settle is not None:
         return asked
-    inputs = task.inputs.mean(axis=0) if task.inputs.size else np.zeros(task.inputs.shape[1])
-    matrix = linearised(task.compiled, task.values, inputs, task.centre)
+    matrix = linearised(task.compiled, task.values, task.mean_inputs, task.centre)
     sizes = np.abs(np.linalg.eigvals(matrix))
     sizes = sizes[sizes > _STILL * sizes.max(initial=0.0)]
     slowest = 2 * np.pi / float(sizes.min()) if len(sizes) else 0.0

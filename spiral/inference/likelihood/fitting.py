@@ -101,7 +101,8 @@ def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) 
     ]
     if like is not None:
         tasks = [on_scales(t, other) for t, (other, _) in zip(tasks, like, strict=True)]
-    return tuple(filter_prepared(task, followed, known) for task in tasks)
+    moved = moving(assembly, state)
+    return tuple(filter_prepared(replace(t, moved=moved), followed, known) for t in tasks)
 
 
 def integrated(assembly: Assembly, state: FitState) -> Assembly:
@@ -136,6 +137,7 @@ def refitted(
     kept: Kept | None = None,
     differences: bool = True,
     like: Prepared | None = None,
+    least: float = -np.inf,
 ) -> LikelihoodFit:
     """The most likely values of a state's parameters and of its noise.
 
@@ -144,7 +146,7 @@ def refitted(
     noise : to start from; left out, the state's own, or white noise as the record has it with
         much process noise.
     masks : samples of each record that count. steps : at most so many; ``rough``, ``kept``
-        and ``differences`` as in ``maximise``; ``like`` as in ``subjects``.
+        ``differences`` and ``least`` as in ``maximise``; ``like`` as in ``subjects``.
     """
     prepared = subjects(assembly, state, like)
     noise = noise or state.noise or first_noise(prepared[0][0], LEVEL)
@@ -152,7 +154,7 @@ def refitted(
     bounds = bounds_of(assembly, keys)
     estimate = maximise(
         prepared, keys, noise, bounds, masks, steps,
-        rough=rough, kept=kept, differences=differences,
+        rough=rough, kept=kept, differences=differences, least=least,
     )  # fmt: skip
     return LikelihoodFit(with_estimate(state, estimate), estimate)
 

@@ -108,6 +108,7 @@ def _part(at: Maximum) -> Prepared:
     short = task_with(
         task.model, task.compiled, task.values.copy(), record, substeps=task.series.substeps
     )
+    short = replace(short, moved=task.moved)
     return (filter_prepared(short, settings.tracked, doubts(settings.tracked)),)
 
 

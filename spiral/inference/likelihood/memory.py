@@ -36,8 +36,8 @@ from spiral.engine.likelihood.own_states import own_of, own_states_along
 from spiral.engine.likelihood.predict import Masks, predicted
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.scoring import tested_keys
-from spiral.inference.likelihood.candidates import most_likely
 from spiral.inference.likelihood.fitting import LikelihoodFit, refitted
+from spiral.inference.likelihood.judging import most_likely
 from spiral.inference.likelihood.scores import Passage, motion_of, ranked_along
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.holding import carried, variant_of, with_variants

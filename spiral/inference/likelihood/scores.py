@@ -107,14 +107,20 @@ def _passage(
     return Passage(assembly, active, tasks, parts, motions, masks, block)
 
 
-def _pass(passage: Passage, offered: Sequence[Variant]) -> tuple[Reduction, list[Group]]:
-    """The regression with all these variants that are numbers, and their groups."""
+def _pass(
+    passage: Passage, offered: Sequence[Variant], robust: bool = True
+) -> tuple[Reduction, list[Group]]:
+    """The regression with all these variants that are numbers, and their groups.
+
+    ``robust`` : with the sums over blocks that Wald's test asks for.
+    """
     groups = [_group(passage.assembly, v, len(passage.parts)) for v in offered]
     with np.errstate(all="ignore"):
         carried = [_carried(passage, r, groups) for r in range(len(passage.parts))]
         finite = np.all([np.abs(c).max(axis=(0, 1)) < _HUGE for c in carried], axis=0)
     groups, carried = _finite(groups, carried, finite)
-    return _reduced(passage.parts, carried, passage.masks, passage.block), groups
+    block = passage.block if robust else 0
+    return _reduced(passage.parts, carried, passage.masks, block), groups
 
 
 # --- effects with states of their own ------------------------------------------------------------
@@ -149,7 +155,7 @@ def _best_near(
 def _shares(passage: Passage, effect: Effect, trials: Sequence[Mapping[str, float]]) -> Array:
     """Share of what is left that each trial (shapes by name) explains."""
     offered = [variant_of(effect, str(i + 1), dict(t)) for i, t in enumerate(trials)]
-    reduction, groups = _pass(passage, offered)
+    reduction, groups = _pass(passage, offered, robust=False)
     table = tabulate(reduction, len(passage.active))
     found = dict.fromkeys((v.label for v in offered), 0.0)
     found |= {g.variant.label: s.explains for g, s in scored(table, groups)}
@@ -298,7 +304,7 @@ def _columns(
 def _reduced(
     parts: Sequence[Prediction], carried: Sequence[Array], masks: Masks, block: int
 ) -> Reduction:
-    """Whitened misses and slopes as one reduced pass, with its Gram blocks."""
+    """Whitened misses and slopes as one reduced pass, with its Gram blocks; without, of 0."""
     rows, grams, cost, samples = [], [], 0.0, 0
     for r, (part, own) in enumerate(zip(parts, carried, strict=True)):
         chosen = None if masks is None else masks[r]
@@ -308,7 +314,7 @@ def _reduced(
             [part.slopes * weight, own * weight, part.whitened[..., None]], axis=2
         )
         whole[~mask] = 0.0
-        for start in range(0, len(whole), block):
+        for start in range(0, len(whole), block) if block else ():
             piece = whole[start : start + block].reshape(-1, whole.shape[2])
             if mask[start : start + block].any():
                 grams.append(piece.T @ piece)

@@ -7,7 +7,9 @@ no longer wanted let go.
 
 from __future__ import annotations
 
+import functools
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,7 +28,6 @@ from spiral.inference.likelihood.candidates import (
     Race,
     Rival,
     held_shapes,
-    judged,
     race,
     refit_alone,
     with_own_shapes,
@@ -43,6 +44,7 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.groups import alike, plainest
 from spiral.inference.likelihood.identify import untold
+from spiral.inference.likelihood.judging import Unselected, judged, unselected
 from spiral.inference.likelihood.ladder import climbed_ladder, pruned, quieted
 from spiral.inference.likelihood.scores import ranking
 from spiral.inference.likelihood.starts import (
@@ -168,8 +170,9 @@ def _first_to_pass(
 ) -> tuple[_Passed | None, dict[str, str]]:  # fmt: skip
     """The first winner that holds on other blocks and helps, and why those before it do not."""
     rejected: dict[str, str] = {}
+    ours = functools.cache(lambda: unselected(base, assembly, judge))
     for rival, rivals in itertools.islice(run.winners(), options.judged):
-        if reason := _refused(assembly, base, rival, judge, level):
+        if reason := _refused(base, ours, rival, judge, level):
             rejected[rival.label] = reason
             continue
         chosen, aliases = plainest(rival, alike(rivals, options.odds), rivals)
@@ -235,11 +238,11 @@ def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Li
 
 
 def _refused(
-    assembly: Assembly, base: LikelihoodFit, rival: Rival, judge: Masks, level: float
+    base: LikelihoodFit, ours: Callable[[], Unselected], rival: Rival, judge: Masks, level: float
 ) -> str:
     if not rival.worth > 0:
         return "refitted, it does not make the record more likely than its price"
-    found = judged(assembly, base, rival, judge)
+    found = judged(base, ours(), rival, judge)
     if not found.passes(level):
         return (
             f"not confirmed on the blocks that did not select (p = {found.p_value:.2g}, "

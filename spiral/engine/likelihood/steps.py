@@ -1,0 +1,42 @@
+"""Damped steps of a linear least-squares problem that is given by its triangle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spiral.types.record import Array
+
+_STRONGEST = 1e6  # damping from which no step is another one
+_OTHER = 0.3  # share of a step that the next one tried differs by
+
+
+def next_step(
+    upper: Array, sizes: Array, damping: float, strain: float, last: Array | None
+) -> tuple[Array, float]:
+    """A step with this damping, or with as much more as makes it another one than the last.
+
+    Where damping is far below the smallest eigenvalue of the unit columns' products, ten times as
+    much changes nothing.
+
+    Parameters
+    ----------
+    upper : R (k + 1, k + 1) of [X | e]. sizes : (k,) norms of X's columns. strain : factor by which
+        damping grows. last : the step tried before, if any.
+    """
+    step = damped(upper, sizes, damping)
+    if last is None:
+        return step, damping
+    least = _OTHER * float(np.linalg.norm(sizes * last))
+    while np.linalg.norm(sizes * (step - last)) < least and damping < _STRONGEST:
+        damping *= strain
+        step = damped(upper, sizes, damping)
+    return step, damping
+
+
+def damped(upper: Array, sizes: Array, damping: float) -> Array:
+    """Least squares with every unit column held at zero by ``damping``."""
+    scale = np.where(sizes > 0, sizes, 1.0)
+    k = len(scale)
+    matrix = np.vstack([upper[:, :-1] / scale, np.sqrt(damping) * np.eye(k)])
+    target = np.concatenate([upper[:, -1], np.zeros(k)])
+    return np.linalg.lstsq(matrix, target, rcond=1e-12)[0] / scale

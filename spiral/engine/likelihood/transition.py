@@ -1,0 +1,154 @@
+"""From one sample to the next: the transition of (x, theta, z), and what it makes of P and S.
+
+    F = [ A | 0 I 0 | 0 0 Phi ]    (rows of x, of theta, of z)
+
+    [P | S] <- [F P F^T + Q | F S + F_p]
+
+Only A is a full matrix; rows and columns of theta and z follow from it by symmetry. P and S stand
+side by side in one matrix M = [P | S].
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+
+_FAST = {"contract", "reassoc"}
+_NOTHING = 1e-280  # a variance, in any unit
+
+
+@nb.njit(cache=True, nogil=True)
+def entries_of(driven):
+    """Rows and columns of the entries of G that are not zero."""
+    found = np.zeros((driven.size, 2), dtype=np.int64)
+    count = 0
+    for i in range(driven.shape[0]):
+        for j in range(driven.shape[1]):
+            if driven[i, j] != 0.0:
+                found[count, 0], found[count, 1] = i, j
+                count += 1
+    return found[:count].copy()
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def push(x, driven, entries, first, half):
+    """x <- x + G z dt / 2."""
+    for e in range(entries.shape[0]):
+        i, j = entries[e, 0], entries[e, 1]
+        x[i] += half * driven[i, j] * x[first + j]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def forget(x, phi, first, later):
+    """z <- Phi z."""
+    k = phi.shape[0]
+    for i in range(k):
+        later[i] = 0.0
+        for j in range(k):
+            later[i] += phi[i, j] * x[first + j]
+    for i in range(k):
+        x[first + i] = later[i]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def transition_rows(f, driven, entries, first, half, a, turned):
+    """A (n, N), and A^T, from the slopes (n, n + theta + q) of the flow."""
+    n = f.shape[0]
+    for i in range(n):
+        for j in range(first):
+            a[i, j] = f[i, j]
+    for e in range(entries.shape[0]):
+        for i in range(n):
+            a[i, first + entries[e, 1]] = 0.0
+    for e in range(entries.shape[0]):
+        at, j = entries[e, 0], entries[e, 1]
+        weight = half * driven[at, j]
+        a[at, first + j] += weight
+        for i in range(n):
+            a[i, first + j] += weight * f[i, at]
+    for i in range(n):
+        for j in range(turned.shape[0]):
+            turned[j, i] = a[i, j]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def whole(k, a, phi, n, transitions):
+    """F of a sample, where it is asked for."""
+    if transitions.shape[0] == 0:
+        return
+    size = transitions.shape[1]
+    first = size - phi.shape[0]
+    for i in range(size):
+        for j in range(size):
+            transitions[k, i, j] = a[i, j] if i < n else (1.0 if i == j and i < first else 0.0)
+    for i in range(phi.shape[0]):
+        for j in range(phi.shape[0]):
+            transitions[k, first + i, first + j] = phi[i, j]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def carried(product, a, phi, m, w, n, size):
+    """W = F M."""
+    first = size - phi.shape[0]
+    product(a, m, w, n, size)
+    for i in range(n, first):
+        for j in range(m.shape[1]):
+            w[i, j] = m[i, j]
+    for i in range(phi.shape[0]):
+        for j in range(m.shape[1]):
+            w[first + i, j] = 0.0
+        for b in range(phi.shape[0]):
+            value = phi[i, b]
+            if value != 0.0:
+                for j in range(m.shape[1]):
+                    w[first + i, j] += value * m[first + b, j]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def carry_covariance(lower, w, turned, phi, q, m, n, size):
+    """P <- W F^T + Q with W = F P; P stays exactly symmetric.
+
+    What nothing disturbs is known ever better; before its variance is too small to be a number of
+    full precision, and negative by rounding, it is zero.
+    """
+    first = size - phi.shape[0]
+    lower(w, turned, m, n, size)
+    for i in range(n, first):
+        for j in range(n):
+            m[i, j] = w[j, i]
+        for j in range(n, i + 1):
+            m[i, j] = w[i, j]
+    for i in range(first, size):
+        for j in range(n):
+            m[i, j] = 0.0
+        for j in range(n, first):
+            m[i, j] = w[i, j]
+        for b in range(first, size):
+            value = phi[i - first, b - first]
+            if value != 0.0:
+                for j in range(n):
+                    m[i, j] += value * w[j, b]
+        for j in range(first, i + 1):
+            m[i, j] = 0.0
+            for b in range(first, size):
+                m[i, j] += w[i, b] * phi[j - first, b - first]
+    for i in range(size):
+        for j in range(i + 1):
+            m[i, j] += q[i, j]
+            m[j, i] = m[i, j]
+    for i in range(size):
+        if m[i, i] != 0.0 and abs(m[i, i]) < _NOTHING:
+            for j in range(size):
+                m[i, j] = m[j, i] = 0.0
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def carried_slopes(w, f, m, n, first, size, width):
+    """S <- F S + F_p, from W."""
+    wide = m.shape[0]
+    for i in range(n):
+        for j in range(width):
+            m[i, wide + j] = w[i, wide + j] + f[i, first + j]
+    for i in range(n, size):
+        for j in range(width):
+            m[i, wide + j] = w[i, wide + j]
