@@ -32,13 +32,26 @@ def with_likely_inputs(
 ) -> LikelihoodFit:
     """The fit with every input run between its samples in the way that is most likely.
 
-    The system's own way stands unless another is ``ODDS`` times as likely and the model explains
-    the records with it: what a model lacks makes wrong ways likely too.
+    Asked where no candidate can be held against it. The system's own way stands unless another is
+    ``ODDS`` times as likely and the model explains the records with it: what a model lacks makes
+    wrong ways likely too.
     """
     for known in assembly.problem.model.system.inputs:
-        others = _others(assembly, found, known, None, progress)
-        able = [f for f in others if _way(f, known) == known.interpolation or explains(f)]
-        found = max([found, *able], key=lambda f: f.height + _favour(f, known))
+        others = [f for f in _others(assembly, found, known, None, progress) if explains(f)]
+        best = max(others, key=lambda f: f.height, default=found)
+        found = best if best.height > found.height + np.log(ODDS) else found
+    return found
+
+
+def with_own_inputs(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
+    """The fit with inputs run as their system says again, where another way is not needed now."""
+    for known in assembly.problem.model.system.inputs:
+        if known.name not in found.state.between:
+            continue
+        progress(f"asking how {known.name} runs between its samples")
+        state = replace(found.state, between=_with(found, known, known.interpolation))
+        own = refitted(assembly, state, rough=True)
+        found = own if own.height > found.height - np.log(ODDS) else found
     return found
 
 
@@ -83,9 +96,10 @@ def _others(
 def told(between: Ways) -> Iterator[str]:
     """What was found, a sentence for each input."""
     for name, way in between.items():
+        alike = "; half a sample of lag or delay looks alike" if way == "zero_order" else ""
         yield (
             f"with this model {name} is between its samples most likely {BETWEEN[way]} "
-            f"(record.hold={way} would say so)"
+            f"(record.hold={way} would say so{alike})"
         )
 
 
@@ -104,10 +118,6 @@ def _with(found: LikelihoodFit, known: Input, way: Interpolation) -> Ways:
         k: w for k, w in found.state.between.items() if k != known.name
     }
     return others if way == known.interpolation else {**others, known.name: way}
-
-
-def _favour(found: LikelihoodFit, known: Input) -> float:
-    return float(np.log(ODDS)) if _way(found, known) == known.interpolation else 0.0
 
 
 def _differs(assembly: Assembly, found: LikelihoodFit, other: FitState) -> bool:

@@ -23,7 +23,11 @@ from spiral.inference.evidence.assembly import Assembly, check_candidates, compi
 from spiral.inference.evidence.comparison import refined
 from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
-from spiral.inference.likelihood.between import likelier_inputs, with_likely_inputs
+from spiral.inference.likelihood.between import (
+    likelier_inputs,
+    with_likely_inputs,
+    with_own_inputs,
+)
 from spiral.inference.likelihood.candidates import (
     Race,
     Rival,
@@ -83,8 +87,10 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
     for effect in problem.model.effects:
         keys = tuple(k for k in problem.scaled if k.rsplit(".", 1)[0] == effect.label)
         found = with_own_shapes(bare, found, effect, keys)
-    found = with_likely_inputs(bare, found, progress)
     found = finished(bare, found, progress)
+    if not problem.candidates:
+        run = with_likely_inputs(bare, found, progress)
+        found = found if run is found else finished(bare, pruned(bare, run, progress), progress)
     settled = _settled(bare, found, progress)
     fitted = replace(problem, model=settled.comparison.model)
     variants, left_out, _ = offers(fitted, bare.later)
@@ -190,7 +196,8 @@ def _otherwise(
     progress: Progress,
 ) -> Step[Scored]:  # fmt: skip
     """The proposal beside the model as it is with inputs that run otherwise between samples."""
-    found = finished(assembly, refitted(assembly, state, rough=True), progress)
+    found = pruned(assembly, refitted(assembly, state, rough=True), progress)
+    found = finished(assembly, found, progress)
     again = _settled(assembly, found, progress)
     step = propose(options, assembly, again.standing, again.comparison, number, progress)
     return replace(step, again=step.again or again)
@@ -294,7 +301,7 @@ def _with(own: Assembly, state: FitState, label: str, progress: Progress) -> Set
     found = restarted(own, on_finer_steps(own, found))
     found, effect = pruned(own, found, progress), own.variant(label).effect
     found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
-    found = finished(own, with_likely_inputs(own, found, progress), progress)
+    found = finished(own, with_own_inputs(own, found, progress), progress)
     found, gone = _without_superfluous(own, found, label)
     settled = _settled(own, found, progress, gone)
     if not gone:
