@@ -254,7 +254,7 @@ class _Search:
         over = found.best < self.enough or (fresh and (self.rough or not faithful))
         if (gain < self.enough and over) or (better is None and fresh):
             if at.kept.stale(at.noise, sizes, _FRESH):  # by slopes of elsewhere it is not over
-                return self.with_sizes(at, _FRESH), _DAMPING, fresh, False
+                return self.with_sizes(at, _FRESH), damping, fresh, False
             return replace(at, converged=True), damping, fresh, True
         if better is None:  # no step rises, however short
             return self.with_differences(at), _DAMPING, True, False
