@@ -22,6 +22,7 @@ from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import predicted
 from spiral.types.record import Array
 
+_MOST = 1e9  # deviations of the noise by which a doubt is seen to move a reading
 _SMALL = 1e-5  # share of a state's first doubt by which its start is moved
 
 
@@ -55,8 +56,9 @@ def free_doubt(
         scaled = np.concatenate([by_start, by_values], axis=2)  # for doubts of one
         white = np.array([noise.values[f"white.{c}"] for c in task.compiled.traced.channels])
         head = (scaled[:settled] / white[:, None]).reshape(-1, scaled.shape[2])
-        known = np.eye(scaled.shape[2]) + np.nan_to_num(head).T @ np.nan_to_num(head)
-        parts = scaled[settled:] @ np.linalg.inv(np.linalg.cholesky(known)).T
+        head = np.clip(np.nan_to_num(head), -_MOST, _MOST)  # of a run that leaves all bounds
+        known = np.linalg.qr(np.concatenate([np.eye(scaled.shape[2]), head]), mode="r")
+        parts = scaled[settled:] @ np.linalg.inv(known)
         found = np.sqrt(np.sum(parts**2, axis=2))
     most = np.sqrt(2.0) * deviations
     return np.minimum(np.nan_to_num(found, nan=np.inf, posinf=np.inf), most)
