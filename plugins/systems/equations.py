@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from types import SimpleNamespace
 
+from spiral.types.cache import kept
 from spiral.types.errors import ConfigError
 from spiral.types.parameter import State
 from spiral.types.port import Port
@@ -92,21 +93,7 @@ class Equations(MechanicalSystem):
     @property
     def ports(self):
         """Those named, one for each other coordinate, one between any two; else each state."""
-        if not self.coordinates:
-            return tuple(
-                Port(s.name, (s.name,), _state(s.name), s.unit, f"({s.unit or '1'})/s")
-                for s in self.others
-            )
-        named = self.form.definition.ports
-        taken = {text for _, texts in named for text in texts}
-        derived = ((c.name, (c.name,)) for c in self.coordinates if c.name not in taken)
-        known = {text.replace(" ", "") for text in taken}
-        between = (
-            (f"{a.name}_{b.name}", (f"{b.name} - {a.name}",))
-            for a, b in itertools.combinations(self.coordinates, 2)
-            if a.unit == b.unit and not known & {f"{b.name}-{a.name}", f"{a.name}-{b.name}"}
-        )
-        return tuple(self._port(name, texts) for name, texts in (*named, *derived, *between))
+        return _ports(self)
 
     @property
     def seed(self):
@@ -174,3 +161,25 @@ def _with_unit(value, unit):
     from spiral.types.units import registry
 
     return registry().Quantity(value, unit.replace("^", "**"))
+
+
+@kept(32)
+def _ports(system):
+    """Asked for thousands of times where many candidates are placed."""
+    if not system.coordinates:
+        return tuple(
+            Port(s.name, (s.name,), _state(s.name), s.unit, f"({s.unit or '1'})/s")
+            for s in system.others
+        )
+    named = system.form.definition.ports
+    taken = {text for _, texts in named for text in texts}
+    derived = ((c.name, (c.name,)) for c in system.coordinates if c.name not in taken)
+    known = {text.replace(" ", "") for text in taken}
+    names = {name for name, _ in named} | {c.name for c in system.coordinates}
+    between = (
+        (f"{a.name}_{b.name}", (f"{b.name} - {a.name}",))
+        for a, b in itertools.combinations(system.coordinates, 2)
+        if a.unit == b.unit and not known & {f"{b.name}-{a.name}", f"{a.name}-{b.name}"}
+    )
+    own = ((name, texts) for name, texts in between if name not in names)
+    return tuple(system._port(name, texts) for name, texts in (*named, *derived, *own))

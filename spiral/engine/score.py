@@ -83,8 +83,9 @@ def _without_active(reduction: Reduction, active: int) -> Array:
     scale = np.linalg.norm(triangle[:, :active], axis=0)
     scale[scale == 0] = 1.0
     head, *_ = np.linalg.lstsq(triangle[:, :active] / scale, triangle[:, active:], rcond=1e-12)
-    transform = np.concatenate([-head / scale[:, None], np.eye(triangle.shape[1] - active)])
-    return transform.T @ blocks @ transform
+    taken = head / scale[:, None]
+    right = blocks[:, :, active:] - blocks[:, :, :active] @ taken
+    return right[:, active:] - taken.T @ right[:, :active]
 
 
 def score(table: ScoreTable, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -> Score:
