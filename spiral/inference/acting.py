@@ -10,19 +10,19 @@ from spiral.types.run import Comparison
 _SENSITIVE = 0.3  # error of a free run from which no model is asked to follow the motion
 
 
-def acting(found: Comparison, *kinds: str) -> dict[str, float]:
+def random_of(found: Comparison, *kinds: str) -> dict[str, float]:
     """What acts at random of some kinds, by name."""
     return {k: v for k, v in (found.random or {}).items() if k.partition(".")[0] in kinds}
 
 
 def random_forces(found: Comparison) -> dict[str, float]:
     """Forces that act at random beside the model, by name, as shares of the machine's own."""
-    return acting(found, "force", "gust")
+    return random_of(found, "force", "gust")
 
 
 def coloured_noise(found: Comparison) -> dict[str, float]:
     """Noise of sensors that is not white, by name, as shares of what these show."""
-    return acting(found, "coloured", "band")
+    return random_of(found, "coloured", "band")
 
 
 def random_sentence(found: Comparison) -> str:

@@ -24,9 +24,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from spiral.inference.acting import (
-    acting,
     coloured_noise,
     random_forces,
+    random_of,
     random_sentence,
     record_sentence,
 )
@@ -121,7 +121,7 @@ def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
 
 def _drifting(found: Comparison) -> float:
     """What drifting sensors add to the error of a free run: rms of their shares over channels."""
-    shares = acting(found, "drift").values()
+    shares = random_of(found, "drift").values()
     return float(np.sqrt(sum(v**2 for v in shares) / max(len(found.channels), 1)))
 
 

@@ -162,7 +162,7 @@ def at_rest(task: Task) -> Array | None:
     rates = {traced.rate_name(s) for s in traced.states}
     own = [s for s in traced.states if s not in rates and traced.rate_name(s) not in traced.states]
     hidden = [traced.states.index(s) for s in own if s not in traced.channels]
-    n, u = len(task.start), np.ascontiguousarray(task.inputs.mean(axis=0))
+    n, u = len(task.start), np.ascontiguousarray(task.mean_inputs)
     x, rate, a, b = task.start.copy(), np.empty(n), np.empty((n, n)), np.zeros((n, len(values)))
     x[hidden] = np.where(x[hidden] == 0, _REST, x[hidden])
     with np.errstate(all="ignore"):

@@ -37,9 +37,9 @@ def free_doubt(
     keys : parameters whose ``covariance`` is known. noise : of the sensors. settled : samples that
         told where the record begins.
     """
-    task, settings = prepared(task, ())
+    task, settings = prepared(replace(task, moved=tuple(keys)), ())  # one flow for all passes
     sure = replace(settings, covariance=np.zeros_like(settings.covariance))
-    deviations = task.series.y.std(axis=0)
+    deviations = task.series.deviations
     deaf = first_noise(task, 0.0, deviations)  # a filter that is sure of its state corrects nothing
     spreads = _SMALL * task.spread
 
@@ -51,7 +51,7 @@ def free_doubt(
     with np.errstate(all="ignore"):
         base, slopes = misses(start, keys)
         moved = [misses(start + step)[0] - base for step in np.diag(spreads)]
-        by_start = np.stack(moved, axis=2) / _SMALL if moved else np.zeros((*base.shape, 0))
+        by_start = np.stack(moved, axis=2) / _SMALL
         by_values = -slopes @ _root(covariance)
         scaled = np.concatenate([by_start, by_values], axis=2)  # for doubts of one
         white = np.array([noise.values[f"white.{c}"] for c in task.compiled.traced.channels])

@@ -22,8 +22,7 @@ from spiral.types.parameter import BETWEEN, Input, Interpolation
 
 Ways = Mapping[str, Interpolation]
 
-ODDS = 100.0
-"""To one, for which an input runs in another way than its system says."""
+_ODDS = 100.0  # to one, for which an input runs in another way than its system says
 _SHOWN = 1.0  # squared change of the whitened misses from which a record can tell two ways apart
 
 
@@ -33,13 +32,13 @@ def with_likely_inputs(
     """The fit with every input run between its samples in the way that is most likely.
 
     Asked where no candidate can be held against it. The system's own way stands unless another is
-    ``ODDS`` times as likely and the model explains the records with it: what a model lacks makes
+    a hundred times as likely and the model explains the records with it: what a model lacks makes
     wrong ways likely too.
     """
     for known in assembly.problem.model.system.inputs:
         others = [f for f in _others(assembly, found, known, None, progress) if explains(f)]
         best = max(others, key=lambda f: f.height, default=found)
-        found = best if best.height > found.height + np.log(ODDS) else found
+        found = best if best.height > found.height + np.log(_ODDS) else found
     return found
 
 
@@ -51,7 +50,7 @@ def with_own_inputs(assembly: Assembly, found: LikelihoodFit, progress: Progress
         progress(f"asking how {known.name} runs between its samples")
         state = replace(found.state, between=_with(found, known, known.interpolation))
         own = refitted(assembly, state, rough=True)
-        found = own if own.height > found.height - np.log(ODDS) else found
+        found = own if own.height > found.height - np.log(_ODDS) else found
     return found
 
 
@@ -68,7 +67,7 @@ def likelier_inputs(
         for fit in _others(assembly, base, known, masks, progress)
     ]
     best = max(fits, key=lambda f: f.height, default=None)
-    if best is None or best.height - base.height < max(least, float(np.log(ODDS))):
+    if best is None or best.height - base.height < max(least, float(np.log(_ODDS))):
         return None
     return best
 
