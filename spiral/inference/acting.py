@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from spiral.types.formatting import number, percent
+from spiral.types.parameter import BETWEEN, Interpolation
 from spiral.types.run import Comparison
 
 _SENSITIVE = 0.3  # error of a free run from which no model is asked to follow the motion
@@ -52,8 +55,21 @@ def random_sentence(found: Comparison) -> str:
 
 def record_sentence(found: Comparison) -> str:
     """What of the readings is no measurement, and how the record departs from model and noise."""
-    text = "; ".join((*found.spoilt, *found.departures, *_sensitive(found)))
+    said = (*found.spoilt, *inputs_said(found.between), *found.departures, *_sensitive(found))
+    text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
+
+
+def inputs_said(between: Mapping[str, Interpolation]) -> tuple[str, ...]:
+    """How inputs were found to run between their samples, a sentence for each."""
+    said = []
+    for name, way in between.items():
+        alike = "; half a sample of lag or delay looks alike" if way == "zero_order" else ""
+        said.append(
+            f"with this model {name} is between its samples most likely {BETWEEN[way]} "
+            f"(record.hold={way} would say so{alike})"
+        )
+    return tuple(said)
 
 
 def _sensitive(found: Comparison) -> tuple[str, ...]:

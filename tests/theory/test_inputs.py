@@ -98,6 +98,7 @@ def test_a_hold_that_nobody_told_of_is_found():
     last = run.rounds[-1].comparison
     assert last.between == {"force": "zero_order"}
     assert "record.hold=zero_order" in " ".join(last.notes)
+    assert "record.hold=zero_order" in run.summary
     for key, value in TRUTH.items():
         owner, name = key.split(".")
         found = run.model.estimates()[owner][name]

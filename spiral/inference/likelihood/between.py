@@ -7,7 +7,7 @@ looks like an actuator that lags or limits its rate.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import get_args
 
@@ -18,7 +18,7 @@ from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.likelihood.fitting import LikelihoodFit, explains, refitted, subjects
 from spiral.inference.problem import Problem, Progress
-from spiral.types.parameter import BETWEEN, Input, Interpolation
+from spiral.types.parameter import Input, Interpolation
 
 Ways = Mapping[str, Interpolation]
 
@@ -90,16 +90,6 @@ def _others(
         progress(f"asking how {known.name} runs between its samples")
         fits.append(refitted(assembly, state, masks=masks, rough=True))
     return fits
-
-
-def told(between: Ways) -> Iterator[str]:
-    """What was found, a sentence for each input."""
-    for name, way in between.items():
-        alike = "; half a sample of lag or delay looks alike" if way == "zero_order" else ""
-        yield (
-            f"with this model {name} is between its samples most likely {BETWEEN[way]} "
-            f"(record.hold={way} would say so{alike})"
-        )
 
 
 def _open(problem: Problem, known: Input) -> bool:

@@ -24,6 +24,7 @@ from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import predicted
 from spiral.engine.study import Point
+from spiral.inference.acting import inputs_said
 from spiral.inference.evidence.assembly import (
     Assembly,
     columns,
@@ -41,7 +42,6 @@ from spiral.inference.evidence.horizons import (
     task_for,
 )
 from spiral.inference.evidence.judge import FreeRun, run_free
-from spiral.inference.likelihood.between import told
 from spiral.inference.likelihood.departures import departures
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
@@ -122,7 +122,7 @@ def _judged(
 def _remarks(problem: Problem, state: FitState) -> dict[str, Any]:
     """What is to be said of the records, and how their inputs run."""
     return {
-        "notes": (*(n for r in problem.records for n in r.remarks), *told(state.between)),
+        "notes": (*(n for r in problem.records for n in r.remarks), *inputs_said(state.between)),
         "spoilt": tuple(n for r in problem.records for n in r.spoilt_words),
         "between": dict(state.between),
     }
