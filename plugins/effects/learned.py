@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from spiral.math import length, tanh
-from spiral.physics.learned import COUNT, LearnedFlow, LearnedForce, coefficients, curve
+from spiral.physics.learned import (
+    COUNT,
+    LearnedFlow,
+    LearnedForce,
+    LearnedStateFlow,
+    coefficients,
+    curve,
+)
 from spiral.types.parameter import Parameter
 
 
@@ -80,6 +87,32 @@ class LearnedRadialSpring(LearnedForce):
         """B(|q| / S) q_i per axis."""
         stiffness = _one(length(at.position) / p.span, p)
         return [stiffness * q for q in at.position]
+
+
+class LearnedLoss(LearnedStateFlow):
+    """A flow out of any state of first order that follows it by a curve: x' = ... - B(x / S)."""
+
+    parameters = coefficients("force", "position", per_axis=False)
+
+    def flow(self, at, u, p):
+        """-B(x / S)."""
+        return [-_one(at.position[0] / p.span, p)]
+
+
+class LearnedExchange(LearnedStateFlow):
+    """A flow between two states that follows their difference by a curve.
+
+    a' = ... - B((a - b) / S) and b' = ... + B((a - b) / S).
+    """
+
+    axes = 2
+    parameters = coefficients("force", "position", per_axis=False)
+
+    def flow(self, at, u, p):
+        """What leaves the one enters the other."""
+        a, b = at.position
+        moved = _one((a - b) / p.span, p)
+        return [-moved, moved]
 
 
 class LearnedTransfer(LearnedFlow):

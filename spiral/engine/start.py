@@ -71,6 +71,12 @@ class Balance:
     rows: int
 
 
+def balances(traced: Traced) -> bool:
+    """Whether forces can be balanced: a mechanical model all of whose coordinates are measured."""
+    coordinates = {n for n in traced.states if traced.rate_name(n) in traced.states}
+    return bool(traced.balance) and coordinates <= set(traced.channels)
+
+
 def balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> Balance:
     """Prepare the balance of a model traced without its candidates.
 
@@ -78,10 +84,7 @@ def balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> B
     ------
     ConfigError : a parameter without a start in a system whose coordinates are not all measured.
     """
-    measured = {n for n in traced.states if traced.rate_name(n) in traced.states} <= set(
-        traced.channels
-    )
-    if not traced.balance or not measured:
+    if not balances(traced):
         raise ConfigError(
             f"no value for {', '.join(unknown)}",
             "a start for every parameter of a system with hidden coordinates",

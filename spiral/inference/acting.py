@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from spiral.types.formatting import number, percent
+from spiral.types.model import Model
 from spiral.types.parameter import BETWEEN, Interpolation
 from spiral.types.run import Comparison
 
@@ -55,7 +56,10 @@ def random_sentence(found: Comparison) -> str:
 
 def record_sentence(found: Comparison) -> str:
     """What of the readings is no measurement, and how the record departs from model and noise."""
-    said = (*found.spoilt, *inputs_said(found.between), *found.departures, *_sensitive(found))
+    said = (
+        *found.spoilt, *inputs_said(found.between), *found.departures, *_sensitive(found),
+        *_bounded(found.model),
+    )  # fmt: skip
     text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
 
@@ -69,6 +73,24 @@ def inputs_said(between: Mapping[str, Interpolation]) -> tuple[str, ...]:
             f"with this model {name} is between its samples most likely {BETWEEN[way]} "
             f"(record.hold={way} would say so{alike})"
         )
+    return tuple(said)
+
+
+def _bounded(model: Model) -> tuple[str, ...]:
+    """Parameters of the system itself that a fit has moved to a bound."""
+    table, said = model.estimates().get("system", {}), []
+    for key, parameter in model.pairs:
+        owner, name = key.rsplit(".", 1)
+        if owner != "system" or key not in model.active or name not in table:
+            continue
+        value = table[name].estimate
+        at = [b for b in (parameter.lower, parameter.upper) if b is not None]
+        for bound in (b for b in at if np.isclose(value, b, rtol=1e-6, atol=0.0)):
+            beyond = "of the other sign" if bound == 0 else "beyond it"
+            said.append(
+                f"{name} lies at its bound of {number(bound)}: the record would have it {beyond} "
+                "with this model"
+            )
     return tuple(said)
 
 

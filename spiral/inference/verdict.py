@@ -161,9 +161,16 @@ def determined(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
 def missing(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
     """The effects that were missing: determined ones, where they lower the error on unseen data.
 
-    Where what is left has memory, effects without any may only have stood in for it.
+    Where what is left has memory, effects without any may only have stood in for it; so have those
+    in whose place one curve makes the record more likely.
     """
-    return () if _worse(rounds) or forgotten(rounds) else determined(rounds, settings)
+    doubted = _worse(rounds) or forgotten(rounds) or _replaced(rounds)
+    return () if doubted else determined(rounds, settings)
+
+
+def _replaced(rounds: Sequence[Round]) -> bool:
+    """Whether one learned curve explains more than the effects that were admitted do together."""
+    return bool(rounds[-1].details.get("unknown", {}).get("replaces"))
 
 
 def _admitted(rounds: Sequence[Round]) -> tuple[str, ...]:
@@ -255,6 +262,8 @@ def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, setting
         if stopped == "diverged":
             return "The fit diverged."
         return f"{verdict_sentence(verdict, first, settings)} {memory_said(rounds)}".strip()
+    if _replaced(rounds):
+        return _in_place(rounds, admitted)
     said = [_change(rounds, admitted, settings)]
     said += [
         f"This record does not determine {label}: {doubt}."
@@ -290,6 +299,19 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
     if not named:
         return f"The model now holds {', '.join(admitted)}: {change}."
     return f"Missing {'was' if len(named) == 1 else 'were'} {', '.join(named)}: {change}."
+
+
+def _in_place(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:
+    """A curve that explains more than what was admitted: what it does to the unseen error."""
+    first, last, shape = rounds[0].comparison, rounds[-1].comparison, rounds[-1].details["unknown"]
+    what = shape["sentence"].partition(":")[0]
+    stands = "stands" if len(admitted) == 1 else "stand"
+    return (
+        f"{_VERDICTS['unknown_structure']}: {what[:1].lower()}{what[1:]}. One curve brings the "
+        f"test error from {percent(first.test_error)} to {percent(shape['test_error'])} (noise "
+        f"floor {percent(shape['noise_floor'])}). The model now holds {', '.join(admitted)}, which "
+        f"only {stands} in for it: {percent(last.test_error)}."
+    )
 
 
 def noise_sentence(found: Comparison, settings: Settings) -> str:
@@ -329,10 +351,13 @@ def advice_for(
         )
     last = rounds[-1].comparison
     shape = next((r.details["unknown"] for r in reversed(rounds) if "unknown" in r.details), None)
-    if shape is not None and stopped == "no_candidate" and "unknown" in rounds[-1].details:
+    if shape is not None and stopped != "max_rounds" and "unknown" in rounds[-1].details:
+        how = "settings.learned=true"
+        if not shape.get("replaces"):
+            how = f"spiral add {shape['effect']} run=latest, or {how}"
         return (
-            f"Its shape: {shape['sentence']} Admit the curve (spiral add {shape['effect']} "
-            "run=latest, or settings.learned=true), or write the effect that it suggests."
+            f"Its shape: {shape['sentence']} Admit the curve ({how}), or write the effect that it "
+            "suggests."
         )
     if forgotten(rounds):
         return (

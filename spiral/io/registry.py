@@ -157,8 +157,7 @@ class Registry:
     def candidates(self, system: System, everywhere: bool = False) -> tuple[Effect, ...]:
         """Named effects that fit the system's first port, or (``everywhere``) any place of it."""
         from spiral.types.effect import Effect, InputEffect, StateFlow
-        from spiral.types.placement import at_every_place, check_effect
-        from spiral.types.units import units_fit
+        from spiral.types.placement import at_every_place, fits
 
         found: list[Effect] = []
         for name in self.names("effect"):
@@ -167,28 +166,25 @@ class Registry:
                 continue
             if issubclass(plugin, InputEffect | StateFlow) and not everywhere:
                 continue
-            for effect in at_every_place(system, plugin()) if everywhere else (plugin(),):
-                try:
-                    check_effect(system, effect)
-                except ConfigError:
-                    continue
-                if units_fit(system, effect):
-                    found.append(effect)
+            places = at_every_place(system, plugin()) if everywhere else (plugin(),)
+            found += [e for e in places if fits(system, e)]
         return tuple(found)
 
     def dictionary(self, system: System) -> tuple[Effect, ...]:
-        """Learned effects (``spiral.physics.learned``) that fit the system's first port."""
-        from spiral.physics.learned import Learned
-        from spiral.types.placement import check_effect
+        """Learned effects (``spiral.physics.learned``) at every place where they fit.
 
-        found: list[Effect] = []
-        for name in self.names("effect"):
-            plugin = self.entry("effect", name).plugin
-            if issubclass(plugin, Learned):
-                with contextlib.suppress(ConfigError):
-                    check_effect(system, plugin())
-                    found.append(plugin())
-        return tuple(found)
+        Those at the first port come first, without its name. A flow into any state is left out
+        where there are curves for flows between named channels.
+        """
+        from spiral.physics.learned import Learned, LearnedFlow, LearnedStateFlow
+        from spiral.types.placement import at_every_place, fits
+
+        plugins = (self.entry("effect", name).plugin for name in self.names("effect"))
+        curves = [plugin() for plugin in plugins if issubclass(plugin, Learned)]
+        found = [e for c in curves for e in at_every_place(system, c) if fits(system, e)]
+        named = any(isinstance(e, LearnedFlow) for e in found)
+        kept = (e for e in found if not (named and isinstance(e, LearnedStateFlow)))
+        return tuple(sorted(kept, key=lambda e: bool(e.port)))
 
     def local_plugins(self) -> dict[str, LocalFile]:
         """``kind/name`` -> the file that was run for it, of every plugin of the local folder."""

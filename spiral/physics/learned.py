@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, Literal
 
 from spiral.math import length
-from spiral.types.effect import FlowEffect, ForceEffect
+from spiral.types.effect import FlowEffect, ForceEffect, StateFlow
 from spiral.types.parameter import Parameter
 
 COUNT = 21
@@ -28,6 +28,31 @@ _REACH = 1.125
 KNOTS = tuple(
     _REACH * math.sinh(_UNEVEN * j / _LAST) / math.sinh(_UNEVEN) for j in range(-_LAST, _LAST + 1)
 )
+_COARSE = ((0, 5, 10), (0, 2, 5, 7, 10), tuple(range(_LAST + 1)))
+"""Knots of the middle and of one side, for the coarsest to the finest curve."""
+
+
+def _hats() -> tuple[tuple[tuple[int, int, int], ...], ...]:
+    """(first, middle, last) knot of each hat, the finest level first, from the outside inwards."""
+    levels, known = [], set()
+    for knots in _COARSE:
+        inner = [(knots[i - 1] if i else -knots[1], knots[i], knots[i + 1])
+                 for i in range(len(knots) - 1) if knots[i] not in known]  # fmt: skip
+        levels.append(tuple(reversed(inner)))
+        known |= set(knots)
+    return tuple(reversed(levels))
+
+
+_HATS = _hats()
+
+
+def _levels() -> dict[str, int]:
+    fine, middle, _ = (sum(1 + bool(hat[1]) for hat in level) for level in _HATS)
+    return {f"c{k}": (k < fine) + (k < fine + middle) for k in range(COUNT)}
+
+
+LEVELS = _levels()
+"""By name of a coefficient: 0 of a curve on the fewest knots (5 functions), 1 (9), 2 (all 21)."""
 Follows = Literal["position", "velocity", "radius"]
 
 
@@ -55,7 +80,18 @@ class LearnedFlow(FlowEffect):
     times: ClassVar[str] = ""
 
 
-Learned = LearnedForce | LearnedFlow
+class LearnedStateFlow(StateFlow):
+    """A flow into a state of first order, or between two, by a curve: ``c0`` to ``c20``, ``span``.
+
+    It follows that state, or the difference of the two.
+    """
+
+    bare: ClassVar[bool] = True
+    follows: ClassVar[Follows] = "position"
+    times: ClassVar[str] = ""
+
+
+Learned = LearnedForce | LearnedFlow | LearnedStateFlow
 
 
 def coefficients(
@@ -85,20 +121,22 @@ def basis(z: Any) -> list[Any]:
     """The natural cubic splines at z: symbols, numbers and arrays alike.
 
     By their curvature: a function for each knot but the outermost two, whose second derivative is
-    a hat over its knot and which is zero towards the middle, from the outermost inwards; then z
-    and 1. Where no motion reaches a knot, its coefficient says nothing (its column is exactly
-    zero), and at zero the curve goes on straight. Each is in units of the middle spacing.
+    a hat over its knot and which is zero towards the middle; then z and 1. Hats are hierarchical:
+    those of fine knots come first, then wider ones over every second or third knot, then the widest
+    (``LEVELS``), so that with the others at zero the last few are splines on fewer knots. Where no
+    motion reaches a hat, its coefficient says nothing (its column is exactly zero), and at zero the
+    curve goes on straight. Each is in units of the middle spacing.
     """
-    found = []
     unit = spacing(0.0)
-    knots = [k / unit for k in KNOTS[_LAST - 1 :]]
-    for side in (1, -1):
-        u = side * z / unit
-        cubes = [_cube(u - k) for k in knots]
-        found.append([_hat(knots[i : i + 3], cubes[i : i + 3]) for i in range(_LAST)][::-1])
-    right, left = found
-    pairs = [f for pair in zip(left[:-1], right[:-1], strict=True) for f in pair]
-    return [*pairs, right[-1], z / unit, z * 0 + 1]
+    knots = {j: KNOTS[_LAST + j] / unit for j in range(-_LAST, _LAST + 1)}
+    cubes = {side: {j: _cube(side * z / unit - k) for j, k in knots.items()} for side in (1, -1)}
+    found = [
+        _hat([knots[j] for j in hat], [cubes[side][j] for j in hat])
+        for level in _HATS
+        for hat in level
+        for side in ((1, -1) if hat[1] else (1,))
+    ]
+    return [*found, z / unit, z * 0 + 1]
 
 
 def _hat(knots: list[float], cubes: list[Any]) -> Any:

@@ -39,6 +39,17 @@ def at_every_place(system: System, effect: Effect) -> list[Effect]:
     return [effect, *(replace(effect, port=name) for name in names[1:])]
 
 
+def fits(system: System, effect: Effect) -> bool:
+    """Whether an effect may act where it says: the system has what it needs, and units agree."""
+    from spiral.types.units import units_fit
+
+    try:
+        check_effect(system, effect)
+    except ConfigError:
+        return False
+    return units_fit(system, effect)
+
+
 def check_effect(system: System, effect: Effect) -> Port:
     """The effect's port, or an error saying what the system lacks."""
     port = system.place(effect)

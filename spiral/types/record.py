@@ -22,6 +22,8 @@ Array = np.ndarray
 MINIMUM_SAMPLES = 64
 JITTER = 0.02  # largest deviation of a time step from the mean one, as a share of it
 
+_MOST_MISSING = 0.5  # share of a channel's readings that may be missing and left out
+
 
 @dataclass(frozen=True, repr=False)
 class Record:
@@ -152,10 +154,12 @@ def make_record(
     _check_names(system, given, known)
     held = _checked_hold(system, hold or {})
     _check_time(name, time)
+    missing = {k: _missing(v) for k, v in given.items()}
+    given = {k: bridged(v, missing[k]) for k, v in given.items()}
     for kind, group in (("channel", given), ("input", known)):
         for key, values in group.items():
             check_values(name, kind, key, values, len(time))
-    spoilt = {k: spoilt_readings(v, known.values()) for k, v in given.items()}
+    spoilt = {k: spoilt_readings(v, known.values(), missing[k]) for k, v in given.items()}
     clipped = {k for k, some in spoilt.items() if any(s.kind == "clipped" for s in some)}
     extra = [clipping(k, v) for k, v in given.items() if k not in clipped]
     measured = tuple(known)
@@ -319,6 +323,12 @@ def _even_steps(steps: Array, mean: float) -> str:
     return (
         f"record.resample={1 / mean:.4g} makes the steps even, record.rate={1 / mean:.4g} says so"
     )
+
+
+def _missing(values: Array) -> Array:
+    """Where a channel lacks readings; nowhere if it lacks too many of them to be one."""
+    lacking = np.isnan(values)
+    return lacking & (lacking.sum() <= _MOST_MISSING * len(values))
 
 
 def check_values(name: str, kind: str, key: str, values: Array, samples: int) -> None:

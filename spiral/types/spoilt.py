@@ -1,6 +1,6 @@
-"""Readings that are no measurement: spikes, values held through a dropout, clipped extremes.
+"""Readings that are no measurement: missing, spikes, held through a dropout, clipped extremes.
 
-They are told from the signal alone, and only where nothing else can look alike:
+Those that are there are told from the signal alone, and only where nothing else can look alike:
 
     spike    r_k = y_k - (4 (y_{k-1} + y_{k+1}) - (y_{k-2} + y_{k+2})) / 6 is above 12 robust
              standard deviations of all r, and with y_k on that cubic the two readings on each side
@@ -37,7 +37,7 @@ _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are n
 class Spoilt:
     """Readings of one channel that are no measurement; ``where`` (samples,) is True there."""
 
-    kind: Literal["spike", "held", "clipped"]
+    kind: Literal["missing", "spike", "held", "clipped"]
     where: Array
 
     def told(self, channel: str) -> str:
@@ -45,6 +45,7 @@ class Spoilt:
         count, share = int(self.where.sum()), float(self.where.mean())
         many = f"{count} reading{'s' if count > 1 else ''} ({100 * share:.2g} %)"
         what = {
+            "missing": "are missing",
             "spike": "stand out from their neighbours like spikes (outliers)",
             "held": "repeat the one before exactly, as in a dropout",
             "clipped": "rest at an extreme: the sensor clips (saturates)",
@@ -56,13 +57,18 @@ class Spoilt:
         return Spoilt(self.kind, self.where[cut])
 
 
-def spoilt_readings(values: Array, inputs: Iterable[Array] = ()) -> tuple[Spoilt, ...]:
+def spoilt_readings(
+    values: Array, inputs: Iterable[Array] = (), missing: Array | None = None
+) -> tuple[Spoilt, ...]:
     """What of a channel is no measurement.
 
     Parameters
     ----------
-    values : (samples,). inputs : (samples,) each, which may move a reading as a spike does.
+    values : (samples,), bridged where they are ``missing``; nothing else is told of such a channel.
+        inputs : (samples,) each, which may move a reading as a spike does.
     """
+    if missing is not None and missing.any():
+        return (Spoilt("missing", missing),)
     found = []
     same = np.diff(values) == 0
     runs = _in_runs(same)

@@ -7,6 +7,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
 from spiral.inference.simulate import simulate
+from spiral.types.errors import InputError
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
 from spiral.types.spoilt import bridged, spoilt_readings
@@ -130,3 +131,31 @@ def test_the_missing_spring_is_found_beside_spikes_and_dropouts():
     found = run.model.estimates()["cubic_stiffness"]["stiffness"]
     assert abs(found.estimate - 2e3) < 3 * found.se
     assert run.rounds[-1].comparison.fit_error < 0.03  # 0.024 without any of them
+
+
+def test_missing_readings_are_done_without():
+    """A tenth of the readings, in long and short gaps: errors grow by what was lost, no more."""
+    record = simulate(
+        seed_model(Oscillator(), values={"system.mass": 1.0, "linear_stiffness.stiffness": 400.0,
+                                         "linear_damping.damping": 2.0}),
+        np.arange(3000) / 200, {"force": np.sin(np.arange(3000) ** 1.3 / 60)}, 0.02,
+        np.random.default_rng(3),
+    )  # fmt: skip
+    x = record.channels["x"].copy()
+    x[700:900] = np.nan
+    x[np.random.default_rng(0).integers(0, 3000, 100)] = np.nan
+    lacking = make_record(Oscillator(), "gaps", record.time, {"x": x}, record.inputs)
+    assert "missing" in lacking.spoilt_words[0]
+    whole, parts = (spiral.compare(r, "oscillator").model.estimates() for r in (record, lacking))
+    for owner, rows in whole.items():
+        for name, known in rows.items():
+            found = parts[owner][name]
+            assert abs(found.estimate - known.estimate) < 3 * known.se
+            assert 1.0 < found.se / known.se < 1.2
+
+
+def test_a_channel_without_most_of_its_readings_is_refused():
+    x = MOTION.copy()
+    x[: N // 2 + 1] = np.nan
+    with pytest.raises(InputError, match="missing"):
+        make_record(Oscillator(), "gaps", TIME, {"x": x}, {"force": MOTION})

@@ -162,6 +162,12 @@ def matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> Matrice
     return Matrices(np.array(white) ** 2, whole, start, phi, seen, driven)
 
 
+def places(task: Task, noise: NoiseModel) -> dict[str, int]:
+    """By size of a term: the first of its states, counted from the first of all terms' states."""
+    counts = [sum(len(b.phi) for b in _blocks(task, t, noise.values)) for t in noise.terms]
+    return {t.size: sum(counts[:i]) for i, t in enumerate(noise.terms)}
+
+
 @dataclass(frozen=True)
 class _Block:
     """One process z: its transition, added and first covariance, and what it acts on."""

@@ -181,6 +181,27 @@ def refit(assembly: Assembly, standing: FitState, stage: Stage) -> Fitted:
     return fit(assembly.study, stage.layouts, point, moving, bounds)
 
 
+def let_go(assembly: Assembly, standing: FitState, labels: tuple[str, ...]) -> FitState:
+    """The standing without these effects, whose amplitudes are zero again."""
+    for label in labels:
+        standing = without(assembly, standing, label)
+    return standing
+
+
+def without(assembly: Assembly, standing: FitState, label: str) -> FitState:
+    """The standing without an effect, by its compiled label."""
+    values = standing.values.copy()
+    for key in tested_keys(assembly, assembly.variant(label)):
+        values[:, assembly.study.index(key)] = 0.0  # else it would act on, unseen by the fit
+    return replace(
+        standing,
+        values=values,
+        labels=tuple(x for x in standing.labels if x != label),
+        freed=tuple(k for k in standing.freed if k.rsplit(".", 1)[0] != label),
+        held=tuple(k for k in standing.held if k.rsplit(".", 1)[0] != label),
+    )
+
+
 def second_order(effect: Effect, assembly: Assembly, state: FitState) -> bool:
     """Whether an effect is what one that the state holds leaves beyond leading order."""
     held = effects_of(assembly, state.labels)

@@ -10,7 +10,7 @@ import numpy as np
 from spiral.engine.growth import Stage, first_starts, grow, layouts_for, lengths_for
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.sensitivities import reduce
-from spiral.engine.start import SMOOTHING, balance, first_values
+from spiral.engine.start import SMOOTHING, balance, balances, first_values
 from spiral.engine.study import Point
 from spiral.engine.windows import block_length, fair_block, halves
 from spiral.inference.evidence.assembly import (
@@ -84,7 +84,7 @@ def begin(assembly: Assembly, labels: tuple[str, ...]) -> FitState:
     """The first standing: unknown values from the balance of forces.
 
     Several smoothing windows are tried; the one whose shortest-window fit promises the smallest
-    error after one step is kept.
+    error after one step is kept. Where coordinates are hidden, effects begin at zero.
     """
     known = FitState(labels, first_row(assembly))
     keys = known.keys(assembly)
@@ -93,8 +93,10 @@ def begin(assembly: Assembly, labels: tuple[str, ...]) -> FitState:
     if not unknown:
         far = any(two_sided(e) for e in model.effects if e.label in labels)
         return replace(known, shortest=stage_lengths(assembly)[-1]) if far else known
-    own = tuple(e for e in model.effects if e.label in labels)
-    equations = balance(study, trace(model.system, own), unknown)
+    traced = trace(model.system, tuple(e for e in model.effects if e.label in labels))
+    if not balances(traced) and not any(k.startswith("system.") for k in unknown):
+        return known  # effects begin at zero
+    equations = balance(study, traced, unknown)
     layouts = layouts_for(study, stage_lengths(assembly)[0], all_samples(assembly))
     moving, _ = columns(assembly, keys)
     best, lowest = known, np.inf

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,36 +108,57 @@ def owners_of(assembly: Assembly, active: ParameterColumns) -> list[str]:
     return [_owner(assembly, int(i)) for i in active.index]
 
 
+Parts = Callable[[Group], Sequence[tuple[int, ...]]]
+"""Of a candidate's columns those that may be taken without the others, several such sets."""
+
+
 def rank(
-    reduction: Reduction, owners: Sequence[str], groups: Sequence[Group], block: int
-) -> Ranking:
+    reduction: Reduction, owners: Sequence[str], groups: Sequence[Group], block: int,
+    parts: Parts | None = None,
+) -> Ranking:  # fmt: skip
     """Candidates by their evidence in a reduced pass over [active | candidates | residual].
 
-    ``owners`` are the effects of the active columns. Of each candidate the best variant is kept.
+    ``owners`` are the effects of the active columns. Of each candidate the best variant is kept,
+    and of its ``parts`` the best; what is in none of them does nothing here and is held.
     """
     active = len(owners)
     table = tabulate(reduction, active)
     ranks: dict[str, list[Ranked]] = {}
-    for group, found in scored(table, groups):
+    for group, found in scored(table, groups, parts):
         variant = group.variant
         tied = inseparable(reduction.triangle, active, found.columns)
         names = dict.fromkeys(owners[i] for i in tied.with_)
+        inside = _keys_of(groups, group, found.columns)
+        held = [inside[i] for i in tied.held] + [k for k in group.keys if k not in inside]
         ranked = Ranked(
             variant, found.columns, found, bic(table, found), variant.searched,
-            tuple(names), tuple(group.keys[i] for i in tied.held), tied.whole,
+            tuple(names), tuple(dict.fromkeys(held)), tied.whole,
         )  # fmt: skip
         ranks.setdefault(variant.original.label, []).append(ranked)
     best = [_best(table, variants) for variants in ranks.values()]
     return Ranking(tuple(sorted(best, key=lambda r: r.rank)), table, block)
 
 
-def scored(table: ScoreTable, groups: Sequence[Group]) -> Iterator[tuple[Group, Score]]:
-    """Each candidate's columns with their score."""
+def scored(
+    table: ScoreTable, groups: Sequence[Group], parts: Parts | None = None
+) -> Iterator[tuple[Group, Score]]:
+    """Each candidate's columns with their score, or each of its parts that the records show."""
     first = 0
     for group in groups:
-        at = tuple(range(first, first + len(group.sides)))
-        first += len(at)
-        yield group, score(table, at, group.sides)
+        whole = tuple(range(len(group.sides)))
+        seen = [tuple(i for i in some if table.norms[first + i] > 0)
+                for some in parts(group)] if parts else [whole]  # fmt: skip
+        for some in dict.fromkeys(seen):
+            if some:
+                at = tuple(first + i for i in some)
+                yield group, score(table, at, tuple(group.sides[i] for i in some))
+        first += len(whole)
+
+
+def _keys_of(groups: Sequence[Group], group: Group, at: Sequence[int]) -> tuple[str, ...]:
+    """Amplitudes of a candidate by their columns among those of all."""
+    first = sum(len(g.sides) for g in groups[: groups.index(group)])
+    return tuple(group.keys[i - first] for i in at)
 
 
 def _owner(assembly: Assembly, index: int) -> str:

@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -96,6 +96,12 @@ class Race:
         """The most that a candidate makes of the blocks that select, beyond its price."""
         return max((r.worth for r in self._at(0)), default=0.0)
 
+    def joined_by(self, others: Sequence[Rival]) -> Race:
+        """The race begun again with others that have taken their first steps."""
+        if not others:
+            return self
+        return replace(self, runners=_in_order([*self.tried, *others]), finals=[])
+
     def winners(self) -> Iterator[tuple[Rival, list[Rival]]]:
         """One after the other with the rivals that are left in its final, most likely first.
 
@@ -147,14 +153,19 @@ def race(
     """
     far = [] if explains(base) else from_afar(assembly, base.state, found)
     runners = []
-    for ranked in [*_first(found, most), *far]:
+    for ranked in [*promising(found, most), *far]:
         progress(f"refitting with {ranked.variant.original.label}")
-        runners.append(_refit(assembly, base, ranked, masks, ranked in far))
-    runners = [r for r in runners if r.fit.estimate.finite]
-    return Race(base, masks, progress, sorted(runners, key=lambda r: -r.worth))
+        runners.append(first_steps(assembly, base, ranked, masks, ranked in far))
+    return Race(base, masks, progress, _in_order(runners))
 
 
-def _first(found: list[Ranked], most: int) -> list[Ranked]:
+def _in_order(runners: Sequence[Rival]) -> list[Rival]:
+    """Those whose fit is one, the best first."""
+    finite = [r for r in runners if r.fit.estimate.finite]
+    return sorted(finite, key=lambda r: -r.worth)
+
+
+def promising(found: list[Ranked], most: int) -> list[Ranked]:
     """The promising ones that come first, and the special cases of these."""
     chosen = [r for r in found if r.rank < 0 and not r.whole][:most]
     known = {r.variant.original.label: r for r in reversed(found)}
@@ -166,7 +177,7 @@ def _first(found: list[Ranked], most: int) -> list[Ranked]:
 
 def refit_alone(assembly: Assembly, base: LikelihoodFit, ranked: Ranked) -> Rival:
     """A candidate refitted to all samples without others, its shapes free where they are told."""
-    runner = _refit(assembly, base, ranked, None, False)
+    runner = first_steps(assembly, base, ranked, None)
     if not runner.fit.estimate.finite:
         return runner
     return _freed(base, _further(base, runner, None, _HEAT), None)
@@ -193,16 +204,19 @@ def from_afar(assembly: Assembly, state: FitState, found: list[Ranked]) -> list[
     return [known.get(v.label, Ranked(v, (0,), none, 0.0, v.searched)) for v in chosen]
 
 
-def _refit(
-    assembly: Assembly, base: LikelihoodFit, ranked: Ranked, masks: Masks, far: bool
-) -> Rival:
+def first_steps(
+    assembly: Assembly, base: LikelihoodFit, ranked: Ranked, masks: Masks, far: bool = False,
+    start: LikelihoodFit | None = None,
+) -> Rival:  # fmt: skip
     """A candidate added to the model as it is, a few steps from where that stands.
 
     ``far``: from a share of its bounds; else from zero, where the first step finds its size.
+    ``start``: where it begins, of other values than ``base``, against which it is held.
     """
+    begun = start or base
     own = with_variants(assembly, [ranked.variant])
-    wider = added(own, carried_to(base.state, assembly, own), ranked, far)
-    at = base.estimate
+    wider = added(own, carried_to(begun.state, assembly, own), ranked, far)
+    at = begun.estimate
     fit = refitted(
         own, wider, at.noise, masks, _HEAT, True, at.kept, differences=False, like=at.prepared
     )

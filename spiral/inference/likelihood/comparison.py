@@ -21,7 +21,7 @@ from spiral.engine.growth import Stage, layouts_for
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.free_doubt import free_doubt
 from spiral.engine.likelihood.free_spread import free_spread
-from spiral.engine.likelihood.noise import NoiseModel
+from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, places
 from spiral.engine.likelihood.predict import predicted
 from spiral.engine.study import Point
 from spiral.inference.acting import inputs_said
@@ -201,7 +201,7 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
         if term.kind == "white" or not errors.get(term.size, np.inf) < _TOLD:
             continue
         if term.kind == "drift":
-            size *= np.sqrt(length)
+            size = max(size * np.sqrt(length), _drifted(estimate, term))
         share = size / spread[term.where] if term.where in spread else size
         most = max(share, disturbed) if term.kind in ("force", "gust") else share
         if most >= _COUNTS:
@@ -209,6 +209,19 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
             if term.time:
                 times[term.size] = float(noise.values[term.time])
     return sizes, times
+
+
+def _drifted(estimate: Maximum, term: NoiseTerm) -> float:
+    """How far a sensor's zero goes from where it was at first.
+
+    One that drifts steadily goes further than one that wanders by as much from sample to sample.
+    """
+    found = 0.0
+    for task, settings in estimate.prepared:
+        run = predicted(task, settings, estimate.noise, keep=True)
+        at = len(task.states) + len(settings.tracked) + places(task, estimate.noise)[term.size]
+        found = max(found, float(np.abs(run.means[: run.done, at]).max(initial=0.0)))
+    return found
 
 
 def nuisances(assembly: Assembly, state: FitState, model: Model) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
 WARM = 6  # scoring steps from the values on all samples to those on the selecting half
-_SMALL = 0.05  # level of a random force that is a small one
+LITTLE = 0.05  # share up to which what acts at random is little
 _FAR = 30.0  # times its motion that a hidden state may lie from where it is first looked for
 _AGAIN = 12  # times that beginnings are looked for
 _WORTH = 1.0  # log-likelihood for which they are looked for once more
@@ -171,7 +171,7 @@ def explains(found: LikelihoodFit) -> bool:
     """Whether no more than a small random force acts beside the model."""
     noise = found.estimate.noise
     kinds = ("force", "gust")
-    return all(noise.values[t.size] <= _SMALL for t in noise.terms if t.kind in kinds)
+    return all(noise.values[t.size] <= LITTLE for t in noise.terms if t.kind in kinds)
 
 
 def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:

@@ -27,6 +27,7 @@ from spiral.engine.sensitivities import Reduction
 from spiral.inference.evidence.assembly import Assembly, Variant, columns
 from spiral.inference.evidence.scoring import (
     Group,
+    Parts,
     Ranking,
     owners_of,
     present_labels,
@@ -81,15 +82,18 @@ def ranking(
 
 def ranked_along(
     assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks,
-    offered: Callable[[Passage], Sequence[Variant]],
+    offered: Callable[[Passage], Sequence[Variant]], parts: Parts | None = None,
 ) -> Ranking | None:  # fmt: skip
-    """Variants that are offered along a pass of the filter, by their score on some blocks."""
+    """Variants that are offered along a pass of the filter, by their score on some blocks.
+
+    ``parts`` as in ``rank``.
+    """
     passage = _passage(assembly, fit, noise, masks)
     if passage is None:
         return None
     reduction, groups = _pass(passage, offered(passage))
     first, _ = columns(assembly, passage.active)
-    return rank(reduction, owners_of(assembly, first), groups, passage.block)
+    return rank(reduction, owners_of(assembly, first), groups, passage.block, parts)
 
 
 def _passage(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 from spiral.engine.likelihood.predict import Masks
+from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, refitted
 from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.likelihood.memory import memory_of
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.retire import let_go
 from spiral.inference.unknown.memory import Memory
 from spiral.inference.verdict import near_noise
 from spiral.types.effect import InputEffect

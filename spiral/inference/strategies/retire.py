@@ -13,12 +13,11 @@ from scipy import special
 
 from spiral.engine.growth import Stage
 from spiral.engine.statistics import paired_errors
-from spiral.inference.evidence.admission import Admitted, admit, refit
+from spiral.inference.evidence.admission import Admitted, admit, refit, without
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import fitted_model
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.judge import held_out
-from spiral.inference.evidence.scoring import tested_keys
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, listed
 from spiral.types.model import Model
@@ -43,7 +42,7 @@ def superfluous(
             continue
         if not _weak(model, assembly.variant(label).original.label, level):
             continue
-        smaller = _without(assembly, current, label)
+        smaller = without(assembly, current, label)
         trial = refit(assembly, smaller, latest.stage)
         stage = Stage(latest.stage.length, latest.stage.layouts, trial)
         left = held_out(assembly, smaller.labels, stage, mask)[1]
@@ -78,26 +77,6 @@ def simplest(
     aliases = tuple(a.variant.original.label for a in best[1:])
     shown = listed(options, evidence, best[0], aliases)
     return replace(proposal, admitted=best[0], aliases=aliases, suggestions=shown)
-
-
-def let_go(assembly: Assembly, standing: FitState, labels: tuple[str, ...]) -> FitState:
-    """The standing without these effects, whose amplitudes are zero again."""
-    for label in labels:
-        standing = _without(assembly, standing, label)
-    return standing
-
-
-def _without(assembly: Assembly, standing: FitState, label: str) -> FitState:
-    values = standing.values.copy()
-    for key in tested_keys(assembly, assembly.variant(label)):
-        values[:, assembly.study.index(key)] = 0.0  # else it would act on, unseen by the fit
-    return replace(
-        standing,
-        values=values,
-        labels=tuple(x for x in standing.labels if x != label),
-        freed=tuple(k for k in standing.freed if k.rsplit(".", 1)[0] != label),
-        held=tuple(k for k in standing.held if k.rsplit(".", 1)[0] != label),
-    )
 
 
 def _weak(model: Model, label: str, level: float) -> bool:

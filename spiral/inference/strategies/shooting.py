@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.growth import Stage
-from spiral.inference.evidence.admission import Admitted, admit, second_order, with_effects
+from spiral.inference.evidence.admission import Admitted, admit, let_go, second_order, with_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import judged, last_stage, prepared
 from spiral.inference.evidence.fit_state import FitState, Masks, all_samples, half_masks
@@ -22,7 +22,7 @@ from spiral.inference.identifiability.parameters import entangled
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.base import Added, Begun, Settled, Step
 from spiral.inference.strategies.resolved import remembered, widened
-from spiral.inference.strategies.retire import let_go, simplest, superfluous
+from spiral.inference.strategies.retire import simplest, superfluous
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, by_evidence, propose
 from spiral.inference.unknown.holding import carried, having, holding, moved

@@ -13,8 +13,8 @@ from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import run_windows
 from spiral.inference.evidence.assembly import Assembly, effects_of
 from spiral.inference.evidence.scales import at_port
-from spiral.physics.learned import Learned, LearnedFlow
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, values_for
+from spiral.physics.learned import Learned, LearnedFlow, LearnedStateFlow
+from spiral.types.effect import Effect, FlowEffect, ForceEffect, StateFlow, values_for
 from spiral.types.port import At
 from spiral.types.record import Array
 
@@ -36,14 +36,22 @@ class Course:
     typical: float
 
 
-def courses(assembly: Assembly, stage: Stage, learned: Learned) -> tuple[Course, ...]:
-    """The curves of an effect with the values of their states in the fitted windows."""
-    traced, system = assembly.study.compiled.traced, assembly.problem.model.system
+def in_windows(assembly: Assembly, stage: Stage) -> Array:
+    """(samples, states) in the fitted windows."""
     parts = [
         run_windows(assembly.study, r, layout, stage.fitted.point)[0]
         for r, layout in enumerate(stage.layouts)
     ]
-    states = np.concatenate([p[np.isfinite(p).all(axis=1)] for p in parts])
+    return np.concatenate([p[np.isfinite(p).all(axis=1)] for p in parts])
+
+
+def courses(assembly: Assembly, states: Array, learned: Learned) -> tuple[Course, ...]:
+    """The curves of an effect with the values of what they follow; ``states`` (samples, all)."""
+    traced, system = assembly.study.compiled.traced, assembly.problem.model.system
+    if isinstance(learned, LearnedStateFlow):
+        axes = system.place(learned).axes
+        levels = [states[:, traced.states.index(name)] for name in axes]
+        return (Course(0, axes[0], " - ".join(axes), levels[0] - sum(levels[1:]), 0.0),)
     if isinstance(learned, LearnedFlow):
         level = states[:, traced.states.index(learned.state)]
         return (Course(0, learned.into, learned.state, level, 0.0),)
@@ -99,8 +107,8 @@ class Path:
     def _total(self, row: Array, labels: list[str], velocity: float) -> Array:
         total = np.zeros(len(self.at))
         for effect in effects_of(self.assembly, labels):
-            alike = isinstance(effect, FlowEffect) == isinstance(self.learned, LearnedFlow)
-            if effect.inputs or effect.states or effect.port != self.learned.port or not alike:
+            same = _kind(effect) is _kind(self.learned) and effect.port == self.learned.port
+            if effect.inputs or effect.states or not same:
                 continue
             with np.errstate(invalid="ignore", divide="ignore"):
                 given = self._given(effect, self._values(effect, row), velocity)
@@ -119,6 +127,9 @@ class Path:
             x = SimpleNamespace(**{s.name: still for s in system.states})
             setattr(x, self.learned.state, self.at)
             return effect.flow(x, SimpleNamespace(), p).get(self.learned.into, 0.0)
+        if isinstance(effect, StateFlow):
+            levels = (self.at, *[still] * (len(system.place(effect).axes) - 1))
+            return effect.flow(At(levels, (), SimpleNamespace()), SimpleNamespace(), p)[0]
         if not isinstance(effect, ForceEffect):
             return 0.0
         axes = system.place(self.learned).axes
@@ -129,3 +140,9 @@ class Path:
             v[self.course.number] = still + velocity
         given = effect.force(At(tuple(q), tuple(v), SimpleNamespace()), SimpleNamespace(), p)
         return given[self.course.number]
+
+
+def _kind(effect: Effect) -> type:
+    """What an effect is: a force, a flow between channels, a flow into a state, or else."""
+    kinds = (ForceEffect, FlowEffect, StateFlow)
+    return next((k for k in kinds if isinstance(effect, k)), type(effect))

@@ -7,20 +7,19 @@ least squares weighted by how often each value was visited.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from spiral.engine.fit import covariance
-from spiral.engine.growth import Stage
 from spiral.inference.evidence.admission import Admitted
 from spiral.inference.evidence.assembly import Assembly, columns
 from spiral.inference.evidence.comparison import last_stage
-from spiral.inference.evidence.fit_state import FitState, Masks
-from spiral.inference.unknown.curvepath import Course, Path, courses
-from spiral.physics.learned import Learned, LearnedFlow, LearnedForce, spacing
+from spiral.inference.evidence.fit_state import Masks
+from spiral.inference.unknown.curvepath import Course, Path, courses, in_windows
+from spiral.physics.learned import Learned, LearnedForce, spacing
 from spiral.types.record import Array
 from spiral.types.run import Suggestion
 
@@ -98,22 +97,51 @@ class Unknown:
                 "curves": curves}  # fmt: skip
 
 
-def described(
-    assembly: Assembly, admitted: Admitted, suggestions: tuple[Suggestion, ...], mask: Masks
-) -> Unknown:
-    """The shape of an admitted learned effect, refitted on the half that did not select it."""
-    stage = last_stage(assembly, admitted.standing, mask)
-    learned = admitted.variant.effect
+@dataclass(frozen=True)
+class CurveFit:
+    """A model with a learned effect, fitted.
+
+    Parameters
+    ----------
+    added : compiled labels of what the study has added to its seed, the learned effect among them.
+    row : values of one record in the order of the study's parameters.
+    moving : places in it of what the fit moved, with their ``covariance``.
+    states : (samples, all states) along the records.
+    """
+
+    assembly: Assembly
+    learned: Learned
+    added: tuple[str, ...]
+    row: Array
+    moving: tuple[int, ...]
+    covariance: Array
+    states: Array
+
+
+def from_windows(assembly: Assembly, admitted: Admitted, mask: Masks) -> CurveFit:
+    """A learned effect that was admitted on windows, refitted on some samples."""
+    stage, state = last_stage(assembly, admitted.standing, mask), admitted.standing
+    learned, seed = admitted.variant.effect, assembly.problem.model.labels
     assert isinstance(learned, Learned)
-    port = assembly.problem.model.system.place(learned)
-    curves = tuple(
-        _curve(assembly, admitted.standing, stage, learned, course)
-        for course in courses(assembly, stage, learned)
-    )
-    best = suggestions[0]
+    moving, _ = columns(assembly, state.keys(assembly))
+    return CurveFit(
+        assembly, learned, tuple(x for x in state.labels if x not in seed),
+        stage.fitted.point.values[0], tuple(int(i) for i in moving.index),
+        covariance(stage.fitted) * max(stage.fitted.chi2_per_dof, 1.0),
+        in_windows(assembly, stage),
+    )  # fmt: skip
+
+
+def described(fit: CurveFit, label: str, suggestions: Sequence[Suggestion]) -> Unknown:
+    """The shape of a learned effect, called ``label``, that comes first among ``suggestions``."""
+    learned = fit.learned
+    port = fit.assembly.problem.model.system.place(learned)
+    found = courses(fit.assembly, fit.states, learned)
+    curves = tuple(_curve(fit, course) for course in found)
+    best = next(s for s in suggestions if s.effect == label)
     rate = isinstance(learned, LearnedForce) and learned.follows == "velocity"
     return Unknown(
-        effect=admitted.variant.original.label,
+        effect=label,
         meaning=learned.meaning(),
         state=" and ".join(c.state for c in curves),
         state_unit=port.position_unit + ("/s" if rate else ""),
@@ -124,36 +152,31 @@ def described(
         explains=best.explains,
         p_value=best.p_value,
         curves=curves,
-        others={s.effect: s.explains for s in suggestions[1:]},
+        others={s.effect: s.explains for s in suggestions if s is not best},
         quantity=_quantity(learned),
     )
 
 
 def _quantity(learned: Learned) -> str:
-    if isinstance(learned, LearnedFlow):
+    if not isinstance(learned, LearnedForce):
         return "flow"
     return "radial force" if learned.follows == "radius" else "force"
 
 
-def _curve(
-    assembly: Assembly, standing: FitState, stage: Stage, learned: Learned, course: Course
-) -> Curve:
+def _curve(fit: CurveFit, course: Course) -> Curve:
     low, high = np.percentile(course.seen, [_TAILS, 100 - _TAILS])
     at = np.linspace(low, high, _POINTS)
     edges = np.concatenate([at - (at[1] - at[0]) / 2, [at[-1] + (at[1] - at[0]) / 2]])
     visited = np.histogram(course.seen, edges)[0].astype(float)
     visited /= visited.sum()
-    seed = assembly.problem.model.labels
-    added = [x for x in standing.labels if x not in seed]
-    row = stage.fitted.point.values[0]
-    moving, _ = columns(assembly, standing.keys(assembly))
-    path = Path(assembly, learned, course, at)
-    slopes = np.array([path.slope(row, added, int(i)) for i in moving.index]).T
+    assembly, added, row = fit.assembly, list(fit.added), fit.row
+    seed = list(assembly.problem.model.labels)
+    path = Path(assembly, fit.learned, course, at)
+    slopes = np.array([path.slope(row, added, i) for i in fit.moving]).T
     seeds = [i for i, k in enumerate(assembly.study.keys) if k.rsplit(".", 1)[0] in seed]
-    basis = np.array([path.slope(row, list(seed), i) for i in seeds]).T
+    basis = np.array([path.slope(row, seed, i) for i in seeds]).T
     left = beside(basis, visited)
-    spread = left @ slopes @ covariance(stage.fitted) @ slopes.T @ left.T
-    spread = spread * max(stage.fitted.chi2_per_dof, 1.0)
+    spread = left @ slopes @ fit.covariance @ slopes.T @ left.T
     se = np.sqrt(np.maximum(np.diag(spread), 0.0))
     return Curve(
         axis=course.axis,
@@ -163,7 +186,7 @@ def _curve(
         se=se,
         band=_critical(spread, se) * se,
         visited=visited,
-        speed=course.typical if learned.times else 0.0,
+        speed=course.typical if fit.learned.times else 0.0,
     )
 
 

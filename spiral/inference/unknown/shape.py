@@ -15,7 +15,7 @@ from spiral.inference.evidence.fit_state import FitState, Masks, begin
 from spiral.inference.problem import Progress
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose
-from spiral.inference.unknown.forcecurve import Unknown, described
+from spiral.inference.unknown.forcecurve import Unknown, described, from_windows
 from spiral.inference.unknown.holding import carried, held_variants, moved, reassembled
 from spiral.physics.learned import Learned
 
@@ -96,7 +96,8 @@ def _found(
     """The curve that comes first from ``start``, against all that ``standing`` has beyond it."""
     present = {v.original.label for v in assembly.variants if v.label in standing.labels}
     taken = {*present, *assembly.problem.model.labels}
-    learned = tuple(e for e in assembly.problem.dictionary if e.label not in taken)
+    first_port = (e for e in assembly.problem.dictionary if not e.port)
+    learned = tuple(e for e in first_port if e.label not in taken)
     if not learned:
         return None
     kept = tuple(c for c in assembly.problem.candidates if c.label in present)
@@ -114,10 +115,11 @@ def _found(
         first.suggestions, first.rejected,
         tuple(v.original.label for v in gone if v.label not in start.labels),
     )  # fmt: skip
-    shape = described(wide, first.admitted, first.suggestions, masks[1])
+    fit = from_windows(wide, first.admitted, masks[1])
+    shape = described(fit, chosen.label, first.suggestions)
     return Found(final, proposal, shape)
 
 
 def applies(assembly: Assembly) -> bool:
-    """Whether there is a dictionary to try."""
-    return bool(assembly.problem.dictionary)
+    """Whether there is a curve to try at the first port."""
+    return any(not e.port for e in assembly.problem.dictionary)

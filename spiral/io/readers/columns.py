@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,6 +21,10 @@ from spiral.types.source import Source
 from spiral.types.system import System
 
 _TIME_COLUMNS = ("time", "t")
+_NOT_RESAMPLED = {
+    "missing": "record.fill_gaps=1 interpolates them before the rate is changed",
+    "hold": "after an anti-alias filter no input is held",
+}
 
 
 @dataclass(frozen=True)
@@ -72,8 +76,7 @@ class Columns(Source):
     rows : [start, stop], zero-based data rows, stop excluded.
     noise : channel -> standard deviation in the system's unit, where it is known.
     offset : name -> what the instrument reads at rest, in the file's unit; it is subtracted.
-    separator : what stands between a text file's columns, where that is not found.
-    decimal : its decimal mark, where that is not found.
+    separator, decimal : a text file's, what stands between columns and the mark, where not found.
     pulse : the column of a once-per-turn pulse, taken as phase, and as speed where there is none.
     pulse_level : its threshold in the file's unit, where half its height is not right.
     pulse_edge : rising or falling; left out, the edge into the shorter of its two levels.
@@ -84,6 +87,7 @@ class Columns(Source):
     slow_roll : {rows: [start, stop]} or {speed: [low, high]} (in the file's unit), perhaps with
         {path: FILE}: where the shaft turns slowly; mean and 1X there are subtracted everywhere.
     fill_gaps : longest gap, in samples, that is bridged by interpolation.
+    missing : ``refuse`` empty cells, or ``leave_out`` those of channels, at most half of each.
     resample : samples per s to bring the record to, through an anti-alias filter.
     hold : how inputs run between their samples (``types.parameter.Input``), for all or by name;
         left out, as is most likely (``strategy=likelihood``), or as the system says.
@@ -107,6 +111,7 @@ class Columns(Source):
     probe_angles: Mapping[str, float] | None = None
     slow_roll: Mapping[str, Any] | None = None
     fill_gaps: int | None = None
+    missing: Literal["refuse", "leave_out"] = "refuse"
     resample: float | None = None
     hold: str | Mapping[str, str] | None = None
 
@@ -117,16 +122,16 @@ class Columns(Source):
                 "one of them",
                 "give the rate only where the file has no column of time",
             )
-        if self.rate is not None and not (np.isfinite(self.rate) and self.rate > 0):
-            raise ConfigError(f"record.rate={self.rate!r}", "samples per second, above zero")
-        if self.resample is not None and not (np.isfinite(self.resample) and self.resample > 0):
-            raise ConfigError(f"record.resample={self.resample!r}", "samples per s, above zero")
+        for name in ("rate", "resample"):
+            rate = getattr(self, name)
+            if rate is not None and not (np.isfinite(rate) and rate > 0):
+                raise ConfigError(f"record.{name}={rate!r}", "samples per second, above zero")
         if self.fill_gaps is not None and self.fill_gaps < 1:
             given = f"record.fill_gaps={self.fill_gaps}"
             raise ConfigError(given, "samples, one or more", "or leave it out")
-        if self.resample is not None and self.hold is not None:
-            told = "after an anti-alias filter no input is held"
-            raise ConfigError("both record.resample and record.hold", "one of them", told)
+        for name, told in _NOT_RESAMPLED.items():
+            if self.resample is not None and getattr(self, name) not in (None, "refuse"):
+                raise ConfigError(f"both record.resample and record.{name}", "one of them", told)
         for name in ("pulse_level", "pulse_edge"):
             if getattr(self, name) is not None and self.pulse is None:
                 given = f"record.{name} without a pulse"
@@ -197,8 +202,8 @@ class Columns(Source):
 
     def _layout(self, system: System, table: Table) -> ColumnLayout:
         channels = self._mapped(table, "channels", system.observed, required=system.observed)
-        driving = tuple(i.name for i in system.inputs if i.derived_from is None)
         known = tuple(i.name for i in system.inputs)
+        driving = tuple(i.name for i in system.inputs if i.derived_from is None)
         if self.pulse is not None:  # phase and perhaps speed come from it
             driving = tuple(n for n in driving if n != "speed")
             if self.inputs is None:
@@ -220,14 +225,12 @@ class Columns(Source):
         name = Path(table.name).name
 
         def values(option: str, given: Mapping[str, str]) -> dict[str, Array]:
-            return {
-                k: layout.scale.get(k, 1.0)
-                * (
-                    table.column(c, f"record.{option} {k}", start, stop, self.fill_gaps is not None)
-                    - layout.offset.get(k, 0.0)
-                )
-                for k, c in given.items()
-            }
+            left_out = option == "channels" and self.missing == "leave_out"
+            missing, found = left_out or self.fill_gaps is not None, {}
+            for k, c in given.items():
+                read = table.column(c, f"record.{option} {k}", start, stop, missing)
+                found[k] = layout.scale.get(k, 1.0) * (read - layout.offset.get(k, 0.0))
+            return found
 
         pulse = values("pulse", layout.pulse).get("pulse")
         time = self._time(table, layout.clock, start, stop) * layout.scale.get("time", 1.0)

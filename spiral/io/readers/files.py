@@ -157,6 +157,8 @@ class Table:
         cut = f"cut the gap out with record.rows, for instance rows [{start}, {row}]"
         if option != "record.time":
             cut = f"record.fill_gaps={_longest_run(bad)} interpolates so many in a row; or {cut}"
+        if option.startswith("record.channels"):
+            cut = f"record.missing=leave_out does without them; {cut}"
         raise InputError(
             f"{place}: {cell or 'an empty cell'}, one of {len(bad)} missing values",
             "a number in every row",

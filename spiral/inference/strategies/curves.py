@@ -1,0 +1,191 @@
+"""Learned curves as candidates of the likelihood: which state a missing force or flow follows.
+
+Where no effect with a name explains what is left, every curve (``spiral.physics.learned``) at
+every place is scored, refitted and judged as candidates with names are, each of its coefficients
+at Schwarz's price. Effects that were admitted may only have stood in for a curve, so that curves
+are tried in their place as well, beside the seed alone.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.likelihood.predict import Masks, Prediction, all_predicted
+from spiral.inference.evidence.admission import let_go
+from spiral.inference.evidence.assembly import Assembly, Variant, offers
+from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.evidence.scoring import Group, Ranking, present_labels
+from spiral.inference.likelihood.candidates import Race, race
+from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, price, refitted
+from spiral.inference.likelihood.scores import ranked_along
+from spiral.inference.likelihood.suggestions import suggestions
+from spiral.inference.problem import Progress
+from spiral.inference.strategies.admission import Passed, Whole, first_to_pass, whole_of
+from spiral.inference.strategies.base import Settled
+from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.inference.unknown.forcecurve import CurveFit, Unknown, described
+from spiral.physics.learned import LEVELS, Learned
+from spiral.types.record import Array
+from spiral.types.run import Comparison
+
+_MOST = 3  # curves refitted from one model
+_UNSEEN = 1e-3  # share of its own slope by which a coefficient is held where others can do its work
+
+
+@dataclass(frozen=True)
+class MissingCurve:
+    """A curve that passed: its shape, the model with it, and effects in whose place it stands."""
+
+    shape: Unknown
+    settled: Settled
+    replaces: tuple[str, ...] = ()
+
+
+def missing_curve(
+    options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, comparison: Comparison,
+    masks: tuple[Masks, Masks], level: float, progress: Progress,
+) -> MissingCurve | None:  # fmt: skip
+    """The curve that makes the record most likely, beside the model or in place of what it added.
+
+    Parameters
+    ----------
+    base : the model as it is on the blocks that select. comparison : of the model as it is, on
+        whose unseen data it must do better. masks : (select, judge). level : of the judging test.
+    """
+    progress("trying curves over each state")
+    alone = _seed_alone(assembly, base.state, masks[0])
+    found = (
+        None
+        if alone is None
+        else _passing(options, assembly, alone, masks, level, comparison, progress)
+    )
+    if found is not None and not _better(found[0], base, options.odds):
+        found = None
+    replaces = () if found is None else _beyond(assembly, base.state)
+    if found is None:
+        found = _passing(options, assembly, base, masks, level, comparison, progress)
+    if found is None:
+        return None
+    passed, (raced, ranked) = found
+    label, own = passed.rival.label, passed.rival.ranked.variant.label
+    whole = _refined(passed.whole, own, progress)
+    listed = suggestions(raced.tried, ranked, label, passed.aliases)
+    return MissingCurve(described(_curve_fit(whole, own), label, listed), whole.settled, replaces)
+
+
+def _passing(
+    options: LikelihoodOptions, assembly: Assembly, start: LikelihoodFit,
+    masks: tuple[Masks, Masks], level: float, comparison: Comparison, progress: Progress,
+) -> tuple[Passed, tuple[Race, Ranking]] | None:  # fmt: skip
+    """The curve that comes first beside a model and passes, with its race."""
+    if not start.estimate.finite or (run := _race(assembly, start, masks[0], progress)) is None:
+        return None
+    passed, _ = first_to_pass(
+        options, assembly, start, run[0], masks[1], level, comparison, progress
+    )
+    return None if passed is None else (passed, run)
+
+
+def _worth(fit: LikelihoodFit) -> float:
+    """Log-likelihood less Schwarz's price of all that moves."""
+    return fit.height - price(len(fit.estimate.keys), fit.estimate.prepared)
+
+
+def _better(passed: Passed, base: LikelihoodFit, odds: float) -> bool:
+    """Whether a curve alone makes the blocks that select more likely than the model as it is."""
+    return _worth(passed.rival.fit) > _worth(base) + np.log(odds)
+
+
+def _beyond(assembly: Assembly, state: FitState) -> tuple[str, ...]:
+    """Effects of a state that its study has added to the seed."""
+    seed = assembly.problem.model.labels
+    return tuple(assembly.variant(x).original.label for x in state.labels if x not in seed)
+
+
+def _seed_alone(assembly: Assembly, state: FitState, masks: Masks) -> LikelihoodFit | None:
+    """The seed on the blocks that select; nothing where the state has nothing beyond it."""
+    beyond = tuple(x for x in state.labels if x not in assembly.problem.model.labels)
+    if not beyond:
+        return None
+    return refitted(assembly, let_go(assembly, state, beyond), None, masks, WARM, True)
+
+
+def _race(
+    assembly: Assembly, base: LikelihoodFit, masks: Masks, progress: Progress
+) -> tuple[Race, Ranking] | None:
+    """The curves that promise most after their first steps, beside a model as it is."""
+    present = present_labels(assembly, base.state)
+    curves = tuple(e for e in assembly.problem.dictionary if e.label not in present)
+    variants, _, _ = offers(replace(assembly.problem, candidates=curves), ())
+    noise, parts = base.estimate.noise, functools.partial(_resolutions, assembly)
+    ranked = ranked_along(assembly, base, noise, masks, lambda _: variants, parts)
+    if ranked is None:
+        return None
+    return race(assembly, base, list(ranked.ranked), masks, progress, _MOST), ranked
+
+
+def _resolutions(assembly: Assembly, group: Group) -> list[tuple[int, ...]]:
+    """The columns of a curve's coefficients, on few knots and on more."""
+    levels = _levels(assembly, group.variant)
+    finest = max(levels.values())
+    return [
+        tuple(i for i, k in enumerate(group.keys) if levels[k] <= most)
+        for most in range(finest + 1)
+    ]
+
+
+def _levels(assembly: Assembly, variant: Variant) -> dict[str, int]:
+    """How fine the knots of a curve's coefficients are, by their names."""
+    effect = variant.effect
+    pairs = effect.keys(assembly.problem.model.system.place(effect))
+    return {key: LEVELS[p.name] for key, p in pairs if p.name in LEVELS}
+
+
+def _refined(whole: Whole, label: str, progress: Progress) -> Whole:
+    """The model with its curve on more knots, while these are worth their price."""
+    levels = _levels(whole.assembly, whole.assembly.variant(label))
+    best = whole.fit
+    for most in range(1 + max(levels.values())):
+        more = {k for k in best.state.held if levels.get(k, most + 1) <= most}
+        if not more:
+            continue
+        progress("trying the curve on more knots")
+        held = tuple(k for k in best.state.held if k not in more)
+        again = refitted(whole.assembly, replace(best.state, held=held), rough=True)
+        if again.height - best.height <= price(len(more), best.estimate.prepared):
+            break
+        best = again
+    if best is whole.fit:
+        return whole
+    return whole_of(whole.assembly, best, whole.settled.retired, progress)
+
+
+def _curve_fit(whole: Whole, label: str) -> CurveFit:
+    """A fitted model with a learned effect, of that compiled label, as its shape is read from."""
+    own, at = whole.assembly, whole.fit.estimate
+    learned, count = own.variant(label).effect, len(at.prepared[0][0].states)
+    assert isinstance(learned, Learned)
+    seed, state = own.problem.model.labels, whole.fit.state
+    runs = all_predicted([(at.prepared, at.noise)], at.keys, keep=True)[0]
+    return CurveFit(
+        own, learned, tuple(x for x in state.labels if x not in seed), state.values[0],
+        tuple(own.study.index(k) for k in at.keys), _covariance(runs),
+        np.concatenate([p.means[: p.done, :count] for p in runs]),
+    )  # fmt: skip
+
+
+def _covariance(runs: Sequence[Prediction]) -> Array:
+    """Of the parameters that moved, V = (X^T X + e^2)^-1, X the whitened slopes in units of theirs.
+
+    With e of a thousandth a coefficient that no motion shows has a large doubt, but a finite one.
+    """
+    columns = np.concatenate([p.columns.reshape(-1, p.columns.shape[2]) for p in runs])
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0] = np.inf
+    unit = columns / size
+    inverse = np.linalg.pinv(unit.T @ unit + _UNSEEN**2 * np.eye(len(size)))
+    return inverse / np.outer(size, size)

@@ -1,0 +1,120 @@
+"""Curves by the likelihood, values that were left behind, and values that keep their sign."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import spiral
+from spiral.physics.learned import LEVELS, basis
+from spiral.types.record import make_record
+
+DT = 0.02
+
+
+def _steps(rng, samples, most):
+    """Values held for a second each, uniform up to ``most``."""
+    each = round(1 / DT)
+    return np.repeat(rng.uniform(0.2, 1.0, samples // each + 1) * most, each)[:samples]
+
+
+def _simulated(rates, begin, drive, noise, rng):
+    time = np.arange(len(drive)) * DT
+    run = solve_ivp(
+        lambda t, x: rates(x, drive[min(int(t / DT + 1e-9), len(drive) - 1)]),
+        (0, time[-1]), begin, t_eval=time, rtol=1e-8, max_step=DT,
+    )  # fmt: skip
+    seen = run.y[0]
+    return time, seen + noise * seen.std() * rng.normal(size=len(seen))
+
+
+def _leaky(t, x, u, p):
+    return [(u.e - x.v) / (p.R * p.C)]
+
+
+def test_effects_that_stand_in_for_a_curve_are_not_named():
+    """A loss that grows exponentially, offered those that grow with the root and the square."""
+    rng = np.random.default_rng(0)
+    drive = _steps(rng, 1800, 2.0)
+
+    def true(x, e):
+        return [(e - x[0]) / 0.3 - 0.02 * (np.exp(x[0] / 0.15) - 1)]
+
+    time, seen = _simulated(true, [0.0], drive, 0.005, rng)
+    system = spiral.system(
+        _leaky, states={"v": "V"}, inputs={"e": {"unit": "V", "interpolation": "zero_order"}},
+        parameters={"R": (1.0, "ohm"), "C": (0.3, "F")}, observed=["v"], free=["C"],
+    )  # fmt: skip
+    record = make_record(system, "leak", time, {"v": seen}, {"e": drive})
+    run = spiral.discover(
+        record, system, candidates=["root_loss@v", "quadratic_loss@v"], settings={"max_rounds": 2}
+    )
+    shape = run.unknown
+    assert run.verdict == "unknown_structure"
+    assert run.missing == ()
+    assert shape["effect"] == "learned_loss@v"
+    assert shape["test_error"] < 1.2 * shape["noise_floor"]
+    curve = shape["curves"][0]
+    at, flow, band = (np.array(curve[k]) for k in ("at", "force", "band"))
+    truth = -0.02 * (np.exp(at / 0.15) - 1)
+    weight = np.array(curve["visited"])
+    line = np.polyfit(at, flow - truth, 1, w=np.sqrt(weight))  # what the resistor can take over
+    inside = np.abs(flow - truth - np.polyval(line, at)) <= 2 * band + 0.02 * np.ptp(truth)
+    assert np.mean(inside[weight > 0]) > 0.9
+
+
+def test_an_effect_is_found_from_the_values_given_where_the_fit_has_left_them():
+    """Two compartments and an enzyme: without it the exchange runs one way, far from its values."""
+    rng = np.random.default_rng(2)
+    dose = np.zeros(600)
+    for start in range(5, 600, 120):
+        dose[start : start + 10] = 60 * rng.uniform(0.5, 1.5)
+    time, dt = np.arange(600) * 0.1, 0.1
+
+    def true(t, x):
+        u = dose[min(int(t / dt + 1e-9), 599)]
+        loss = 2.0 * x[0] / (1.5 + x[0])
+        return [u / 5 - 0.45 * x[0] + 0.2 * x[1] - loss, 0.3 * x[0] - 0.2 * x[1]]
+
+    seen = solve_ivp(true, (0, time[-1]), [0, 0], t_eval=time, rtol=1e-8, max_step=dt).y[0]
+    seen = seen + 0.03 * seen.std() * rng.normal(size=600)
+
+    def rhs(t, x, u, p):
+        return [u.d / p.V - (p.k12 + p.ke) * x.a + p.k21 * x.b, p.k12 * x.a - p.k21 * x.b]
+
+    values = {"V": (5.7, "m^3"), "k12": (0.25, "1/s"), "k21": (0.22, "1/s"), "ke": (0.13, "1/s")}
+    system = spiral.system(
+        rhs, states={"a": "kg/m^3", "b": "kg/m^3"},
+        inputs={"d": {"unit": "kg/s", "interpolation": "zero_order"}},
+        parameters=values, observed=["a"], free=list(values),
+    )  # fmt: skip
+    record = make_record(system, "dose", time, {"a": seen}, {"d": dose})
+    run = spiral.discover(record, system, candidates=["saturating_loss@a", "linear_loss@b"])
+    assert run.missing == ("saturating_loss@a",)
+    found = run.model.estimates()["system"]["k12"]
+    assert abs(found.estimate - 0.3) < 3 * found.se
+
+
+def _parameters(**given):
+    system = spiral.system(
+        _leaky, states={"v": "V"}, inputs={"e": "V"}, observed=["v"],
+        parameters={"R": (1.0, "ohm"), "C": given}, free=["C"],
+    )  # fmt: skip
+    return {p.name: (p.lower, p.upper) for p in system.parameters}["C"]
+
+
+def test_a_free_value_keeps_the_sign_that_it_was_given():
+    assert _parameters(value=0.3, unit="F") == (0.0, None)
+    assert _parameters(value=-0.3, unit="F") == (None, 0.0)
+    assert _parameters(value=0.3, unit="F", lower=-1.0) == (-1.0, None)
+    assert _parameters(value=0.3, unit="F", lower=None) == (None, None)
+
+
+@pytest.mark.parametrize(("most", "knots"), [(0, 5), (1, 9)])
+def test_the_last_coefficients_are_a_spline_on_fewer_knots(most, knots):
+    """Third derivatives jump at so many knots only."""
+    z = np.linspace(-1.0, 1.0, 20001)
+    rows = np.array(basis(z))[[i for i, level in enumerate(LEVELS.values()) if level <= most]]
+    assert len(rows) == knots
+    bend = np.diff(np.random.default_rng(0).normal(size=knots) @ rows, 2)
+    jumps = np.abs(np.diff(bend, 2)) > 1e-6 * np.ptp(bend)
+    assert 1 <= np.sum(np.diff(np.flatnonzero(jumps)) > 5) + 1 <= knots
