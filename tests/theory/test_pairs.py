@@ -72,10 +72,10 @@ def test_the_coupling_is_skew(name):
     amplitude = traced.p[-1]
     states = traced.x[2:4] if name.startswith("anti") else traced.x[:2]
     mass = traced.p[traced.keys.index("system.m")]
-    pushed = [(m - n).subs(dict(zip(bare.p, traced.p))) * mass
-              for m, n in zip(traced.rate[2:4], bare.rate[2:4])]  # fmt: skip
+    pushed = [(m - n).subs(dict(zip(bare.p, traced.p[:-1], strict=True))) * mass
+              for m, n in zip(traced.rate[2:4], bare.rate[2:4], strict=True)]  # fmt: skip
     expected = (-amplitude * states[1], amplitude * states[0])
-    assert [sp.simplify(p - e) for p, e in zip(pushed, expected)] == [0, 0]
+    assert [sp.simplify(p - e) for p, e in zip(pushed, expected, strict=True)] == [0, 0]
 
 
 def _record(name, seed, samples):
@@ -97,7 +97,7 @@ def _record(name, seed, samples):
         ]  # fmt: skip
 
     y = solve_ivp(rate, (0, time[-1]), [0] * 4, "DOP853", time, rtol=1e-9, atol=1e-12).y
-    seen = {k: v + 0.01 * v.std() * rng.normal(size=samples) for k, v in zip("ab", y)}
+    seen = {k: v + 0.01 * v.std() * rng.normal(size=samples) for k, v in zip("ab", y, strict=True)}
     return make_record(_system(), name, time, seen, {"F": force})
 
 

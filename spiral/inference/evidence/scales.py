@@ -72,8 +72,9 @@ def scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> flo
     """What a grid's values are shares of; a parameter without a grid has its start."""
     if not parameter.grid:
         return parameter.start or 1.0
+    unit = "velocity" if parameter.unit == "position/s" else parameter.unit  # as formulas have it
     for kind in ("velocity", "position"):
-        if kind in parameter.unit:
+        if kind in unit:
             return largest[f"{port.name}.{kind}"]
     return 1.0
 

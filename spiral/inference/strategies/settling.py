@@ -1,0 +1,172 @@
+"""A fit as the state of a study, and what an admission asks on other blocks and on unseen data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from spiral.engine.likelihood.fit import informed
+from spiral.inference.acting import random_forces
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.fit_state import FitState, Masks
+from spiral.inference.evidence.scoring import Ranking, tested_keys
+from spiral.inference.likelihood.between import (
+    with_own_inputs,
+)
+from spiral.inference.likelihood.candidates import (
+    Rival,
+    held_shapes,
+    with_own_shapes,
+)
+from spiral.inference.likelihood.comparison import compared_by_likelihood
+from spiral.inference.likelihood.fitting import (
+    LikelihoodFit,
+    colour,
+    price,
+    refitted,
+    restarted,
+    taken_on,
+)
+from spiral.inference.likelihood.judging import Unselected, judged
+from spiral.inference.likelihood.ladder import climbed_ladder, pruned, quieted
+from spiral.inference.likelihood.starts import (
+    on_finer_steps,
+    rebalanced,
+    resolved_in_time,
+)
+from spiral.inference.problem import Progress, Settings
+from spiral.inference.strategies.base import Settled
+from spiral.inference.strategies.retire import let_go
+from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.inference.unknown.holding import carried, emptied, having
+from spiral.types.horizon import changes
+from spiral.types.run import Comparison
+
+_BOUND = 0.99  # share of the largest random force from which one stands at its bound
+_LAST = 1e-6  # whiteness from which a model may be the last
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What a round found: candidates by their score, and those refitted.
+
+    ``settled`` is the study with what is admitted, if anything is.
+    """
+
+    ranking: Ranking
+    rivals: tuple[Rival, ...]
+    settled: Settled | None = None
+
+
+def settled_on(
+    assembly: Assembly, found: LikelihoodFit, progress: Progress, retired: tuple[str, ...] = ()
+) -> Settled:
+    """A fit on all samples as the state of the study, compared with the test records."""
+    found = replace(found, estimate=informed(found.estimate))
+    state, comparison = compared_by_likelihood(assembly, found, progress)
+    details: dict[str, Any] = {"noise": dict(found.estimate.noise.values)}
+    if found.estimate.finite:
+        details["log_likelihood"] = found.height
+    return Settled(state, comparison, retired, details)
+
+
+def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
+    """The fit with the noise that its record wants.
+
+    It is at its very maximum where the model may be the last: its misses are white.
+    """
+    found = rebalanced(assembly, climbed_ladder(assembly, found, progress), progress)
+    if not found.estimate.finite or colour(assembly, found).p < _LAST:
+        return found
+    progress("polishing the fit")
+    return resolved_in_time(assembly, taken_on(assembly, quieted(assembly, found)))
+
+
+def refused(
+    base: LikelihoodFit, ours: Callable[[], Unselected], rival: Rival, judge: Masks, level: float
+) -> str:
+    """Why a candidate does not hold on the blocks that did not select; empty where it does."""
+    if not rival.worth > 0:
+        return "refitted, it does not make the record more likely than its price"
+    found = judged(base, ours(), rival, judge)
+    if not found.passes(level):
+        return (
+            f"not confirmed on the blocks that did not select (p = {found.p_value:.2g}, "
+            f"log-likelihood {found.predicted:+.3g} as it was fitted)"
+        )
+    return ""
+
+
+def unhelpful(
+    options: LikelihoodOptions, before: Comparison, after: Comparison, settings: Settings
+) -> str:
+    """Why an effect does no good to what is predicted; empty where it does.
+
+    The squared error that it takes away, over what is left, is a size in standard deviations of
+    the noise; the largest over the horizons and the free run of the fitted records counts.
+    """
+    forces = max(random_forces(after).values(), default=0.0)
+    if forces >= _BOUND * options.random_limit:
+        return (
+            "with it, too, a random force as large as the machine's own would have to act: the "
+            "model has not found its values, or is of another machine"
+        )
+    judged_ = changes(before.unseen, after.unseen)
+    for change in judged_:
+        if change.judged == "worse":
+            return (
+                f"the error on unseen data grows ({change.horizon}: {100 * change.before:.3g} -> "
+                f"{100 * change.after:.3g} %)"
+            )
+    pairs = [(before.fit_error, after.fit_error), *((c.before, c.after) for c in judged_)]
+    sizes = [np.sqrt(max((b / a) ** 2 - 1, 0.0)) if a > 0 else np.inf for b, a in pairs]
+    size = float(max(x if np.isfinite(x) else np.inf for x in sizes))
+    if size >= settings.smallest:
+        return ""
+    return (
+        f"significant, but too small to matter: at no horizon does it take away more than "
+        f"{size:.2g} of what is left (least {settings.smallest:g})"
+    )
+
+
+def settled_with(own: Assembly, state: FitState, label: str, progress: Progress) -> Settled:
+    """The model with a candidate, fitted to all samples; noise and effects not wanted any more go.
+
+    Parameters
+    ----------
+    own : the study with the candidate. state : in its terms. label : the candidate's, compiled.
+    """
+    found = refitted(own, state, rough=True)
+    found = restarted(own, on_finer_steps(own, found))
+    found, effect = pruned(own, found, progress), own.variant(label).effect
+    found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
+    found = finished(own, with_own_inputs(own, found, progress), progress)
+    found, gone = _without_superfluous(own, found, label)
+    settled = settled_on(own, found, progress, gone)
+    if not gone:
+        return settled
+    final = having(emptied(own), settled.standing.labels)
+    return replace(settled, standing=carried(settled.standing, own, final))
+
+
+def _without_superfluous(
+    assembly: Assembly, found: LikelihoodFit, latest: str
+) -> tuple[LikelihoodFit, tuple[str, ...]]:
+    """Effects admitted before that the record no longer wants, let go."""
+    gone: list[str] = []
+    for label in found.state.labels:
+        if label in assembly.problem.model.labels or label == latest:
+            continue
+        keys = tested_keys(assembly, assembly.variant(label))
+        values, errors = found.estimate.values, found.estimate.errors
+        least = assembly.problem.settings.least_t
+        if any(abs(values.get(k, 0.0)) > least * errors.get(k, np.inf) for k in keys):
+            continue
+        trial = refitted(assembly, let_go(assembly, found.state, (label,)))
+        if trial.height > found.height - price(len(keys), trial.estimate.prepared):
+            found = trial
+            gone.append(assembly.variant(label).original.label)
+    return found, tuple(gone)
