@@ -97,7 +97,7 @@ def _record(name, seed, samples):
         ]  # fmt: skip
 
     y = solve_ivp(rate, (0, time[-1]), [0] * 4, "DOP853", time, rtol=1e-9, atol=1e-12).y
-    seen = {k: v + 0.01 * v.std() * rng.normal(size=samples) for k, v in zip("ab", y, strict=True)}
+    seen = {k: v + 0.01 * v.std() * rng.normal(size=samples) for k, v in zip("ab", y[:2], strict=True)}
     return make_record(_system(), name, time, seen, {"F": force})
 
 
