@@ -121,9 +121,15 @@ class CrossDamping(ForceEffect):
 
 
 class AntisymmetricDamping(ForceEffect):
-    """Coupling like a gyroscope of constant speed: F = -c (y', -x')."""
+    """Coupling like a gyroscope of constant speed: F = -c (y', -x').
+
+    A spinning wheel in a gimbal, Coriolis forces in a turning frame, a wire in a magnetic field,
+    between the axes of a plane or any two coordinates of one unit. It does no work
+    (Meirovitch, Analytical Methods in Vibrations, ch. 3).
+    """
 
     axes = 2
+    pairs = True
     parameters = (Parameter("damping", "force/velocity"),)
 
     def force(self, at, u, p):

@@ -16,6 +16,21 @@ from spiral.types.parameter import Parameter, State
 _NEAR_TWO = 0.3  # around two, where a lag's share stands for a delay
 
 
+class InputGain(InputEffect):
+    """An actuator whose scale is off: acting = (1 + e) u.
+
+    A motor's constant, an amplifier's gain, a load cell read in the wrong range. Where all that the
+    input acts on is free (a mass with its spring and damper) it looks like these, and is not told.
+    """
+
+    parameters = (Parameter("error", ""),)
+
+    def drive(self, at, u, p):
+        """(1 + e) u."""
+        (given,) = at.position
+        return given + p.error * given
+
+
 class InputDeadZone(InputEffect):
     """An actuator that does not answer small inputs: acting = u - s clip(u, -g, g).
 

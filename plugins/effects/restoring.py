@@ -173,9 +173,15 @@ class CrossStiffness(ForceEffect):
 
 
 class CrossCoupledStiffness(ForceEffect):
-    """Circulatory coupling (seals, fluid film), which drives whirl: F = -k (y, -x)."""
+    """Circulatory coupling (seals, fluid film), which drives whirl: F = -k (y, -x).
+
+    Between the axes of a plane or any two coordinates of one unit: flutter (bending and twist of a
+    blade), a follower force, a brake that squeals. It has no potential (Ziegler, Principles of
+    Structural Stability, ch. 1), so a spring between the two is something else.
+    """
 
     axes = 2
+    pairs = True
     parameters = (Parameter("stiffness", "force/position"),)
 
     def force(self, at, u, p):

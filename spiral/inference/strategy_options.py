@@ -31,6 +31,8 @@ class LikelihoodOptions:
         admitted: it follows the record whatever the model says (decision 133). No fit has a larger
         one than 1.
     listed : suggestions that a round tells.
+    laws : whether laws with a closed form are tried where no candidate explains what is left
+        (decision 158).
     """
 
     rivals: int = 8
@@ -38,6 +40,7 @@ class LikelihoodOptions:
     odds: float = 100.0
     random_limit: float = 1.0
     listed: int = 5
+    laws: bool = True
 
     def __post_init__(self) -> None:
         """Refuse values out of range."""

@@ -282,7 +282,7 @@ def _geometry(system: System, name: str) -> Function:
     """Position, velocity and Jacobian of a port by the states."""
     assert has_coordinates(system)
     traced = trace(system, ())
-    port = next(p for p in system.ports if p.name == name)
+    port = system.port(name)
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
     p = SimpleNamespace(
         **{k.split(".", 1)[1]: s for k, s in zip(traced.keys, traced.p, strict=True)}
@@ -300,7 +300,7 @@ def _geometry(system: System, name: str) -> Function:
 def _place(system: System, name: str) -> Function:
     """Position of a port of a system that is not mechanical, by the states."""
     traced = trace(system, ())
-    port = next(p for p in system.ports if p.name == name)
+    port = system.port(name)
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
     p = SimpleNamespace(
         **{k.split(".", 1)[1]: s for k, s in zip(traced.keys, traced.p, strict=True)}

@@ -80,7 +80,13 @@ class Effect(Plugin):
 
 
 class ForceEffect(Effect):
-    """A force at a port, one component per axis, in the port's unit of force."""
+    """A force at a port, one component per axis, in the port's unit of force.
+
+    ``pairs`` : whether it also acts between any two coordinates of one unit (``System.pairs``),
+    which need not be the axes of a plane.
+    """
+
+    pairs: ClassVar[bool] = False
 
     @abstractmethod
     def force(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> list[Any]:

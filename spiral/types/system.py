@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from abc import abstractmethod
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, ClassVar, TypeGuard
 
+from spiral.types.cache import kept
 from spiral.types.effect import Effect, InputEffect, SensorEffect, StateFlow
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
@@ -81,12 +84,20 @@ class System(Plugin):
         for port in self.ports:
             if port.name == name or not name:
                 return port
+        for port in self.pairs:
+            if port.name == name:
+                return port
         names = [port.name for port in self.ports]
         raise ConfigError(
             f"port {name!r} of system {self.plugin_name()!r}",
             f"one of {', '.join(names)}",
             did_you_mean(name, names),
         )
+
+    @property
+    def pairs(self) -> tuple[Port, ...]:
+        """Two coordinates of one unit each, as ports ``NAME-NAME`` of two axes."""
+        return _pairs(self) if has_coordinates(self) else ()
 
     @property
     def sensors(self) -> Port:
@@ -248,6 +259,27 @@ def _filled(units: dict[str, str], *into: State) -> Port:
         units[names[0]],
         into[0].unit,
     )
+
+
+@kept(32)
+def _pairs(system: MechanicalSystem) -> tuple[Port, ...]:
+    """Pairs of the ports that are coordinates, one axis each."""
+    import sympy
+
+    q = SimpleNamespace(**{s.name: sympy.Symbol(s.name) for s in system.states})
+    p = SimpleNamespace(**{k.name: sympy.Symbol(f"p_{k.name}") for k in system.parameters})
+    own = {q.__dict__[c.name] for c in system.coordinates}
+    plain = [x for x in system.ports if len(x.axes) == 1 and x.coordinates(q, p)[0] in own]
+    return tuple(
+        Port(f"{a.name}-{b.name}", (a.name, b.name), _both(a, b), a.position_unit, a.force_unit)
+        for a, b in itertools.combinations(plain, 2)
+        if (a.position_unit, a.force_unit) == (b.position_unit, b.force_unit)
+    )
+
+
+def _both(first: Port, second: Port) -> Callable[[SimpleNamespace, SimpleNamespace], list[Any]]:
+    """Positions of two ports, one after the other."""
+    return lambda q, p: [*first.coordinates(q, p), *second.coordinates(q, p)]
 
 
 def has_coordinates(system: System) -> TypeGuard[MechanicalSystem]:

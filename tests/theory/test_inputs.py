@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from spiral_plugins.effects.inputs import ActuatorLag, InputDeadZone, InputSaturation
+from spiral_plugins.effects.inputs import ActuatorLag, InputDeadZone, InputGain, InputSaturation
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
@@ -188,3 +188,22 @@ def test_a_hold_that_is_none_is_refused(hold, word):
 def test_an_actuator_needs_an_input_that_nothing_follows_from():
     with pytest.raises(SpiralError, match="acts on an input"):
         PlanarRotor().place(InputDeadZone())
+
+
+@pytest.mark.parametrize("fixed", [["system.mass"], []])
+def test_a_wrong_scale_of_an_input_is_named_where_the_mass_is_known(fixed):
+    """Where mass, damper and spring are all free, the scale is theirs: nothing is missing."""
+    model = seed_model(Oscillator(), (InputGain(),), values={**TRUTH, "input_gain.error": 0.15})
+    time, given = np.arange(3000) / 200, []
+    for seed in (0, 50):
+        force = band_limited(np.random.default_rng(seed), 8.0, (0.3, 10.0), 15.0)(time)
+        made = simulate(model, time, {"force": force}, 0.01, np.random.default_rng(seed))
+        given.append(replace(made, noise={}))
+    values = {**WRONG, "system.mass": 1.0}
+    run = spiral.discover(given[0], "oscillator", test=given[1], values=values, fixed=fixed)
+    if not fixed:
+        assert run.verdict == "nothing_missing"
+        return
+    assert run.missing == ("input_gain",)
+    found = run.model.estimates()["input_gain"]["error"]
+    assert abs(found.estimate - 0.15) < 3 * found.se

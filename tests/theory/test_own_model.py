@@ -267,6 +267,20 @@ def test_effects_may_act_between_any_two_coordinates_of_one_unit():
     assert [p.name for p in named.ports] == ["coupling", "a", "b"]
 
 
+def test_an_input_that_acts_in_part_is_no_mass():
+    """Half of a force on the second mass: its inertia is m, so that springs pull both alike."""
+    both = spiral.system(
+        lambda t, x, u, p: [x.v, x.w, (u.F - p.k * x.a) / p.m, (0.5 * u.F - p.k * x.b) / p.m],
+        states={"a": "m", "b": "m", "v": "m/s", "w": "m/s"},
+        inputs={"F": "N"},
+        observed=["a", "b"],
+        parameters={"m": (2.0, "kg"), "k": (50.0, "N/m")},
+    )
+    assert both.mass(SimpleNamespace(a=0.0, b=0.0), SimpleNamespace(m=2.0, k=50.0)) == [
+        [2.0, 0], [0, 2.0]
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("hidden", [0.0, 0.03])
 def test_friction_is_found_in_a_machine_that_has_states_of_first_order_too(hidden):
     """A motor whose current lags its voltage, integrated by SciPy with dry friction and without."""

@@ -49,7 +49,7 @@ def extremes(system: System, records: Sequence[Record], along: Sequence[Array]) 
     traced = trace(system, ())
     states = np.concatenate(along)
     found = {}
-    for port in system.ports:
+    for port in (*system.ports, *system.pairs):
         for kind, expressions in at_port(system, port, traced):
             values = sp.lambdify(traced.x, expressions, "numpy")(*states.T)
             found[f"{port.name}.{kind}"] = max(
@@ -72,8 +72,9 @@ def scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> flo
     """What a grid's values are shares of; a parameter without a grid has its start."""
     if not parameter.grid:
         return parameter.start or 1.0
+    unit = "velocity" if parameter.unit == "position/s" else parameter.unit  # as formulas have it
     for kind in ("velocity", "position"):
-        if kind in parameter.unit:
+        if kind in unit:
             return largest[f"{port.name}.{kind}"]
     return 1.0
 

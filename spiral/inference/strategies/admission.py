@@ -23,7 +23,7 @@ from spiral.inference.acting import random_forces
 from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import tested_keys
+from spiral.inference.evidence.scoring import Ranking, tested_keys
 from spiral.inference.likelihood.between import with_own_inputs
 from spiral.inference.likelihood.candidates import Race, Rival, held_shapes, with_own_shapes
 from spiral.inference.likelihood.comparison import compared_by_likelihood
@@ -63,6 +63,18 @@ def settled_on(
 
 
 @dataclass(frozen=True)
+class Scored:
+    """What a round found: candidates by their score, and those refitted.
+
+    ``settled`` is the study with what is admitted, if anything is.
+    """
+
+    ranking: Ranking
+    rivals: tuple[Rival, ...]
+    settled: Settled | None = None
+
+
+@dataclass(frozen=True)
 class Whole:
     """A model fitted to all samples: in terms of which study, its fit, and that compared."""
 
@@ -88,7 +100,7 @@ def first_to_pass(
     rejected: dict[str, str] = {}
     ours = functools.cache(lambda: unselected(base, assembly, judge))
     for rival, rivals in itertools.islice(run.winners(), options.judged):
-        if reason := _refused(base, ours, rival, judge, level):
+        if reason := refused(base, ours, rival, judge, level):
             rejected[rival.label] = reason
             continue
         chosen, aliases = plainest(rival, alike(rivals, options.odds), rivals)
@@ -96,7 +108,7 @@ def first_to_pass(
         label = chosen.ranked.variant.label
         whole = with_effect(chosen.assembly, chosen.fit.state, label, progress)
         after, settings = whole.settled.comparison, assembly.problem.settings
-        if not (reason := _unhelpful(options, comparison, after, settings)):
+        if not (reason := unhelpful(options, comparison, after, settings)):
             return Passed(chosen, aliases, whole), rejected
         rejected[chosen.label] = reason
     return None, rejected
@@ -114,9 +126,10 @@ def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Li
     return resolved_in_time(assembly, taken_on(assembly, quieted(assembly, found)))
 
 
-def _refused(
+def refused(
     base: LikelihoodFit, ours: Callable[[], Unselected], rival: Rival, judge: Masks, level: float
 ) -> str:
+    """Why a candidate does not hold on the blocks that did not select; empty where it does."""
     if not rival.worth > 0:
         return "refitted, it does not make the record more likely than its price"
     found = judged(base, ours(), rival, judge)
@@ -128,7 +141,7 @@ def _refused(
     return ""
 
 
-def _unhelpful(
+def unhelpful(
     options: LikelihoodOptions, before: Comparison, after: Comparison, settings: Settings
 ) -> str:
     """Why an effect does no good to what is predicted; empty where it does.

@@ -7,7 +7,7 @@ no longer wanted let go.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from spiral.inference.likelihood.between import (
     with_likely_inputs,
 )
 from spiral.inference.likelihood.candidates import (
-    Rival,
     race,
     refit_alone,
     with_own_shapes,
@@ -43,6 +42,7 @@ from spiral.inference.likelihood.starts import (
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.strategies.admission import (
+    Scored,
     finished,
     first_to_pass,
     settled_on,
@@ -50,6 +50,7 @@ from spiral.inference.strategies.admission import (
 )
 from spiral.inference.strategies.base import Begun, Settled, Step
 from spiral.inference.strategies.curves import missing_curve
+from spiral.inference.strategies.laws import with_law
 from spiral.inference.strategies.remembered import missing_memory
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.holding import having
@@ -88,18 +89,6 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
     )
 
 
-@dataclass(frozen=True)
-class Scored:
-    """What a round found: candidates by their score, and those refitted.
-
-    ``settled`` is the study with what is admitted, if anything is.
-    """
-
-    ranking: Ranking
-    rivals: tuple[Rival, ...]
-    settled: Settled | None = None
-
-
 def propose(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
     number: int, progress: Progress,
@@ -134,6 +123,9 @@ def propose(
     memory = missing_memory(assembly, base, comparison, masks, progress)
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
+    law = with_law(options, assembly, state, base, step, comparison, masks, level, progress)
+    if law is not None:
+        return law
     return _with_curve(options, assembly, base, step, comparison, masks, level, progress)
 
 

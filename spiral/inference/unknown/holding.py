@@ -23,6 +23,7 @@ from spiral.inference.evidence.assembly import (
 )
 from spiral.inference.evidence.comparison import substeps_for
 from spiral.inference.evidence.fit_state import FitState
+from spiral.physics.formulas.laws import laws_of
 from spiral.types.effect import Effect
 from spiral.types.record import Array
 
@@ -61,7 +62,8 @@ def _variant(assembly: Assembly, label: str) -> Variant:
         if variant.label == label:
             return variant
     name, _, tag = label.partition("#")
-    effects = (*assembly.later, *assembly.problem.dictionary)
+    problem = assembly.problem
+    effects = (*assembly.later, *problem.dictionary, *laws_of(problem.model.system))
     return variant_of(next(e for e in effects if e.label == name), tag, {})
 
 

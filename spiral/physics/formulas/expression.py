@@ -287,7 +287,8 @@ def _units(
     for name in free:
         unit = unit_for(found[name], place.words) if name in found else None
         if name in said:
-            units[name] = _said(name, said[name], place)
+            given = (definition.units or {})[name]
+            units[name] = given if place.relative(given) else _said(name, said[name], place)
         elif unit is None:
             raise ConfigError(
                 f"parameter {name!r}, whose unit has no short form here",

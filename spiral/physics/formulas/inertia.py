@@ -90,12 +90,18 @@ def _own_inertia(
 ) -> Any:
     """What an acceleration is divided by so that a force is left: a mass, a moment of inertia, 1.
 
-    It is read off an input that is a force, else off the divisors that parameters make.
+    It is read off the divisors that parameters make, else off an input that is a force (which may
+    act on a coordinate in part).
     """
     due = dimension("N" if coordinate.unit and dimension(coordinate.unit).known else "N*m")
     mechanical = dimension(coordinate.unit) in (dimension("m"), dimension(""))
     per = dimension(f"({coordinate.unit or '1'})/s^2")
     states = {symbol(s.name) for s in given.states}
+    named = [d for d in _divisors(acceleration) if d.free_symbols and not d.free_symbols & states]
+    divisor = sp.Mul(*named)
+    found = _dimension_of(divisor, units)
+    if mechanical and found is not None and found.times(per) == due:
+        return divisor
     for item in given.inputs:
         slope: Any = sp.together(acceleration.diff(symbol(item.name)))
         plain = slope != 0 and not slope.free_symbols & {*states, *map(symbol, TIME)}
@@ -103,10 +109,7 @@ def _own_inertia(
             own = 1 / slope
             if _dimension_of(own, units) == dimension(item.unit).times(per, Fraction(-1)):
                 return own
-    named = [d for d in _divisors(acceleration) if d.free_symbols and not d.free_symbols & states]
-    own = sp.Mul(*named)
-    found = _dimension_of(own, units)
-    return own if mechanical and found is not None and found.times(per) == due else sp.Integer(1)
+    return sp.Integer(1)
 
 
 def _dimension_of(value: Any, units: Mapping[str, str]) -> Dimension | None:

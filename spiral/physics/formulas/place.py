@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from spiral.types.system import System, has_coordinates
 
+_RELATIVE = r"\b(force|position|velocity)\b"
 EACH_AXIS = ("q", "v")  # position and velocity of the axis at hand
 
 
@@ -47,8 +48,11 @@ class Place:
     def absolute(self, relative: str) -> str:
         """A unit in the place's words (``force/position``) in absolute ones: ``(N)/(m)``."""
         words = {**self.words, "velocity": f"({self.position_unit})/s"}
-        pattern = r"\b(force|position|velocity)\b"
-        return re.sub(pattern, lambda m: f"({words[m[0]]})", relative)
+        return re.sub(_RELATIVE, lambda m: f"({words[m[0]]})", relative)
+
+    def relative(self, unit: str) -> bool:
+        """Whether a unit is in the place's words."""
+        return bool(re.search(_RELATIVE, unit))
 
 
 def place_of(system: System, port: str = "") -> Place:

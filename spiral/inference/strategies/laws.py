@@ -1,0 +1,163 @@
+"""A law with a closed form in place of what no candidate explains.
+
+Where no candidate passes any more, named laws of one variable (``spiral.physics.formulas.laws``)
+are tried at every place: from the seed, in place of all that was admitted and may only stand in for
+one, then beside it. They go through the scores, the race and the gates of any candidate; the price
+of a law's free numbers (Schwarz) is its description length. A law is admitted where it leaves
+nothing but noise, and, in place of others, only where the record is more likely with it by
+``options.odds`` once all numbers are paid for.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.likelihood.predict import all_predicted, log_likelihood
+from spiral.inference.evidence.admission import let_go
+from spiral.inference.evidence.assembly import Assembly, offers
+from spiral.inference.evidence.fit_state import FitState, Masks
+from spiral.inference.likelihood.candidates import race
+from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, price, refitted, subjects
+from spiral.inference.likelihood.groups import alike, plainest
+from spiral.inference.likelihood.judging import unselected
+from spiral.inference.likelihood.ladder import climbed_ladder
+from spiral.inference.likelihood.scores import ranking
+from spiral.inference.likelihood.suggestions import suggestions
+from spiral.inference.problem import Progress
+from spiral.inference.strategies.admission import Scored, refused, unhelpful, with_effect
+from spiral.inference.strategies.base import Settled, Step
+from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.inference.unknown.holding import carried, emptied, having
+from spiral.inference.verdict import near_noise
+from spiral.physics.formulas.laws import laws_of
+from spiral.types.effect import ForceEffect, StateFlow
+from spiral.types.run import Comparison
+
+_SEVERAL = 2  # effects admitted from which a law may stand for all of them
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A model from which laws are tried.
+
+    ``gone`` are the effects that it lets go, ``height`` the log-likelihood of the model with them.
+    """
+
+    base: LikelihoodFit
+    gone: tuple[str, ...] = ()
+    height: float = -np.inf
+
+
+def with_law(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
+    step: Step[Scored], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
+    progress: Progress,
+) -> Step[Scored] | None:  # fmt: skip
+    """The step with a law admitted; nothing where none passes.
+
+    Parameters
+    ----------
+    state : the study's. base : the same, fitted on the blocks that select. masks : (select, judge).
+    """
+    gone = _stand_ins(assembly, base)
+    aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
+    idle = step.stopped == "whiteness" and len(gone) < _SEVERAL and not aided
+    if idle or not options.laws:
+        return None
+    for start in _starts(assembly, state, base, gone, step, masks[0], progress):
+        progress("trying laws with a closed form")
+        found = _from(options, assembly, start, comparison, masks, level, progress)
+        if found is not None:
+            return replace(found, rejected=step.rejected)
+    return None
+
+
+def _stand_ins(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
+    """Forces and flows without memory that were admitted, by their compiled labels."""
+    held = {v.label: v.effect for v in assembly.variants if v.label in base.state.labels}
+    kinds = ForceEffect | StateFlow
+    return tuple(x for x, e in held.items() if isinstance(e, kinds) and not e.states)
+
+
+def _offering(assembly: Assembly) -> Assembly:
+    """The study with laws in place of its candidates."""
+    system = assembly.problem.model.system
+    asked = replace(assembly.problem, candidates=laws_of(system))
+    return replace(assembly, problem=asked, offered=tuple(offers(asked, ())[0]))
+
+
+def _starts(
+    assembly: Assembly, state: FitState, base: LikelihoodFit, gone: tuple[str, ...],
+    step: Step[Scored], select: Masks, progress: Progress,
+) -> Iterator[_Start]:  # fmt: skip
+    if gone:
+        before = refitted(
+            assembly, replace(let_go(assembly, base.state, gone), noise=None), rough=True
+        )
+        before = climbed_ladder(assembly, before, progress)
+        if before.estimate.finite:
+            before = refitted(assembly, before.state, masks=select, steps=WARM, rough=True)
+            yield _Start(before, gone, _height(assembly, state))
+    if step.stopped != "whiteness":
+        yield _Start(base)
+
+
+def _height(assembly: Assembly, state: FitState) -> float:
+    """Log-likelihood of all samples."""
+    assert state.noise is not None
+    return log_likelihood(all_predicted([(subjects(assembly, state), state.noise)])[0])
+
+
+def _from(
+    options: LikelihoodOptions, known: Assembly, start: _Start, comparison: Comparison,
+    masks: tuple[Masks, Masks], level: float, progress: Progress,
+) -> Step[Scored] | None:  # fmt: skip
+    """The law that is admitted from there."""
+    (select, judge), assembly = masks, _offering(known)
+    ranked = ranking(assembly, start.base, start.base.estimate.noise, select)
+    if ranked is None:
+        return None
+    run = race(assembly, start.base, list(ranked.ranked), select, progress, options.rivals)
+    ours = functools.cache(lambda: unselected(start.base, assembly, judge))
+    for rival, rivals in itertools.islice(run.winners(), options.judged):
+        if refused(start.base, ours, rival, judge, level):
+            continue
+        law, aliases = plainest(rival, alike(rivals, options.odds), rivals)
+        effect = law.ranked.variant.original
+        progress(f"most likely values with {effect.label}")
+        own = having(emptied(known), law.fit.state.labels)
+        state = carried(law.fit.state, law.assembly, own)
+        settled = with_effect(own, state, law.ranked.variant.label, progress).settled
+        if not _stands(options, assembly, start, settled, comparison):
+            continue
+        gone = tuple(assembly.variant(x).original.label for x in start.gone)
+        return Step(
+            suggestions(run.tried, ranked, effect.label, aliases)[: options.listed], {},
+            (effect.label,), {effect.label: aliases}, meaning=effect.meaning(),
+            found=Scored(ranked, run.tried, replace(settled, retired=(*settled.retired, *gone))),
+        )  # fmt: skip
+    return None
+
+
+def _stands(
+    options: LikelihoodOptions, assembly: Assembly, start: _Start, settled: Settled,
+    comparison: Comparison,
+) -> bool:  # fmt: skip
+    """Whether a law explains all, and more so than what it stands for."""
+    settings = assembly.problem.settings
+    if not near_noise(settled.comparison, settings):
+        return False
+    if not start.gone:
+        return not unhelpful(options, comparison, settled.comparison, settings)
+    height = settled.details["log_likelihood"] - _price(start, settled.comparison)
+    return height > start.height - _price(start, comparison) + np.log(options.odds)
+
+
+def _price(start: _Start, of: Comparison) -> float:
+    """What the numbers of a model cost that were fitted."""
+    return price(len(of.model.errors), start.base.estimate.prepared)
