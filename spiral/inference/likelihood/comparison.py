@@ -297,7 +297,7 @@ def _forecaster(
     noise = state.noise
     assert noise is not None
     values, errors = estimate.values, estimate.errors
-    told = {k: errors[k] for k in estimate.keys if 0 < errors[k] < abs(values[k])}
+    told = {k: e for k, e in errors.items() if 0 < e < abs(values[k])}
 
     def forecast(record: int, task: Task, first: int, steps: int) -> tuple[Array, Array]:
         for more in (told, {}) if told else ({},):  # sure of its values where it runs away else

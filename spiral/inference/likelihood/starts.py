@@ -99,7 +99,11 @@ def on_finer_steps(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
     wanted = finer(found)
     if wanted <= found.estimate.prepared[0][0].series.substeps:
         return found
-    return refitted(assembly, replace(found.state, substeps=wanted), rough=True)
+    finer_state = replace(found.state, substeps=wanted)
+    again = refitted(assembly, finer_state, rough=True)
+    if not again.estimate.finite:  # sizes of its noise may mean something else: on the same scales
+        again = refitted(assembly, finer_state, rough=True, like=found.estimate.prepared)
+    return again if again.estimate.finite else found
 
 
 def resolved_in_time(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.likelihood.fit import informed
-from spiral.engine.likelihood.predict import Masks
+from spiral.engine.likelihood.predict import Masks, Prepared
 from spiral.inference.acting import random_forces
 from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import Ranking, tested_keys
+from spiral.inference.evidence.scoring import tested_keys
 from spiral.inference.likelihood.between import with_own_inputs
 from spiral.inference.likelihood.candidates import Race, Rival, held_shapes, with_own_shapes
 from spiral.inference.likelihood.comparison import compared_by_likelihood
@@ -63,18 +63,6 @@ def settled_on(
 
 
 @dataclass(frozen=True)
-class Scored:
-    """What a round found: candidates by their score, and those refitted.
-
-    ``settled`` is the study with what is admitted, if anything is.
-    """
-
-    ranking: Ranking
-    rivals: tuple[Rival, ...]
-    settled: Settled | None = None
-
-
-@dataclass(frozen=True)
 class Whole:
     """A model fitted to all samples: in terms of which study, its fit, and that compared."""
 
@@ -106,8 +94,12 @@ def first_to_pass(
         chosen, aliases = plainest(rival, alike(rivals, options.odds), rivals)
         progress(f"most likely values with {chosen.label}")
         label = chosen.ranked.variant.label
-        whole = with_effect(chosen.assembly, chosen.fit.state, label, progress)
+        fit = chosen.fit
+        whole = with_effect(chosen.assembly, fit.state, label, progress, fit.estimate.prepared)
         after, settings = whole.settled.comparison, assembly.problem.settings
+        if not whole.fit.estimate.finite:
+            rejected[chosen.label] = "with it the fit to all samples runs away"
+            continue
         if not (reason := unhelpful(options, comparison, after, settings)):
             return Passed(chosen, aliases, whole), rejected
         rejected[chosen.label] = reason
@@ -173,14 +165,19 @@ def unhelpful(
     )
 
 
-def with_effect(own: Assembly, state: FitState, label: str, progress: Progress) -> Whole:
+def with_effect(
+    own: Assembly, state: FitState, label: str, progress: Progress, like: Prepared | None = None
+) -> Whole:
     """The model with a candidate, fitted to all samples; noise and effects not wanted any more go.
 
     Parameters
     ----------
     own : the study with the candidate. state : in its terms. label : the candidate's, compiled.
+    like : the records with the scales that its noise was fitted on.
     """
     found = refitted(own, state, rough=True)
+    if not found.estimate.finite:  # sizes of its noise may mean something else: on the same scales
+        found = refitted(own, state, rough=True, like=like)
     found = restarted(own, on_finer_steps(own, found))
     found, effect = pruned(own, found, progress), own.variant(label).effect
     found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))

@@ -21,24 +21,35 @@ from spiral.engine.likelihood.predict import all_predicted, log_likelihood
 from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly, offers
 from spiral.inference.evidence.fit_state import FitState, Masks
-from spiral.inference.likelihood.candidates import race
+from spiral.inference.evidence.scoring import Ranking
+from spiral.inference.likelihood.candidates import Rival, race
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, price, refitted, subjects
 from spiral.inference.likelihood.groups import alike, plainest
 from spiral.inference.likelihood.judging import unselected
 from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.likelihood.scores import ranking
-from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.admission import Scored, refused, unhelpful, with_effect
-from spiral.inference.strategies.base import Settled, Step
+from spiral.inference.strategies.admission import refused, unhelpful, with_effect
+from spiral.inference.strategies.base import Settled
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.holding import carried, emptied, having
 from spiral.inference.verdict import near_noise
 from spiral.physics.formulas.laws import laws_of
-from spiral.types.effect import ForceEffect, StateFlow
+from spiral.types.effect import Effect, ForceEffect, StateFlow
 from spiral.types.run import Comparison
 
 _SEVERAL = 2  # effects admitted from which a law may stand for all of them
+
+
+@dataclass(frozen=True)
+class NamedLaw:
+    """A law that passed, those not told from it, what was tried, and the model with it."""
+
+    effect: Effect
+    aliases: tuple[str, ...]
+    ranking: Ranking
+    tried: tuple[Rival, ...]
+    settled: Settled
 
 
 @dataclass(frozen=True)
@@ -53,27 +64,28 @@ class _Start:
     height: float = -np.inf
 
 
-def with_law(
+def named_law(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
-    step: Step[Scored], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
+    white: bool, comparison: Comparison, masks: tuple[Masks, Masks], level: float,
     progress: Progress,
-) -> Step[Scored] | None:  # fmt: skip
-    """The step with a law admitted; nothing where none passes.
+) -> NamedLaw | None:  # fmt: skip
+    """The law that is admitted; nothing where none passes.
 
     Parameters
     ----------
     state : the study's. base : the same, fitted on the blocks that select. masks : (select, judge).
+    white : whether nothing but noise, or what acts at random, is left of it.
     """
     gone = _stand_ins(assembly, base)
     aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
-    idle = step.stopped == "whiteness" and len(gone) < _SEVERAL and not aided
+    idle = white and len(gone) < _SEVERAL and not aided
     if idle or not options.laws:
         return None
-    for start in _starts(assembly, state, base, gone, step, masks[0], progress):
+    for start in _starts(assembly, state, base, gone, white, masks[0], progress):
         progress("trying laws with a closed form")
         found = _from(options, assembly, start, comparison, masks, level, progress)
         if found is not None:
-            return replace(found, rejected=step.rejected)
+            return found
     return None
 
 
@@ -93,7 +105,7 @@ def _offering(assembly: Assembly) -> Assembly:
 
 def _starts(
     assembly: Assembly, state: FitState, base: LikelihoodFit, gone: tuple[str, ...],
-    step: Step[Scored], select: Masks, progress: Progress,
+    white: bool, select: Masks, progress: Progress,
 ) -> Iterator[_Start]:  # fmt: skip
     if gone:
         before = refitted(
@@ -103,7 +115,7 @@ def _starts(
         if before.estimate.finite:
             before = refitted(assembly, before.state, masks=select, steps=WARM, rough=True)
             yield _Start(before, gone, _height(assembly, state))
-    if step.stopped != "whiteness":
+    if not white:
         yield _Start(base)
 
 
@@ -116,7 +128,7 @@ def _height(assembly: Assembly, state: FitState) -> float:
 def _from(
     options: LikelihoodOptions, known: Assembly, start: _Start, comparison: Comparison,
     masks: tuple[Masks, Masks], level: float, progress: Progress,
-) -> Step[Scored] | None:  # fmt: skip
+) -> NamedLaw | None:  # fmt: skip
     """The law that is admitted from there."""
     (select, judge), assembly = masks, _offering(known)
     ranked = ranking(assembly, start.base, start.base.estimate.noise, select)
@@ -136,11 +148,8 @@ def _from(
         if not _stands(options, assembly, start, settled, comparison):
             continue
         gone = tuple(assembly.variant(x).original.label for x in start.gone)
-        return Step(
-            suggestions(run.tried, ranked, effect.label, aliases)[: options.listed], {},
-            (effect.label,), {effect.label: aliases}, meaning=effect.meaning(),
-            found=Scored(ranked, run.tried, replace(settled, retired=(*settled.retired, *gone))),
-        )  # fmt: skip
+        settled = replace(settled, retired=(*settled.retired, *gone))
+        return NamedLaw(effect, aliases, ranked, run.tried, settled)
     return None
 
 

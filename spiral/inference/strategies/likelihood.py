@@ -7,7 +7,7 @@ no longer wanted let go.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from spiral.inference.likelihood.between import (
     with_likely_inputs,
 )
 from spiral.inference.likelihood.candidates import (
+    Rival,
     race,
     refit_alone,
     with_own_shapes,
@@ -42,7 +43,6 @@ from spiral.inference.likelihood.starts import (
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.strategies.admission import (
-    Scored,
     finished,
     first_to_pass,
     settled_on,
@@ -50,7 +50,7 @@ from spiral.inference.strategies.admission import (
 )
 from spiral.inference.strategies.base import Begun, Settled, Step
 from spiral.inference.strategies.curves import missing_curve
-from spiral.inference.strategies.laws import with_law
+from spiral.inference.strategies.laws import named_law
 from spiral.inference.strategies.remembered import missing_memory
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.holding import having
@@ -89,6 +89,18 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
     )
 
 
+@dataclass(frozen=True)
+class Scored:
+    """What a round found: candidates by their score, and those refitted.
+
+    ``settled`` is the study with what is admitted, if anything is.
+    """
+
+    ranking: Ranking
+    rivals: tuple[Rival, ...]
+    settled: Settled | None = None
+
+
 def propose(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
     number: int, progress: Progress,
@@ -120,12 +132,27 @@ def propose(
                 found=Scored(ranked, run.tried))  # fmt: skip
     if near_noise(comparison, assembly.problem.settings):
         step = replace(step, stopped="whiteness")
+    return _unexplained(options, assembly, state, base, step, comparison, masks, level, progress)
+
+
+def _unexplained(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
+    step: Step[Scored], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
+    progress: Progress,
+) -> Step[Scored]:  # fmt: skip
+    """The step with what is said where no candidate passes: memory, a law, or a curve."""
     memory = missing_memory(assembly, base, comparison, masks, progress)
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
-    law = with_law(options, assembly, state, base, step, comparison, masks, level, progress)
+    white = step.stopped == "whiteness"
+    law = named_law(options, assembly, state, base, white, comparison, masks, level, progress)
     if law is not None:
-        return law
+        label, aliases = law.effect.label, law.aliases
+        return replace(
+            step, suggestions=suggestions(law.tried, law.ranking, label, aliases)[: options.listed],
+            admitted=(label,), aliases={label: aliases}, meaning=law.effect.meaning(),
+            stopped="no_candidate", found=Scored(law.ranking, law.tried, law.settled),
+        )  # fmt: skip
     return _with_curve(options, assembly, base, step, comparison, masks, level, progress)
 
 

@@ -7,8 +7,10 @@ state that a flow goes into.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import re
+from collections.abc import Container, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from spiral.physics.formulas.expression import class_of
 from spiral.types.cache import kept
@@ -39,6 +41,18 @@ class Law:
         found = {"expression": formula, "grid": dict(self.grid), "units": dict(self.units),
                  "lower": dict(self.lower), "meaning": self.meaning, "port": port}  # fmt: skip
         return {k: v for k, v in found.items() if v}
+
+    def beside(self, taken: Container[str]) -> Law:
+        """The law with other letters where its own are names already."""
+        new = {n: n if n not in taken else f"{n}_law" for n in ("a", "b", "c", "l", "n", "K")}
+
+        def renamed(given: Mapping[str, Any]) -> dict[str, Any]:
+            return {new[k]: v for k, v in given.items()}
+
+        return replace(
+            self, formula=re.sub(r"\b[abclnK]\b", lambda m: new[m.group()], self.formula),
+            grid=renamed(self.grid), units=renamed(self.units), lower=renamed(self.lower),
+        )  # fmt: skip
 
 
 _POWER = "exp({n}*log(hypot({z}, 0.01)))"
@@ -120,8 +134,15 @@ def laws_of(system: System) -> tuple[Effect, ...]:
     return tuple(found)
 
 
+def _beside(system: System, laws: tuple[Law, ...]) -> list[Law]:
+    """Laws none of whose letters is a name of the system."""
+    named = (*system.states, *system.inputs, *system.parameters)
+    taken = {*(n.name for n in named), *(a for port in system.ports for a in port.axes)}
+    return [law.beside(taken) for law in laws]
+
+
 def _forces(system: System) -> list[Effect]:
-    laws = (*SPRINGS, *FRICTIONS)
+    laws = _beside(system, (*SPRINGS, *FRICTIONS))
     made = [class_of(law.name, law.defined(law.formula), system)() for law in laws]
     return [copy for effect in made for copy in at_every_place(system, effect)]
 
@@ -132,7 +153,7 @@ def _flows(system: System) -> list[Effect]:
     ports = [p for p in system.ports if len(p.axes) == 1 and p.axes[0] in into]
     found = []
     for port in ports:
-        for law in FLOWS:
+        for law in _beside(system, FLOWS):
             (name,) = port.axes
             formula = {name: law.formula.replace("s/", f"{name}/").replace("(s ", f"({name} ")}
             made = class_of(f"{law.name}_{name}", law.defined(formula, port.name), system)
