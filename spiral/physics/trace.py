@@ -386,6 +386,8 @@ def _forces(
     q, v = system.split(x)
     count = len(system.coordinates)
     a = tuple(sp.Symbol(f"a{i}", real=True) for i in range(count))
+    if not system.balanced:
+        return a, ()
     inertia = sp.Matrix(system.mass(q, p)) * sp.Matrix(a)
     own = system.force(q, v, u, p)
     names = [c.name for c in system.coordinates]
