@@ -143,7 +143,8 @@ def _of_function(rhs: Callable[..., Any], given: Mapping[str, Any]) -> System:
             hint = f"{traced.try_}; {compiled.given}".removeprefix("; ")
             raise ConfigError(traced.given, traced.expected, hint) from compiled
         warnings.warn(
-            f"{traced.given}: not traced, but called as compiled code (docs/how-to/own-model.md)",
+            f"{traced.given}: called as compiled code, its slopes by differences. "
+            f"To have it traced: {traced.try_ or traced.expected}",
             stacklevel=3,
         )
         return found

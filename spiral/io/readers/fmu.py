@@ -87,11 +87,11 @@ def described(path: str, sha256: str) -> Description:
     fmpy = _fmpy()
     place = str(Path(path).expanduser())
     try:
-        found = fmpy.read_model_description(place)
+        found = fmpy.read_model_description(place, validate=False)
         with zipfile.ZipFile(place) as archive:
             names, written = archive.namelist(), archive.read("modelDescription.xml")
     except Exception as error:  # of a broken archive, XML, or a schema: each of a kind of its own
-        said = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        said = " ".join(str(error).split())[:300] or type(error).__name__
         raise InputError(
             f"FMU {path!r}: {said}", "an FMU: a zip archive with a modelDescription.xml",
             "export it anew; python -m fmpy validate FILE tells more",
@@ -256,7 +256,7 @@ def open_fmu(path: str, sha256: str) -> Opened:
     except InputError:
         raise
     except Exception as error:  # of a loader, of FMPy's wrapper: each of a kind of its own
-        said = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        said = " ".join(str(error).split())[:300] or type(error).__name__
         raise InputError(
             f"FMU {path!r} does not start: {said}", "an FMU that FMPy can run",
             "python -m fmpy simulate FILE; the libraries that it needs may be missing",
