@@ -11,6 +11,8 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.simulate import simulate
 from spiral.io.registry import load_registry
+from spiral.physics.compile import compile_model
+from spiral.physics.trace import trace
 from spiral.types.effect import Effect
 from spiral.types.model import Model, seed_model
 
@@ -92,3 +94,17 @@ def coastdown_problem(seed: int = 11, **fields) -> Problem:
 
 def admitted(run) -> list[str]:
     return [label for r in run.rounds[1:] for label in r.admitted]
+
+
+def evaluated(model, effects=(), values=None, at=None):
+    """(f, f_x, f_p) of a compiled model at states, inputs (time last) and parameters."""
+    traced = trace(model, effects)
+    compiled = compile_model(traced)
+    known = {k: q.start for k, q in zip(traced.keys, traced.parameters, strict=True)}
+    known |= {**model.defaults, **(values or {})}
+    x, u = at
+    p = np.array([known[k] for k in traced.keys], dtype=float)
+    n = len(traced.x)
+    f, a, b = np.empty(n), np.zeros((n, n)), np.zeros((n, len(p)))
+    compiled.rate(np.array(x, dtype=float), np.array(u, dtype=float), p, f, a, b)
+    return f, a, b

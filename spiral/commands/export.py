@@ -11,7 +11,7 @@ from spiral.types.errors import ConfigError, did_you_mean
 if TYPE_CHECKING:
     from spiral.io.registry import Registry
 
-_KEYS = ("run", "out")
+_KEYS = ("run", "out", "system.path")
 
 
 def export(request: Request, registry: Registry, tell: Tell) -> Outcome:

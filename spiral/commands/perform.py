@@ -5,6 +5,7 @@ The same function serves the terminal, ``--json`` and the workers of a sweep.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from spiral.commands.memory import exhausted
@@ -24,6 +25,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     """
     from spiral.commands import estimate, export, foresight, plugins, report, study
     from spiral.io.custom import bound
+    from spiral.io.programs import programs_named
     from spiral.io.registry import load_registry
 
     if request.verb == "new":
@@ -37,6 +39,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
         return plugins.check(request, registry, tell)
     for failure in registry.failures:
         tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
+    registry = replace(registry, programs=programs_named(request.overrides))
     if request.verb == "export":
         return export.export(request, registry, tell)
     config = configured(request, registry)

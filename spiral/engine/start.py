@@ -16,6 +16,7 @@ import sympy as sp
 
 from spiral.engine.series import Series
 from spiral.engine.study import CompiledStudy
+from spiral.physics.outside.program import ProgramValue
 from spiral.physics.trace import Traced
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError
@@ -72,9 +73,13 @@ class Balance:
 
 
 def balances(traced: Traced) -> bool:
-    """Whether forces can be balanced: a mechanical model all of whose coordinates are measured."""
+    """Whether forces can be balanced: a mechanical model all of whose coordinates are measured.
+
+    A program tells accelerations at given values alone.
+    """
     coordinates = {n for n in traced.states if traced.rate_name(n) in traced.states}
-    return bool(traced.balance) and coordinates <= set(traced.channels)
+    known = not any(sp.sympify(row).has(ProgramValue) for row in traced.balance)
+    return bool(traced.balance) and known and coordinates <= set(traced.channels)
 
 
 def balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> Balance:
@@ -82,12 +87,12 @@ def balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> B
 
     Raises
     ------
-    ConfigError : a parameter without a start in a system whose coordinates are not all measured.
+    ConfigError : a parameter without a start, of a program or where coordinates are hidden.
     """
     if not balances(traced):
         raise ConfigError(
             f"no value for {', '.join(unknown)}",
-            "a start for every parameter of a system with hidden coordinates",
+            "a start for every parameter of a system with hidden coordinates, or of a program",
             f"give one: values='{{{unknown[0]}: 1.0}}'",
         )
     origin = "system.phase_origin" if "system.phase_origin" in traced.keys else None

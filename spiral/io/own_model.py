@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,8 @@ from spiral.io.system_files import plugin_of_file
 from spiral.types.errors import ConfigError
 from spiral.types.system import System
 
+FMU_FIELDS = {"ports": "forces", "inputs": "recorded", "observed": "measured", "free": "free"}
+"""Arguments of ``system`` that an FMU takes as well -> its fields."""
 Quantity = str | float | Sequence[Any] | Mapping[str, Any]
 
 
@@ -53,7 +57,7 @@ def structure(
 def system(
     source: Callable[..., Any] | str | Path,
     states: Mapping[str, Any] | None = None,
-    inputs: Mapping[str, Any] | None = None,
+    inputs: Mapping[str, Any] | Sequence[str] | None = None,
     parameters: Mapping[str, Quantity] | None = None,
     observed: Sequence[str] = (),
     *,
@@ -67,16 +71,21 @@ def system(
         spiral.system(rhs, states={"x": "m", "v": "m/s"}, inputs={"F": "N"},
                       parameters={"m": (2.0, "kg")}, observed=["x"])
         spiral.system("two_masses.yaml")
+        spiral.system("car.fmu", ports={"body": "F_body"}, free=["k"])
 
     The function is called once, with expressions in place of numbers, and becomes equations
     (``system.text``, which a file may hold): the function itself is not needed any more, neither
-    in other processes nor where a saved run is read.
+    in other processes nor where a saved run is read. One that cannot be followed so (an ``if``, a
+    table) is compiled by Numba, its slopes found by differences, and a warning says so. An FMU is a
+    program, which this call runs.
 
     Parameters
     ----------
     source : ``rhs(t, x, u, p)``, later arguments left out where they are not used; it returns the
         rates in the order of ``states``, or by name. ``x``, ``u``, ``p`` give values by name
-        (``x.v``, ``x["v"]``) and by number. Or a file (YAML, TOML, JSON), alone.
+        (``x.v``, ``x["v"]``) and by number. Or a file: YAML, TOML and JSON alone, an FMU with
+        ``ports`` (coordinate -> the input that a force on it goes through), ``inputs`` (names of
+        those that are recorded), ``observed`` and ``free``.
     states : name -> unit; a state whose rate is another state is a position, the other its rate.
     inputs : name -> unit, or ``{"unit": "N", "interpolation": "zero_order"}``.
     parameters : name -> ``(value, unit)`` or ``"2.0 kg"``: known. A unit alone, a name in ``free``,
@@ -93,17 +102,49 @@ def system(
     ConfigError : a line that cannot be followed, units that do not fit, a name that is not known.
     InputError : a file that cannot be read.
     """
-    registry = load_registry(NO_FOLDER)
-    if not callable(source):
-        if states or inputs or parameters or observed or free or ports or mass or title:
-            raise ConfigError(f"the file {str(source)!r} and what it holds", "the file alone")
-        file = str(source)
-        return registry.make("system", plugin_of_file(file) or "equations", {"path": file})
-    from spiral.physics.formulas.function import definition_from, written
-
-    sections = {
+    given = {
         "title": title or None, "states": states or {}, "inputs": inputs, "parameters": parameters,
         "observed": list(observed), "free": list(free) or None, "ports": ports, "mass": mass,
     }  # fmt: skip
-    text = written(definition_from(source, {k: v for k, v in sections.items() if v is not None}))
-    return registry.make("system", "equations", {"text": text})
+    given = {k: v for k, v in given.items() if v is not None}
+    return _of_function(source, given) if callable(source) else _of_file(str(source), given)
+
+
+def _of_file(file: str, given: Mapping[str, Any]) -> System:
+    """A file, and what of an FMU it does not hold."""
+    plugin = plugin_of_file(file) or "equations"
+    left = {k: v for k, v in given.items() if v}
+    fields = {FMU_FIELDS[k]: left.pop(k) for k in list(left) if k in FMU_FIELDS and plugin == "fmu"}
+    if left:
+        raise ConfigError(
+            f"the file {file!r} and {', '.join(left)}",
+            f"the file, {', '.join(FMU_FIELDS)}" if plugin == "fmu" else "the file alone",
+        )
+    registry = replace(load_registry(NO_FOLDER), programs=frozenset([file]))
+    return registry.make("system", plugin, {"path": file, **fields})
+
+
+def _of_function(rhs: Callable[..., Any], given: Mapping[str, Any]) -> System:
+    """A right-hand side as equations; one that cannot be traced as compiled code.
+
+    Raises
+    ------
+    ConfigError : a function that can be neither, with both reasons.
+    """
+    from spiral.physics.formulas.function import CannotTraceError, definition_from, written
+
+    registry = load_registry(NO_FOLDER)
+    try:
+        return registry.make("system", "equations", {"text": written(definition_from(rhs, given))})
+    except CannotTraceError as traced:
+        try:
+            found = registry.make("system", "function", {"function": rhs, "text": written(given)})
+        except ConfigError as compiled:
+            hint = f"{traced.try_}; {compiled.given}".removeprefix("; ")
+            raise ConfigError(traced.given, traced.expected, hint) from compiled
+        warnings.warn(
+            f"{traced.given}: called as compiled code, its slopes by differences. "
+            f"To have it traced: {traced.try_ or traced.expected}",
+            stacklevel=3,
+        )
+        return found

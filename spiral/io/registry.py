@@ -21,6 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from spiral.io.programs import refuse_program
 from spiral.io.system_files import plugin_of_file
 from spiral.types.errors import ConfigError, PluginError, SpiralError, did_you_mean
 from spiral.types.fields import construct
@@ -70,12 +71,14 @@ class LocalFile:
 class Registry:
     """Every known plugin; the allowlist of what a configuration may name.
 
-    ``local`` are the files of the local folder that were run, those that failed too.
+    ``local``: files of the local folder that were run, those that failed too. ``programs``: files
+    that the user named to be run as a model (``spiral.io.programs``).
     """
 
     entries: tuple[Entry, ...]
     failures: tuple[Failure, ...] = field(default=())
     local: tuple[LocalFile, ...] = field(default=())
+    programs: frozenset[str] = frozenset()
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -130,6 +133,7 @@ class Registry:
         if kind == "system" and plugin_of_file(name):
             name, fields = plugin_of_file(name), {"path": name, **(fields or {})}
         plugin = self.entry(kind, name).plugin
+        refuse_program(plugin, fields or {}, self.programs)
         return construct(plugin, fields or {}, where or name, self.resolve)
 
     def simulation(self, fields: Mapping[str, Any]) -> Any:
@@ -149,10 +153,8 @@ class Registry:
     def effect_from_label(self, label: str, fields: Mapping[str, Any] | None = None) -> Effect:
         """``cubic_stiffness@bearing_2`` and further fields -> the effect."""
         name, _, port = label.partition("@")
-        given = dict(fields or {})
-        if port:
-            given["port"] = port
-        return self.make("effect", name, given)
+        own = {"port": port} if port else {}
+        return self.make("effect", name, {**(fields or {}), **own})
 
     def candidates(self, system: System, everywhere: bool = False) -> tuple[Effect, ...]:
         """Named effects that fit the system's first port, or (``everywhere``) any place of it."""

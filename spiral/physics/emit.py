@@ -14,6 +14,7 @@ from typing import Any
 import sympy as sp
 from llvmlite import ir
 
+from spiral.physics.outside.program import Program, ProgramValue
 from spiral.types.errors import PluginError
 
 DOUBLE = ir.DoubleType()
@@ -54,6 +55,7 @@ class Emitter:
         self._builder = builder
         self._nodes: dict[sp.Basic, Node] = {}
         self._conditions: dict[sp.Basic, Any] = {}
+        self._programs: dict[tuple[Program, tuple[sp.Basic, ...]], list[Node]] = {}
         one = number(1.0)
         for symbol, value in symbols.items():
             own = {active[symbol]: one} if symbol in active else {}
@@ -84,6 +86,8 @@ class Emitter:
             return self._piecewise(e.args)
         if isinstance(e, sp.Max | sp.Min):
             return self._extreme(e)
+        if isinstance(e, ProgramValue) and e.column is None:
+            return self._program(e.program, e.args)[e.row]
         if len(e.args) == 1:
             return self._elementary(e.func, self.node(e.args[0]))
         if isinstance(e, sp.atan2):
@@ -189,6 +193,41 @@ class Emitter:
             node = self._select(holds, node, other)
         return node
 
+    def _program(self, program: Program, given: tuple[sp.Basic, ...]) -> list[Node]:
+        """All values of a program by one call; slopes only by arguments that vary."""
+        known = self._programs.get((program, given))
+        if known is not None:
+            return known
+        b, count, nodes = self._builder, len(program.rows), [self.node(a) for a in given]
+        varied = [i for i, node in enumerate(nodes) if node.slopes]
+        columns = ir.Constant(ir.ArrayType(INDEX, len(varied)), varied)
+        with b.goto_entry_block():  # once, not in every turn of a loop
+            arguments, values, slopes, wanted = (
+                b.alloca(ir.ArrayType(kind, max(size, 1)))
+                for kind, size in (
+                    (DOUBLE, len(nodes)), (DOUBLE, count), (DOUBLE, count * len(varied)),
+                    (INDEX, len(varied)),
+                )
+            )  # fmt: skip
+            if varied:
+                b.store(columns, wanted)
+        for i, node in enumerate(nodes):
+            b.store(node.value, b.gep(arguments, [_at(0), _at(i)]))
+        own = [_at(a.ctypes.data) for a in (program.whole, program.numbers)]
+        places = [b.ptrtoint(p, INDEX) for p in (arguments, wanted, values, slopes)]
+        kind = ir.FunctionType(ir.VoidType(), [INDEX] * 7)
+        kernel = b.inttoptr(_at(program.address or 0), kind.as_pointer())
+        b.call(kernel, [*own, *places[:2], _at(len(varied)), *places[2:]])
+        found = []
+        for row in range(count):
+            parts = [
+                (b.load(b.gep(slopes, [_at(0), _at(c * count + row)])), nodes[i])
+                for c, i in enumerate(varied)
+            ]
+            found.append(Node(b.load(b.gep(values, [_at(0), _at(row)])), self._combined(*parts)))
+        self._programs[program, given] = found
+        return found
+
     def _angle(self, y: Node, x: Node) -> Node:
         squares = self._builder.fadd(self._times(y.value, y.value), self._times(x.value, x.value))
         by_y = self._builder.fdiv(x.value, squares)
@@ -278,6 +317,10 @@ class Emitter:
 def number(value: float) -> ir.Constant:
     """A constant."""
     return ir.Constant(DOUBLE, value)
+
+
+def _at(value: int) -> ir.Constant:
+    return ir.Constant(INDEX, value)
 
 
 def _is(value: Any, number: float) -> bool:

@@ -147,7 +147,7 @@ def trace(
     for item, view in zip(placed, seen, strict=True):
         rates.update(_own_rates(item, view))
     output = _readings(system, placed, seen, x)
-    acceleration, forces = _forces(system, x, u, p, injected)
+    acceleration, forces = _forces(system, x, u, p, injected, rates)
     return Traced(
         states=names,
         channels=system.observed,
@@ -379,6 +379,7 @@ def _forces(
     u: SimpleNamespace,
     p: SimpleNamespace,
     injected: dict[str, Any],
+    rates: dict[str, Any],
 ) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Expr, ...]]:
     """Accelerations a and M a - force - injected, which are zero: the balance of forces."""
     if not has_coordinates(system):
@@ -386,6 +387,9 @@ def _forces(
     q, v = system.split(x)
     count = len(system.coordinates)
     a = tuple(sp.Symbol(f"a{i}", real=True) for i in range(count))
+    if not system.balanced:  # per unit mass
+        speeds = (rates[system.rate_name(c.name)] for c in system.coordinates)
+        return a, tuple(sp.sympify(s - r) for s, r in zip(a, speeds, strict=True))
     inertia = sp.Matrix(system.mass(q, p)) * sp.Matrix(a)
     own = system.force(q, v, u, p)
     names = [c.name for c in system.coordinates]

@@ -67,6 +67,8 @@ def plain(value: Any) -> Any:
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, tuple | list):
         return [plain(v) for v in value]
+    if callable(value):  # a function is told by its name, which does not make it again
+        return f"{value.__module__}.{value.__qualname__}"
     return value
 
 

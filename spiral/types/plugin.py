@@ -25,6 +25,8 @@ class Plugin(ABC):  # noqa: B024  (its subclasses, the kinds, have the abstract 
     """
 
     kind: ClassVar[str] = ""
+    program: ClassVar[str] = ""
+    """Field that names a file which is run, where there is one."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)

@@ -207,6 +207,11 @@ class MechanicalSystem(System):
         """Generalised forces of the system itself, nq values."""
 
     @property
+    def balanced(self) -> bool:
+        """Whether mass and force are expressions; else ``rate`` alone tells the accelerations."""
+        return True
+
+    @property
     def others(self) -> tuple[State, ...]:
         """States of first order beside the coordinates; none unless a system names them."""
         return ()

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -77,12 +78,31 @@ def test_the_page_about_a_model_of_ones_own_runs(tmp_path, monkeypatch):
         elif language == "bash":
             assert main(shlex.split(text.replace("\\\n", " "))[1:]) == 0
     assert names["run"].missing == ("cubic_stiffness",)
+    assert names["again"].missing == ("cubic_stiffness",)
     assert [p.name for p in names["beam"].ports] == ["drive", "middle", "tip", "span"]
     assert "120 degrees of freedom reduced to 8" in names["beam"].report
     found = json.loads(Path("verdict.json").read_text(encoding="utf-8"))
     assert found["rounds"][1]["admitted"] == ["cubic_stiffness"]
     stiffness = found["model"]["effects"]["cubic_stiffness"]["stiffness"]
     assert abs(stiffness["estimate"] - 4e5) < 4 * stiffness["se"]
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc here")
+def test_the_page_about_fmus_runs(tmp_path, monkeypatch):
+    """An FMU is made, measured and opened: the hidden spring is named, from Python and as typed."""
+    pytest.importorskip("fmpy", reason="FMPy is not installed")
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for language, text in BLOCK.findall((PAGES / "fmu.md").read_text(encoding="utf-8")):
+        if language == "python":
+            exec(text, names)
+        elif language == "yaml":
+            Path(text.splitlines()[0].removeprefix("# ")).write_text(text, encoding="utf-8")
+        elif language == "bash":
+            assert main(shlex.split(text.replace("\\\n", " "))[1:]) == 0
+    assert names["run"].missing == ("cubic_stiffness@b_w",)
+    found = json.loads(Path("verdict.json").read_text(encoding="utf-8"))
+    assert found["rounds"][1]["admitted"] == ["cubic_stiffness@b_w"]
 
 
 def test_fields_of_a_record_that_pages_name_are_there():

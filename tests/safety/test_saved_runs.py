@@ -3,10 +3,14 @@
 import hashlib
 import json
 import shutil
+import subprocess
+import zipfile
 
 import numpy as np
 import pytest
 
+import spiral
+from spiral.io.config import build_system
 from spiral.io.curves import FILE as CURVES
 from spiral.io.curves import read_curves
 from spiral.io.registry import load_registry
@@ -16,6 +20,15 @@ from spiral.io.tracking.store import Tracking, import_mlflow, opened
 from spiral.io.tracking.track import track
 from spiral.types.errors import ConfigError, InputError
 from tests.safety.conftest import saved
+
+EVIL_FMU = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="evil" guid="1">
+<ModelExchange modelIdentifier="evil"/><ModelVariables>
+<ScalarVariable name="x" valueReference="0"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="der(x)" valueReference="1"><Real derivative="1"/></ScalarVariable>
+</ModelVariables><ModelStructure><Derivatives><Unknown index="2"/></Derivatives>
+</ModelStructure></fmiModelDescription>
+"""
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +89,38 @@ def test_a_plugin_file_that_a_run_names_is_neither_run_nor_logged(
     assert track(Tracking(), out).failure is None
     assert not trace.exists()
     assert not any("own_spring" in p.name or "evil" in p.name for p in logged(out)[1])
+
+
+@pytest.mark.hostile("saved runs")
+def test_a_program_that_a_run_names_is_not_run(question, out, tmp_path, trace):
+    """An FMU beside a downloaded run: its library says where it is loaded, and is not."""
+    compiler = shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no gcc here")
+    opens = f'__attribute__((constructor)) void f(void) {{ fclose(fopen("{trace}", "w")); }}'
+    (tmp_path / "evil.c").write_text(f"#include <stdio.h>\n{opens}\n")
+    library = tmp_path / "evil.so"
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, tmp_path / "evil.c"], check=True)
+    with zipfile.ZipFile(tmp_path / "evil.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", EVIL_FMU)
+        archive.write(library, "binaries/linux64/evil.so")
+        archive.write(library, "binaries/x86_64-linux/evil.so")
+    folder = saved(question, out)
+    data = json.loads((folder / FILE).read_text())
+    system = {"name": "fmu", "path": str(tmp_path / "evil.fmu"), "measured": ["x"]}
+    data["model"]["system"] = data["config"]["system"] = system
+    (folder / FILE).write_text(json.dumps(data))
+    registry = load_registry()
+    with pytest.raises(ConfigError, match="runs with your rights"):
+        load_run("latest", out).model(registry)
+    config = configured(Request("compare", (), ("run=latest", f"out={out}")), registry)
+    with pytest.raises(ConfigError, match="runs with your rights"):
+        build_system(config, registry)
+    assert track(Tracking(), out).failure is None
+    assert not trace.exists()
+    with pytest.raises(InputError, match="does not start"):  # the user names it: it is run
+        spiral.system(system["path"])
+    assert trace.exists()
 
 
 def test_a_run_records_the_hash_of_its_plugins_and_no_path(question, out, tmp_path, plugin):

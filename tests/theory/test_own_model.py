@@ -18,6 +18,7 @@ from spiral.io.registry import NO_FOLDER, load_registry
 from spiral.io.storage import model_data, model_from
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
+from spiral.physics.formulas.function import CannotTraceError, definition_from
 from spiral.physics.trace import trace
 from spiral.types.errors import SpiralError
 from spiral.types.model import seed_model
@@ -168,11 +169,6 @@ def fills(t, x):
 @pytest.mark.parametrize(
     ("rhs", "changed", "said"),
     [
-        (decides, {}, ["decides(), line", "if x.x > 0:", "a decision by x > 0", "numpy.where"]),
-        (fills, {}, ["rates[0] = x.v", "a list in place of an array"]),
-        (lambda t, x: [x.v, math.sin(x.x)], {}, ["numpy.sin in place of math.sin"]),
-        (lambda t, x: [x.v, np.arctan(x.x)], {}, ["numpy.arctan", "one of sin"]),
-        (lambda t, x: [x.v, np.sign(x.v)], {}, ["a step", "numpy.tanh(v/w)"]),
         (lambda t, x, u, p: [x.v, p.kk * x.x], {}, ["'kk'", "did you mean 'k'"]),
         (lambda t, x: [x.v], {}, ["1 values", "x, v"]),
         (lambda t, x, u, p: [x.v, -p.k * x.v], {}, ["k*v", "m/s^2", "1.0*x"]),
@@ -185,6 +181,24 @@ def fills(t, x):
 def test_what_cannot_be_followed_is_said_with_its_line(rhs, changed, said):
     with pytest.raises(SpiralError) as caught:
         spiral.system(rhs, **{**BARE, **changed})
+    for words in said:
+        assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("rhs", "said"),
+    [
+        (decides, ["decides(), line", "if x.x > 0:", "a decision by x > 0", "numpy.where"]),
+        (fills, ["rates[0] = x.v", "a list in place of an array"]),
+        (lambda t, x: [x.v, math.sin(x.x)], ["numpy.sin in place of math.sin"]),
+        (lambda t, x: [x.v, np.arctan(x.x)], ["numpy.arctan", "one of sin"]),
+        (lambda t, x: [x.v, np.sign(x.v)], ["a step", "numpy.tanh(v/w)"]),
+    ],
+)
+def test_what_cannot_be_traced_is_said_with_its_line(rhs, said):
+    """Such functions are compiled instead (test_outside.py)."""
+    with pytest.raises(CannotTraceError) as caught:
+        definition_from(rhs, BARE)
     for words in said:
         assert words in str(caught.value)
 

@@ -310,6 +310,8 @@ def mass(system: System) -> str:
     """M(q, p) is n x n for n coordinates, symmetric and positive; ports have their axes."""
     if not has_coordinates(system):
         return "no coordinates: not a mechanical system"
+    if not system.balanced:
+        return "inside the program"
     coordinates = [c.name for c in system.coordinates]
     if [i.name for i in system.injections][: len(coordinates)] != coordinates:
         raise PluginError(
@@ -342,6 +344,8 @@ def mechanical_units(system: System) -> str:
 
     if not has_coordinates(system):
         return "no coordinates: not a mechanical system"
+    if not system.balanced:
+        return "inside the program"
     check_system_units(system)
     return ", ".join(i.unit for i in system.injections)
 

@@ -10,6 +10,7 @@ import sympy as sp
 from sympy.printing.str import StrPrinter
 
 from spiral.io.export.names import latex_text, plain
+from spiral.physics.outside.program import ProgramValue
 from spiral.physics.trace import Traced, trace
 from spiral.types.effect import SensorEffect
 from spiral.types.model import Model
@@ -60,7 +61,8 @@ def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
                 before = (
                     base.rate[base.states.index(name)] if name in bare.states else sp.Integer(0)
                 )
-                terms.append(EquationTerm(label, _difference(own, before)))
+                terms.append(EquationTerm(label, _difference(_pushed(own, before), before)))
+        terms = [EquationTerm(t.owner, _told(t.value)) for t in terms]
         found.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0)))
     return (*found, *_readings(model)), whole
 
@@ -112,7 +114,7 @@ def _readings(model: Model) -> list[Equation]:
     for row, name in enumerate(model.system.observed):
         terms = [EquationTerm("", steps[0][row])]
         for effect, before, after in zip(sensors, steps, steps[1:], strict=False):
-            terms.append(EquationTerm(effect.label, _difference(after[row], before[row])))
+            terms.append(EquationTerm(effect.label, _told(_difference(after[row], before[row]))))
         found.append(Equation(f"reading of {name}", tuple(t for t in terms if t.value != 0)))
     return found
 
@@ -131,6 +133,30 @@ def _with_values(traced: Traced, model: Model) -> Traced:
     rate = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.rate)
     output = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.output)
     return replace(traced, rate=rate, output=output)
+
+
+def _pushed(value: sp.Expr, before: sp.Expr) -> Any:
+    """A program's values with other arguments as those before and slopes times the changes."""
+    swap = {}
+    for old in before.atoms(ProgramValue):
+        for new in value.atoms(ProgramValue) - {old}:
+            if (new.program, new.row, new.column) == (old.program, old.row, None):
+                pairs: Any = enumerate(zip(new.args, old.args, strict=True))
+                changes = [(i, a - b) for i, (a, b) in pairs if a != b]
+                slopes = (old.fdiff(i + 1) * change for i, change in changes)
+                swap[new] = old + sum(slopes)
+    return value.xreplace(swap)
+
+
+def _told(value: sp.Expr) -> Any:
+    """A program's values and slopes as names: f[v], df[v]/dF."""
+    swap = {}
+    for call in value.atoms(ProgramValue):
+        name = f"f[{call.program.rows[call.row]}]"
+        if call.column is not None:
+            name = f"d{name}/d{call.program.arguments[call.column]}"
+        swap[call] = _symbol(name)
+    return value.xreplace(swap)
 
 
 def _symbol(name: str) -> sp.Symbol:

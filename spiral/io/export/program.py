@@ -18,6 +18,7 @@ from sympy.logic.boolalg import Boolean
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from spiral.io.export.names import plain, word
+from spiral.physics.outside.program import ProgramValue
 from spiral.physics.trace import Traced, own_states, trace
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model
@@ -104,6 +105,12 @@ def program(model: Model, origin: str = "") -> Program:
     ConfigError : a parameter without a finite value. PluginError : an equation that is not traced.
     """
     system, traced = model.system, trace(model.system, model.effects)
+    if any(sp.sympify(e).has(ProgramValue) for e in (*traced.rate, *traced.output)):
+        raise ConfigError(
+            f"a model around the program of the system {system.plugin_name()!r}",
+            "a system whose equations are known",
+            "text or latex, with the effects that were found as equations",
+        )
     values = model.row("model", "fit it first, or give values={{'{}': 1.0}}")
     rates = {f"{i.name}_rate": i.name for i in system.inputs if i.derivative}
     return Program(

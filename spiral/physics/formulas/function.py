@@ -24,6 +24,10 @@ from spiral.types.units import short_form
 _LIBRARIES = ("numpy", "sympy", "spiral", "scipy")
 
 
+class CannotTraceError(ConfigError):
+    """A right-hand side that cannot be followed with expressions in place of numbers."""
+
+
 class Values:
     """Named values in order: ``x.v``, ``x["v"]``, ``x[1]``, ``x, v = x``; an array where needed."""
 
@@ -140,12 +144,12 @@ def _refuse(rhs: Callable[..., Any], error: Exception, names: list[str]) -> NoRe
     place = _line(error)
     name = getattr(rhs, "__name__", "rhs")
     if isinstance(error, CannotFollowError):
-        raise ConfigError(
+        raise CannotTraceError(
             f"{name}(){place}: {error.given}",
             "arithmetic and functions of NumPy on the values given, from which derivatives follow",
             error.try_,
         ) from error
-    raise ConfigError(
+    raise CannotTraceError(
         f"{name}(){place}: {type(error).__name__}: {(str(error).splitlines() or [''])[0]}",
         f"the rates of {', '.join(names)}, as a list in this order or a mapping by name",
         "states, inputs and parameters by name, for instance x.x, u.F, p.m",

@@ -131,7 +131,10 @@ def _after_discover(run: Run, config: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _taken_up(run: Run, config: dict[str, Any]) -> str:
     """The overrides that start from a saved run."""
-    return f"run={run.run_id}" + (f" out={config['out']}" if config["out"] != "runs" else "")
+    system = run.model.system
+    file = getattr(system, system.program) if system.program else ""
+    named = f" system.{system.program}={file}" if file else ""
+    return f"run={run.run_id}{named}" + (f" out={config['out']}" if config["out"] != "runs" else "")
 
 
 def _errors(comparisons: dict[str, Comparison]) -> Table:

@@ -1,0 +1,40 @@
+"""Files that are programs (FMUs): run only where a command or a call names them.
+
+A saved run, a study's folder and the page name files as well, and may come from anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from spiral.io.system_files import PROGRAMS, plugin_of_file
+from spiral.types.errors import ConfigError
+from spiral.types.plugin import Plugin
+
+
+def refuse_program(
+    plugin: type[Plugin], fields: Mapping[str, Any], programs: frozenset[str]
+) -> None:
+    """Refuse to make what would run a file that the user did not name.
+
+    Raises
+    ------
+    ConfigError : such a file.
+    """
+    file = str(fields.get(plugin.program) or "") if plugin.program else ""
+    if file and file not in programs:
+        raise ConfigError(
+            f"the program {file!r}, which would run as {plugin.kind} {plugin.plugin_name()!r}",
+            "a file that the command itself names: it runs with your rights",
+            f"{plugin.kind}.{plugin.program}={file} beside the rest, or spiral.system in Python",
+        )
+
+
+def programs_named(overrides: Sequence[str]) -> frozenset[str]:
+    """The programs that a command line names: ``system=FILE`` and ``system.path=FILE``."""
+    from spiral.io.overrides import parse
+
+    given = [(i.path, str(i.value)) for i in parse(overrides) if not i.delete]
+    found = {v for path, v in given if path == ("system",) and plugin_of_file(v) in PROGRAMS}
+    return frozenset(found | {v for path, v in given if path == ("system", "path")})

@@ -1,0 +1,388 @@
+"""An FMU (model exchange, FMI 2.0 or 3.0) as a program: its description, its binary opened.
+
+An FMU is a program of this machine. Only ``open_fmu`` runs it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import keyword
+import os
+import re
+import shutil
+import weakref
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spiral.physics.outside import fmi
+from spiral.physics.outside.program import Program
+from spiral.types.cache import kept
+from spiral.types.errors import ConfigError, InputError
+
+INSTANCES = 4  # threads that share a step (two), and one that asks beside them
+_DIRECTIONAL = re.compile(rb'providesDirectionalDerivatives?\s*=\s*["\'](true|1)')  # both versions
+_CLOSE = 1e-4  # of a directional derivative to a difference, relative to the largest of a column
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A scalar variable: ``name`` as an identifier, ``told`` as the FMU has it."""
+
+    name: str
+    told: str
+    reference: int
+    unit: str
+    start: float
+    nominal: float
+    lower: float | None
+    upper: float | None
+
+
+@dataclass(frozen=True)
+class Description:
+    """What the modelDescription.xml of an FMU says; ``rates`` are references of the derivatives."""
+
+    path: str
+    title: str
+    version: int
+    identifier: str
+    token: str
+    once: bool
+    events: bool
+    directional: bool
+    states: tuple[Variable, ...]
+    rates: tuple[int, ...]
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    parameters: tuple[Variable, ...]
+
+
+def hash_of(path: str) -> str:
+    """SHA-256 of a file.
+
+    Raises
+    ------
+    InputError : a file that cannot be read.
+    """
+    try:
+        return hashlib.sha256(Path(path).expanduser().read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"FMU {path!r}: {error.strerror}", "a file that can be read") from error
+
+
+@kept(16)
+def described(path: str, sha256: str) -> Description:
+    """The description of an FMU; nothing of it is run.
+
+    Raises
+    ------
+    InputError : no FMU, or one that cannot be used here, with the reason.
+    """
+    fmpy = _fmpy()
+    place = str(Path(path).expanduser())
+    try:
+        found = fmpy.read_model_description(place, validate=False)
+        with zipfile.ZipFile(place) as archive:
+            names, written = archive.namelist(), archive.read("modelDescription.xml")
+    except Exception as error:  # of a broken archive, XML, or a schema: each of a kind of its own
+        said = " ".join(str(error).split())[:300] or type(error).__name__
+        raise InputError(
+            f"FMU {path!r}: {said}", "an FMU: a zip archive with a modelDescription.xml",
+            "export it anew; python -m fmpy validate FILE tells more",
+        ) from error  # fmt: skip
+    _usable(path, found)
+    _at_home(path, found, names, fmpy)
+    return _description(path, found, bool(_DIRECTIONAL.search(written)))
+
+
+def _fmpy() -> Any:
+    try:
+        import fmpy
+    except ImportError as error:
+        raise ConfigError(
+            "system=fmu without FMPy", "the extra exports", "pip install 'spiral[exports]'"
+        ) from error
+    return fmpy
+
+
+def _usable(path: str, found: Any) -> None:
+    """Refuse versions and kinds that have no rates to ask for."""
+    if found.fmiVersion.split(".")[0] not in ("2", "3"):
+        raise InputError(f"FMU {path!r} of FMI {found.fmiVersion}", "FMI 2.0 or 3.0")
+    if found.modelExchange is None:
+        raise InputError(
+            f"FMU {path!r} for co-simulation alone",
+            "model exchange: effects act on rates, and a step of co-simulation hides them",
+            "export it once more with model exchange (in most tools a choice of the export)",
+        )
+    if not found.numberOfContinuousStates:
+        raise InputError(f"FMU {path!r} without continuous states", "at least one state")
+
+
+def _at_home(path: str, found: Any, names: Sequence[str], fmpy: Any) -> None:
+    """Refuse an FMU without a binary for this machine."""
+    here = fmpy.platform_tuple if found.fmiVersion.startswith("3") else fmpy.platform
+    folders = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
+    if here not in folders:
+        raise InputError(
+            f"FMU {path!r} with binaries for {', '.join(sorted(folders)) or 'no machine'}",
+            f"one for {here}",
+            "export it for this machine; where it holds its source: python -m fmpy compile FILE",
+        )
+
+
+def _description(path: str, found: Any, directional: bool) -> Description:
+    names: dict[str, str] = {}
+    units = {u.name: u for u in found.unitDefinitions}
+    rows = [d.variable for d in found.derivatives if d.variable.derivative is not None]
+    scalar = [v for v in found.modelVariables if _real(v)]
+
+    def made(variables: Iterable[Any]) -> tuple[Variable, ...]:
+        return tuple(_variable(v, names, units) for v in variables)
+
+    def of(causality: str) -> list[Any]:
+        return [v for v in scalar if v.causality == causality]
+
+    way = found.modelExchange
+    return Description(
+        path=path,
+        title=found.modelName or "",
+        version=int(found.fmiVersion.split(".")[0]),
+        identifier=way.modelIdentifier,
+        token=found.instantiationToken,
+        once=bool(way.canBeInstantiatedOnlyOncePerProcess),
+        events=bool(int(found.numberOfEventIndicators or 0)),
+        directional=directional,
+        states=made(v.derivative for v in rows),
+        rates=tuple(v.valueReference for v in rows),
+        inputs=made(of("input")),
+        outputs=made(of("output")),
+        parameters=made(v for v in of("parameter") if v.variability == "tunable"),
+    )  # fmt: skip
+
+
+def _real(variable: Any) -> bool:
+    return variable.type in ("Real", "Float64") and not variable.dimensions
+
+
+def _variable(found: Any, names: dict[str, str], units: Mapping[str, Any]) -> Variable:
+    name = names.get(found.name) or _identifier(found.name, set(names.values()))
+    names[found.name] = name
+    own = found.declaredType
+    unit = found.unit or (own.unit if own is not None else "") or ""
+    return Variable(
+        name, found.name, found.valueReference, _unit(unit, units),
+        _number(found.start) or 0.0, abs(_number(found.nominal) or 0.0) or 1.0,
+        _number(found.min), _number(found.max),
+    )  # fmt: skip
+
+
+def _identifier(told: str, taken: set[str]) -> str:
+    """A name as Python has them: ``load.flange[1]`` -> ``load_flange_1``."""
+    name = re.sub(r"\W+", "_", told, flags=re.ASCII).strip("_") or "value"
+    if name[0].isdigit() or keyword.iskeyword(name) or name in ("t", "time", "pi"):
+        name = f"value_{name}"
+    while name in taken:
+        name += "_2"
+    return name
+
+
+def _number(given: Any) -> float | None:
+    try:
+        found = float(given)
+    except (TypeError, ValueError):
+        return None
+    return found if np.isfinite(found) else None
+
+
+def _unit(told: str, units: Mapping[str, Any]) -> str:
+    """A unit as it is written here; ``N.m/rad``, ``kg.m2`` and base units are understood.
+
+    A unit that nobody knows is none.
+    """
+    from spiral.types.units import short_form
+
+    text = re.sub(r"(?<=[A-Za-z])(-?\d+)", r"^\1", told.replace(".", "*"))
+    base = units[told].baseUnit if told in units else None
+    powers = {} if base is None or base.factor not in (None, 1, 1.0) else {
+        name: getattr(base, name) for name in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+    }  # fmt: skip
+    written = "*".join(f"{n}^{p}" for n, p in powers.items() if p)
+    for way in (told, text, written):
+        try:
+            short_form(way)
+        except Exception:  # (pint's parser raises what Python's tokenizer does)
+            continue
+        return "" if way == "1" else way
+    return ""
+
+
+# --- opened --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """An FMU with instances in continuous-time mode.
+
+    ``start`` are the arguments at the beginning; ``readings`` tell the output (as the FMU names it)
+    that a state is measured by, by name.
+    """
+
+    program: Program
+    start: tuple[float, ...]
+    readings: tuple[tuple[str, str], ...]
+
+
+@kept(8)
+def open_fmu(path: str, sha256: str) -> Opened:
+    """Run an FMU: its binary is loaded, its instances are made and set.
+
+    Raises
+    ------
+    InputError : an FMU that does not start, with its own words.
+    """
+    about = described(path, sha256)
+    try:
+        models, folder = _instances(about)
+        handles = [m.component if isinstance(m.component, int) else m.component.value
+                   for m in models]  # fmt: skip
+        start = _start(about, models[0], handles[0])
+    except InputError:
+        raise
+    except Exception as error:  # of a loader, of FMPy's wrapper: each of a kind of its own
+        said = " ".join(str(error).split())[:300] or type(error).__name__
+        raise InputError(
+            f"FMU {path!r} does not start: {said}", "an FMU that FMPy can run",
+            "python -m fmpy simulate FILE; the libraries that it needs may be missing",
+        ) from error  # fmt: skip
+    program = _program(about, models, handles, folder)
+    _choose_slopes(about, program, start)
+    return Opened(program, start, _readings(about, models[0], program, start))
+
+
+def _instances(about: Description) -> tuple[list[Any], str]:
+    from fmpy import extract
+    from fmpy.fmi2 import FMU2Model
+    from fmpy.fmi3 import FMU3Model
+
+    here, folder = Path.cwd(), str(extract(str(Path(about.path).expanduser())))
+    kind = FMU3Model if about.version == 3 else FMU2Model
+    models = []
+    try:
+        for number in range(1 if about.once else INSTANCES):
+            model = kind(
+                guid=about.token, modelIdentifier=about.identifier, unzipDirectory=folder,
+                instanceName=f"spiral_{number}",
+            )  # fmt: skip
+            model.instantiate()
+            _initialised(model, about.version)
+            models.append(model)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    finally:
+        os.chdir(here)  # FMPy loads from the library's folder, and stays there where that fails
+    return models, folder
+
+
+def _initialised(model: Any, version: int) -> None:
+    """From instantiation to continuous-time mode, at time zero."""
+    if version == 3:
+        model.enterInitializationMode(startTime=0.0)
+    else:
+        model.setupExperiment(startTime=0.0)
+        model.enterInitializationMode()
+    model.exitInitializationMode()
+    for _ in range(10):
+        told = model.updateDiscreteStates() if version == 3 else model.newDiscreteStates()
+        if not told[0]:
+            break
+    model.enterContinuousTimeMode()
+
+
+def _address(model: Any, name: str) -> int:
+    try:
+        return int(ctypes.cast(getattr(model.dll, name), ctypes.c_void_p).value or 0)
+    except AttributeError:
+        if "Directional" in name:
+            return 0
+        raise
+
+
+def _start(about: Description, model: Any, handle: int) -> tuple[float, ...]:
+    """States as they begin, inputs and parameters as they are described, time zero."""
+    count = len(about.states)
+    x = np.zeros(count)
+    given = x.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+    if about.version == 3:
+        model.getContinuousStates(given, count)
+    else:
+        model.fmi2GetContinuousStates(model.component, given, count)
+    beside = (v.start for v in (*about.inputs, *about.parameters))
+    return (*x.tolist(), *beside, 0.0)
+
+
+def _program(
+    about: Description, models: Sequence[Any], handles: Sequence[int], folder: str
+) -> Program:
+    groups = (about.states, about.inputs, about.parameters)
+    names = ("states", "inputs", "parameters")
+    references = {n: [v.reference for v in g] for n, g in zip(names, groups, strict=True)}
+    whole, numbers = fmi.memory(
+        about.version, [_address(models[0], n) for n in fmi.FUNCTIONS[about.version]], handles,
+        {**references, "rates": about.rates}, [v.nominal for g in groups for v in g], about.events,
+    )  # fmt: skip
+    arguments = (*(v.name for g in groups for v in g), "time")
+    rows = tuple(v.name for v in about.states)
+    made = Program(
+        Path(about.path).name, rows, arguments, fmi.kernel.address, whole, numbers, models
+    )
+    weakref.finalize(made, shutil.rmtree, folder, ignore_errors=True)
+    return made
+
+
+def _choose_slopes(about: Description, program: Program, start: Sequence[float]) -> None:
+    """Directional derivatives by those arguments for which the FMU's are what differences are."""
+    count = len(program.arguments) - 1
+    if not about.directional or not program.whole[fmi.Slot.DIRECTION]:
+        return
+    rng = np.random.default_rng(1)
+    points = np.asarray(start) + 0.01 * rng.normal(size=(3, count + 1)) * (1 + np.abs(start))
+    columns = range(count)
+    _, due = program.evaluated(points, columns)
+    right = []
+    for column in columns:  # one by one: an FMU may refuse one argument
+        fmi.set_kinds(program.whole, [fmi.DIRECTIONAL] * count)
+        _, told = program.evaluated(points, (column,))
+        size = np.abs(due[:, column]).max() + np.abs(due).max() * 1e-12
+        right.append(bool((np.abs(told[:, 0] - due[:, column]) <= _CLOSE * size).all()))
+    kinds = [fmi.DIRECTIONAL if r else fmi.DIFFERENCE for r in right]
+    fmi.set_kinds(program.whole, kinds)
+
+
+def _readings(
+    about: Description, model: Any, program: Program, start: Sequence[float]
+) -> tuple[tuple[str, str], ...]:
+    """Outputs that are a state wherever they are asked: output -> state."""
+    rng = np.random.default_rng(2)
+    points = np.asarray(start) + 0.01 * rng.normal(size=(3, len(start))) * (1 + np.abs(start))
+    told = []
+    for point in points:
+        program.evaluated(point)  # by the first instance, which is free
+        references = [v.reference for v in about.outputs]
+        get = model.getFloat64 if about.version == 3 else model.getReal
+        told.append(list(get(references)) if references else [])
+    found = []
+    for i, output in enumerate(about.outputs):
+        values = np.array([row[i] for row in told])
+        for j, state in enumerate(about.states):
+            if np.allclose(values, points[:, j], rtol=1e-12, atol=0.0):
+                found.append((output.told, state.name))
+                break
+    return tuple(found)

@@ -1,0 +1,85 @@
+"""A program as the equations of a system: each rate that is no state stands as an input.
+
+x' = v, v' = rate_of_v, T' = rate_of_T
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from spiral.physics.outside.program import Array, Program
+
+RATE = "rate_of_"
+_POINTS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Wrapped:
+    """A program, and equations around it.
+
+    Parameters
+    ----------
+    program : rates of the states by states, inputs, parameters and time.
+    sizes : how many of its arguments are states, inputs, parameters.
+    text : equations as ``definition`` reads them, with an input ``rate_of_STATE`` for each rate
+        that only the program knows.
+    recorded : inputs that a record has.
+    pushed : coordinate -> the program's input that a force on it goes through, and its unit.
+    """
+
+    program: Program
+    sizes: tuple[int, int, int]
+    text: str
+    recorded: tuple[str, ...]
+    pushed: tuple[tuple[str, str, str], ...] = ()
+
+    def rates(self, x: Any, u: Any, p: Any, injected: Mapping[str, Any]) -> dict[str, Any]:
+        """``rate_of_STATE`` -> expression, at values by name and forces through inputs."""
+        n, nu, _ = self.sizes
+        names = self.program.arguments
+        through: dict[str, Any] = dict.fromkeys(names[n : n + nu], 0)
+        for coordinate, entry, _ in self.pushed:
+            through[entry] = through[entry] + injected.get(coordinate, 0)
+        given = [getattr(x, name) for name in names[:n]]
+        given += [getattr(u, name, 0) + push for name, push in through.items()]
+        given += [getattr(p, name) for name in names[n + nu : -1]]
+        values = self.program.values([*given, u.time])
+        return {RATE + s: v for s, v in zip(self.program.rows, values, strict=True)}
+
+
+def positions(program: Program, count: int, start: Sequence[float]) -> dict[str, str]:
+    """States whose rate is another state, wherever the program is asked: name -> its rate.
+
+    Parameters
+    ----------
+    count : how many arguments are states. start : arguments near which it is asked.
+    """
+    rng = np.random.default_rng(0)
+    around = np.asarray(start, dtype=float) * (1 + 0.1 * rng.normal(size=(_POINTS, len(start))))
+    around += 1e-2 * rng.normal(size=around.shape)
+    rates, _ = program.evaluated(around)
+    found = {}
+    for i, name in enumerate(program.rows):
+        same = [j for j in range(count) if _same(rates[:, i], around[:, j]) and j != i]
+        if same:
+            found[name] = program.arguments[same[0]]
+    return found
+
+
+def equations(program: Program, rates: Mapping[str, str]) -> list[str]:
+    """An equation for each state."""
+    return [f"{name}' = {rates.get(name, RATE + name)}" for name in program.rows]
+
+
+def unknown_rates(program: Program, rates: Mapping[str, str], units: Mapping[str, str]) -> Any:
+    """The inputs that stand for rates, as a definition has them."""
+    left = (name for name in program.rows if name not in rates)
+    return {RATE + name: f"({units[name] or '1'})/s" for name in left}
+
+
+def _same(values: Array, others: Array) -> bool:
+    return bool(np.allclose(values, others, rtol=1e-12, atol=0.0))
