@@ -17,24 +17,33 @@ from spiral.io.readers.limits import memory_for, seconds_for
 from spiral.types.errors import ConfigError
 
 Give = Callable[[Mapping[str, Any]], None]
-DOES = ("describe_file", "check")
+FORESEE = "foresee"
+DOES = ("describe_file", "check", FORESEE)
 
 
 @dataclass(frozen=True)
 class OpenFile:
-    """A setup with what is under way for it; ``version`` grows with every change."""
+    """A setup with what is under way for it; ``version`` grows with every change.
+
+    ``foreseeing``: whether it is being looked at what the record can tell apart.
+    """
 
     setup: RecordSetup
     version: int = 0
     busy: str = ""
     asked: int = 0
+    foreseeing: bool = False
 
 
 class FileSetup:
-    """All setups of one folder of runs."""
+    """All setups of one folder of runs; ``give`` hands an order on, ``forgo`` ends a foresight."""
 
-    def __init__(self, out: Path, give: Give, plugins: str | None, lock: threading.RLock) -> None:
+    def __init__(
+        self, out: Path, give: Give, forgo: Callable[[str], object], plugins: str | None,
+        lock: threading.RLock,
+    ) -> None:  # fmt: skip
         self._out, self._give, self._plugins, self._lock = out, give, plugins, lock
+        self._forgo = forgo
         self._open: dict[str, OpenFile] = {}
 
     def begin(self, name: str) -> RecordSetup:
@@ -91,16 +100,65 @@ class FileSetup:
             opened = self.look(ident)
             if choice.system != opened.setup.choice.system:
                 system = next(s for s in opened.setup.systems if s["name"] == choice.system)
-                choice = replace(kept.guessed(opened.setup.columns, system), more=choice.more)
+                rows = {"fit_rows": choice.fit_rows, "test_rows": choice.test_rows}
+                found = kept.guessed(opened.setup.columns, system)
+                choice = replace(found, more=choice.more, **rows)
                 opened = replace(opened, setup=replace(opened.setup, model={}))
-            setup = replace(opened.setup, choice=choice, seen=(), trouble=None)
-            complete = not kept.lacking(setup)
-            asked = opened.asked + 1
-            self._put(replace(opened, setup=setup, asked=asked,
-                              busy="Reading with this mapping" if complete else ""))  # fmt: skip
-            if complete:
-                order = self._order(setup, "check")
-                self._give({**order, "overrides": list(kept.overrides(setup)), "asked": asked})
+            self._check(replace(opened, setup=replace(opened.setup, choice=choice)))
+
+    def join(self, ident: str, file: Path, name: str) -> None:
+        """One more file of the same machine: the test, where there is none yet, else to fit."""
+        with self._lock:
+            setup = self.look(ident).setup
+            use = kept.FIT if setup.files(kept.TEST) else kept.TEST
+            self.use(ident, str(file), name, use)
+
+    def use(self, ident: str, path: str, name: str, use: str) -> None:
+        """Take a further file for the fit or the test, or leave it out where ``use`` is empty."""
+        with self._lock:
+            opened = self.look(ident)
+            one = {"path": path, "name": name, "use": use}
+            known = [one if o["path"] == path else o for o in opened.setup.others]
+            others = known if one in known else [*known, one]
+            setup = replace(opened.setup, others=tuple(o for o in others if o["use"]))
+            if use == kept.TEST:  # which a stretch of the first file is no longer
+                setup = replace(setup, choice=replace(setup.choice, test_rows=()))
+            self._check(replace(opened, setup=setup))
+
+    def room(self, ident: str, name: str) -> Path:
+        """A place for a further file, which is not there yet."""
+        folder, wanted = kept.place(self._out, self.look(ident).setup.ident), kept.safe(name)
+        for number in range(1, 1000):
+            file = folder / (wanted if number == 1 else f"{number}-{wanted}")
+            if not file.exists():
+                return file
+        raise ConfigError(f"a thousandth file {wanted}", "fewer files of one name", "rename it")
+
+    def beside(self, ident: str, path: str) -> None:
+        """A further file on this machine, read where it lies.
+
+        Raises
+        ------
+        InputError : no such file.
+        """
+        file = find_file(path.strip()).resolve()
+        self.join(ident, file, file.name)
+
+    def _check(self, opened: OpenFile) -> None:
+        """Have a changed setup looked at with the record's own eyes, where it is complete."""
+        if opened.foreseeing:
+            self._forgo(opened.setup.ident)
+        setup = replace(opened.setup, seen=(), trouble=None, foresight={})
+        complete = not kept.lacking(setup)
+        asked = opened.asked + 1
+        self._put(replace(opened, setup=setup, asked=asked, foreseeing=False,
+                          busy="Reading with this mapping" if complete else ""))  # fmt: skip
+        if complete:
+            self._give(self._asked(setup, "check", asked))
+
+    def _asked(self, setup: RecordSetup, do: str, asked: int) -> dict[str, Any]:
+        order = self._order(setup, do)
+        return {**order, "overrides": list(kept.overrides(setup)), "asked": asked}
 
     def question(self, ident: str) -> tuple[str, tuple[str, ...]]:
         """Title and overrides of the study that a setup makes.
@@ -109,12 +167,15 @@ class FileSetup:
         ------
         ConfigError : a mapping that is not complete.
         """
-        setup = self.look(ident).setup
-        lacking = kept.lacking(setup)
+        opened = self.look(ident)
+        setup, lacking = opened.setup, kept.lacking(opened.setup)
         if lacking:
             raise ConfigError(f"a mapping without {', '.join(lacking)}", "all of them chosen",
                               "choose what is marked")  # fmt: skip
-        return setup.name, kept.overrides(setup)
+        if opened.foreseeing:
+            self._forgo(ident)  # the first fit needs the processor more
+        more = f" and {len(setup.others)} more" if setup.others else ""
+        return setup.name + more, kept.overrides(setup)
 
     def on_event(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
         """What the process told of a setup."""
@@ -122,6 +183,9 @@ class FileSetup:
             opened = self.look(str(order["study"]))
             if order.get("asked", opened.asked) != opened.asked:
                 return  # the mapping has changed since
+            if order["do"] == FORESEE:
+                self._foreseen(opened, kind, data)
+                return
             setup = opened.setup
             if kind == "columns":
                 setup = replace(setup, **{**data, "columns": tuple(data["columns"]),
@@ -138,7 +202,18 @@ class FileSetup:
             elif kind != "done":
                 return
             busy = "" if kind in ("done", "failed", "cancelled") else opened.busy
-            self._put(replace(opened, setup=setup, busy=busy))
+            then = kind == "done" and order["do"] == "check"
+            self._put(replace(opened, setup=setup, busy=busy, foreseeing=then))
+            if then:
+                self._give(self._asked(setup, FORESEE, opened.asked))
+
+    def _foreseen(self, opened: OpenFile, kind: str, data: Event) -> None:
+        """What the record can tell apart, once that is known; a failure is told as not known."""
+        if kind == "foresight":
+            opened = replace(opened, setup=replace(opened.setup, foresight=dict(data)))
+        elif kind not in ("done", "failed", "cancelled"):
+            return
+        self._put(replace(opened, foreseeing=opened.foreseeing and kind == "foresight"))
 
     def _order(self, setup: RecordSetup, do: str) -> dict[str, Any]:
         """An order with what it may take, the more the larger the file is."""

@@ -15,7 +15,7 @@ from typing import Any
 
 from spiral.app import study as kept
 from spiral.app import unseen
-from spiral.app.file_setup import DOES, FileSetup
+from spiral.app.file_setup import DOES, FORESEE, FileSetup
 from spiral.app.own_effect import overrides_of, own_name
 from spiral.app.panels import words
 from spiral.app.processes import Event, Process
@@ -82,8 +82,8 @@ class Session:
             "plan": _PLANNED,
         }
         self._fits = Process("fits", out, self._on_fits)
-        self.file_setup = FileSetup(out, lambda order: self._fits.give(order), plugins, self._lock)
         self._writer = Process("writer", out, self._on_writer)
+        self.file_setup = FileSetup(out, self._give_on, self._writer.cancel, plugins, self._lock)
         self.broken: tuple[str, ...] = ()
 
     def close(self) -> None:
@@ -337,6 +337,10 @@ class Session:
         if kind == "done" and turn and turn.proposed and not turn.preview and order["do"] in _RANKS:
             self._try(scene, turn.proposed[0], turn.serial)
 
+    def _give_on(self, order: Mapping[str, Any]) -> None:
+        """An order about a file: what a person waits for to the one process, else to the other."""
+        (self._writer if order["do"] == FORESEE else self._fits).give(order)
+
     def _write(self, ident: str, serial: int) -> None:
         scene = self.scene(ident)
         self._put(replace(scene, writing=(*scene.writing, serial)), save=False)
@@ -349,6 +353,9 @@ class Session:
                 self._write(ident, turn.serial)
 
     def _on_writer(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+        if order["do"] == FORESEE:
+            self.file_setup.on_event(order, kind, data)
+            return
         with self._lock:
             scene = self.scene(order["study"])
             serial = order["serial"]

@@ -9,7 +9,7 @@ from html import escape
 from nicegui import ui
 
 from spiral.app import frame, panels
-from spiral.app.drop_zone import drop_zone
+from spiral.app.drop_zone import drop_script, drop_zone
 from spiral.app.session import Session
 from spiral.app.study import Study
 from spiral.io.readers.files import find_file
@@ -41,6 +41,7 @@ def start_page(session: Session) -> None:
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Or bring your own measurements</h2>", sanitize=False)
             drop_zone()
+            drop_script()
             _path(session)
         frame.local_plugins(session)
         known = sorted(session.studies(), key=lambda study: not study.line)  # failed ones last

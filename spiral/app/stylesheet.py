@@ -134,6 +134,18 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .mapping {{ display:grid; grid-template-columns:minmax(70px,auto) minmax(0,1fr) 88px; gap:8px 10px;
   align-items:center; margin:14px 0 6px; font-size:14.5px; }}
 .mapping .soft {{ display:block; font-size:12.5px; line-height:1.2; max-width:80px; }}
+.files {{ display:grid; grid-template-columns:minmax(0,1fr) minmax(130px,auto); gap:6px 12px;
+  align-items:center; font-size:14.5px; margin-bottom:10px; overflow-wrap:anywhere; }}
+.files + .drop, .files ~ div .drop {{ padding:14px 12px; }}
+.instruments {{ display:grid; gap:3px; font-size:14px; line-height:1.35; }}
+.instruments .q-field {{ margin-bottom:6px; }}
+.drags {{ margin:12px 0 4px; border:1px solid var(--line); }}
+.stretches {{ display:flex; flex-wrap:wrap; gap:8px; align-items:center; font-size:14px;
+  margin:2px 0 6px; }}
+.stretches i {{ display:inline-block; width:12px; height:12px; border-radius:3px; opacity:.55;
+  margin-right:6px; }}
+.stretches .q-field {{ width:92px; }}
+#foresight {{ margin-top:10px; }}
 .seed {{ display:grid; grid-template-columns:auto minmax(0,1fr); gap:2px 12px; align-items:center;
   margin-bottom:12px; }}
 .parameters {{ display:grid; align-items:center; gap:6px 14px; font-size:14px;
