@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import threading
 from collections.abc import Callable, Mapping
@@ -14,11 +15,13 @@ from spiral.app.processes import Event
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.io.readers.files import find_file
 from spiral.io.readers.limits import memory_for, seconds_for
+from spiral.io.writing import write_whole
 from spiral.types.errors import ConfigError
 
 Give = Callable[[Mapping[str, Any]], None]
 FORESEE = "foresee"
-DOES = ("describe_file", "check", FORESEE)
+EQUATIONS = "read_equations"
+DOES = ("describe_file", "check", EQUATIONS, FORESEE)
 
 
 @dataclass(frozen=True)
@@ -99,11 +102,8 @@ class FileSetup:
         with self._lock:
             opened = self.look(ident)
             if choice.system != opened.setup.choice.system:
-                system = next(s for s in opened.setup.systems if s["name"] == choice.system)
-                rows = {"fit_rows": choice.fit_rows, "test_rows": choice.test_rows}
-                found = kept.guessed(opened.setup.columns, system)
-                choice = replace(found, more=choice.more, **rows)
-                opened = replace(opened, setup=replace(opened.setup, model={}))
+                setup = _with_system(opened.setup, choice.system)
+                opened, choice = replace(opened, setup=setup), setup.choice
             self._check(replace(opened, setup=replace(opened.setup, choice=choice)))
 
     def join(self, ident: str, file: Path, name: str) -> None:
@@ -160,6 +160,18 @@ class FileSetup:
         order = self._order(setup, do)
         return {**order, "overrides": list(kept.overrides(setup)), "asked": asked}
 
+    def write(self, ident: str, text: str) -> None:
+        """Take equations as the system, once they are read; a file of its own for every text."""
+        with self._lock:
+            opened = self.look(ident)
+            name = f"equations-{hashlib.sha256(text.encode()).hexdigest()[:12]}.yaml"
+            file = kept.place(self._out, ident) / name
+            write_whole(file, text)
+            setup = replace(opened.setup, equations=text, trouble=None)
+            asked = opened.asked + 1
+            self._put(replace(opened, setup=setup, asked=asked, busy="Reading the equations"))
+            self._give({**self._order(setup, EQUATIONS), "path": str(file), "asked": asked})
+
     def question(self, ident: str) -> tuple[str, tuple[str, ...]]:
         """Title and overrides of the study that a setup makes.
 
@@ -190,22 +202,33 @@ class FileSetup:
             if kind == "columns":
                 setup = replace(setup, **{**data, "columns": tuple(data["columns"]),
                                           "systems": tuple(data["systems"])})  # fmt: skip
+            elif kind == "system":
+                given = (*(s for s in setup.systems if not s.get("own")), data["system"])
+                self._written(replace(opened, setup=replace(setup, systems=given)), data["system"])
+                return
             elif kind == "records":
                 setup = replace(setup, seen=tuple(data["records"]))
             elif kind == "model":
                 setup = replace(setup, model=dict(data))
             elif kind == "failed":
-                setup = replace(setup, trouble=dict(data))
+                setup = replace(setup, trouble={**data, "at": order["do"]})
             elif kind == "cancelled":
                 said = f"Cancelled: {opened.busy.lower() or 'reading'}"
                 setup = replace(setup, trouble={"given": said, "at": kind})
             elif kind != "done":
                 return
+            if kind == "done" and order["do"] == EQUATIONS:
+                return  # what follows from them is under way
             busy = "" if kind in ("done", "failed", "cancelled") else opened.busy
             then = kind == "done" and order["do"] == "check"
             self._put(replace(opened, setup=setup, busy=busy, foreseeing=then))
             if then:
                 self._give(self._asked(setup, FORESEE, opened.asked))
+
+    def _written(self, opened: OpenFile, system: Mapping[str, Any]) -> None:
+        """Go on with a system of equations that was read: columns are guessed anew."""
+        setup = _with_system(opened.setup, system["name"])
+        self._check(replace(opened, setup=setup))
 
     def _foreseen(self, opened: OpenFile, kind: str, data: Event) -> None:
         """What the record can tell apart, once that is known; a failure is told as not known."""
@@ -226,3 +249,12 @@ class FileSetup:
     def _put(self, opened: OpenFile) -> None:
         self._open[opened.setup.ident] = replace(opened, version=opened.version + 1)
         kept.save(self._out, opened.setup)
+
+
+def _with_system(setup: RecordSetup, name: str) -> RecordSetup:
+    """A setup for another system: its columns guessed, what is said of rows and *More* kept."""
+    system = next(s for s in setup.systems if s["name"] == name)
+    was = setup.choice
+    rows = {"fit_rows": was.fit_rows, "test_rows": was.test_rows}
+    choice = replace(kept.guessed(setup.columns, system), more=was.more, **rows)
+    return replace(setup, choice=choice, model={})

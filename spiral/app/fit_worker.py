@@ -76,6 +76,12 @@ class FitWorker:
 
         file_preview.describe_file(order, self.tell)
 
+    def read_equations(self, order: Order) -> None:
+        """The system that a text of equations makes."""
+        from spiral.app import file_preview
+
+        file_preview.read_equations(order, self.tell)
+
     def _loaded(self, order: Order) -> Registry:
         """All plugins as they are now; files that cannot be used are told."""
         from spiral.io.registry import load_registry

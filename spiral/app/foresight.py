@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from spiral.inference.identifiability.identify import identify
+from spiral.inference.identifiability.identify import Identification, identify
 from spiral.inference.problem import Problem
 from spiral.io.config import build_derivative
 from spiral.io.registry import Registry
 from spiral.types.errors import ConfigError, InputError
 
+_EQUAL = 1e-12  # of a cosine: equal up to rounding
 _UNKNOWN = "This cannot be told before a fit: states that no sensor sees take part."
 
 
@@ -27,7 +29,12 @@ def foreseen(
     ``needed`` (nothing where no number would do); or ``unknown``, why that cannot be said.
     """
     try:
-        found = identify(problem, build_derivative(dict(config), registry))
+        derivative = build_derivative(dict(config), registry)
+        found = identify(problem, derivative)
+        twice = _in_the_equations(problem, found)
+        if twice:
+            others = tuple(e for e in problem.candidates if e.label not in twice)
+            found = identify(replace(problem, candidates=others), derivative)
     except (InputError, ConfigError, ArithmeticError, ValueError):  # LinAlgError is a ValueError
         return {"unknown": _UNKNOWN}
     needed = found.samples_needed
@@ -38,6 +45,18 @@ def foreseen(
         "samples": found.found.samples,
         "needed": float(needed) if np.isfinite(needed) else None,
         "advice": found.advice,
+    }
+
+
+def _in_the_equations(problem: Problem, found: Identification) -> set[str]:
+    """Candidates whose every signature is one of the system's own parameters', on any record."""
+    owners = np.array([k.rsplit(".", 1)[0] for k in found.terms])
+    alike = np.abs(found.found.gram) > 1 - _EQUAL
+    return {
+        e.label
+        for e in problem.candidates
+        if (mine := owners == e.label).any()
+        and all(alike[i][owners == "system"].any() for i in np.flatnonzero(mine))
     }
 
 

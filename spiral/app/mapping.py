@@ -10,7 +10,7 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import frame, model_setup, panels
+from spiral.app import equations, frame, model_setup, panels
 from spiral.app import record_setup as kept
 from spiral.app.data_desk import Desk, foresight
 from spiral.app.drop_zone import drop_script
@@ -66,7 +66,8 @@ class Form:
         return [
             ("state", self._state, (opened.busy, setup.trouble)),
             ("columns", self._columns, columns),
-            ("form", self._form, (columns, setup.choice.system, setup.choice.time)),
+            ("form", self._form, (columns, setup.choice.system, setup.choice.time,
+                                  setup.trouble if equations.wrong(setup) else None)),
             ("model", self._model, (named, setup.choice.without)),
             ("records", self._records, (bool(columns), setup.others)),
             ("seen", self._seen, (setup.seen, setup.choice, opened.busy, setup.trouble,
@@ -80,7 +81,7 @@ class Form:
                 ui.label(opened.busy + " …").classes("words")
                 ui.button("Cancel", on_click=self._cancel).props(
                     "outline dense color=negative padding='2px 12px'")  # fmt: skip
-        if opened.setup.trouble:
+        if opened.setup.trouble and not equations.wrong(opened.setup):
             with frame.told(opened.setup.trouble):
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
@@ -143,16 +144,18 @@ class Form:
         if not setup.systems:
             return
         ui.html("<h2 class='head'>What is what</h2>", sanitize=False)
-        known = {s["name"]: panels.words(s["name"]) for s in setup.systems}
+        known = {s["name"]: "equations of your own" if s.get("own") else panels.words(s["name"])
+                 for s in setup.systems}  # fmt: skip
         chosen = setup.choice.system or None
         ui.select(known, value=chosen, label="System: the physics that is known",
                   on_change=lambda e: self._change(system=e.value)).props(
             "outlined dense").classes("w-full")  # fmt: skip
+        equations.draw(setup, functools.partial(self.session.file_setup.write, self.ident))
         system = setup.system()
         if system is None:
             ui.html("<p class='soft' style='margin-top:8px'>" + "<br>".join(
                 f"<b>{escape(panels.words(s['name']))}</b>: {panels.meaning(s['meaning'])}"
-                for s in setup.systems) + "</p>", sanitize=False)  # fmt: skip
+                for s in setup.systems if not s.get("own")) + "</p>", sanitize=False)  # fmt: skip
             return
         said = f"<p class='soft' style='margin-top:6px'>{panels.meaning(system['meaning'])}</p>"
         ui.html(said, sanitize=False)

@@ -67,8 +67,9 @@ class RecordSetup:
     came to; ``drawn`` whether a picture of the columns is there; ``model`` what the
     model holds (``file_preview.described_model``); ``separator`` and ``decimal`` how
     a text file writes columns and fractions, where that had to be said; ``others`` are further
-    files of the same machine (path, name, use: fit or test); ``foresight`` is whether the record
-    can tell effects apart (``foresight.foreseen``), empty until that is known.
+    files of the same machine (path, name, use: fit or test); ``equations`` the text of a system of
+    one's own, which then stands last among the systems as ``own``; ``foresight`` is whether the
+    record can tell effects apart (``foresight.foreseen``), empty until that is known.
     """
 
     ident: str
@@ -85,6 +86,7 @@ class RecordSetup:
     separator: str = ""
     decimal: str = ""
     others: tuple[Mapping[str, str], ...] = ()
+    equations: str = ""
     foresight: Mapping[str, Any] = field(default_factory=dict)
 
     def files(self, use: str) -> list[str]:
@@ -243,7 +245,8 @@ def overrides(setup: RecordSetup) -> tuple[str, ...]:
     choice, system = setup.choice, setup.system()
     assert system is not None
     channels = {s["name"] for s in system["channels"]}
-    given = [f"system={choice.system}", "record=file"]
+    named = quoted(choice.system) if system.get("own") else choice.system
+    given = [f"system={named}", "record=file"]
     given += [_paths(part, setup.files(use)) for part, use in (("record", FIT), ("test", TEST))
               if setup.files(use)]  # fmt: skip
     if choice.time:

@@ -139,6 +139,8 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .files + .drop, .files ~ div .drop {{ padding:14px 12px; }}
 .instruments {{ display:grid; gap:3px; font-size:14px; line-height:1.35; }}
 .instruments .q-field {{ margin-bottom:6px; }}
+.equations textarea {{ font-family:ui-monospace,monospace; font-size:13px; line-height:1.45;
+  white-space:pre; overflow-x:auto; }}
 .drags {{ margin:12px 0 4px; border:1px solid var(--line); }}
 .stretches {{ display:flex; flex-wrap:wrap; gap:8px; align-items:center; font-size:14px;
   margin:2px 0 6px; }}

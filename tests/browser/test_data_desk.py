@@ -138,3 +138,43 @@ def test_what_a_record_cannot_tell_is_said_before_any_fit(tab, served, files, pi
     assert "take a run-up or run-down instead" in said
     picture(tab, "desk-foresight")
     assert faults(tab) == []
+
+
+def test_equations_typed_into_a_box_are_the_system(tab, served, files, picture):
+    """A mistake is told beside the box; what is right is fitted, and what it lacks is ranked."""
+    text = (files / "run1.csv").read_text().replace("t,x,force", "t,x,F", 1)
+    (files / "own.csv").write_text(text)
+    tab.goto(served.address)
+    tab.set_input_files("#drop-file", files / "own.csv")
+    tab.click("text=Write equations of your own")
+    box = "textarea[aria-label='Equations of the system']"
+    example = tab.input_value(box)
+    assert "observed: [x]" in example
+    spring = """title: A mass on a spring
+equations:
+  - m*x'' + c*x' + k*x = F
+states: {x: m}
+inputs: {F: N}
+parameters: {m: 1.0 kg, c: N*s/m, k: N/m}
+observed: [x]
+"""
+    tab.fill(box, spring.replace("k: N/m", "k: N/m^2"))
+    tab.click("button:has-text('Use these equations')")
+    tab.wait_for_selector(".equations .trouble")
+    assert tab.inner_text(".equations .trouble").startswith("equation 1, ")
+    below = tab.locator(".equations .trouble").bounding_box()["y"]
+    assert below - tab.locator(box).bounding_box()["y"] < 400  # beside the box
+    picture(tab, "equations-wrong")
+    tab.fill(box, spring)
+    tab.click("button:has-text('Use these equations')")
+    tab.wait_for_selector("main:has-text('A mass on a spring')")
+    tab.wait_for_selector(BEGIN)
+    assert tab.locator(".equations .trouble").count() == 0
+    tab.wait_for_selector("#foresight:has-text('can tell all')")  # k is no rival of itself
+    picture(tab, "equations")
+    assert faults(tab) == []
+    tab.click(BEGIN)
+    tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
+    tab.click("text=how to do this on the command line")
+    assert "system='" in tab.inner_text(".command >> nth=0")
+    picture(tab, "equations-study")
