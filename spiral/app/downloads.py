@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from spiral.app.record_setup import safe
 from spiral.app.session import Session
 from spiral.app.study import Turn
 from spiral.app.viewer import Viewer
+from spiral.app.whole import archived
 from spiral.io.export.kinds import KINDS, export
 from spiral.io.storage import own_file, run_folder
 from spiral.io.tracking.store import Tracking
@@ -36,6 +38,15 @@ def routes(web: FastAPI, session: Session, viewer: Viewer) -> None:
         except SpiralError as error:
             return PlainTextResponse(str(error), status_code=404)
         return FileResponse(file, filename=f"{file.parent.name}-{name}")
+
+    @web.get("/whole/{ident}")
+    async def _whole(ident: str) -> Any:
+        try:
+            study = session.scene(ident).study
+            file = await asyncio.to_thread(archived, session.out, study)
+        except SpiralError as error:
+            return PlainTextResponse(str(error), status_code=404)
+        return FileResponse(file, filename=f"{safe(study.title)}.zip")
 
     @web.get("/mlflow/{ident}/{serial}")
     async def _mlflow(ident: str, serial: int) -> Any:

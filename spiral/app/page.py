@@ -8,7 +8,7 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import branches, frame, panels, unseen
+from spiral.app import branches, frame, panels, studies, unseen
 from spiral.app.address import Address, written
 from spiral.app.figures import Figures
 from spiral.app.missing import OWN, Missing
@@ -68,7 +68,11 @@ class StudyView:
         return self.session.scene(self.ident)
 
     def look(self) -> None:
-        """Draw what has changed since the last look."""
+        """Draw what has changed since the last look; away, where the study was deleted."""
+        if not self.session.there(self.ident):
+            with self.client:
+                ui.navigate.to("/")
+            return
         scene = self.scene()
         if scene.version == self.version:
             return
@@ -113,7 +117,8 @@ class StudyView:
         return [
             ("working", self._working, busy),
             ("trouble", self._trouble, (study.trouble, bool(study.turns or busy))),
-            ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor)),
+            ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor,
+                                study.note)),
             (FALLING, self._falling, (tuple(t.serial for t in study.line), study.noise_floor)),
             ("missing", self.missing.build,
              (key, ranked, bool(busy), scene.contrast, scene.plan, turn.trials if turn else None,
@@ -123,9 +128,9 @@ class StudyView:
              (key, turn.figures, turn.sentence, len(turn.equation), bool(turn.figures or busy))),
             ("beside", self.beside.build, tuple(t.serial for t in study.turns)),
             ("data", self._data, (len(study.records), key)),
-            ("links", self._links,
-             None if turn is None else (key, turn.run_id, turn.tracked, turn.untracked,
-                                        ranked, key in scene.writing)),
+            ("links", self._links, study.title if turn is None else
+             (study.title, key, turn.run_id, turn.tracked, turn.untracked, ranked,
+              key in scene.writing)),
         ]  # fmt: skip
 
     # --- regions ---------------------------------------------------------------------------------
@@ -168,6 +173,8 @@ class StudyView:
             ui.html(panels.channels(study.turn, units), sanitize=False).style("margin-top:10px")
         branches.steps(scene, self._move)
         branches.tree(scene, self._move)
+        if study.note:
+            ui.label(study.note).classes("soft own-note").props["id"] = "note"
 
     def _step(self, scene: Scene, turn: Turn) -> None:
         """What the last step did to predictions of unseen data; undone with one click."""
@@ -255,6 +262,7 @@ class StudyView:
 
     def _links(self, scene: Scene) -> None:
         frame.links(self.session, scene)
+        studies.menu(self.session, scene.study, ui.navigate.reload, lambda: None)
 
     # --- clicks ----------------------------------------------------------------------------------
 

@@ -27,7 +27,10 @@ from spiral.types.errors import ConfigError
 _RANKS = ("start", "add", "rank", "invent")  # orders that end with a ranking
 _OF_A_TURN = ("invent", "rank", "preview", "plan")  # orders that make no new one
 _FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send
+_LONG = 2000  # letters of a name or a note
 _PLANNED = 40  # and the judging of planned tests
+_EXPECTED = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRST,
+             "rank": _FIRST, "preview": _AGAIN, "plan": _PLANNED}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -72,15 +75,7 @@ class Session:
         self.out, self.plugins = out, plugins
         self._lock = threading.RLock()
         self._scenes: dict[str, Scene] = {}
-        self._expected = {
-            "start": _FIRST,
-            "add": _AGAIN,
-            "contrast": _AGAIN,
-            "invent": _FIRST,
-            "rank": _FIRST,
-            "preview": _AGAIN,
-            "plan": _PLANNED,
-        }
+        self._expected = dict(_EXPECTED)
         self._fits = Process("fits", out, self._on_fits)
         self._writer = Process("writer", out, self._on_writer)
         self.file_setup = FileSetup(out, self._give_on, self._writer.cancel, plugins, self._lock)
@@ -100,6 +95,10 @@ class Session:
     def studies(self) -> list[Study]:
         """All studies on disk, the latest first."""
         return kept.studies(self.out)
+
+    def there(self, ident: str) -> bool:
+        """Whether a study that was opened is still there."""
+        return ident in self._scenes
 
     def scene(self, ident: str) -> Scene:
         """A study as it is now.
@@ -223,6 +222,22 @@ class Session:
         with self._lock:
             scene = self._free(ident, serial)
             self._put(replace(scene, study=kept.moved(scene.study, to), contrast=(), plan={}))
+
+    def revise(self, ident: str, title: str, note: str) -> None:
+        """Another name of a study, where one is given, and another note."""
+        with self._lock:
+            scene = self.scene(ident)
+            title = title.strip()[:_LONG] or scene.study.title
+            self._put(replace(scene, study=replace(scene.study, title=title, note=note[:_LONG])))
+
+    def delete(self, ident: str) -> None:
+        """Delete a study at rest; the runs of its turns stay."""
+        with self._lock:
+            scene = self.scene(ident)
+            if scene.busy or scene.writing:
+                raise ConfigError("a study at work", "a study at rest", "wait, or cancel it first")
+            kept.forget(self.out, ident)
+            del self._scenes[ident]
 
     def cancel(self, ident: str) -> None:
         """End what is under way; the study stays as it was before."""

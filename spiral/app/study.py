@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
@@ -80,7 +81,7 @@ class Study:
 
     ``own`` are candidates that a formula of the user's defines, among the overrides; ``example``
     is such a formula that works here, and what one may name. ``trouble`` is the last message, and
-    at which order it arose.
+    at which order it arose; ``note`` what a person wrote of the study.
     """
 
     ident: str
@@ -95,6 +96,7 @@ class Study:
     noise_floor: float | None = None
     own: tuple[str, ...] = ()
     example: Mapping[str, Any] = field(default_factory=dict)
+    note: str = ""
 
     @property
     def turn(self) -> Turn | None:
@@ -252,6 +254,19 @@ def _grown(turns: tuple[Turn, ...]) -> tuple[Turn, ...]:
         parent = turn.parent if turn.parent in earlier else (earlier or [None])[-1]
         found.append(replace(turn, parent=parent))
     return tuple(found)
+
+
+def forget(out: Path, ident: str) -> None:
+    """Delete a study; the runs that its turns were saved as stay.
+
+    Raises
+    ------
+    InputError : a folder that cannot be deleted.
+    """
+    try:
+        shutil.rmtree(place(out, ident))
+    except OSError as error:
+        raise unwritable(out, error) from error
 
 
 def studies(out: Path) -> list[Study]:

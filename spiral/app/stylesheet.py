@@ -141,6 +141,11 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .instruments .q-field {{ margin-bottom:6px; }}
 .equations textarea {{ font-family:ui-monospace,monospace; font-size:13px; line-height:1.45;
   white-space:pre; overflow-x:auto; }}
+.studies td:last-child {{ padding:0; width:36px; }}
+.studies td:nth-child(3), .studies td:nth-child(4) {{ white-space:nowrap; }}
+#studies {{ margin-top:10px; }} .dialog {{ width:min(520px,92vw); }}
+.own-note {{ margin-top:12px; white-space:pre-wrap; overflow-wrap:anywhere;
+  border-left:3px solid var(--line); padding-left:10px; }}
 .drags {{ margin:12px 0 4px; border:1px solid var(--line); }}
 .stretches {{ display:flex; flex-wrap:wrap; gap:8px; align-items:center; font-size:14px;
   margin:2px 0 6px; }}
@@ -177,5 +182,6 @@ a.quiet {{ color:var(--blue); text-decoration:none; }}
 a.quiet:hover {{ text-decoration:underline; }}
 @media (max-width:980px) {{ .split {{ grid-template-columns:minmax(0,1fr); }} }}
 @media (max-width:560px) {{ .bar-inner, .wrap {{ padding-left:12px; padding-right:12px; }}
-  .card {{ padding:14px 13px; }} .number {{ font-size:36px; }} h1.big {{ font-size:27px; }} }}
+  .card {{ padding:14px 13px; }} .number {{ font-size:36px; }} h1.big {{ font-size:27px; }}
+  .studies td:nth-child(4), .studies th:nth-child(4) {{ display:none; }} }}
 """

@@ -67,11 +67,11 @@ def drag(tab, first, last):
     tab.mouse.up()
 
 
-def faults(page):
-    """What axe-core has against the page as it is."""
+def faults(page, part=None):
+    """What axe-core has against the page as it is, or against a part of it."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     return [(v["id"], [n["target"] for n in v["nodes"]])
-            for v in axe.run(page).response["violations"]]  # fmt: skip
+            for v in axe.run(page, part).response["violations"]]  # fmt: skip
 
 
 def test_stretches_are_marked_with_the_mouse_or_typed(tab, served, files, picture):
