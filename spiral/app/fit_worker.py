@@ -17,6 +17,7 @@ from typing import Any
 
 from spiral.app.drawing import FIRST, draw
 from spiral.app.own_effect import example
+from spiral.app.python_text import asked
 from spiral.app.side_steps import drawn_why, planned
 from spiral.app.study import turn_place
 from spiral.engine.threads import one_blas_thread
@@ -67,6 +68,7 @@ class FitWorker:
     strategy: Strategy | None = None
     begun: Begun | None = None
     overrides: tuple[str, ...] = ()
+    program: Mapping[str, Any] = field(default_factory=dict)
     standing: dict[int, tuple[Checkpoint, Step]] = field(default_factory=dict)
     tried: dict[tuple[int, str], Checkpoint] = field(default_factory=dict)
 
@@ -216,6 +218,7 @@ class FitWorker:
         config = compose(overrides, self.registry)
         self.registry = bound(config, self.registry)
         self.problem = build_problem(config, self.registry)
+        self.program = asked(config, self.registry)
         self.strategy = strategy_for(self.problem)
         if not self.strategy.by_hand:
             raise ConfigError(f"strategy={self.strategy.plugin_name()} on the page",
@@ -230,7 +233,8 @@ class FitWorker:
 
         assert self.problem is not None
         found = {"records": finite(described(self.problem))}
-        self.tell("records", {**found, "example": example(self.problem.model.system)})
+        found |= {"example": example(self.problem.model.system), "program": self.program}
+        self.tell("records", found)
 
     def _begun(self) -> Begun:
         if self.begun is None:

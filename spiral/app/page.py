@@ -8,7 +8,7 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import branches, frame, panels, studies, unseen
+from spiral.app import branches, frame, panels, python_text, studies, unseen
 from spiral.app.address import Address, written
 from spiral.app.figures import Figures
 from spiral.app.missing import OWN, Missing
@@ -127,7 +127,7 @@ class StudyView:
              None if turn is None else
              (key, turn.figures, turn.sentence, len(turn.equation), bool(turn.figures or busy))),
             ("beside", self.beside.build, tuple(t.serial for t in study.turns)),
-            ("data", self._data, (len(study.records), key)),
+            ("data", self._data, (len(study.records), key, turn.run_id if turn else "")),
             ("links", self._links, study.title if turn is None else
              (study.title, key, turn.run_id, turn.tracked, turn.untracked, ranked,
               key in scene.writing)),
@@ -252,13 +252,17 @@ class StudyView:
 
     def _data(self, scene: Scene) -> None:
         study = scene.study
-        with ui.expansion("The data, and how to do this on the command line").classes("w-full"):
+        with ui.expansion("The data, and this as a command and in Python").classes("w-full"):
             if study.records:
                 ui.html(panels.records(study.records), sanitize=False)
             frame.local_plugins(self.session)
             ui.html("<p class='soft' style='margin:12px 0 4px'>The same from a terminal:</p>",
                     sanitize=False)  # fmt: skip
             frame.code(frame.command(study))
+            text = python_text.program(study, self.session.out)
+            if text:
+                ui.html("<p class='soft' style='margin:12px 0 4px'>In Python:</p>", sanitize=False)
+                frame.code(text)
 
     def _links(self, scene: Scene) -> None:
         frame.links(self.session, scene)

@@ -314,7 +314,8 @@ class Session:
         study = scene.study
         serial = _about(order)
         if kind == "records":
-            values = {"records": tuple(data["records"]), "example": data.get("example", {})}
+            values = {k: data.get(k, {}) for k in ("example", "program")}
+            values["records"] = tuple(data["records"])
             return replace(scene, study=replace(study, **values))
         if kind == "turn":
             turn = Turn(serial, data["added"], data["result"])

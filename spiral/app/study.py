@@ -81,7 +81,8 @@ class Study:
 
     ``own`` are candidates that a formula of the user's defines, among the overrides; ``example``
     is such a formula that works here, and what one may name. ``trouble`` is the last message, and
-    at which order it arose; ``note`` what a person wrote of the study.
+    at which order it arose; ``note`` what a person wrote of the study;
+    ``program`` what its overrides ask for, as ``python_text.asked`` has it.
     """
 
     ident: str
@@ -97,6 +98,7 @@ class Study:
     own: tuple[str, ...] = ()
     example: Mapping[str, Any] = field(default_factory=dict)
     note: str = ""
+    program: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def turn(self) -> Turn | None:

@@ -123,7 +123,7 @@ def test_a_second_file_is_the_test_and_a_third_is_fitted_too(tab, served, files,
     assert "run3.csv" not in tab.inner_text("#files")
     tab.click(BEGIN)
     tab.wait_for_selector("h1:has-text('run1.csv and 1 more')")
-    tab.click("text=how to do this on the command line")
+    tab.click("text=as a command and in Python")
     told = tab.inner_text(".command >> nth=0")
     assert "run2.csv'" in told.partition("test.path=")[2].partition("\n")[0]
     assert "record.hold={force: band_limited}" in told
@@ -175,6 +175,6 @@ observed: [x]
     assert faults(tab) == []
     tab.click(BEGIN)
     tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
-    tab.click("text=how to do this on the command line")
+    tab.click("text=as a command and in Python")
     assert "system='" in tab.inner_text(".command >> nth=0")
     picture(tab, "equations-study")
