@@ -19,11 +19,12 @@ from spiral.io.export.kinds import KINDS, export
 from spiral.io.storage import own_file, run_folder
 from spiral.io.tracking.store import Tracking
 from spiral.types.errors import ConfigError, SpiralError
+from spiral.view.report.pictures import printed
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
-REPORT = "report.html"
+REPORT, PRINTED = "report.html", "report.pdf"
 _TRACKED = re.compile(r"experiments/\w+/runs/\w+", re.ASCII)
 
 
@@ -71,7 +72,7 @@ def written(session: Session, ident: str, serial: int, name: str) -> Path:
     """
     turn = _saved(session, ident, serial)
     exports = {f"model{kind.suffix}": to for to, kind in KINDS.items()}
-    known = (REPORT, *exports, "run.json")
+    known = (REPORT, PRINTED, *exports, "run.json")
     if name not in known:
         raise ConfigError(f"file {name}", f"one of {', '.join(known)}")
     file = own_file(run_folder(session.out, turn.run_id), name)
@@ -82,6 +83,8 @@ def written(session: Session, ident: str, serial: int, name: str) -> Path:
         from spiral.io.writing import write_whole
 
         write_whole(file, _report(session, turn))
+    if name == PRINTED:
+        return printed(_report(session, turn), file)
     return file
 
 

@@ -18,7 +18,7 @@ from typing import Any
 from spiral.app.drawing import FIRST, draw
 from spiral.app.own_effect import example
 from spiral.app.python_text import asked
-from spiral.app.side_steps import drawn_why, planned
+from spiral.app.side_steps import drawn_why, keep, planned
 from spiral.app.study import turn_place
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.discover import Checkpoint
@@ -193,10 +193,9 @@ class FitWorker:
             began = time.perf_counter()
             self._progress(f"refitting with {effect}")
             step = chosen(self._strategy(), self._assembly(), at, step, effect)
-            self.tried[base, effect] = turned(
-                self._strategy(), self._assembly(), at, step, self._progress,
-                time.perf_counter() - began,
-            )  # fmt: skip
+            at = turned(self._strategy(), self._assembly(), at, step, self._progress,
+                        time.perf_counter() - began)  # fmt: skip
+            keep(self.tried, (base, effect), at)
         return self.tried[base, effect]
 
     def _open(self, order: Order) -> None:
@@ -251,7 +250,8 @@ class FitWorker:
             folder = turn_place(self.out, self.ident, serial)
             at = read_checkpoint(folder / STATE, self.registry)
             at = _placed(at, folder, self._assembly())
-            self.standing[serial] = looked(self._strategy(), self._assembly(), at, self._progress)
+            found = looked(self._strategy(), self._assembly(), at, self._progress)
+            keep(self.standing, serial, found)
         return self.standing[serial]
 
     def _arrived(self, order: Order, at: Checkpoint, effect: str) -> None:
@@ -292,7 +292,7 @@ class FitWorker:
     def _look(self, serial: int, at: Checkpoint) -> None:
         self._progress("ranking what may be missing")
         at, step = looked(self._strategy(), self._assembly(), at, self._progress)
-        self.standing[serial] = (at, step)
+        keep(self.standing, serial, (at, step))
         assert self.registry is not None
         write_checkpoint(at, turn_place(self.out, self.ident, serial) / STATE, self.registry)
         self._told(at, step)

@@ -191,5 +191,7 @@ _STYLE = (
     "pre{padding:12px 14px;overflow-x:auto}code{padding:1px 4px;overflow-wrap:anywhere}"
     ".equation td{border:0;padding:3px 10px 3px 0;vertical-align:middle}"
     ".equation td.owner{color:#666;font-size:14px}"
-    "@media print{section{break-inside:avoid}}"
+    "@page{size:A3;margin:9mm 0}"
+    "@media print{section,tr{break-inside:avoid}h2,h3{break-after:avoid}main{padding:0 24px}"
+    ".wide{overflow:visible}pre{white-space:pre-wrap}.modebar{display:none!important}}"
 )
