@@ -8,7 +8,7 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import branches, frame, panels, python_text, studies, unseen
+from spiral.app import branches, frame, panels, python_text, studies, tour, unseen
 from spiral.app.address import Address, written
 from spiral.app.figures import Figures
 from spiral.app.missing import OWN, Missing
@@ -24,7 +24,7 @@ TABS = (
     ("Measured and model", ("free_run",)),
     ("Where it fails", ("where", "amplitude")),
     ("Missing force", ("missing_force", "surface", "unknown", "memory")),
-    ("Spectra", ("orbit", "bode", "waterfall", "whirl")),
+    ("Spectra", ("orbit", "bode", "polar", "waterfall", "whirl")),
     ("Residual", ("correlation",)),
     ("Hidden states", ("hidden",)),
     ("Evidence", ("evidence",)),
@@ -116,6 +116,7 @@ class StudyView:
         ranked = turn is not None and turn.candidates is not None
         return [
             ("working", self._working, busy),
+            ("tour", self._tour, (study.tour, key, ranked, bool(busy))),
             ("trouble", self._trouble, (study.trouble, bool(study.turns or busy))),
             ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor,
                                 study.note)),
@@ -145,6 +146,17 @@ class StudyView:
             ui.button("Cancel", on_click=self._cancel).props(
                 "outline dense color=negative padding='2px 12px'")  # fmt: skip
         ui.linear_progress(busy.share, show_value=False, size="5px").props("instant-feedback")
+
+    def _tour(self, scene: Scene) -> None:
+        turn = scene.study.turn
+        serial = 0 if turn is None else turn.serial
+
+        def where() -> None:
+            self.tab = WHERE
+            self.again("figures")
+
+        tour.draw(scene, where,
+                  lambda e: self._ask(lambda: self.session.add(self.ident, e, serial)))  # fmt: skip
 
     def _trouble(self, scene: Scene) -> None:
         """The last message; one about an own formula stands beside its field."""
@@ -306,6 +318,7 @@ def study_page(session: Session, ident: str, at: Address) -> None:
         view.regions["working"] = ui.element("div").style("width:100%").props('role="status"')
     view.said = ui.label("").classes("unseen").props('role="status"')
     with ui.element("div").classes("wrap"):
+        view.regions["tour"] = ui.element("div")
         view.regions["trouble"] = ui.element("div")
         with ui.element("div").classes("split").style("align-items:stretch"):
             view.regions["hero"] = ui.element("section").classes("card").style("height:100%")

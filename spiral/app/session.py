@@ -115,7 +115,7 @@ class Session:
 
     # --- what may be asked -----------------------------------------------------------------------
 
-    def create(self, title: str, overrides: tuple[str, ...]) -> str:
+    def create(self, title: str, overrides: tuple[str, ...], tour: bool = False) -> str:
         """A new study, its first fit under way; returns its name.
 
         Raises
@@ -128,7 +128,7 @@ class Session:
                     "tracking.uri on the page", "the address that the page was started with",
                     f"{URI_VARIABLE}=ADDRESS spiral app",
                 )  # fmt: skip
-        study = kept.new_study(self.out, title, overrides)
+        study = kept.new_study(self.out, title, overrides, tour)
         with self._lock:
             self._scenes[study.ident] = Scene(study)
         self.start(study.ident)

@@ -8,7 +8,7 @@ from html import escape
 
 from nicegui import ui
 
-from spiral.app import frame, panels, studies
+from spiral.app import frame, panels, studies, tour
 from spiral.app.drop_zone import drop_script, drop_zone
 from spiral.app.session import Session
 from spiral.io.readers.files import find_file
@@ -26,6 +26,7 @@ def start_page(session: Session) -> None:
             "physical effect is missing, add it, and watch the error fall.</p>",
             sanitize=False,
         )
+        _tour(session)
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Begin with an embedded record</h2>", sanitize=False)
             known_presets = presets()
@@ -41,6 +42,17 @@ def start_page(session: Session) -> None:
             _path(session)
         frame.local_plugins(session)
         studies.listed(session)
+
+
+def _tour(session: Session) -> None:
+    def begin() -> None:
+        ui.navigate.to(f"/study/{tour.begin(session)}")
+
+    with ui.row().classes("items-center gap-2"):
+        button = ui.button("Take the tour", icon="play_arrow", on_click=begin)
+        button.props("unelevated color=primary")
+        said = "A rotor in about two minutes: one button to click, and what you see in words."
+        ui.html(f"<span class='soft'>{said}</span>", sanitize=False)
 
 
 def _path(session: Session) -> None:

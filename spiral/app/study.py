@@ -82,7 +82,8 @@ class Study:
     ``own`` are candidates that a formula of the user's defines, among the overrides; ``example``
     is such a formula that works here, and what one may name. ``trouble`` is the last message, and
     at which order it arose; ``note`` what a person wrote of the study;
-    ``program`` what its overrides ask for, as ``python_text.asked`` has it.
+    ``program`` what its overrides ask for, as ``python_text.asked`` has it; ``tour`` whether it
+    tells what to do next.
     """
 
     ident: str
@@ -99,6 +100,7 @@ class Study:
     example: Mapping[str, Any] = field(default_factory=dict)
     note: str = ""
     program: Mapping[str, Any] = field(default_factory=dict)
+    tour: bool = False
 
     @property
     def turn(self) -> Turn | None:
@@ -175,7 +177,7 @@ def moved(study: Study, serial: int) -> Study:
     return replace(study, at=at, trouble=None)
 
 
-def new_study(out: Path, title: str, overrides: tuple[str, ...]) -> Study:
+def new_study(out: Path, title: str, overrides: tuple[str, ...], tour: bool = False) -> Study:
     """A study on disk that has done nothing yet.
 
     Raises
@@ -184,7 +186,8 @@ def new_study(out: Path, title: str, overrides: tuple[str, ...]) -> Study:
     """
     now = datetime.now(UTC)
     there = (p.name for p in (out / FOLDER).glob("*"))
-    study = Study(new_run_id(now, there), title, overrides, now.isoformat(timespec="seconds"))
+    ident, begun = new_run_id(now, there), now.isoformat(timespec="seconds")
+    study = Study(ident, title, overrides, begun, tour=tour)
     try:
         place(out, study.ident).mkdir(parents=True)
         save(out, study)

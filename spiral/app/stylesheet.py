@@ -146,6 +146,8 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 #studies {{ margin-top:10px; }} .dialog {{ width:min(520px,92vw); }}
 .own-note {{ margin-top:12px; white-space:pre-wrap; overflow-wrap:anywhere;
   border-left:3px solid var(--line); padding-left:10px; }}
+.tour {{ border-color:var(--blue); border-width:2px; }} .tour p {{ margin:0 0 10px;
+  font-size:15.5px; line-height:1.5; max-width:100ch; }}
 .drags {{ margin:12px 0 4px; border:1px solid var(--line); }}
 .stretches {{ display:flex; flex-wrap:wrap; gap:8px; align-items:center; font-size:14px;
   margin:2px 0 6px; }}
