@@ -48,10 +48,10 @@ def _tour(session: Session) -> None:
     def begin() -> None:
         ui.navigate.to(f"/study/{tour.begin(session)}")
 
-    with ui.row().classes("items-center gap-2"):
+    with ui.row().style("align-items:center;gap:12px"):
         button = ui.button("Take the tour", icon="play_arrow", on_click=begin)
         button.props("unelevated color=primary")
-        said = "A rotor in about two minutes: one button to click, and what you see in words."
+        said = "A rotor in two to three minutes: one button to click, and what you see in words."
         ui.html(f"<span class='soft'>{said}</span>", sanitize=False)
 
 

@@ -21,6 +21,7 @@ STYLE = f"""
   .js-plotly-plot .main-svg {{ filter:invert(1) hue-rotate(180deg); }}
   .js-plotly-plot .main-svg image {{ filter:invert(1) hue-rotate(180deg); }}
   .js-plotly-plot .main-svg .cbfills {{ filter:invert(1) hue-rotate(180deg); }}
+  .js-plotly-plot .main-svg .js-fill[style*="rgb(255, 255, 255)"] {{ fill:#dbe0e6 !important; }}
   .js-plotly-plot .modebar-btn path {{ fill:#a9b2bd !important; }}
 }}
 :focus-visible {{ outline:3px solid var(--ring) !important; outline-offset:2px; }}

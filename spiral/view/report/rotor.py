@@ -119,7 +119,7 @@ def waterfall(curves: Curves, record: int) -> go.Figure | None:
         return None
     channels, about = curves.meta["channels"], curves.meta["records"][record]
     factor, unit = scaled(channels[0]["unit"], y)
-    figure = blank(1, len(channels), 560, horizontal_spacing=0.1)
+    figure = blank(1, len(channels), 560, horizontal_spacing=0.13)
     for j, channel in enumerate(channels):
         found = _sliced(y[:, j : j + 1], about["dt"])
         over = _over(found, about, speed)
@@ -131,9 +131,8 @@ def waterfall(curves: Curves, record: int) -> go.Figure | None:
             _orders(figure, over, (1, 2, 3), top, 1, j + 1)
         figure.update_xaxes(title_text="frequency (Hz)", range=[0, top], row=1, col=j + 1)
         name = "speed (rpm)" if speed is not None else "time (s)"
-        peak = f"highest peak {float(size.max()):.3g} {unit}"
-        figure.update_yaxes(title_text=f"{name}; amplitude of {channel['name']}, {peak}",
-                            row=1, col=j + 1)  # fmt: skip
+        peak = f"{channel['name']} up to {float(size.max()):.3g} {unit}"
+        figure.update_yaxes(title_text=f"{name}; {peak}", row=1, col=j + 1)
     return figure
 
 
@@ -182,7 +181,7 @@ def _whirling(figure: Any, y: Array, speed: Array, about: Any, top: float) -> fl
     shown = np.abs(axis) <= top
     _ridges(figure, axis[shown], np.array(rows)[:, shown], over, 2, 1)
     _orders(figure, over, (-2, -1, 1, 2), top, 2, 1)
-    figure.update_yaxes(title_text="speed (rpm); amplitude", row=2, col=1)
+    figure.update_yaxes(title_text="speed (rpm)", row=2, col=1)
     return top
 
 
