@@ -10,18 +10,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from spiral.app.record_setup import safe
 from spiral.app.session import Session
 from spiral.app.study import Turn
 from spiral.app.viewer import Viewer
+from spiral.app.whole import archived
 from spiral.io.export.kinds import KINDS, export
 from spiral.io.storage import own_file, run_folder
 from spiral.io.tracking.store import Tracking
 from spiral.types.errors import ConfigError, SpiralError
+from spiral.view.report.pictures import printed
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
-REPORT = "report.html"
+REPORT, PRINTED = "report.html", "report.pdf"
 _TRACKED = re.compile(r"experiments/\w+/runs/\w+", re.ASCII)
 
 
@@ -36,6 +39,15 @@ def routes(web: FastAPI, session: Session, viewer: Viewer) -> None:
         except SpiralError as error:
             return PlainTextResponse(str(error), status_code=404)
         return FileResponse(file, filename=f"{file.parent.name}-{name}")
+
+    @web.get("/whole/{ident}")
+    async def _whole(ident: str) -> Any:
+        try:
+            study = session.scene(ident).study
+            file = await asyncio.to_thread(archived, session.out, study)
+        except SpiralError as error:
+            return PlainTextResponse(str(error), status_code=404)
+        return FileResponse(file, filename=f"{safe(study.title)}.zip")
 
     @web.get("/mlflow/{ident}/{serial}")
     async def _mlflow(ident: str, serial: int) -> Any:
@@ -60,7 +72,7 @@ def written(session: Session, ident: str, serial: int, name: str) -> Path:
     """
     turn = _saved(session, ident, serial)
     exports = {f"model{kind.suffix}": to for to, kind in KINDS.items()}
-    known = (REPORT, *exports, "run.json")
+    known = (REPORT, PRINTED, *exports, "run.json")
     if name not in known:
         raise ConfigError(f"file {name}", f"one of {', '.join(known)}")
     file = own_file(run_folder(session.out, turn.run_id), name)
@@ -71,6 +83,8 @@ def written(session: Session, ident: str, serial: int, name: str) -> Path:
         from spiral.io.writing import write_whole
 
         write_whole(file, _report(session, turn))
+    if name == PRINTED:
+        return printed(_report(session, turn), file)
     return file
 
 

@@ -46,5 +46,5 @@ def draw(
 _COMPARED = ("amplitude", "missing_force")
 _ORDER = (
     *FIRST, "missing_force", "surface", "unknown", "memory", "evidence", "coefficients", "orbit",
-    "bode", "waterfall", "whirl", "correlation", "hidden", "campbell",
+    "bode", "polar", "waterfall", "whirl", "correlation", "hidden", "campbell",
 )  # fmt: skip

@@ -9,16 +9,28 @@ from spiral.app.upload import MOST, too_large
 READS = "CSV and other text, Parquet, MATLAB, NPZ, HDF5, UFF, TDMS"
 
 
-def drop_zone() -> None:
-    """A file chosen or dropped here goes to ``/upload``, and the page follows it."""
+def drop_zone(beside: str = "") -> None:
+    """A file chosen or dropped here goes to ``/upload``, and the page follows it.
+
+    ``beside`` is the setup of another file of the same machine, which this one joins.
+    """
+    head = "Drop a file here, or click to choose one"
+    said = f"{READS}; at most {MOST / 1e9:.3g} GB. It stays on this machine."
+    if beside:
+        head = "Drop another file of this machine, or click to choose one"
+        said = "With the same columns: the test record, or more to fit."
     ui.html(
-        '<label class="drop" id="drop" tabindex="0"><input type="file" id="drop-file">'
-        f"<b>Drop a file here, or click to choose one</b><span>{escape(READS)}; at most "
-        f'{MOST / 1e9:.3g} GB. It stays on this machine.</span><progress id="drop-share" max="1" '
+        f'<label class="drop" id="drop" tabindex="0" data-beside="{escape(beside)}">'
+        f'<input type="file" id="drop-file"><b>{head}</b>'
+        f'<span>{escape(said)}</span><progress id="drop-share" max="1" '
         'value="0" hidden></progress></label>'
         '<div class="trouble" id="drop-trouble" role="alert" hidden></div>',
         sanitize=False,
     )
+
+
+def drop_script() -> None:
+    """The script behind ``drop_zone``: once for a page, before it is sent."""
     error = too_large(None).as_dict()
     ui.add_body_html(
         "<script>"
@@ -54,7 +66,8 @@ _SCRIPT = r"""
     request.onload = () => {
       let answer = {};
       try { answer = JSON.parse(request.responseText); } catch { answer = {}; }
-      if (answer.page) location.href = answer.page;
+      if (answer.page && location.pathname === answer.page) share.hidden = true;
+      else if (answer.page) location.href = answer.page;
       else tell(answer.error || {given: `the file was refused (${request.status})`,
                                  expected: "a file of measurements", try: "another file"});
     };
@@ -62,6 +75,7 @@ _SCRIPT = r"""
                                   try: "drop it again; is the program still running?"});
     request.open("POST", "/upload");
     request.setRequestHeader("x-file-name", encodeURIComponent(file.name));
+    request.setRequestHeader("x-file-beside", at("drop").dataset.beside);
     request.send(file);
   };
   const inside = (e) => e.target.closest && e.target.closest("#drop");

@@ -15,6 +15,7 @@ from spiral.types.errors import InputError
 
 if TYPE_CHECKING:
     from spiral.types.model import Model
+    from spiral.types.system import System
 
 PICTURE = "columns.json"
 _DRAWN = 6  # columns in the picture
@@ -22,7 +23,11 @@ _FIRST = 3  # numbers that are shown of each
 _MOST = 200  # columns that are listed
 
 
-def describe_file(order: Mapping[str, Any], tell: Callable[[str, Mapping[str, Any]], None]) -> None:
+Order = Mapping[str, Any]
+Tell = Callable[[str, Mapping[str, Any]], None]
+
+
+def describe_file(order: Order, tell: Tell) -> None:
     """Read a file, tell its columns and the systems there are, and draw it.
 
     Raises
@@ -99,17 +104,34 @@ def _systems(plugins: str | None) -> list[dict[str, Any]]:
     from spiral.io.system_files import PLUGINS
 
     registry = load_registry(plugins)
-    found = []
-    for name in (n for n in registry.names("system") if n not in PLUGINS.values()):
-        system = registry.make("system", name)
-        channels = [{"name": c, "unit": system.unit_of(c)} for c in system.observed]
-        inputs = [
-            {"name": i.name, "unit": i.unit, "required": i.derived_from is None}
-            for i in system.inputs
-        ]
-        found.append({"name": name, "meaning": system.meaning(), "channels": channels,
-                      "inputs": inputs})  # fmt: skip
-    return found
+    names = [n for n in registry.names("system") if n not in PLUGINS.values()]
+    return [_described(registry.make("system", n), n) for n in names]
+
+
+def _described(system: System, name: str) -> dict[str, Any]:
+    """A system with what it needs to be told; ``name`` is what the command line calls it."""
+    channels = [{"name": c, "unit": system.unit_of(c)} for c in system.observed]
+    inputs = [
+        {"name": i.name, "unit": i.unit, "required": i.derived_from is None} for i in system.inputs
+    ]
+    return {"name": name, "meaning": system.meaning(), "channels": channels, "inputs": inputs}
+
+
+def read_equations(order: Order, tell: Tell) -> None:
+    """Read a file of equations and tell the system that it makes.
+
+    Raises
+    ------
+    ConfigError : equations that cannot be read, or units that do not go together.
+    """
+    from spiral.io.registry import load_registry
+    from spiral.physics.formulas.equations import equations_of
+
+    path = order["path"]
+    system: Any = load_registry(None).make("system", "equations", {"path": path})
+    found = _described(system, path)
+    said = equations_of(system.text).definition.title
+    tell("system", {"system": {**found, "meaning": said, "own": True}})
 
 
 def described_model(model: Model) -> dict[str, Any]:

@@ -17,7 +17,8 @@ from typing import Any
 
 from spiral.app.drawing import FIRST, draw
 from spiral.app.own_effect import example
-from spiral.app.side_steps import drawn_why, planned
+from spiral.app.python_text import asked
+from spiral.app.side_steps import drawn_why, keep, planned
 from spiral.app.study import turn_place
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.discover import Checkpoint
@@ -67,6 +68,7 @@ class FitWorker:
     strategy: Strategy | None = None
     begun: Begun | None = None
     overrides: tuple[str, ...] = ()
+    program: Mapping[str, Any] = field(default_factory=dict)
     standing: dict[int, tuple[Checkpoint, Step]] = field(default_factory=dict)
     tried: dict[tuple[int, str], Checkpoint] = field(default_factory=dict)
 
@@ -75,6 +77,12 @@ class FitWorker:
         from spiral.app import file_preview
 
         file_preview.describe_file(order, self.tell)
+
+    def read_equations(self, order: Order) -> None:
+        """The system that a text of equations makes."""
+        from spiral.app import file_preview
+
+        file_preview.read_equations(order, self.tell)
 
     def _loaded(self, order: Order) -> Registry:
         """All plugins as they are now; files that cannot be used are told."""
@@ -185,10 +193,9 @@ class FitWorker:
             began = time.perf_counter()
             self._progress(f"refitting with {effect}")
             step = chosen(self._strategy(), self._assembly(), at, step, effect)
-            self.tried[base, effect] = turned(
-                self._strategy(), self._assembly(), at, step, self._progress,
-                time.perf_counter() - began,
-            )  # fmt: skip
+            at = turned(self._strategy(), self._assembly(), at, step, self._progress,
+                        time.perf_counter() - began)  # fmt: skip
+            keep(self.tried, (base, effect), at)
         return self.tried[base, effect]
 
     def _open(self, order: Order) -> None:
@@ -210,6 +217,7 @@ class FitWorker:
         config = compose(overrides, self.registry)
         self.registry = bound(config, self.registry)
         self.problem = build_problem(config, self.registry)
+        self.program = asked(config, self.registry)
         self.strategy = strategy_for(self.problem)
         if not self.strategy.by_hand:
             raise ConfigError(f"strategy={self.strategy.plugin_name()} on the page",
@@ -224,7 +232,8 @@ class FitWorker:
 
         assert self.problem is not None
         found = {"records": finite(described(self.problem))}
-        self.tell("records", {**found, "example": example(self.problem.model.system)})
+        found |= {"example": example(self.problem.model.system), "program": self.program}
+        self.tell("records", found)
 
     def _begun(self) -> Begun:
         if self.begun is None:
@@ -241,7 +250,8 @@ class FitWorker:
             folder = turn_place(self.out, self.ident, serial)
             at = read_checkpoint(folder / STATE, self.registry)
             at = _placed(at, folder, self._assembly())
-            self.standing[serial] = looked(self._strategy(), self._assembly(), at, self._progress)
+            found = looked(self._strategy(), self._assembly(), at, self._progress)
+            keep(self.standing, serial, found)
         return self.standing[serial]
 
     def _arrived(self, order: Order, at: Checkpoint, effect: str) -> None:
@@ -282,7 +292,7 @@ class FitWorker:
     def _look(self, serial: int, at: Checkpoint) -> None:
         self._progress("ranking what may be missing")
         at, step = looked(self._strategy(), self._assembly(), at, self._progress)
-        self.standing[serial] = (at, step)
+        keep(self.standing, serial, (at, step))
         assert self.registry is not None
         write_checkpoint(at, turn_place(self.out, self.ident, serial) / STATE, self.registry)
         self._told(at, step)

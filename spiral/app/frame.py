@@ -18,6 +18,7 @@ from spiral.app.stylesheet import STYLE
 from spiral.io.export.kinds import KINDS
 from spiral.types.errors import SpiralError
 from spiral.view.report.mathfont import math_style
+from spiral.view.report.pictures import browser
 from spiral.view.report.style import BLUE
 from spiral.view.terminal.shell import option_lines
 
@@ -166,6 +167,8 @@ def links(session: Session, scene: Scene) -> None:
             ui.menu_item(said, lambda: ui.navigate.to(to)).props('role="menuitem"')
 
         item("report.html", "Report, one HTML file")
+        if browser() is not None:
+            item("report.pdf", "Report, PDF")
         item("run.json", "All numbers (JSON)")
         ui.separator()
         ui.item_label("The model as").props('header role="presentation"')

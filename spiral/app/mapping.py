@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any
 
 from nicegui import ui
 
-from spiral.app import frame, model_setup, panels
+from spiral.app import equations, frame, model_setup, panels
 from spiral.app import record_setup as kept
+from spiral.app.data_desk import Desk, foresight
+from spiral.app.drop_zone import drop_script
 from spiral.app.file_preview import PICTURE
 from spiral.app.file_setup import OpenFile
 from spiral.app.record_setup import Choice, RecordSetup
@@ -36,37 +38,41 @@ class Form:
     drawn: dict[str, Any] = field(default_factory=dict)
     regions: dict[str, ui.element] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        self.desk = Desk(self.session, self.ident, self._change)
+
     def look(self) -> None:
         """Draw what has changed."""
         opened = self.session.file_setup.look(self.ident)
         if opened.version == self.version:
             return
         self.version = opened.version
-        setup = opened.setup
-        for name, build, depends in (
-            ("state", self._state, (opened.busy, setup.trouble)),
-            ("columns", self._columns, len(setup.columns)),
-            (
-                "form",
-                self._form,
-                (len(setup.columns), setup.choice.system, setup.choice.time),
-            ),
-            (
-                "model",
-                self._model,
-                (
-                    tuple(r["key"] for r in setup.model.get("parameters", ())),
-                    setup.choice.without,
-                ),
-            ),
-            ("seen", self._seen, (setup.seen, setup.choice, opened.busy, setup.trouble)),
-        ):
+        for name, build, depends in self._parts(opened):
             if name in self.drawn and self.drawn[name] == depends:
                 continue
             self.drawn[name] = depends
             self.regions[name].clear()
             with self.regions[name]:
                 build(opened)
+        choice = opened.setup.choice
+        stretches = (choice.fit_rows, choice.test_rows)
+        if self.drawn.get("stretches", ((), ())) != stretches:
+            self.desk.mark()
+        self.drawn["stretches"] = stretches
+
+    def _parts(self, opened: OpenFile) -> list[tuple[str, Callable[[OpenFile], None], Any]]:
+        setup, columns = opened.setup, len(opened.setup.columns)
+        named = tuple(r["key"] for r in setup.model.get("parameters", ()))
+        return [
+            ("state", self._state, (opened.busy, setup.trouble)),
+            ("columns", self._columns, columns),
+            ("form", self._form, (columns, setup.choice.system, setup.choice.time,
+                                  setup.trouble if equations.wrong(setup) else None)),
+            ("model", self._model, (named, setup.choice.without)),
+            ("records", self._records, (bool(columns), setup.others)),
+            ("seen", self._seen, (setup.seen, setup.choice, opened.busy, setup.trouble,
+                                  setup.foresight, opened.foreseeing)),
+        ]  # fmt: skip
 
     def _state(self, opened: OpenFile) -> None:
         if opened.busy:
@@ -75,7 +81,7 @@ class Form:
                 ui.label(opened.busy + " …").classes("words")
                 ui.button("Cancel", on_click=self._cancel).props(
                     "outline dense color=negative padding='2px 12px'")  # fmt: skip
-        if opened.setup.trouble:
+        if opened.setup.trouble and not equations.wrong(opened.setup):
             with frame.told(opened.setup.trouble):
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
@@ -127,23 +133,29 @@ class Form:
         if setup.drawn:
             data = frame.figure_of(kept.place(self.session.out, self.ident) / PICTURE)
             if data is not None:
-                frame.plot(data, "columns", f"The first columns of {setup.name}, row by row")
+                self.desk.picture(data)
+
+    def _records(self, opened: OpenFile) -> None:
+        if opened.setup.columns:
+            self.desk.files()
 
     def _form(self, opened: OpenFile) -> None:
         setup = opened.setup
         if not setup.systems:
             return
         ui.html("<h2 class='head'>What is what</h2>", sanitize=False)
-        known = {s["name"]: panels.words(s["name"]) for s in setup.systems}
+        known = {s["name"]: "equations of your own" if s.get("own") else panels.words(s["name"])
+                 for s in setup.systems}  # fmt: skip
         chosen = setup.choice.system or None
         ui.select(known, value=chosen, label="System: the physics that is known",
                   on_change=lambda e: self._change(system=e.value)).props(
             "outlined dense").classes("w-full")  # fmt: skip
+        equations.draw(setup, functools.partial(self.session.file_setup.write, self.ident))
         system = setup.system()
         if system is None:
             ui.html("<p class='soft' style='margin-top:8px'>" + "<br>".join(
                 f"<b>{escape(panels.words(s['name']))}</b>: {panels.meaning(s['meaning'])}"
-                for s in setup.systems) + "</p>", sanitize=False)  # fmt: skip
+                for s in setup.systems if not s.get("own")) + "</p>", sanitize=False)  # fmt: skip
             return
         said = f"<p class='soft' style='margin-top:6px'>{panels.meaning(system['meaning'])}</p>"
         ui.html(said, sanitize=False)
@@ -153,11 +165,12 @@ class Form:
                 self._series(setup, series, "measured")
             for series in system["inputs"]:
                 self._series(setup, series, "input" if series["required"] else "input, if measured")
-        with ui.expansion("More: rows, offsets, candidates, the system's fields",
+        self.desk.instruments()
+        with ui.expansion("More: offsets, gaps, rates, candidates, the system's fields",
                           value=bool(setup.choice.more)).classes("w-full"):  # fmt: skip
             ui.textarea(
                 "One KEY=VALUE on each line, as on the command line", value=setup.choice.more,
-                placeholder="record.rows=[0,5000]\nholdout=0.3",
+                placeholder="record.offset={x: 0.01}\nholdout=0.3",
                 on_change=lambda e: self._change(more=e.value or ""),
             ).props("outlined dense debounce=900").classes("w-full")  # fmt: skip
 
@@ -246,6 +259,7 @@ class Form:
             ui.html(f"<p class='soft' style='margin-top:8px' id='apart'>{escape(said)}</p>",
                     sanitize=False)  # fmt: skip
             self._quiet(setup)
+            ui.html(foresight(setup.foresight, opened.foreseeing), sanitize=False)
         begin = ui.button("Compare with the model", icon="play_arrow", on_click=self._begin)
         begin.props("unelevated color=primary").style("margin-top:12px")
         begin.set_enabled(bool(setup.seen) and not setup.trouble)
@@ -290,6 +304,7 @@ def file_page(session: Session, ident: str) -> None:
         frame.nothing_here(error)
         return
     form = Form(session, ident)
+    drop_script()
     with frame.bar(opened.setup.name):
         pass
     with ui.element("div").classes("wrap"):
@@ -297,6 +312,7 @@ def file_page(session: Session, ident: str) -> None:
         with ui.element("div").classes("split"):
             with ui.element("div").style("display:flex;flex-direction:column;gap:18px;min-width:0"):
                 form.regions["form"] = ui.element("section").classes("card")
+                form.regions["records"] = ui.element("section").classes("card")
                 form.regions["seen"] = ui.element("section").classes("card")
             with ui.element("div").style("display:flex;flex-direction:column;gap:18px;min-width:0"):
                 form.regions["columns"] = ui.element("section").classes("card")

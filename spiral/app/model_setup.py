@@ -40,7 +40,7 @@ def draw(setup: RecordSetup, now: Callable[[], Choice], change: Change) -> None:
             box = ui.switch(panels.words(label), value=label not in setup.choice.without)
             box.on_value_change(functools.partial(switch, label))
             ui.html(panels.meaning(effect["meaning"]), sanitize=False).classes("soft")
-    with ui.element("div").classes("parameters"):
+    with ui.element("div").classes("wide"), ui.element("div").classes("parameters"):
         for head in ("parameter", "value (SI)", "unit", "bounds", "found by the fit"):
             ui.html(f"<b>{head}</b>", sanitize=False)
         for row in setup.model["parameters"]:

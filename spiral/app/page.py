@@ -8,7 +8,7 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import branches, frame, panels, unseen
+from spiral.app import branches, frame, panels, python_text, studies, tour, unseen
 from spiral.app.address import Address, written
 from spiral.app.figures import Figures
 from spiral.app.missing import OWN, Missing
@@ -24,7 +24,7 @@ TABS = (
     ("Measured and model", ("free_run",)),
     ("Where it fails", ("where", "amplitude")),
     ("Missing force", ("missing_force", "surface", "unknown", "memory")),
-    ("Spectra", ("orbit", "bode", "waterfall", "whirl")),
+    ("Spectra", ("orbit", "bode", "polar", "waterfall", "whirl")),
     ("Residual", ("correlation",)),
     ("Hidden states", ("hidden",)),
     ("Evidence", ("evidence",)),
@@ -68,7 +68,11 @@ class StudyView:
         return self.session.scene(self.ident)
 
     def look(self) -> None:
-        """Draw what has changed since the last look."""
+        """Draw what has changed since the last look; away, where the study was deleted."""
+        if not self.session.there(self.ident):
+            with self.client:
+                ui.navigate.to("/")
+            return
         scene = self.scene()
         if scene.version == self.version:
             return
@@ -112,8 +116,10 @@ class StudyView:
         ranked = turn is not None and turn.candidates is not None
         return [
             ("working", self._working, busy),
+            ("tour", self._tour, (study.tour, key, ranked, bool(busy))),
             ("trouble", self._trouble, (study.trouble, bool(study.turns or busy))),
-            ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor)),
+            ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor,
+                                study.note)),
             (FALLING, self._falling, (tuple(t.serial for t in study.line), study.noise_floor)),
             ("missing", self.missing.build,
              (key, ranked, bool(busy), scene.contrast, scene.plan, turn.trials if turn else None,
@@ -122,10 +128,10 @@ class StudyView:
              None if turn is None else
              (key, turn.figures, turn.sentence, len(turn.equation), bool(turn.figures or busy))),
             ("beside", self.beside.build, tuple(t.serial for t in study.turns)),
-            ("data", self._data, (len(study.records), key)),
-            ("links", self._links,
-             None if turn is None else (key, turn.run_id, turn.tracked, turn.untracked,
-                                        ranked, key in scene.writing)),
+            ("data", self._data, (len(study.records), key, turn.run_id if turn else "")),
+            ("links", self._links, study.title if turn is None else
+             (study.title, key, turn.run_id, turn.tracked, turn.untracked, ranked,
+              key in scene.writing)),
         ]  # fmt: skip
 
     # --- regions ---------------------------------------------------------------------------------
@@ -140,6 +146,17 @@ class StudyView:
             ui.button("Cancel", on_click=self._cancel).props(
                 "outline dense color=negative padding='2px 12px'")  # fmt: skip
         ui.linear_progress(busy.share, show_value=False, size="5px").props("instant-feedback")
+
+    def _tour(self, scene: Scene) -> None:
+        turn = scene.study.turn
+        serial = 0 if turn is None else turn.serial
+
+        def where() -> None:
+            self.tab = WHERE
+            self.again("figures")
+
+        tour.draw(scene, where,
+                  lambda e: self._ask(lambda: self.session.add(self.ident, e, serial)))  # fmt: skip
 
     def _trouble(self, scene: Scene) -> None:
         """The last message; one about an own formula stands beside its field."""
@@ -168,6 +185,8 @@ class StudyView:
             ui.html(panels.channels(study.turn, units), sanitize=False).style("margin-top:10px")
         branches.steps(scene, self._move)
         branches.tree(scene, self._move)
+        if study.note:
+            ui.label(study.note).classes("soft own-note").props["id"] = "note"
 
     def _step(self, scene: Scene, turn: Turn) -> None:
         """What the last step did to predictions of unseen data; undone with one click."""
@@ -245,16 +264,21 @@ class StudyView:
 
     def _data(self, scene: Scene) -> None:
         study = scene.study
-        with ui.expansion("The data, and how to do this on the command line").classes("w-full"):
+        with ui.expansion("The data, and this as a command and in Python").classes("w-full"):
             if study.records:
                 ui.html(panels.records(study.records), sanitize=False)
             frame.local_plugins(self.session)
             ui.html("<p class='soft' style='margin:12px 0 4px'>The same from a terminal:</p>",
                     sanitize=False)  # fmt: skip
             frame.code(frame.command(study))
+            text = python_text.program(study, self.session.out)
+            if text:
+                ui.html("<p class='soft' style='margin:12px 0 4px'>In Python:</p>", sanitize=False)
+                frame.code(text)
 
     def _links(self, scene: Scene) -> None:
         frame.links(self.session, scene)
+        studies.menu(self.session, scene.study, ui.navigate.reload, lambda: None)
 
     # --- clicks ----------------------------------------------------------------------------------
 
@@ -294,6 +318,7 @@ def study_page(session: Session, ident: str, at: Address) -> None:
         view.regions["working"] = ui.element("div").style("width:100%").props('role="status"')
     view.said = ui.label("").classes("unseen").props('role="status"')
     with ui.element("div").classes("wrap"):
+        view.regions["tour"] = ui.element("div")
         view.regions["trouble"] = ui.element("div")
         with ui.element("div").classes("split").style("align-items:stretch"):
             view.regions["hero"] = ui.element("section").classes("card").style("height:100%")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError
 
 FILE = "setup.json"
+FIT, TEST = "fit", "test"
 _ID = re.compile(r"[0-9a-f-]{8,40}")
 _ADVISED = re.compile(  # a key of the command line with a value, and no word that stands for one
     r"\b((?:record|system)\.\w+|holdout_blocks)=((?![A-Z_]+\b)(?:'[^']*'|[^\s',;]*[^\s',;.]))"
@@ -36,6 +37,9 @@ class Choice:
 
     ``columns`` and ``units`` are by the system's own names; ``without`` are effects of the seed
     that are left out; ``values`` and ``free`` (found by the fit or not) are by full parameter name.
+    ``fit_rows`` and ``test_rows`` are first row and end of what is fitted and of the test, all rows
+    where empty; ``hold`` says by input how it runs between samples; ``pulse`` is the column of a
+    once-per-turn pulse, ``rotation`` a shaft's sense, ``angles`` degrees of probes by channel.
     """
 
     system: str = ""
@@ -47,6 +51,12 @@ class Choice:
     without: tuple[str, ...] = ()
     values: Mapping[str, str] = field(default_factory=dict)
     free: Mapping[str, bool] = field(default_factory=dict)
+    fit_rows: tuple[int, ...] = ()
+    test_rows: tuple[int, ...] = ()
+    hold: Mapping[str, str] = field(default_factory=dict)
+    pulse: str = ""
+    rotation: str = ""
+    angles: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -56,7 +66,10 @@ class RecordSetup:
     ``systems`` describes the systems there are; ``seen`` what the last look at the mapped record
     came to; ``drawn`` whether a picture of the columns is there; ``model`` what the
     model holds (``file_preview.described_model``); ``separator`` and ``decimal`` how
-    a text file writes columns and fractions, where that had to be said.
+    a text file writes columns and fractions, where that had to be said; ``others`` are further
+    files of the same machine (path, name, use: fit or test); ``equations`` the text of a system of
+    one's own, which then stands last among the systems as ``own``; ``foresight`` is whether the
+    record can tell effects apart (``foresight.foreseen``), empty until that is known.
     """
 
     ident: str
@@ -72,6 +85,14 @@ class RecordSetup:
     model: Mapping[str, Any] = field(default_factory=dict)
     separator: str = ""
     decimal: str = ""
+    others: tuple[Mapping[str, str], ...] = ()
+    equations: str = ""
+    foresight: Mapping[str, Any] = field(default_factory=dict)
+
+    def files(self, use: str) -> list[str]:
+        """Paths of the files to fit, or of those to test."""
+        own = [self.path] if use == FIT else []
+        return own + [o["path"] for o in self.others if o["use"] == use]
 
     def system(self) -> Mapping[str, Any] | None:
         """The system chosen."""
@@ -211,7 +232,8 @@ def lacking(setup: RecordSetup) -> list[str]:
     if system is None:
         return ["a system"]
     needed = [s["name"] for s in system["channels"]]
-    needed += [s["name"] for s in system["inputs"] if s["required"]]
+    turned = {"speed"} if choice.pulse else set()  # a pulse tells the speed
+    needed += [s["name"] for s in system["inputs"] if s["required"] and s["name"] not in turned]
     found = [f"a column for {n}" for n in needed if not choice.columns.get(n)]
     if not choice.time and not choice.rate.strip():
         found.append("a column of time, or the sample rate")
@@ -223,7 +245,10 @@ def overrides(setup: RecordSetup) -> tuple[str, ...]:
     choice, system = setup.choice, setup.system()
     assert system is not None
     channels = {s["name"] for s in system["channels"]}
-    given = [f"system={choice.system}", "record=file", f"record.path={quoted(setup.path)}"]
+    named = quoted(choice.system) if system.get("own") else choice.system
+    given = [f"system={named}", "record=file"]
+    given += [_paths(part, setup.files(use)) for part, use in (("record", FIT), ("test", TEST))
+              if setup.files(use)]  # fmt: skip
     if choice.time:
         given.append(f"record.time={quoted(choice.time)}")
     else:
@@ -241,7 +266,7 @@ def overrides(setup: RecordSetup) -> tuple[str, ...]:
         if part:
             inside = ", ".join(f"{k}: {quoted(v)}" for k, v in part.items())
             given.append(f"record.{key}={{{inside}}}")
-    given += _of_the_model(choice)
+    given += _of_the_series(setup) + _of_the_model(choice)
     return (*given, *(line.strip() for line in choice.more.splitlines() if line.strip()))
 
 
@@ -260,6 +285,48 @@ def with_line(more: str, line: str) -> str:
         old for old in more.splitlines() if old.strip() and old.partition("=")[0].strip() != key
     ]
     return "\n".join([*kept, line])
+
+
+def _paths(part: str, files: Sequence[str]) -> str:
+    listed = ", ".join(map(quoted, files))
+    return f"{part}.path={listed if len(files) == 1 else f'[{listed}]'}"
+
+
+def _of_the_series(setup: RecordSetup) -> list[str]:
+    """What the command line is told of rows, of inputs between samples and of a rotor's sensors."""
+    choice = setup.choice
+    found = []
+    if choice.fit_rows:
+        found.append(f"record.rows=[{','.join(map(str, choice.fit_rows))}]")
+    if choice.test_rows and not setup.files(TEST):
+        found.append(f"test.rows=[{','.join(map(str, choice.test_rows))}]")
+    hold = {k: v for k, v in choice.hold.items() if v and choice.columns.get(k)}
+    angles = {k: v.strip() for k, v in choice.angles.items() if v.strip()}
+    for key, values in (("hold", hold), ("probe_angles", angles)):
+        if values:
+            inside = ", ".join(f"{k}: {v}" for k, v in values.items())
+            found.append(f"record.{key}={{{inside}}}")
+    if choice.pulse:
+        found.append(f"record.pulse={quoted(choice.pulse)}")
+    if choice.rotation:
+        found.append(f"record.rotation={choice.rotation}")
+    return found
+
+
+def stretches(choice: Choice, use: str, first: int, stop: int, rows: int) -> Choice:
+    """A choice with a stretch of rows marked for the fit or the test; the two never overlap.
+
+    Where they would, the other keeps the longer side of what it had. Marking the test alone leaves
+    to the fit the longer side of the record.
+    """
+    first, stop = max(0, min(first, stop)), min(rows, max(first, stop))
+    mine, other = ("fit_rows", "test_rows") if use == FIT else ("test_rows", "fit_rows")
+    had = getattr(choice, other) or ((0, rows) if use == TEST else ())
+    if had:
+        sides = ((had[0], min(had[1], first)), (max(had[0], stop), had[1]))
+        best = max(sides, key=lambda s: s[1] - s[0])
+        had = best if best[1] > best[0] else ()
+    return replace(choice, **{mine: (first, stop), other: had})
 
 
 def _of_the_model(choice: Choice) -> list[str]:

@@ -53,6 +53,16 @@ class RunWriter:
         self.tell("saved", {"run_id": run_id})
         self.tell("tracked", self._track(run_id))
 
+    def foresee(self, order: Order) -> None:
+        """Whether the records can tell the model's effects and all candidates apart."""
+        from spiral.app.foresight import foreseen
+
+        self._open(order)
+        assert self.problem is not None
+        assert self.config is not None
+        assert self.registry is not None
+        self.tell("foresight", foreseen(self.problem, self.config, self.registry))
+
     def _open(self, order: Order) -> None:
         from spiral.io.config import build_problem, compose
         from spiral.io.custom import bound

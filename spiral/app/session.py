@@ -15,7 +15,7 @@ from typing import Any
 
 from spiral.app import study as kept
 from spiral.app import unseen
-from spiral.app.file_setup import DOES, FileSetup
+from spiral.app.file_setup import DOES, FORESEE, FileSetup
 from spiral.app.own_effect import overrides_of, own_name
 from spiral.app.panels import words
 from spiral.app.processes import Event, Process
@@ -27,7 +27,10 @@ from spiral.types.errors import ConfigError
 _RANKS = ("start", "add", "rank", "invent")  # orders that end with a ranking
 _OF_A_TURN = ("invent", "rank", "preview", "plan")  # orders that make no new one
 _FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send
+_LONG = 2000  # letters of a name or a note
 _PLANNED = 40  # and the judging of planned tests
+_EXPECTED = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRST,
+             "rank": _FIRST, "preview": _AGAIN, "plan": _PLANNED}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -72,18 +75,10 @@ class Session:
         self.out, self.plugins = out, plugins
         self._lock = threading.RLock()
         self._scenes: dict[str, Scene] = {}
-        self._expected = {
-            "start": _FIRST,
-            "add": _AGAIN,
-            "contrast": _AGAIN,
-            "invent": _FIRST,
-            "rank": _FIRST,
-            "preview": _AGAIN,
-            "plan": _PLANNED,
-        }
+        self._expected = dict(_EXPECTED)
         self._fits = Process("fits", out, self._on_fits)
-        self.file_setup = FileSetup(out, lambda order: self._fits.give(order), plugins, self._lock)
         self._writer = Process("writer", out, self._on_writer)
+        self.file_setup = FileSetup(out, self._give_on, self._writer.cancel, plugins, self._lock)
         self.broken: tuple[str, ...] = ()
 
     def close(self) -> None:
@@ -101,6 +96,10 @@ class Session:
         """All studies on disk, the latest first."""
         return kept.studies(self.out)
 
+    def there(self, ident: str) -> bool:
+        """Whether a study that was opened is still there."""
+        return ident in self._scenes
+
     def scene(self, ident: str) -> Scene:
         """A study as it is now.
 
@@ -116,7 +115,7 @@ class Session:
 
     # --- what may be asked -----------------------------------------------------------------------
 
-    def create(self, title: str, overrides: tuple[str, ...]) -> str:
+    def create(self, title: str, overrides: tuple[str, ...], tour: bool = False) -> str:
         """A new study, its first fit under way; returns its name.
 
         Raises
@@ -129,7 +128,7 @@ class Session:
                     "tracking.uri on the page", "the address that the page was started with",
                     f"{URI_VARIABLE}=ADDRESS spiral app",
                 )  # fmt: skip
-        study = kept.new_study(self.out, title, overrides)
+        study = kept.new_study(self.out, title, overrides, tour)
         with self._lock:
             self._scenes[study.ident] = Scene(study)
         self.start(study.ident)
@@ -224,6 +223,22 @@ class Session:
             scene = self._free(ident, serial)
             self._put(replace(scene, study=kept.moved(scene.study, to), contrast=(), plan={}))
 
+    def revise(self, ident: str, title: str, note: str) -> None:
+        """Another name of a study, where one is given, and another note."""
+        with self._lock:
+            scene = self.scene(ident)
+            title = title.strip()[:_LONG] or scene.study.title
+            self._put(replace(scene, study=replace(scene.study, title=title, note=note[:_LONG])))
+
+    def delete(self, ident: str) -> None:
+        """Delete a study at rest; the runs of its turns stay."""
+        with self._lock:
+            scene = self.scene(ident)
+            if scene.busy or scene.writing:
+                raise ConfigError("a study at work", "a study at rest", "wait, or cancel it first")
+            kept.forget(self.out, ident)
+            del self._scenes[ident]
+
     def cancel(self, ident: str) -> None:
         """End what is under way; the study stays as it was before."""
         self._fits.cancel(ident)
@@ -299,7 +314,8 @@ class Session:
         study = scene.study
         serial = _about(order)
         if kind == "records":
-            values = {"records": tuple(data["records"]), "example": data.get("example", {})}
+            values = {k: data.get(k, {}) for k in ("example", "program")}
+            values["records"] = tuple(data["records"])
             return replace(scene, study=replace(study, **values))
         if kind == "turn":
             turn = Turn(serial, data["added"], data["result"])
@@ -337,6 +353,10 @@ class Session:
         if kind == "done" and turn and turn.proposed and not turn.preview and order["do"] in _RANKS:
             self._try(scene, turn.proposed[0], turn.serial)
 
+    def _give_on(self, order: Mapping[str, Any]) -> None:
+        """An order about a file: what a person waits for to the one process, else to the other."""
+        (self._writer if order["do"] == FORESEE else self._fits).give(order)
+
     def _write(self, ident: str, serial: int) -> None:
         scene = self.scene(ident)
         self._put(replace(scene, writing=(*scene.writing, serial)), save=False)
@@ -349,6 +369,9 @@ class Session:
                 self._write(ident, turn.serial)
 
     def _on_writer(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+        if order["do"] == FORESEE:
+            self.file_setup.on_event(order, kind, data)
+            return
         with self._lock:
             scene = self.scene(order["study"])
             serial = order["serial"]

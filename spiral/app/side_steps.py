@@ -15,6 +15,7 @@ from spiral.io.writing import finite, write_whole
 from spiral.types.model import Model
 
 _SHOWN = 4  # planned tests that are told, beside the record at hand
+_KEPT = 8  # steps, and tried effects, that stay in memory: some 10 MB each
 
 
 def drawn_why(figures: Path, effect: str, before: Curves | None, after: Curves) -> bool:
@@ -48,3 +49,10 @@ def planned(
         for name, o in zip(names, (found.now, *found.tests[:_SHOWN]), strict=False)
     ]
     return finite({"effects": list(effects), "rows": rows, "advice": found.advice})
+
+
+def keep(found: dict[Any, Any], key: Any, value: Any) -> None:
+    """Keep a value among the latest few; an earlier one is made anew from disk when asked for."""
+    found[key] = value
+    for old in list(found)[:-_KEPT]:
+        del found[old]

@@ -8,15 +8,11 @@ from html import escape
 
 from nicegui import ui
 
-from spiral.app import frame, panels
-from spiral.app.drop_zone import drop_zone
+from spiral.app import frame, panels, studies, tour
+from spiral.app.drop_zone import drop_script, drop_zone
 from spiral.app.session import Session
-from spiral.app.study import Study
 from spiral.io.readers.files import find_file
 from spiral.types.errors import InputError, SpiralError
-from spiral.types.formatting import percent
-
-_LISTED = 12
 
 
 def start_page(session: Session) -> None:
@@ -30,6 +26,7 @@ def start_page(session: Session) -> None:
             "physical effect is missing, add it, and watch the error fall.</p>",
             sanitize=False,
         )
+        _tour(session)
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Begin with an embedded record</h2>", sanitize=False)
             known_presets = presets()
@@ -41,13 +38,21 @@ def start_page(session: Session) -> None:
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Or bring your own measurements</h2>", sanitize=False)
             drop_zone()
+            drop_script()
             _path(session)
         frame.local_plugins(session)
-        known = sorted(session.studies(), key=lambda study: not study.line)  # failed ones last
-        if known:
-            with ui.element("section").classes("card"):
-                ui.html("<h2 class='head'>Go on with a study</h2>", sanitize=False)
-                _studies(known[:_LISTED])
+        studies.listed(session)
+
+
+def _tour(session: Session) -> None:
+    def begin() -> None:
+        ui.navigate.to(f"/study/{tour.begin(session)}")
+
+    with ui.row().style("align-items:center;gap:12px"):
+        button = ui.button("Take the tour", icon="play_arrow", on_click=begin)
+        button.props("unelevated color=primary")
+        said = "A rotor in two to three minutes: one button to click, and what you see in words."
+        ui.html(f"<span class='soft'>{said}</span>", sanitize=False)
 
 
 def _path(session: Session) -> None:
@@ -134,22 +139,3 @@ def _choice(session: Session, name: str, said: str) -> None:
     with ui.element("button").classes("choice").props('type="button"').on("click", begin):
         title = panels.words(name).capitalize()
         ui.html(f"<b>{escape(title)}</b><span>{escape(said)}</span>", sanitize=False)
-
-
-def _studies(found: list[Study]) -> None:
-    rows = []
-    for study in found:
-        added = ", ".join(map(panels.words, study.added)) or "none yet"
-        error = percent(study.line[-1].result.get("test_error")) if study.line else "-"
-        when = study.created[:16].replace("T", " ")
-        title = f"<a class='quiet' href='/study/{study.ident}'>{escape(study.title)}</a>"
-        rows.append(
-            f"<tr><td>{title}</td><td>{escape(added)}</td><td class='n'>{escape(error)}</td>"
-            f"<td class='n'>{escape(when)} UTC</td></tr>"
-        )
-    ui.html(
-        "<div class='wide'><table class='plain'><tr><th>study</th><th>added</th>"
-        "<th class='n'>test error</th><th class='n'>begun</th></tr>" + "".join(rows)
-        + "</table></div>",
-        sanitize=False,
-    )  # fmt: skip

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
@@ -80,7 +81,9 @@ class Study:
 
     ``own`` are candidates that a formula of the user's defines, among the overrides; ``example``
     is such a formula that works here, and what one may name. ``trouble`` is the last message, and
-    at which order it arose.
+    at which order it arose; ``note`` what a person wrote of the study;
+    ``program`` what its overrides ask for, as ``python_text.asked`` has it; ``tour`` whether it
+    tells what to do next.
     """
 
     ident: str
@@ -95,6 +98,9 @@ class Study:
     noise_floor: float | None = None
     own: tuple[str, ...] = ()
     example: Mapping[str, Any] = field(default_factory=dict)
+    note: str = ""
+    program: Mapping[str, Any] = field(default_factory=dict)
+    tour: bool = False
 
     @property
     def turn(self) -> Turn | None:
@@ -171,7 +177,7 @@ def moved(study: Study, serial: int) -> Study:
     return replace(study, at=at, trouble=None)
 
 
-def new_study(out: Path, title: str, overrides: tuple[str, ...]) -> Study:
+def new_study(out: Path, title: str, overrides: tuple[str, ...], tour: bool = False) -> Study:
     """A study on disk that has done nothing yet.
 
     Raises
@@ -180,7 +186,8 @@ def new_study(out: Path, title: str, overrides: tuple[str, ...]) -> Study:
     """
     now = datetime.now(UTC)
     there = (p.name for p in (out / FOLDER).glob("*"))
-    study = Study(new_run_id(now, there), title, overrides, now.isoformat(timespec="seconds"))
+    ident, begun = new_run_id(now, there), now.isoformat(timespec="seconds")
+    study = Study(ident, title, overrides, begun, tour=tour)
     try:
         place(out, study.ident).mkdir(parents=True)
         save(out, study)
@@ -252,6 +259,19 @@ def _grown(turns: tuple[Turn, ...]) -> tuple[Turn, ...]:
         parent = turn.parent if turn.parent in earlier else (earlier or [None])[-1]
         found.append(replace(turn, parent=parent))
     return tuple(found)
+
+
+def forget(out: Path, ident: str) -> None:
+    """Delete a study; the runs that its turns were saved as stay.
+
+    Raises
+    ------
+    InputError : a folder that cannot be deleted.
+    """
+    try:
+        shutil.rmtree(place(out, ident))
+    except OSError as error:
+        raise unwritable(out, error) from error
 
 
 def studies(out: Path) -> list[Study]:

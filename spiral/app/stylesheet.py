@@ -21,6 +21,7 @@ STYLE = f"""
   .js-plotly-plot .main-svg {{ filter:invert(1) hue-rotate(180deg); }}
   .js-plotly-plot .main-svg image {{ filter:invert(1) hue-rotate(180deg); }}
   .js-plotly-plot .main-svg .cbfills {{ filter:invert(1) hue-rotate(180deg); }}
+  .js-plotly-plot .main-svg .js-fill[style*="rgb(255, 255, 255)"] {{ fill:#dbe0e6 !important; }}
   .js-plotly-plot .modebar-btn path {{ fill:#a9b2bd !important; }}
 }}
 :focus-visible {{ outline:3px solid var(--ring) !important; outline-offset:2px; }}
@@ -134,6 +135,27 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .mapping {{ display:grid; grid-template-columns:minmax(70px,auto) minmax(0,1fr) 88px; gap:8px 10px;
   align-items:center; margin:14px 0 6px; font-size:14.5px; }}
 .mapping .soft {{ display:block; font-size:12.5px; line-height:1.2; max-width:80px; }}
+.files {{ display:grid; grid-template-columns:minmax(0,1fr) minmax(130px,auto); gap:6px 12px;
+  align-items:center; font-size:14.5px; margin-bottom:10px; overflow-wrap:anywhere; }}
+.files + .drop, .files ~ div .drop {{ padding:14px 12px; }}
+.instruments {{ display:grid; gap:3px; font-size:14px; line-height:1.35; }}
+.instruments .q-field {{ margin-bottom:6px; }}
+.equations textarea {{ font-family:ui-monospace,monospace; font-size:13px; line-height:1.45;
+  white-space:pre; overflow-x:auto; }}
+.studies td:last-child {{ padding:0; width:36px; }}
+.studies td:nth-child(3), .studies td:nth-child(4) {{ white-space:nowrap; }}
+#studies {{ margin-top:10px; }} .dialog {{ width:min(520px,92vw); }}
+.own-note {{ margin-top:12px; white-space:pre-wrap; overflow-wrap:anywhere;
+  border-left:3px solid var(--line); padding-left:10px; }}
+.tour {{ border-color:var(--blue); border-width:2px; }} .tour p {{ margin:0 0 10px;
+  font-size:15.5px; line-height:1.5; max-width:100ch; }}
+.drags {{ margin:12px 0 4px; border:1px solid var(--line); }}
+.stretches {{ display:flex; flex-wrap:wrap; gap:8px; align-items:center; font-size:14px;
+  margin:2px 0 6px; }}
+.stretches i {{ display:inline-block; width:12px; height:12px; border-radius:3px; opacity:.55;
+  margin-right:6px; }}
+.stretches .q-field {{ width:92px; }}
+#foresight {{ margin-top:10px; }}
 .seed {{ display:grid; grid-template-columns:auto minmax(0,1fr); gap:2px 12px; align-items:center;
   margin-bottom:12px; }}
 .parameters {{ display:grid; align-items:center; gap:6px 14px; font-size:14px;
@@ -163,5 +185,6 @@ a.quiet {{ color:var(--blue); text-decoration:none; }}
 a.quiet:hover {{ text-decoration:underline; }}
 @media (max-width:980px) {{ .split {{ grid-template-columns:minmax(0,1fr); }} }}
 @media (max-width:560px) {{ .bar-inner, .wrap {{ padding-left:12px; padding-right:12px; }}
-  .card {{ padding:14px 13px; }} .number {{ font-size:36px; }} h1.big {{ font-size:27px; }} }}
+  .card {{ padding:14px 13px; }} .number {{ font-size:36px; }} h1.big {{ font-size:27px; }}
+  .studies td:nth-child(4), .studies th:nth-child(4) {{ display:none; }} }}
 """

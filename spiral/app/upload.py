@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
+from spiral.app import record_setup as kept
 from spiral.app.session import Session
-from spiral.types.errors import InputError
+from spiral.types.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -28,7 +29,10 @@ def too_large(size: int | None) -> InputError:
 
 
 def route(web: FastAPI, session: Session) -> None:
-    """Add ``POST /upload`` to the application: the body is the file, ``x-file-name`` its name."""
+    """Add ``POST /upload`` to the application: the body is the file, ``x-file-name`` its name.
+
+    ``x-file-beside`` names the setup of another file of the same machine, where there is one.
+    """
     from fastapi.responses import JSONResponse
 
     async def upload(request: Any) -> Any:
@@ -37,8 +41,9 @@ def route(web: FastAPI, session: Session) -> None:
             ident = await taken(
                 session, unquote(request.headers.get("x-file-name", "record")),
                 int(size) if size.isdigit() else None, request.stream(),
+                request.headers.get("x-file-beside", ""),
             )  # fmt: skip
-        except InputError as error:
+        except (InputError, ConfigError) as error:
             large = "over" in str(error) or " GB" in error.given
             return JSONResponse({"error": error.as_dict()}, status_code=413 if large else 400)
         return JSONResponse({"page": f"/file/{ident}"})
@@ -46,26 +51,36 @@ def route(web: FastAPI, session: Session) -> None:
     web.add_route("/upload", upload, methods=["POST"])
 
 
-async def taken(session: Session, name: str, size: int | None, stream: AsyncIterator[bytes]) -> str:
+async def taken(
+    session: Session, name: str, size: int | None, stream: AsyncIterator[bytes], beside: str = ""
+) -> str:
     """Write a stream to disk and have it read; returns the setup's name.
 
     Raises
     ------
     InputError : too large, empty, broken off, or a disk that takes no more. Nothing is left then.
+    ConfigError : no setup of the name ``beside``.
     """
     if size is not None and size > MOST:
         raise too_large(size)
-    setup = session.file_setup.begin(name)
+    files = session.file_setup
+    setup = None if beside else files.begin(name)
+    file = files.room(beside, name) if setup is None else Path(setup.path)
     try:
-        written = await _written(Path(setup.path), stream)
+        written = await _written(file, stream)
         if not written:
             raise InputError(f"{name}: an empty file", "a file with rows of numbers")
         if size is not None and written != size:
             raise InputError(f"{name}: the upload broke off", "the whole file", "drop it again")
     except BaseException:
-        session.file_setup.forget(setup)
+        file.unlink(missing_ok=True)
+        if setup is not None:
+            files.forget(setup)
         raise
-    session.file_setup.arrived(setup)
+    if setup is None:
+        files.join(beside, file, kept.safe(name))
+        return beside
+    files.arrived(setup)
     return setup.ident
 
 

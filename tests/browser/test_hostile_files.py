@@ -116,7 +116,7 @@ def test_a_folder_of_studies_shows_its_texts_and_runs_none(watched, served, fore
     watched.click("td a:has-text('hostile')")
     watched.wait_for_selector("#error-now")
     watched.wait_for_selector("#plot-free_run .main-svg")
-    watched.click("text=The data, and how to do this on the command line")
+    watched.click("text=The data, and this as a command and in Python")
     watched.wait_for_selector(".command code:visible")
     assert "```" in watched.inner_text(".command code")
     watched.click(".q-tab:has-text('Model') >> nth=-1")

@@ -173,7 +173,7 @@ def test_an_effect_that_was_let_go_is_no_part_of_the_model(tab, served, picture)
     curve = tab.text_content("#plot-error-falling")
     assert "+ probe turn" in curve
     assert "\N{MINUS SIGN} cross damping" in curve
-    tab.click("text=how to do this on the command line")
+    tab.click("text=as a command and in Python")
     assert "spiral add probe_turn " in tab.inner_text("main")
     picture(tab, "step-let-go")
     tab.goto(served.address)

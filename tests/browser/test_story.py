@@ -280,6 +280,12 @@ def test_every_step_is_a_run_that_mlflow_knows(tab, study, served):
         tab.click("button:has-text('Take away')")
         tab.click("text=All numbers")
     saved = json.loads(taken.value.path().read_text())
+    with tab.expect_download() as taken:
+        tab.click("button:has-text('Take away')")
+        tab.click("text=Report, PDF")
+    printed = taken.value.path().read_bytes()
+    assert printed.startswith(b"%PDF-")
+    assert printed.count(b"/Type /Page\n") + printed.count(b"/Type /Page /") > 3
     assert [r["admitted"] for r in saved["result"]["rounds"]] == [[], [FIRST.replace(" ", "_")]]
     marked = json.loads((served.out / saved["run_id"] / "tracked.json").read_text())
     assert marked["mlflow_run_id"]

@@ -20,8 +20,8 @@ STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "setting
          "tracking.enabled=false")  # fmt: skip
 FIGURES = {
     "before", "where", "amplitude", "missing_force", "surface", "error_falling", "evidence",
-    "coefficients", "free_run", "orbit", "bode", "waterfall", "whirl", "correlation", "hidden",
-    "campbell",
+    "coefficients", "free_run", "orbit", "bode", "polar", "waterfall", "whirl", "correlation",
+    "hidden", "campbell",
 }  # fmt: skip
 
 

@@ -153,6 +153,7 @@ def identify(
 ) -> Identification:
     """Judge the model's terms and all candidates by their signatures along the records.
 
+    The system's own parameters that are known, as a mass, need not be told apart from anything.
     A direction of coefficients counts as seen where the singular value of its unit signature,
     less what noise in the states makes of it, is above 1e-3 and would show in the target by three
     standard deviations of its noise.
@@ -174,12 +175,15 @@ def identify(
     target = np.concatenate([m.target[:, m.cut].ravel() for m in motions])
     size = float(np.sqrt(np.mean(target**2)))
     noise = float(np.sqrt(np.mean([m.noise**2 for m in motions])))
-    found = richness(phi, again, _STANDS_OUT * noise / (np.sqrt(len(target)) * size))
-    aliases = alias_groups(found, made[0].only(keys).owners)
+    asked = [i for i, key in enumerate(keys) if not _known(model, key)]
+    unseen = _STANDS_OUT * noise / (np.sqrt(len(target)) * size)
+    found = richness(phi[:, asked], None if again is None else again[:, asked], unseen)
+    terms = tuple(keys[i] for i in asked)
+    aliases = alias_groups(found, made[0].only(terms).owners)
     identified = found.rank == found.columns
     return Identification(
         verdict="identifiable" if identified else "not_identifiable",
-        terms=keys,
+        terms=terms,
         found=found,
         aliases=aliases,
         noise=noise,
@@ -190,6 +194,13 @@ def identify(
         planned=again is None,
         advice=_advice(problem, identified, aliases),
     )
+
+
+def _known(model: Model, key: str) -> bool:
+    """Whether a parameter of the system itself is known; one of each record never is."""
+    if not key.startswith("system.") or key in model.active:
+        return False
+    return dict(model.pairs)[key].scope == "machine"
 
 
 def _once_more(problem: Problem, motions: list[_Motion], keys: tuple[str, ...]) -> Array | None:

@@ -8,7 +8,7 @@ come from the traced physics, never from a second copy of an equation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,7 +106,7 @@ def signatures(
             kept.append(effect)
     traced = trace(system, tuple(kept))
     rows = equation_rows(system)
-    shapes = _shapes(traced, system, states)
+    shapes = {**_shapes(traced, system, states), **_input_shapes(system, kept, record)}
     values = {**shapes, **model.values}
     keys, columns = _columns(traced, rows, values, states, _inputs(system, record))
     for effect in kept:
@@ -136,6 +136,20 @@ def _shapes(traced: Traced, system: System, states: Mapping[str, Array]) -> dict
             names = rates if rates and "velocity" in parameter.unit else system.observed
             largest = max(float(np.max(np.abs(states[n]))) for n in names)
             found[key] = parameter.grid[len(parameter.grid) // 2] * largest
+    return found
+
+
+def _input_shapes(system: System, effects: Sequence[Effect], record: Record) -> dict[str, float]:
+    """Shapes of what an actuator makes of an input: shares of that input's largest value."""
+    found = {}
+    for effect in effects:
+        port = system.place(effect)
+        if port.name not in {p.name for p in system.driven}:
+            continue
+        largest = max(float(np.max(np.abs(record.inputs[name]))) for name in port.axes)
+        for shape in effect.parameters:
+            if shape.role == "shape" and shape.grid and "position" in shape.unit:
+                found[f"{effect.label}.{shape.name}"] = shape.grid[len(shape.grid) // 2] * largest
     return found
 
 

@@ -225,7 +225,7 @@ def choose(
         base = refitted(assembly, state, steps=WARM, rough=True)
         rival = refit_alone(assembly, base, _of(assembly, scored.ranking, label))
     whole = with_effect(rival.assembly, rival.fit.state, rival.ranked.variant.label, silent)
-    effect = next(v.original for v in assembly.offered if v.original.label == label)
+    effect = rival.ranked.variant.original
     group = set(step.admitted) | {x for v in step.aliases.values() for x in v}
     aliases = tuple(sorted(group - {label})) if label in group else ()
     return replace(

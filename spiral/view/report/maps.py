@@ -1,4 +1,4 @@
-"""Figures over speed, order, frequency and state: where it fails, and what the rotor does."""
+"""Figures over speed, order, frequency and state: where it fails, and what is left."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import numpy as np
 
 from spiral.inference.where.orders import (
     correlations,
-    first_order,
-    full_spectrum,
     noise_power,
     order_map,
     time_map,
@@ -18,8 +16,6 @@ from spiral.io.curves import FINAL, SEED, Curves
 from spiral.view.report.motion import COLOURS, NAMES
 from spiral.view.report.style import (
     CYCLE,
-    GREY,
-    MEASURED,
     RPM,
     blank,
     decades,
@@ -37,7 +33,6 @@ Array = np.ndarray
 
 _BINS = 24
 _LAGS = 60
-_CASCADE = 45
 _LOUD = 20.0  # dB over the noise that a map reaches at least: noise alone stays dark
 _OVER = "dB above the noise"
 _SHOWN = 1e-5  # share of a spectrum's power above which frequencies are shown
@@ -69,7 +64,7 @@ def where_map(curves: Curves, record: int, model: str) -> go.Figure | None:
         orders = order_map(left, phase, speed, about["dt"])
     figure = blank(1, 2 if orders else 1, 420, horizontal_spacing=0.12)
     found = time_map(left, about["dt"])
-    top = _highest(found.axis, found.power.sum(axis=0))
+    top = highest(found.axis, found.power.sum(axis=0))
     shown = found.axis <= top
     dt, channels = about["dt"], left.shape[1]
     level = decibels(found.power[:, shown].T / noise_power(found, dt, channels))
@@ -91,7 +86,7 @@ def where_map(curves: Curves, record: int, model: str) -> go.Figure | None:
     return figure
 
 
-def _highest(axis: Array, power: Array) -> float:
+def highest(axis: Array, power: Array) -> float:
     """The frequency up to which all but a millionth of the power above the floor lies."""
     above = np.maximum(power - np.median(power), 0.0)
     held = np.cumsum(above) / max(above.sum(), 1e-300)
@@ -231,101 +226,6 @@ def _surface(figure: Any, x: Array, force: Array, row: int, column: int) -> list
     return [*lower, *upper, *mean]
 
 
-def bode(curves: Curves, record: int) -> go.Figure | None:
-    """Amplitude and phase lag of the first order over speed, measured and modelled."""
-    y, phase, speed = (curves.get(record, k) for k in ("y", "phase", "speed"))
-    free = curves.get(record, FINAL, "free")
-    if y is None or phase is None or speed is None or np.ptp(speed) < 1e-3 * np.abs(speed).max():
-        return None
-    channels = curves.meta["channels"]
-    figure = blank(2, len(channels), 520, shared_xaxes=True, vertical_spacing=0.06,
-                   horizontal_spacing=0.12)  # fmt: skip
-    factor, unit = scaled(channels[0]["unit"], y)
-    given = [("measured", y, MEASURED, 3.2), (NAMES[FINAL], free, COLOURS[FINAL], 1.5)]
-    for name, values, colour, width in given:
-        if values is None or not np.isfinite(values).all():
-            continue
-        found = first_order(values, phase, speed, turns=4)
-        if found is None:
-            return None
-        rpm = np.abs(found.speed) * RPM
-        for j in range(len(channels)):
-            size, lag = factor * np.abs(found.amplitude[:, j]), found.lag[:, j]
-            lag = lag - 360 * np.floor(lag[int(np.argmax(rpm))] / 360)
-            line(figure, rpm, size, name, colour, 1, j + 1, width=width)
-            line(figure, rpm, lag, name, colour, 2, j + 1, width=width)
-            figure.update_xaxes(title_text="speed (rpm)", row=2, col=j + 1)
-    for j, channel in enumerate(channels, 1):
-        name = f"{channel['name']}, 1X peak"
-        figure.update_yaxes(title_text=titled(name, unit), row=1, col=j, rangemode="tozero")
-        figure.update_yaxes(title_text=f"phase lag of {channel['name']} (°)", row=2, col=j)
-    figure.update_yaxes(autorange="reversed", dtick=90, row=2)
-    return figure
-
-
-def waterfall(curves: Curves, record: int) -> go.Figure | None:
-    """Spectra of the first channel one behind the other, over speed (or time)."""
-    y, speed = curves.get(record, "y"), curves.get(record, "speed")
-    if y is None:
-        return None
-    about, channel = curves.meta["records"][record], curves.meta["channels"][0]
-    length = int(np.clip(len(y) // 10, 64, 4096))
-    moving = y[:, :1] - y[:, :1].mean()
-    found = time_map(moving, about["dt"], length, count=_CASCADE, finer=4)
-    size = np.sqrt(2 * found.power)
-    shown = found.axis <= _highest(found.axis, found.power.sum(axis=0))
-    over = found.at + about["start"]
-    if speed is not None:
-        over = RPM * np.abs(np.interp(found.at, about["dt"] * np.arange(len(speed)), speed))
-    order = np.argsort(over)
-    factor, unit = scaled(channel["unit"], size)
-    height = 9.0 * np.ptp(over) / len(order) / max(float((factor * size).max()), 1e-300)
-    figure = blank(height=560)
-    for k in order[::-1]:  # each hides what lies behind it
-        rise = over[k] + height * factor * size[k, shown]
-        line(figure, found.axis[shown], rise, f"{over[k]:.0f}", CYCLE[0], width=1.2,
-             showlegend=False, fill="tozeroy", fillcolor="white")  # fmt: skip
-    top = float(found.axis[shown][-1])
-    if speed is not None:
-        for number in (1, 2, 3):
-            rpm = np.array([over.min(), min(over.max(), 60 * top / number)])
-            line(figure, number * rpm / 60, rpm, f"{number}X", GREY, dash="dot", width=1.5,
-                 showlegend=False)  # fmt: skip
-            figure.add_annotation(x=number * rpm[1] / 60, y=rpm[1], text=f"<b>{number}X</b>",
-                                  showarrow=False, xanchor="right", yanchor="bottom")  # fmt: skip
-    figure.update_xaxes(title_text="frequency (Hz)", range=[0, top])
-    name = "speed (rpm)" if speed is not None else "time (s)"
-    peak = f"highest peak {float((factor * size).max()):.3g} {unit}"
-    figure.update_yaxes(title_text=f"{name}; amplitude of {channel['name']}, {peak}")
-    return figure
-
-
-def whirl(curves: Curves, record: int) -> go.Figure | None:
-    """Full spectrum: forward whirl to the right, backward to the left."""
-    y, speed = curves.get(record, "y"), curves.get(record, "speed")
-    channels = curves.meta["channels"]
-    if y is None or len(channels) != 2 or speed is None:
-        return None
-    backward, dt = bool(np.mean(speed) < 0), curves.meta["records"][record]["dt"]
-    factor, unit = scaled(channels[0]["unit"], y)
-    figure = blank(height=380)
-    frequency = np.zeros(1)
-    for name, values, colour in (
-        ("measured", y, MEASURED), (NAMES[FINAL], curves.get(record, FINAL, "free"), COLOURS[FINAL])
-    ):  # fmt: skip
-        if values is None or not np.isfinite(values).all():
-            continue
-        frequency, size = full_spectrum(values[:, 0], values[:, 1], dt, backward)
-        line(figure, frequency, np.maximum(factor * size, 1e-12), name, colour, width=1.1)
-    floor = factor * np.median(full_spectrum(y[:, 0], y[:, 1], dt)[1]) / 10
-    figure.update_yaxes(range=[np.log10(floor), np.log10(factor * np.ptp(y))])
-    top = min(float(frequency.max()), 6 * float(np.abs(speed).max()) / (2 * np.pi))
-    figure.update_xaxes(title_text="backward whirl  ←  frequency (Hz)  →  forward whirl",
-                        range=[-top, top])  # fmt: skip
-    figure.update_yaxes(title_text=titled("amplitude", unit), type="log", exponentformat="power")
-    return figure
-
-
 def correlation(curves: Curves, record: int) -> go.Figure | None:
     """Autocorrelation of the residual and its cross-correlation with the input, 95 % bounds."""
     left = curves.get(record, FINAL, "left")
@@ -366,31 +266,3 @@ def _drives(curves: Curves, record: int) -> dict[str, Array]:
             np.cos(values) if item["name"] == "phase" else values
         )
     return found
-
-
-def campbell(curves: Curves) -> go.Figure | None:
-    """Natural frequencies and damping ratios of the accepted model over speed."""
-    speed, frequency = curves.get("modes.speed"), curves.get("modes.frequency")
-    damping = curves.get("modes.damping")
-    if speed is None or frequency is None or damping is None or not np.isfinite(frequency).any():
-        return None
-    if not curves.meta["models"].get("modes", {}).get("over_speed") or len(speed) < 2:
-        return None
-    rpm = speed * RPM
-    figure = blank(1, 2, 420, horizontal_spacing=0.12)
-    for k in range(frequency.shape[1]):
-        colour, name = CYCLE[k % len(CYCLE)], f"mode {k + 1}"
-        line(figure, rpm, frequency[:, k], name, colour, width=2.4)
-        line(figure, rpm, 100 * damping[:, k], name, colour, 1, 2, width=2.4)
-    top = 1.25 * float(np.nanmax(frequency))
-    for number in (1, 2):
-        line(figure, rpm, number * rpm / 60, f"{number}X", GREY, dash="dot", width=1.5,
-             showlegend=False)  # fmt: skip
-        end = min(60 * top / number, float(rpm[-1]))
-        figure.add_annotation(x=end, y=number * end / 60, text=f"<b>{number}X</b>", row=1, col=1,
-                              showarrow=False, xanchor="left", yanchor="top")  # fmt: skip
-    figure.update_yaxes(title_text="natural frequency (Hz)", range=[0, top], row=1, col=1)
-    figure.update_yaxes(title_text="damping ratio (%)", row=1, col=2, rangemode="tozero")
-    for column in (1, 2):
-        figure.update_xaxes(title_text="speed (rpm)", row=1, col=column)
-    return figure

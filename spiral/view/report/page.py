@@ -13,7 +13,7 @@ from typing import Any
 from spiral.io.curves import FINAL, SEED, Curves, read_curves
 from spiral.io.storage import SavedRun
 from spiral.types.run import estimate_rows
-from spiral.view.report import evidence, maps, motion, text, unknown
+from spiral.view.report import evidence, maps, motion, rotor, text, unknown
 from spiral.view.report.mathfont import math_style
 from spiral.view.report.style import FONT, Span, hovering
 
@@ -97,13 +97,15 @@ def _after(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]
     return [
         *free,
         ("orbit", "Orbit", text.ORBIT, lambda: motion.orbit(c, test)),
-        ("bode", "First order over speed", text.BODE, lambda: maps.bode(c, test)),
-        ("waterfall", "Waterfall", text.WATERFALL, lambda: maps.waterfall(c, test)),
-        ("whirl", "Full spectrum", text.WHIRL, lambda: maps.whirl(c, test)),
+        ("bode", "First order over speed", text.BODE, lambda: rotor.bode(c, test)),
+        ("polar", "First order, polar", text.POLAR, lambda: rotor.polar(c, test)),
+        ("waterfall", "Waterfall", text.WATERFALL, lambda: rotor.waterfall(c, test)),
+        ("whirl", "Full spectrum", text.WHIRL, lambda: rotor.whirl(c, test)),
         ("correlation", "What is left: is it white?", text.CORRELATION,
          lambda: maps.correlation(c, 0)),
         ("hidden", "States that no sensor sees", text.HIDDEN, lambda: motion.hidden_states(c)),
-        ("campbell", "Natural frequencies and damping", text.CAMPBELL, lambda: maps.campbell(c)),
+        ("campbell", "Natural frequencies and damping", text.CAMPBELL,
+         lambda: rotor.campbell(c, test)),
     ]  # fmt: skip
 
 
@@ -191,5 +193,7 @@ _STYLE = (
     "pre{padding:12px 14px;overflow-x:auto}code{padding:1px 4px;overflow-wrap:anywhere}"
     ".equation td{border:0;padding:3px 10px 3px 0;vertical-align:middle}"
     ".equation td.owner{color:#666;font-size:14px}"
-    "@media print{section{break-inside:avoid}}"
+    "@page{size:A3;margin:9mm 0}"
+    "@media print{section,tr{break-inside:avoid}h2,h3{break-after:avoid}main{padding:0 24px}"
+    ".wide{overflow:visible}pre{white-space:pre-wrap}.modebar{display:none!important}}"
 )

@@ -66,11 +66,21 @@ BODE = (
     "growing downwards: a rotor passes 90° more of it at a critical speed. Run-out is subtracted "
     "only where the record says so (record.slow_roll)."
 )
+POLAR = (
+    "The vector of the first order as the speed changes, from zero lag to the right, lag growing "
+    "clockwise; numbers are rpm. Each loop is a resonance."
+)
 WATERFALL = "Each line is the spectrum of one slice, raised to its speed; dotted: orders 1 to 3."
-WHIRL = "Spectrum of x + i y, forward in the sense of rotation to the right."
+WHIRL = (
+    "Spectrum of x + i y, forward in the sense of rotation to the right; below, of slices of the "
+    "measured record, each raised to its speed."
+)
 CORRELATION = "Dotted: the 95 % bounds of a white residual."
 HIDDEN = "Smoothed with the final model and what it lacks, and their 95 % bands."
-CAMPBELL = "Eigenvalues of the final model at rest, phase zero; dotted: orders 1 and 2."
+CAMPBELL = (
+    "Eigenvalues of the final model at rest, phase zero; dotted: orders 1 and 2. Dots: the "
+    "strongest lines of slices of the measured test record, the larger the stronger."
+)
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], right: Sequence[str] = ()) -> str:

@@ -1,0 +1,180 @@
+"""The data desk: stretches marked on the picture, further files, sensors, a word before a fit."""
+
+import numpy as np
+import pytest
+
+from tests.browser.conftest import PATIENCE
+
+RATE, SAMPLES = 500.0, 3000
+BEGIN = "button:has-text('Compare with the model'):enabled"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Three runs of one hardening spring; a rotor at one speed, long after its start."""
+    from scipy.integrate import solve_ivp
+
+    from tests.scenes import planar_record
+
+    folder = tmp_path_factory.mktemp("desk")
+    time = np.arange(SAMPLES) / RATE
+    for seed in (1, 2, 3):
+        rng = np.random.default_rng(seed)
+        tones = [(f, rng.uniform(0, 6.3)) for f in np.arange(2.0, 20.0, 0.7)]
+
+        def force(t, tones=tones):
+            return 12 * sum(np.sin(6.283 * f * t + p) for f, p in tones)
+
+        def rate(t, s, force=force):
+            return [s[1], force(t) - 6 * s[1] - 4000 * s[0] - 2e6 * s[0] ** 3]
+
+        x = solve_ivp(rate, (0, time[-1]), [0, 0], t_eval=time, rtol=1e-8, atol=1e-10).y[0]
+        x += rng.normal(size=SAMPLES) * 0.01 * x.std()
+        np.savetxt(folder / f"run{seed}.csv", np.column_stack([time, x, force(time)]), "%.9g",
+                   delimiter=",", header="t,x,force", comments="")  # fmt: skip
+    steady = planar_record(3, noise=0.01, duration=10.0, hertz=(20.0, 20.0))
+    rows = np.column_stack([steady.time, steady.channels["x"], steady.channels["y"],
+                            steady.inputs["speed"]])[6000:]  # fmt: skip
+    np.savetxt(folder / "steady.csv", rows, "%.9g", delimiter=",", header="t,x,y,speed",
+               comments="")  # fmt: skip
+    return folder
+
+
+def begun(tab, served, file, system):
+    """Drop a file whose columns are named as the system's series."""
+    tab.goto(served.address)
+    tab.set_input_files("#drop-file", file)
+    tab.wait_for_selector("#plot-columns .main-svg")
+    tab.click(".q-select >> nth=0")
+    tab.click(f".q-menu .q-item:has-text('{system}')")
+    tab.wait_for_selector(BEGIN)
+
+
+def rows(tab):
+    """Fitted from, to, test from, to, as the fields show them."""
+    names = [f"{use} rows {end}" for use in ("Fitted", "Test") for end in ("from", "to")]
+    return [tab.input_value(f"input[aria-label='{name}']") for name in names]
+
+
+def drag(tab, first, last):
+    """Drag over a share of the picture's width."""
+    box = tab.locator("#plot-columns .nsewdrag").nth(1).bounding_box()
+    height = box["y"] + box["height"] / 2
+    tab.mouse.move(box["x"] + first * box["width"], height)
+    tab.mouse.down()
+    tab.mouse.move(box["x"] + 0.5 * (first + last) * box["width"], height, steps=5)
+    tab.mouse.move(box["x"] + last * box["width"], height, steps=5)
+    tab.mouse.up()
+
+
+def faults(page, part=None):
+    """What axe-core has against the page as it is, or against a part of it."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    return [(v["id"], [n["target"] for n in v["nodes"]])
+            for v in axe.run(page, part).response["violations"]]  # fmt: skip
+
+
+def test_stretches_are_marked_with_the_mouse_or_typed(tab, served, files, picture):
+    begun(tab, served, files / "run1.csv", "oscillator")
+    assert "The last part is kept apart" in tab.inner_text("#apart")
+    tab.click("button:has-text('Mark the test')")
+    drag(tab, 0.1, 0.4)
+    tab.wait_for_selector("#apart:has-text('No fit sees the test record: run1.csv rows [')")
+    fit_from, fit_to, test_from, test_to = map(int, rows(tab))
+    assert [test_from, test_to] == pytest.approx([300, 1200], abs=15)
+    assert (fit_from, fit_to) == (test_to, SAMPLES)  # the longer side, and no row twice
+    assert tab.locator("#plot-columns .shapelayer path").count() == 2
+    tab.click("button:has-text('Mark what is fitted')")
+    drag(tab, 0.3, 0.9)
+    tab.wait_for_function("(was) => document.querySelector(\"input[aria-label='Test rows to']\")"
+                          ".value !== was", arg=str(test_to))  # fmt: skip
+    fit_from, _, _, test_to = map(int, rows(tab))
+    assert test_to == fit_from == pytest.approx(900, abs=15)
+    tab.fill("input[aria-label='Fitted rows from']", "2000")
+    tab.fill("input[aria-label='Fitted rows to']", "2600")
+    tab.wait_for_selector("main:has-text('fit: 600 samples at 500 Hz')")
+    picture(tab, "desk-stretches")
+    assert faults(tab) == []
+    tab.click("button:has-text('All rows')")
+    tab.wait_for_selector("#apart:has-text('The last part is kept apart')")
+    assert rows(tab) == ["", "", "", ""]
+
+
+def test_a_second_file_is_the_test_and_a_third_is_fitted_too(tab, served, files, picture):
+    begun(tab, served, files / "run1.csv", "oscillator")
+    for number, said in ((2, "fit: 3000 samples"), (3, "fit: 6000 samples")):
+        tab.set_input_files("#drop-file", files / f"run{number}.csv")
+        tab.wait_for_selector(f"#files:has-text('run{number}.csv')")
+        tab.wait_for_selector(f"main:has-text('{said} at 500 Hz')")
+        assert tab.inner_text("#apart").startswith("No fit sees the test record: run2.csv.")
+    tab.click("text=Sensors and inputs")
+    tab.click(".instruments .q-select")
+    tab.click(".q-menu .q-item:has-text('band-limited')")
+    tab.wait_for_selector(BEGIN)
+    picture(tab, "desk-files")
+    tab.emulate_media(color_scheme="dark")
+    tab.wait_for_timeout(500)
+    assert faults(tab) == []
+    tab.reload()  # nothing of it is lost
+    tab.wait_for_selector("#files:has-text('run3.csv')")
+    tab.click("#files .q-select >> nth=1")
+    tab.click(".q-menu .q-item:has-text('leave it out')")
+    tab.wait_for_selector("main:has-text('fit: 3000 samples at 500 Hz')")
+    assert "run3.csv" not in tab.inner_text("#files")
+    tab.click(BEGIN)
+    tab.wait_for_selector("h1:has-text('run1.csv and 1 more')")
+    tab.click("text=as a command and in Python")
+    told = tab.inner_text(".command >> nth=0")
+    assert "run2.csv'" in told.partition("test.path=")[2].partition("\n")[0]
+    assert "record.hold={force: band_limited}" in told
+    tab.click("button:has-text('Cancel')")
+
+
+def test_what_a_record_cannot_tell_is_said_before_any_fit(tab, served, files, picture):
+    begun(tab, served, files / "steady.csv", "planar rotor")
+    tab.wait_for_selector("#foresight:has-text('cannot tell apart')", timeout=PATIENCE)
+    said = tab.inner_text("#foresight")
+    assert "linear stiffness (in the model)" in said
+    assert "take a run-up or run-down instead" in said
+    picture(tab, "desk-foresight")
+    assert faults(tab) == []
+
+
+def test_equations_typed_into_a_box_are_the_system(tab, served, files, picture):
+    """A mistake is told beside the box; what is right is fitted, and what it lacks is ranked."""
+    text = (files / "run1.csv").read_text().replace("t,x,force", "t,x,F", 1)
+    (files / "own.csv").write_text(text)
+    tab.goto(served.address)
+    tab.set_input_files("#drop-file", files / "own.csv")
+    tab.click("text=Write equations of your own")
+    box = "textarea[aria-label='Equations of the system']"
+    example = tab.input_value(box)
+    assert "observed: [x]" in example
+    spring = """title: A mass on a spring
+equations:
+  - m*x'' + c*x' + k*x = F
+states: {x: m}
+inputs: {F: N}
+parameters: {m: 1.0 kg, c: N*s/m, k: N/m}
+observed: [x]
+"""
+    tab.fill(box, spring.replace("k: N/m", "k: N/m^2"))
+    tab.click("button:has-text('Use these equations')")
+    tab.wait_for_selector(".equations .trouble")
+    assert tab.inner_text(".equations .trouble").startswith("equation 1, ")
+    below = tab.locator(".equations .trouble").bounding_box()["y"]
+    assert below - tab.locator(box).bounding_box()["y"] < 400  # beside the box
+    picture(tab, "equations-wrong")
+    tab.fill(box, spring)
+    tab.click("button:has-text('Use these equations')")
+    tab.wait_for_selector("main:has-text('A mass on a spring')")
+    tab.wait_for_selector(BEGIN)
+    assert tab.locator(".equations .trouble").count() == 0
+    tab.wait_for_selector("#foresight:has-text('can tell all')")  # k is no rival of itself
+    picture(tab, "equations")
+    assert faults(tab) == []
+    tab.click(BEGIN)
+    tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
+    tab.click("text=as a command and in Python")
+    assert "system='" in tab.inner_text(".command >> nth=0")
+    picture(tab, "equations-study")

@@ -1,0 +1,109 @@
+"""Records of a setup: stretches that never overlap, files and sensors as on the command line."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from spiral.app.data_desk import foresight
+from spiral.app.foresight import foreseen
+from spiral.app.record_setup import FIT, TEST, Choice, RecordSetup, lacking, overrides, stretches
+from spiral.io.config import build_problem, build_sources, compose
+from tests.scenes import registry
+
+ROWS = 1000
+OSCILLATOR = {
+    "name": "oscillator",
+    "channels": [{"name": "x", "unit": "m"}],
+    "inputs": [{"name": "force", "unit": "N", "required": True}],
+}
+ROTOR = {
+    "name": "planar_rotor",
+    "channels": [{"name": "x", "unit": "m"}, {"name": "y", "unit": "m"}],
+    "inputs": [{"name": "speed", "unit": "rad/s", "required": True}],
+}
+
+
+def setup(system, columns, **choice):
+    found = Choice(system["name"], "t", "", columns, **choice)
+    return RecordSetup("20260101-000000-abc", "a.csv", "a.csv", rows=ROWS, systems=(system,),
+                       choice=found)  # fmt: skip
+
+
+@pytest.mark.parametrize("use", [FIT, TEST])
+def test_stretches_of_fit_and_test_never_overlap_and_lie_in_the_record(use):
+    """Whatever is marked first, and over which ends of the record."""
+    ends = (-50, 0, 100, 500, 900, 1000, 1200)
+    for a, b, c, d in product(ends, repeat=4):
+        if min(max(a, b), ROWS) <= max(min(a, b), 0) or min(max(c, d), ROWS) <= max(min(c, d), 0):
+            continue
+        other = FIT if use == TEST else TEST
+        found = stretches(stretches(Choice(), other, a, b, ROWS), use, c, d, ROWS)
+        mine, rest = (found.fit_rows, found.test_rows)[:: 1 if use == FIT else -1]
+        assert mine == (max(0, min(c, d)), min(ROWS, max(c, d)))
+        if rest:
+            assert 0 <= rest[0] < rest[1] <= ROWS
+            assert rest[1] <= mine[0] or rest[0] >= mine[1]
+
+
+def test_the_test_alone_leaves_the_longer_side_to_the_fit():
+    assert stretches(Choice(), TEST, 200, 500, ROWS).fit_rows == (500, 1000)
+    assert stretches(Choice(), TEST, 600, 900, ROWS).fit_rows == (0, 600)
+    assert stretches(Choice(), FIT, 200, 500, ROWS).test_rows == ()
+
+
+def test_files_stretches_and_sensors_are_those_of_the_command_line(tmp_path):
+    time = np.arange(ROWS) / 500.0
+    known = registry()
+    rng = np.random.default_rng(0)
+    for name in ("a", "it's b", "c"):
+        table = np.column_stack([time, rng.normal(size=(ROWS, 2))])
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header="t,x,f", comments="")
+    wanted = setup(OSCILLATOR, {"x": "x", "force": "f"}, fit_rows=(100, 600), test_rows=(700, 900),
+                   hold={"force": "zero_order"})  # fmt: skip
+    wanted = replace(wanted, path=str(tmp_path / "a.csv"))
+    system = known.make("system", "oscillator")
+    record, test = build_sources(compose(overrides(wanted), known), known)
+    assert [r.samples for r in record.load(system)] == [500]
+    assert [r.samples for r in test.load(system)] == [200]
+    assert record.load(system)[0].hold == {"force": "zero_order"}
+    others = ({"path": str(tmp_path / "it's b.csv"), "name": "b", "use": FIT},
+              {"path": str(tmp_path / "c.csv"), "name": "c", "use": TEST})  # fmt: skip
+    record, test = build_sources(compose(overrides(replace(wanted, others=others)), known), known)
+    assert [r.samples for r in record.load(system)] == [500, 500]
+    assert [r.samples for r in test.load(system)] == [ROWS]  # its own rows, all of them
+
+
+def test_a_pulse_stands_for_the_speed_and_probes_for_their_angles():
+    columns = {"x": "p1", "y": "p2"}
+    assert lacking(setup(ROTOR, columns)) == ["a column for speed"]
+    found = setup(ROTOR, columns, pulse="key", rotation="clockwise", angles={"x": "45", "y": "135"})
+    assert lacking(found) == []
+    source, _ = build_sources(compose(overrides(found), registry()), registry())
+    assert (source.pulse, source.rotation) == ("key", "clockwise")
+    assert source.probe_angles == {"x": 45, "y": 135}
+
+
+@pytest.mark.parametrize(("speeds", "alike"), [((20.0, 20.0), True), ((40.0, 5.0), False)])
+def test_a_constant_speed_cannot_tell_what_a_run_down_can(tmp_path, speeds, alike):
+    """At one speed, once settled, all linear terms together are two numbers for each channel."""
+    from tests.scenes import planar_record
+
+    record = planar_record(3, noise=0.01, duration=10.0, hertz=speeds)
+    table = np.column_stack([record.time, record.channels["x"], record.channels["y"],
+                             record.inputs["speed"]])  # fmt: skip
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t,x,y,n", comments="")
+    given = setup(ROTOR, {"x": "x", "y": "y", "speed": "n"}, fit_rows=(6000, 10000),
+                  test_rows=(0, 6000))  # fmt: skip
+    known = registry()
+    config = compose(
+        (*overrides(replace(given, path=str(tmp_path / "a.csv"))),
+         "candidates=[cross_stiffness,cross_damping,gyroscopic]"), known,
+    )  # fmt: skip
+    found = foreseen(build_problem(config, known), config, known)
+    assert bool(found["alike"]) is alike
+    assert ("cannot tell" in foresight(found, False)) is alike
+    if alike:
+        assert "linear stiffness (in the model)" in foresight(found, False)
+        assert "take a run-up or run-down" in foresight(found, False)
