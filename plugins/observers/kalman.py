@@ -50,9 +50,9 @@ class Tuned(Observer):
         if task.prior is not None:
             return self._doubted(task, settings, clock)
         levels = chosen_levels(task, settings, self.process_noise)
-        if self.process_noise is None and min(levels.values()) < LOWEST:
+        if min(levels.values()) < LOWEST:
             task = finer(task)
-            levels = quieted(task, settings, levels)
+            levels = quieted(task, settings, levels) if self.process_noise is None else levels
         tuned = time.perf_counter()
         settings = with_level(task, settings, levels)
         found = self.run(task, settings)

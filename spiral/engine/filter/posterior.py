@@ -15,11 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.filter.bent import Expansion, drawn, expansion
-from spiral.engine.filter.extended import FilterSettings, filtered
+from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.likelihood import Climbed, climbed
-from spiral.engine.filter.noise import groups
 from spiral.engine.filter.prior import Prior, rooted
-from spiral.engine.filter.setup import chosen_levels, prepared, quieted, with_level
+from spiral.engine.filter.setup import chosen_levels, quieted, with_level
 from spiral.engine.filter.task import Task
 from spiral.engine.filter.tuning import LOWEST
 from spiral.engine.filter.whitened import whitened
@@ -27,7 +26,7 @@ from spiral.types.record import Array
 
 _DRAWS = 32
 _SEED = 14  # of the draws: the same record gives the same bands
-_FOLLOWED = 0.03  # process noise of the filter that tracks the parameters to other first values
+_TOLD = (1e-3, 4e-3)  # shares of the first doubt under which a direction is not mirrored
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,8 @@ def posterior(
     known = None if given is None else chosen_levels(task, settings, given)
     found = _climbed(task, settings, prior, known)
     if not found.finite or max(found.levels.values()) > LOWEST:  # not this valley, or not the model
-        others = [_climbed(s, settings, prior, known) for s in _followed(task, settings, prior)]
+        starts = _mirrored(found, prior) if len(found.covariance) else []
+        others = [_climbed(start, settings, prior, known) for start in starts]
         found = max([found, *others], key=lambda c: c.log_likelihood)
     task, levels = found.prepared[0][0], dict(found.levels)
     covariance = found.covariance
@@ -82,21 +82,20 @@ def posterior(
     return Posterior(task, levels, covariance, draws, bend.log(w))
 
 
-def _followed(task: Task, settings: FilterSettings, prior: Prior) -> list[Task]:
-    """Other first values: those that a filter finds which tracks the parameters."""
-    deviations = dict(zip(prior.keys, np.sqrt(np.diag(prior.covariance)), strict=True))
-    tracked = tuple(k for k, s in deviations.items() if s > 0)
-    follower, wide = prepared(
-        replace(task, prior=None, moved=()), (*settings.tracked, *tracked),
-        {**dict(zip(settings.tracked, settings.doubt, strict=True)),
-         **{k: float(deviations[k]) for k in tracked}},
-    )  # fmt: skip
-    levels = dict.fromkeys(groups(task), _FOLLOWED)
-    found = filtered(follower, with_level(follower, wide, levels))
-    last = found.means[-1, -len(tracked) :]
-    if found.done < task.series.samples or not np.all(np.isfinite(last)):
-        return []
-    return [task.with_values(dict(zip(tracked, map(float, last), strict=True)))]
+def _mirrored(found: Climbed, prior: Prior) -> list[Task]:
+    """Other first values: those found, the other way round wherever the record tells them least.
+
+    Where two parameters can share what the record tells in two ways, such as the stiffness of two
+    bearings, the ways lie on both sides of what was expected. In z, along axes of its covariance,
+    those told better than a share of the prior's deviation stay, and all others change their sign.
+    """
+    task = found.prepared[0][0]
+    inverse = np.linalg.pinv(prior.root)
+    left, axes = np.linalg.eigh(inverse @ found.covariance @ inverse.T)
+    z = axes.T @ prior.coordinates(task.at(prior.keys))
+    told = [np.sqrt(np.maximum(left, 0.0)) < share for share in _TOLD]
+    turned = [prior.mean + prior.root @ axes @ np.where(stay, z, -z) for stay in told]
+    return [task.with_values(dict(zip(prior.keys, map(float, v), strict=True))) for v in turned]
 
 
 def _climbed(
