@@ -41,7 +41,8 @@ class Case:
     ``joint``: every bearing parameter of the model times 1 + joint. ``independent``: each times
     1 +- independent with a sign of its own. ``drawn``: each of the true machine times 1 + drawn
     N(0, 1). ``declared``: the model's doubt of each, as a share of its value. ``phase_error``: of
-    the model's phase origin, rad; ``tracked``: estimated as a state. ``kind``: ``coastdown``, ``soft`` (rotor_soft_tilt), or
+    the model's phase origin, rad; ``tracked``: estimated as a state.
+    ``kind``: ``coastdown``, ``soft`` (rotor_soft_tilt), or
     ``disturbed`` (a truth with real process noise, known to the filter).
     """
 

@@ -3,9 +3,9 @@
 python -m experiments.hidden_states.other_machines [--seeds 20]
 
 Four masses of which the second and the fourth are hidden (stiffnesses and dampings drawn with
-10 %), and two tanks of which the upper is hidden (pump and outlets drawn with 10 %). The model has the
-nominal values, with and without declared doubt; the first states are known to a fifth of what they
-settle to.
+10 %), and two tanks of which the upper is hidden (pump and outlets drawn with 10 %). The model has
+the nominal values, with and without declared doubt; the first states are known to a fifth of their
+settled deviation.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ def expansion(
     r, extra = slopes.shape[1], len(prior)
     upper = np.triu_indices(r)
     whole = np.concatenate([e[:, None], slopes, second[upper].T], axis=1)
-    small = np.linalg.qr(whole, mode="r") if len(whole) > whole.shape[1] else whole
+    small = np.asarray(np.linalg.qr(whole, mode="r") if len(whole) > whole.shape[1] else whole)
     d = len(small)
     packed = np.zeros((r, r, d + extra))
     packed[upper[0], upper[1], :d] = small[:, 1 + r :].T
@@ -118,6 +118,7 @@ def _placed(
     w = near.copy()
     w[:, along] = u
     base, step = found.slopes[:, across], np.zeros_like(v)
+    value, square = np.zeros((len(w), len(base))), np.zeros((len(w), len(across), len(across)))
     with np.errstate(all="ignore"):
         for _ in range(_NEWTON):
             value, slopes = found.at(np.clip(np.nan_to_num(w), -1e6, 1e6))

@@ -102,7 +102,11 @@ def _climbed(
     task: Task, settings: FilterSettings, prior: Prior, known: Mapping[str, float] | None
 ) -> Climbed:
     """The most probable values, then once more with the process noise that is needed there."""
-    bounds = {k: (p.lower, p.upper) for k, p in task.model.pairs if k in prior.keys}
+    bounds = {
+        k: (-np.inf if p.lower is None else p.lower, np.inf if p.upper is None else p.upper)
+        for k, p in task.model.pairs
+        if k in prior.keys
+    }
     found = climbed(((task, settings),), prior.keys, known, bounds, prior=prior)
     if known is not None or not found.finite:
         return found

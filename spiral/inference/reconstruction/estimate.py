@@ -89,7 +89,7 @@ class Reconstructed:
         return self.stable < self.record.samples
 
     @property
-    def doubts(self) -> dict[str, dict[str, float | str]]:
+    def doubts(self) -> dict[str, dict[str, Any]]:
         """Uncertain parameters: standard deviation before the record, estimate and that after."""
         prior = self.task.prior
         if prior is None:

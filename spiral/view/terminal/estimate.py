@@ -93,7 +93,10 @@ def _tracked(found: Estimation) -> list[str]:
 
 
 def _doubts(found: Estimation) -> list[str]:
-    """Uncertain parameters, before the first record and after."""
+    """Uncertain parameters, before the first record and after; those of a fit are in its table."""
+    prior = found.parts[0].task.prior
+    if prior is None or prior.told:
+        return []
     return [
         f"{name} {plus_minus(d['estimate'], d['se'])} {d['unit']}, doubt before {d['before']:.3g}"
         for name, d in found.parts[0].doubts.items()
