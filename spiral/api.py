@@ -203,13 +203,19 @@ def add(run: Run, *effects: str | Effect, **choices: Any) -> tuple[Comparison, C
 
 
 def estimate(
-    model: Physics, record: Records, observer: Named | Any = "ekf", **choices: Any
+    model: Physics,
+    record: Records,
+    observer: Named | Any = "ekf",
+    uncertain: Mapping[str, Any] | None = None,
+    **choices: Any,
 ) -> Estimation:
     """Reconstruct all states, hidden ones too, with their uncertainty.
 
     Parameters
     ----------
     observer : ``ekf``, ``ukf``, ... by name, with fields, or as an object.
+    uncertain : what is not known exactly, by name or pattern, as a standard deviation over the
+        value (of an angle: rad): ``{"bearing.*": 0.2}``; or ``{NAME: {"absolute": 3}}``.
     """
     from spiral.inference.reconstruction.estimate import estimate as step
 
@@ -218,7 +224,8 @@ def estimate(
         _no_more(choices, "estimate")
         known, records = _model(model, registry), _records(record)
         chosen = _plugin("observer", observer, registry)
-        return step((known,) * len(records), records, chosen, progress)
+        models = (known,) * len(records)
+        return step(models, records, chosen, progress, uncertain=uncertain)
 
 
 def identify(

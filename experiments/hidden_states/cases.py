@@ -15,6 +15,7 @@ from spiral_plugins.systems.tilting_rotor import TiltingRotor
 from spiral.engine.filter.observer import Observer
 from spiral.engine.filter.stochastic import disturbed
 from spiral.engine.filter.task import Task, prepare_task, with_record
+from spiral.inference.reconstruction.uncertain import declared
 from spiral.inference.simulate import with_defaults
 from spiral.types.model import seed_model
 from spiral.types.record import Record
@@ -38,8 +39,10 @@ class Case:
     """One condition.
 
     ``joint``: every bearing parameter of the model times 1 + joint. ``independent``: each times
-    1 +- independent with a sign of its own. ``phase_error``: of the model's phase origin, rad;
-    ``tracked``: estimated as a state. ``kind``: ``coastdown``, ``soft`` (rotor_soft_tilt), or
+    1 +- independent with a sign of its own. ``drawn``: each of the true machine times 1 + drawn
+    N(0, 1). ``declared``: the model's doubt of each, as a share of its value. ``phase_error``: of
+    the model's phase origin, rad; ``tracked``: estimated as a state.
+    ``kind``: ``coastdown``, ``soft`` (rotor_soft_tilt), or
     ``disturbed`` (a truth with real process noise, known to the filter).
     """
 
@@ -48,6 +51,8 @@ class Case:
     noise: float = 0.02
     joint: float = 0.0
     independent: float = 0.0
+    drawn: float = 0.0
+    declared: float = 0.0
     phase_error: float = 0.0
     tracked: bool = False
     kind: str = "coastdown"
@@ -65,12 +70,18 @@ CASES = (
     *(Case(f"joint {100 * d:.0f} %", "mismatch", joint=d) for d in (0.0, 0.05, 0.10, 0.20)),
     *(Case(f"independent {100 * d:.0f} %", "independent", independent=d)
       for d in (0.05, 0.10, 0.20)),
+    *(Case(f"independent {100 * d:.0f} %, declared", "declared", independent=d, declared=d,
+           observers=("rts",)) for d in (0.05, 0.10, 0.20)),
+    *(Case(f"drawn {100 * d:.0f} %, declared", "declared", drawn=d, declared=d,
+           observers=("rts",)) for d in (0.05, 0.10, 0.20)),
     Case("phase 0.01 rad off", "phase", phase_error=0.01),
     Case("phase 0.01 rad off, tracked", "phase", phase_error=0.01, tracked=True),
     Case("phase 2.5 rad off, tracked", "phase", phase_error=2.5, tracked=True),
     Case("real process noise", "honesty", kind="disturbed"),
     Case("soft tilt, matched", "soft", kind="soft"),
     Case("soft tilt, joint 5 %", "soft", kind="soft", joint=0.05),
+    Case("soft tilt, drawn 5 %, declared", "declared", kind="soft", drawn=0.05, declared=0.05,
+         observers=("rts",)),
     Case("settings of the paper", "paper", observers=("ekf_paper",)),
 )  # fmt: skip
 
@@ -78,19 +89,27 @@ CASES = (
 def record(case: Case, seed: int) -> Record:
     """The record of one seed, with its truth."""
     system = TiltingRotor()
-    if case.kind == "soft":
-        source = Simulation(
-            system=system,
-            values={"system.span": SOFT_SPAN, "system.phase_origin": PHASE},
-            inputs={"speed": {"sweep": [40, 0], "unit": "Hz"}},
-            duration=14.0,
-            rate=RATE,
-            seed=seed,
-            noise_level=case.noise,
-        )
-        return source.load(system)[0]
-    made = RotorCoastdown(seed=seed, noise_level=case.noise, rate=RATE, phase=PHASE)
-    return made.load(system)[0]
+    if case.kind != "soft" and not case.drawn:
+        made = RotorCoastdown(seed=seed, noise_level=case.noise, rate=RATE, phase=PHASE)
+        return made.load(system)[0]
+    soft = {"system.span": SOFT_SPAN} if case.kind == "soft" else {}
+    source = Simulation(
+        system=system,
+        values={"system.phase_origin": PHASE, **soft, **_machine(case, seed)},
+        inputs={"speed": {"sweep": [40, 0], "unit": "Hz"}},
+        duration=14.0,
+        rate=RATE,
+        seed=seed,
+        noise_level=case.noise,
+    )
+    return source.load(system)[0]
+
+
+def _machine(case: Case, seed: int) -> dict[str, float]:
+    """Bearing parameters of the true machine, where they are drawn."""
+    rng = np.random.default_rng([seed, 78])
+    nominal = {k: v for k, v in TiltingRotor().defaults.items() if "@bearing" in k}
+    return {k: v * (1.0 + case.drawn * rng.normal()) for k, v in nominal.items() if case.drawn}
 
 
 @lru_cache(maxsize=2)
@@ -120,6 +139,8 @@ def task(case: Case, seed: int) -> Task:
             wrong[key] = value * (1.0 + case.joint) * (1.0 + sign * case.independent)
     given = with_record(base.with_values(wrong), series)
     truth = np.array([values[0] for values in series.truth.values()])
+    if case.declared:
+        given = replace(given, prior=declared(given.model, given, {"bearing.*": case.declared}))
     return replace(given, start=truth + rng.normal(size=len(truth)) * given.spread)
 
 

@@ -6,13 +6,14 @@ import time
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from spiral.engine.filter.observer import Observer, Reconstruction
 
 if TYPE_CHECKING:
     from spiral.engine.filter.extended import FilterSettings, Pass
     from spiral.engine.filter.task import Task
+    from spiral.types.record import Array
 
 
 class Tuned(Observer):
@@ -29,24 +30,60 @@ class Tuned(Observer):
     spread : initial standard deviation of the states as a share of the settled one.
     """
 
+    doubts: ClassVar[bool] = True
+
     process_noise: Mapping[str, float] | float | None = None
     track: tuple[str, ...] | None = None
     doubt: Mapping[str, float] | None = None
     spread: float = 1.0
 
     def reconstruct(self, task: Task) -> Reconstruction:
-        """Choose the process noise, then run once."""
+        """Choose the process noise, then run once; more often where parameters are uncertain."""
         from spiral.engine.filter.extended import as_reconstruction
-        from spiral.engine.filter.setup import chosen_levels, prepared, with_level
+        from spiral.engine.filter.setup import chosen_levels, prepared, quieted, with_level
+        from spiral.engine.filter.tuning import LOWEST
+
+        from spiral.engine.filter.rounding import finer
 
         clock = time.perf_counter()
         task, settings = prepared(task, self.track, self.doubt, self.spread)
+        if task.prior is not None:
+            return self._doubted(task, settings, clock)
         levels = chosen_levels(task, settings, self.process_noise)
+        if min(levels.values()) < LOWEST:
+            task = finer(task)
+            levels = quieted(task, settings, levels) if self.process_noise is None else levels
         tuned = time.perf_counter()
         settings = with_level(task, settings, levels)
         found = self.run(task, settings)
         seconds = time.perf_counter() - tuned
         return as_reconstruction(task, settings, found, levels, seconds, tuned - clock)
+
+    def _doubted(self, task: Task, settings: FilterSettings, clock: float) -> Reconstruction:
+        """The same with parameters of which only a Gaussian is known."""
+        from spiral.engine.filter.doubted import doubted
+        from spiral.engine.filter.extended import as_reconstruction
+        from spiral.engine.filter.posterior import posterior
+        from spiral.engine.filter.setup import with_level
+
+        known = posterior(task, settings, self.process_noise)
+        tuned = time.perf_counter()
+        task, settings = known.task, with_level(task, settings, known.levels)
+        prior = task.prior
+        assert prior is not None
+
+        def run(values: Array) -> Pass:
+            moved = dict(zip(prior.keys, map(float, values), strict=True))
+            return self.run(task.with_values(moved), settings)
+
+        top = self.run(task, settings)
+        whole = top.done == task.series.samples
+        found = doubted(run, known, top) if whole else None
+        seconds = time.perf_counter() - tuned
+        made = as_reconstruction(
+            task, settings, found.found if found else top, known.levels, seconds, tuned - clock
+        )
+        return replace(made, values=found.values(prior.keys)) if found else made
 
     @abstractmethod
     def run(self, task: Task, settings: FilterSettings) -> Pass:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from spiral.io.request import OK, REFUSED, Outcome
+from spiral.types.errors import ConfigError
 
 if TYPE_CHECKING:
     from spiral.commands.study import Command
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 def reconstruct(study: Command) -> Outcome:
     """Reconstruct all states of the configured records; exit 3 where the observer diverged."""
     from spiral.inference.reconstruction.estimate import estimate
-    from spiral.io.config import build_model, build_observer, build_sources
+    from spiral.inference.reconstruction.uncertain import fitted as fitted_prior
+    from spiral.io.config import build_model, build_observer, build_sources, options
 
     config, registry = study.config, study.registry
     observer = build_observer(config, registry)
@@ -27,7 +29,15 @@ def reconstruct(study: Command) -> Outcome:
     records = source.load(model.system)
     fitted = _calibrated(study, model, records)
     models = fitted.models if fitted else (model,) * len(records)
-    found = estimate(models, records, observer, study.tell, fitted.grids if fitted else ())
+    uncertain = options(study.config).uncertain
+    if fitted and uncertain:
+        raise ConfigError(
+            "uncertain= of a model that is fitted first", "one of them",
+            "calibrate=false keeps the values that are given",
+        )  # fmt: skip
+    known = tuple(fitted_prior(fitted, i) for i in range(len(records))) if fitted else ()
+    grids = fitted.grids if fitted else ()
+    found = estimate(models, records, observer, study.tell, grids, uncertain, known)
     written = _written(study.request.out, found)
     result: dict[str, Any] = found.as_dict()
     result["calibration"] = _calibration_dict(fitted) if fitted else None

@@ -55,6 +55,7 @@ class Options:
     free: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
     calibrate: bool | None = None
+    uncertain: Any = None
     holdout: float = 0.2
     holdout_blocks: int = 1
     settings: Any = field(default_factory=dict)

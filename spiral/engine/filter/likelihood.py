@@ -11,12 +11,13 @@ their values the noise falls, and the innovations judge ever longer predictions.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, filtered
 from spiral.engine.filter.noise import groups
+from spiral.engine.filter.prior import Prior
 from spiral.engine.filter.setup import with_level
 from spiral.engine.filter.task import Task
 from spiral.engine.filter.tuning import LOWEST, Likelihood, most_likely
@@ -38,14 +39,16 @@ _RUNAWAY = -1e300
 class Climbed:
     """Where the likelihood is highest: the records' tasks with their values, and the levels.
 
-    ``errors`` are standard errors of the parameters that moved, by the outer product of slopes;
-    ``log_likelihood`` is -inf where the filter ran away from the beginning.
+    ``errors`` are standard errors of the parameters that moved, by the outer product of slopes, and
+    ``covariance`` (q, q) is theirs together where a prior was given; ``log_likelihood`` is -inf
+    where the filter ran away from the beginning, and has the prior in it.
     """
 
     prepared: Prepared
     levels: Mapping[str, float]
     log_likelihood: float
     errors: Mapping[str, float]
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def values(self) -> Array:
@@ -68,8 +71,11 @@ def climbed(
     levels: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     near: Mapping[str, float] | None = None,
+    prior: Prior | None = None,
 ) -> Climbed:
     """The most likely values of parameters that all records share, and of the process noise.
+
+    With a ``prior`` the most probable ones: log L + log p climbs.
 
     Parameters
     ----------
@@ -80,26 +86,28 @@ def climbed(
     """
     known = tuple(groups(prepared[0][0]))
     present = dict(levels or near or most_likely(*_search(prepared, known)))
-    height = log_likelihood(prepared, present)
+    height = log_likelihood(prepared, present, prior)
     for _ in range(_CYCLES if keys else 0):
         before = height
-        prepared, height = _ascended(prepared, keys, present, height, bounds or {})
+        prepared, height = _ascended(prepared, keys, present, height, bounds or {}, prior)
         if levels is None:
-            present, height = _quieter(prepared, present, height)
+            present, height = _quieter(prepared, present, height, prior)
         if levels is not None or height - before < _WORTH:
             break
     if levels is None and (keys or near):
         trial = most_likely(*_search(prepared, known), near=present)
-        present = trial if log_likelihood(prepared, trial) > height else present
-        height = log_likelihood(prepared, present)
-        prepared, height = _ascended(prepared, keys, present, height, bounds or {})
+        present = trial if log_likelihood(prepared, trial, prior) > height else present
+        height = log_likelihood(prepared, present, prior)
+        prepared, height = _ascended(prepared, keys, present, height, bounds or {}, prior)
     height = height if height > _RUNAWAY else -np.inf
-    return Climbed(prepared, present, height, _errors(prepared, present, keys))
+    return Climbed(prepared, present, height, *_spread(prepared, present, keys, prior))
 
 
-def log_likelihood(prepared: Prepared, levels: Mapping[str, float]) -> float:
+def log_likelihood(
+    prepared: Prepared, levels: Mapping[str, float], prior: Prior | None = None
+) -> float:
     """Sum over records; a number below all others where a filter runs away."""
-    total = 0.0
+    total = 0.0 if prior is None else prior.log(prepared[0][0].at(prior.keys))
     for task, settings in prepared:
         found = filtered(task, with_level(task, settings, levels))
         if found.done < task.series.samples or not np.isfinite(found.log_likelihood):
@@ -119,12 +127,12 @@ def _search(prepared: Prepared, known: tuple[str, ...]) -> tuple[tuple[str, ...]
 
 
 def _quieter(
-    prepared: Prepared, levels: dict[str, float], height: float
+    prepared: Prepared, levels: dict[str, float], height: float, prior: Prior | None
 ) -> tuple[dict[str, float], float]:
     """All levels of process noise lowered together as long as the likelihood rises."""
     while max(levels.values()) > LOWEST:
         trial = {k: max(_LESS * v, LOWEST) for k, v in levels.items()}
-        reached = log_likelihood(prepared, trial)
+        reached = log_likelihood(prepared, trial, prior)
         if not reached > height:
             break
         levels, height = trial, reached
@@ -155,16 +163,19 @@ def _ascended(
     levels: Mapping[str, float],
     height: float,
     bounds: Mapping[str, tuple[float, float]],
+    prior: Prior | None,
 ) -> tuple[Prepared, float]:
     """Scoring steps at fixed process noise until they are not worth another."""
     for _ in range(_STEPS):
         parts = _regression(prepared, levels, keys)
         if parts is None:
             break
-        step = least_squares(*_stacked(parts)).b
+        x, e = _stacked(parts)
+        now = prepared[0][0].at(keys)
+        step = least_squares(x, e).b if prior is None else prior.step(x, e, now)
         for halving in range(_HALVINGS):
             trial = _moved(prepared, keys, step / 2**halving, bounds)
-            reached = log_likelihood(trial, levels)
+            reached = log_likelihood(trial, levels, prior)
             if reached > height:
                 break
         else:
@@ -194,11 +205,17 @@ def with_shared(prepared: Prepared, values: Mapping[str, float]) -> Prepared:
     return tuple((task.with_values(values), settings) for task, settings in prepared)
 
 
-def _errors(
-    prepared: Prepared, levels: Mapping[str, float], keys: tuple[str, ...]
-) -> dict[str, float]:
+def _spread(
+    prepared: Prepared, levels: Mapping[str, float], keys: tuple[str, ...], prior: Prior | None
+) -> tuple[dict[str, float], Array]:
+    """Standard errors by name; with a prior, the covariance that is left of it too."""
     parts = _regression(prepared, levels, keys) if keys else None
     if parts is None:
-        return {}
-    spread = least_squares(*_stacked(parts)).spread(1.0)
-    return dict(zip(keys, map(float, spread), strict=True))
+        return {}, np.zeros((0, 0))
+    x, e = _stacked(parts)
+    if prior is None:
+        spread, covariance = least_squares(x, e).spread(1.0), np.zeros((0, 0))
+    else:
+        covariance = prior.left(x)
+        spread = np.sqrt(np.diag(covariance))
+    return dict(zip(keys, map(float, spread), strict=True)), covariance

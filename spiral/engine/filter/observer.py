@@ -26,7 +26,8 @@ class Reconstruction:
     ``innovations`` (samples, channels) are one-step prediction errors y - h(x), ``spreads``
     (samples, channels, channels) their covariance; both are empty for an observer that predicts
     nothing. ``covariances`` (samples, N, N) or empty. ``done`` is the number of samples before
-    the numbers became infinite; ``levels`` the process noise in use, by group of states.
+    the numbers became infinite; ``levels`` the process noise in use, by group of states. ``values``
+    are uncertain parameters as the record leaves them, mean and standard deviation by name.
     """
 
     names: tuple[str, ...]
@@ -40,6 +41,7 @@ class Reconstruction:
     levels: Mapping[str, float] = field(default_factory=dict)
     seconds: float = 0.0
     tuning_seconds: float = 0.0
+    values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def state(self, name: str) -> tuple[Array, Array]:
         """Mean and standard deviation of one column, each (samples,)."""
@@ -51,6 +53,8 @@ class Observer(Plugin):
     """Reconstructs the states of a model from a record; its fields are dimensionless choices."""
 
     kind: ClassVar[str] = "observer"
+    doubts: ClassVar[bool] = False
+    """Whether its bands take in what is uncertain of the parameters (``Task.prior``)."""
 
     @abstractmethod
     def reconstruct(self, task: Task) -> Reconstruction:

@@ -10,6 +10,7 @@ import numpy as np
 from spiral.engine.filter.extended import FilterSettings, filtered, tracked_indices
 from spiral.engine.filter.extended import smoothed as backward
 from spiral.engine.filter.noise import groups, intensity, sampled
+from spiral.engine.filter.rounding import rounding
 from spiral.engine.filter.task import Task
 from spiral.engine.filter.tuning import most_likely
 from spiral.engine.study import ORIGIN
@@ -22,17 +23,32 @@ _WORTH = 20.0  # log-likelihood by which another origin must win
 _SEARCH_LEVEL = 0.3
 _SHARE = 0.2  # first doubt of a tracked parameter, as a share of its value
 _DRIFT = 0.05  # rad / sqrt(s): random walk of a phase that was integrated from speed
+_WORTHLESS = 0.5  # log-likelihood that a process noise must be worth
+_SHARES = (0.3, 0.1, 0.03, 0.0)  # of that drift, each tried after the one before
+
+DRIFT = "drift"
+"""Name of the share of a tracked phase's drift, beside the levels of the groups of states."""
 
 
 def tracked_parameters(task: Task, named: tuple[str, ...] | None) -> tuple[str, ...]:
     """Parameters estimated as states: those named, else the record's phase origin.
 
-    It is a nuisance where something turns with the phase.
+    It is a nuisance where something turns with the phase, unless it is uncertain by itself.
+
+    Raises
+    ------
+    ConfigError : one that is uncertain as well.
     """
+    uncertain = task.prior.keys if task.prior else ()
     if named is not None:
+        for name in named:
+            if name in uncertain:
+                raise ConfigError(
+                    f"{name} in track and in uncertain", "one of them", "observer.track=[]"
+                )
         return named
     turning = any("phase" in e.inputs for e in task.model.effects)
-    return tuple(k for k in task.keys if k == ORIGIN and turning)
+    return tuple(k for k in task.keys if k == ORIGIN and turning and k not in uncertain)
 
 
 def prepared(
@@ -70,8 +86,10 @@ def prepared(
 
 
 def with_level(task: Task, settings: FilterSettings, levels: Mapping[str, float]) -> FilterSettings:
-    """The settings with process noise at these levels."""
-    return replace(settings, process=sampled(task, intensity(task, levels)))
+    """The settings with process noise at these levels, and with that share of the drift."""
+    process = sampled(task, intensity(task, levels))
+    drift = settings.wander * levels.get(DRIFT, 1.0) ** 2
+    return replace(settings, process=process, wander=drift)
 
 
 def chosen_levels(
@@ -90,8 +108,9 @@ def chosen_levels(
             found = filtered(task, with_level(task, settings, levels))
             return found.log_likelihood, found.done
 
-        return most_likely(known, task.series.samples, likelihood)
-    levels = dict(given) if isinstance(given, Mapping) else dict.fromkeys(known, given)
+        return quieted(task, settings, most_likely(known, task.series.samples, likelihood))
+    known = (*known, DRIFT) if np.any(settings.wander) else known
+    levels = dict(given) if isinstance(given, Mapping) else dict.fromkeys(groups(task), given)
     for name, value in levels.items():
         if name not in known:
             raise ConfigError(
@@ -101,6 +120,29 @@ def chosen_levels(
         if not value >= 0:
             raise ConfigError(f"process_noise of {name!r}: {value!r}", "a level, zero or above")
     return {k: float(v) for k, v in levels.items()}
+
+
+def quieted(task: Task, settings: FilterSettings, levels: Mapping[str, float]) -> dict[str, float]:
+    """The levels, each zero where that is as likely; of a drift the smallest share that is.
+
+    Zero is what the steps of integration err by (``spiral.engine.filter.rounding``).
+    """
+
+    def height(trial: Mapping[str, float]) -> float:
+        found = filtered(task, with_level(task, settings, trial))
+        return found.log_likelihood if found.done == task.series.samples else -np.inf
+
+    present, lowest = dict(levels), rounding(task)
+    reached = height(present)
+    trials = [dict.fromkeys(present, lowest), *({k: lowest} for k in present)]
+    trials += [{DRIFT: share} for share in _SHARES] if np.any(settings.wander) else []
+    for change in trials:
+        trial = {**present, **change}
+        if any(trial[k] != present.get(k) for k in trial):
+            value = height(trial)
+            if value > reached - _WORTHLESS:
+                present, reached = trial, max(value, reached)
+    return present
 
 
 def smoothed(

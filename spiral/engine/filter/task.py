@@ -8,11 +8,12 @@ has to be chosen by hand.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spiral.engine.filter.prior import Prior
 from spiral.engine.filter.static import StaticMap, static_map
 from spiral.engine.kernel import trajectories
 from spiral.engine.series import Series, prepare
@@ -38,7 +39,7 @@ class Task:
     and standard deviation before the first sample; ``centre`` and ``scales`` (n,) mean and standard
     deviation of the settled states, ``rates`` (n,) that of their rates; ``static`` the static map,
     where there is one; ``moved`` are parameters that slopes will be asked by, for which one flow is
-    compiled.
+    compiled; ``prior`` is what is known of uncertain parameters.
     """
 
     model: Model
@@ -53,6 +54,7 @@ class Task:
     rates: Array
     static: StaticMap | None
     moved: tuple[str, ...] = ()
+    prior: Prior | None = None
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -70,6 +72,10 @@ class Task:
         if self.inputs is self.series.inputs:
             return self.series.mean_inputs
         return self.inputs.mean(axis=0) if self.inputs.size else np.zeros(self.inputs.shape[1])
+
+    def at(self, keys: Sequence[str]) -> Array:
+        """Values of these parameters."""
+        return self.values[[self.keys.index(k) for k in keys]]
 
     def with_values(self, values: Mapping[str, float]) -> Task:
         """The same with other parameter values."""
@@ -149,6 +155,12 @@ def on_scales(task: Task, other: Task) -> Task:
             for name, values in found.items():
                 values[i] = getattr(other, name)[other.states.index(state)]
     return replace(task, **found)
+
+
+def with_finer_steps(task: Task, times: int) -> Task:
+    """The task with so many times the Runge-Kutta steps per sample; all else is kept."""
+    series = prepare(task.model.system, task.series.record, times * task.series.substeps)
+    return replace(task, series=series, inputs=series.inputs)
 
 
 def at_rest(task: Task) -> Array | None:

@@ -65,7 +65,7 @@ class Calibration:
 
     ``grids`` are inputs on the half-step grid with their substeps, as the fit corrected them.
     ``untold`` are parameters whose standard error is over half their value: these records do not
-    determine them. ``fitted`` is the last fit, with the covariance of its columns.
+    determine them. ``fitted`` is the last fit, with the covariance of its ``columns``.
     """
 
     models: tuple[Model, ...]
@@ -76,6 +76,7 @@ class Calibration:
     untold: tuple[str, ...] = ()
     fitted: Fitted | None = None
     keys: tuple[str, ...] = ()
+    columns: ParameterColumns | None = None
 
     @property
     def model(self) -> Model:
@@ -273,6 +274,7 @@ def _result(assembly: Assembly, standing: FitState, stage: Stage) -> Calibration
         untold=untold(models[0]),
         fitted=stage.fitted,
         keys=tuple(k for k in standing.keys(assembly) if k in study.keys),
+        columns=columns(assembly, standing.keys(assembly))[0],
     )
 
 

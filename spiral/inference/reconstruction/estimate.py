@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.filter.observer import Observer, Reconstruction
+from spiral.engine.filter.prior import Prior
 from spiral.engine.filter.task import Task, prepare_task
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.problem import Progress, silent
@@ -26,7 +27,9 @@ from spiral.inference.reconstruction.consistency import (
 )
 from spiral.inference.reconstruction.consistency import stable_samples as stable
 from spiral.inference.reconstruction.observability import Observability, observability
+from spiral.inference.reconstruction.uncertain import declared
 from spiral.physics.trace import own_states
+from spiral.types.errors import ConfigError
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model, pretty_unit
 from spiral.types.record import Array, Record
@@ -84,6 +87,18 @@ class Reconstructed:
     def diverged(self) -> bool:
         """Whether the observer lost the record before its end."""
         return self.stable < self.record.samples
+
+    @property
+    def doubts(self) -> dict[str, dict[str, Any]]:
+        """Uncertain parameters: standard deviation before the record, estimate and that after."""
+        prior = self.task.prior
+        if prior is None:
+            return {}
+        before = dict(zip(prior.keys, np.sqrt(np.diag(prior.covariance)), strict=True))
+        return {
+            k: {"before": float(before[k]), "estimate": v, "se": s, "unit": self.unit(k)}
+            for k, (v, s) in self.found.values.items()
+        }
 
     def unit(self, name: str) -> str:
         """Unit of a state or of a tracked parameter."""
@@ -155,6 +170,7 @@ def _as_dict(part: Reconstructed) -> dict[str, Any]:
         "diverged": part.diverged,
         "stable_s": [0.0, part.stable * part.record.dt],
         "log_likelihood": part.found.log_likelihood,
+        "uncertain": part.doubts,
     }
 
 
@@ -171,6 +187,8 @@ def estimate(
     observer: Observer,
     progress: Progress = silent,
     grids: Sequence[tuple[Array, int] | None] = (),
+    uncertain: Mapping[str, Any] | None = None,
+    known: Sequence[Prior | None] = (),
 ) -> Estimation:
     """Run an observer over records.
 
@@ -179,11 +197,24 @@ def estimate(
     models : one for each record (they differ in the values that belong to a record).
     grids : for each record, inputs on the half-step grid and its substeps where a fit has corrected
         them.
+    uncertain : what is declared of parameters (``spiral.inference.reconstruction.uncertain``).
+    known : for each record, what a fit knows of them.
+
+    Raises
+    ------
+    ConfigError : doubt that was declared, and an observer whose bands cannot hold it.
     """
+    if uncertain and not observer.doubts:
+        raise ConfigError(
+            f"uncertain= with observer={observer.plugin_name()}",
+            "an observer whose bands take it in", "observer=rts, ekf or ukf",
+        )  # fmt: skip
     parts = []
     for index, (model, record) in enumerate(zip(models, records, strict=True)):
         inputs, substeps = (grids[index] if grids else None) or (None, None)
         task = prepare_task(model, record, inputs=inputs, substeps=substeps)
+        prior = declared(model, task, uncertain) if uncertain else (known[index] if known else None)
+        task = replace(task, prior=prior if observer.doubts else None)
         progress(f"{observer.plugin_name()} over {record.name}: {record.samples} samples")
         parts.append(reconstructed(task, observer))
     return estimation(observer.plugin_name(), parts)

@@ -43,6 +43,8 @@ def show(verb: str, outcome: Outcome) -> None:
     console.print(_states(found))
     for line in _tracked(found):
         console.print(Text(line))
+    for line in _doubts(found):
+        console.print(Text(line))
     for part in found.parts:
         _trust(console, part, len(found.parts) > 1)
     seen = found.observability
@@ -88,6 +90,17 @@ def _tracked(found: Estimation) -> list[str]:
         mean, deviation = (float(v[at]) for v in first.found.state(name))
         lines.append(f"{name} {plus_minus(mean, deviation)} {first.unit(name)} at the end")
     return lines
+
+
+def _doubts(found: Estimation) -> list[str]:
+    """Uncertain parameters, before the first record and after; those of a fit are in its table."""
+    prior = found.parts[0].task.prior
+    if prior is None or prior.told:
+        return []
+    return [
+        f"{name} {plus_minus(d['estimate'], d['se'])} {d['unit']}, doubt before {d['before']:.3g}"
+        for name, d in found.parts[0].doubts.items()
+    ]
 
 
 def _trust(console: Console, part: Reconstructed, named: bool) -> None:

@@ -1,0 +1,141 @@
+"""Bands that know the doubt of the parameters: variance = mean of variances + variance of means.
+
+Of a Gaussian posterior it is P + S C S^T, with S the slope of the states by the parameters, from
+differences of two runs along each axis of C. Of a bent one it is that of runs at its draws, weighed
+by p(run) / p(drawn from), no weight over sqrt(draws) times that of the most probable values
+(truncated importance sampling, Ionides 2008).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.filter.extended import Pass
+from spiral.engine.filter.posterior import Posterior
+from spiral.types.record import Array
+
+_SHARES = (1.0, 0.1, 0.01)
+
+Runs = Callable[[Array], Pass]
+"""The observer's run at values (q,) of the uncertain parameters."""
+
+
+@dataclass(frozen=True)
+class Doubted:
+    """A run whose bands hold the parameters' doubt; their ``mean`` (q,) and ``covariance`` (q, q).
+
+    ``effective`` is the number of draws that the weights amount to; none for a Gaussian.
+    """
+
+    found: Pass
+    mean: Array
+    covariance: Array
+    effective: float | None = None
+
+    def values(self, keys: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation of every parameter."""
+        spread = np.sqrt(np.diag(self.covariance))
+        rows = zip(self.mean, spread, strict=True)
+        return {k: (float(m), float(s)) for k, (m, s) in zip(keys, rows, strict=True)}
+
+
+def doubted(runs: Runs, known: Posterior, at_top: Pass) -> Doubted:
+    """The run at the most probable values, widened.
+
+    Parameters
+    ----------
+    at_top : that run.
+    """
+    prior = known.task.prior
+    assert prior is not None
+    here = known.task.at(prior.keys)
+    if not len(known.draws):
+        spread = _sloped(runs, here, known.root, at_top)
+        return Doubted(_widened(at_top, at_top.means, spread), here, known.covariance)
+    top = at_top.log_likelihood + prior.log(here)
+    sums = _Sums(at_top)
+    kept, weights = [], []
+    for values, height in zip(known.draws, known.heights, strict=True):
+        run = runs(values)
+        if run.done < at_top.done or not np.isfinite(run.log_likelihood):
+            continue
+        over = run.log_likelihood + prior.log(values) - top - height
+        weight = float(np.exp(min(over, 0.5 * np.log(len(known.draws)))))
+        sums.add(run, weight)
+        kept.append(values)
+        weights.append(weight)
+    if sum(w > 0 for w in weights) < 2:
+        spread = _sloped(runs, here, known.root, at_top)
+        return Doubted(_widened(at_top, at_top.means, spread), here, known.covariance)
+    mean, covariance, effective = _moments(np.array(kept), np.array(weights))
+    return Doubted(sums.whole(effective), mean, covariance, effective)
+
+
+def _sloped(runs: Runs, here: Array, root: Array, top: Pass) -> Array:
+    """S C S^T: (samples, N, N), or its diagonal (samples, N) where no covariances were kept."""
+    total = np.zeros_like(top.covariances if len(top.covariances) else top.variances)
+    for step in root.T:
+        for share in _SHARES:  # of a deviation with which the filter stays with the record
+            ahead, behind = runs(here + share * step), runs(here - share * step)
+            if min(ahead.done, behind.done) == top.done:
+                total += _square(0.5 / share * (ahead.means - behind.means), total.ndim)
+                break
+    return total
+
+
+def _square(rows: Array, dimensions: int) -> Array:
+    return rows[:, :, None] * rows[:, None, :] if dimensions == 3 else rows**2
+
+
+def _widened(top: Pass, means: Array, spread: Array) -> Pass:
+    if spread.ndim == 3:
+        covariances = top.covariances + spread
+        variances = np.diagonal(covariances, axis1=1, axis2=2).copy()
+        return replace(top, means=means, covariances=covariances, variances=variances)
+    return replace(top, means=means, variances=top.variances + spread)
+
+
+def _moments(values: Array, weights: Array) -> tuple[Array, Array, float]:
+    """Weighted mean, covariance, and the number of draws that the weights amount to."""
+    share = weights / weights.sum()
+    effective = float(1.0 / np.sum(share**2))
+    mean = share @ values
+    left = values - mean
+    return mean, _unbiased(effective) * (left.T * share) @ left, effective
+
+
+def _unbiased(effective: float) -> float:
+    """What a variance of few draws lacks, with the error of their mean."""
+    return (effective + 1.0) / max(effective - 1.0, 1.0)
+
+
+class _Sums:
+    """Weighted sums over runs, of means as differences from one of them."""
+
+    def __init__(self, top: Pass) -> None:
+        self.top, self.weight = top, 0.0
+        self.full = bool(len(top.covariances))
+        own = top.covariances if self.full else top.variances
+        self.shift, self.squares, self.own = (
+            np.zeros_like(top.means), np.zeros_like(own), np.zeros_like(own),
+        )  # fmt: skip
+
+    def add(self, run: Pass, weight: float) -> None:
+        """One run with its weight."""
+        shift = run.means - self.top.means
+        self.weight += weight
+        self.shift += weight * shift
+        self.squares += weight * _square(shift, self.squares.ndim)
+        self.own += weight * (run.covariances if self.full else run.variances)
+
+    def whole(self, effective: float) -> Pass:
+        """The mean of means; the mean of variances and the variance of means."""
+        shift, over = self.shift / self.weight, self.squares / self.weight
+        spread = _unbiased(effective) * (over - _square(shift, over.ndim))
+        base = replace(self.top, variances=self.own / self.weight)
+        if self.full:
+            base = replace(self.top, covariances=self.own / self.weight)
+        return _widened(base, self.top.means + shift, spread)

@@ -1,0 +1,141 @@
+"""What a record leaves of the doubt of parameters, and of the process noise beside them.
+
+1. the most probable values, log L(innovations) + log p(theta) (``engine.filter.likelihood``), with
+   the process noise lowered as they are found, to zero where that is as likely;
+2. the innovations to second order around them (``spiral.engine.filter.bent``);
+3. steps of one standard deviation along each axis where the posterior is a Gaussian, else draws
+   from the second order, weighed with the likelihood of the run itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.filter.bent import Expansion, drawn, expansion
+from spiral.engine.filter.extended import FilterSettings
+from spiral.engine.filter.likelihood import Climbed, climbed
+from spiral.engine.filter.prior import Prior, rooted
+from spiral.engine.filter.setup import chosen_levels, quieted, with_level
+from spiral.engine.filter.task import Task
+from spiral.engine.filter.tuning import LOWEST
+from spiral.engine.filter.whitened import whitened
+from spiral.types.record import Array
+
+_DRAWS = 32
+_SEED = 14  # of the draws: the same record gives the same bands
+_TOLD = (1e-3, 4e-3)  # shares of the first doubt under which a direction is not mirrored
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Where a record leaves uncertain parameters.
+
+    ``task`` has the most probable values, ``levels`` are of the process noise, ``covariance`` is
+    (q, q). ``draws`` (count, q) with ``heights`` (count,), the log density that they were drawn
+    from over that of the most probable values; both are empty where the posterior is a Gaussian.
+    """
+
+    task: Task
+    levels: Mapping[str, float]
+    covariance: Array
+    draws: Array
+    heights: Array
+
+    @property
+    def root(self) -> Array:
+        """(q, r) steps of one standard deviation."""
+        return rooted(self.covariance)
+
+
+def posterior(
+    task: Task, settings: FilterSettings, given: Mapping[str, float] | float | None
+) -> Posterior:
+    """The posterior of a task's uncertain parameters; process noise ``given`` or tuned.
+
+    What a fit knows of this very record (``Prior.told``) is the posterior already.
+    """
+    prior = task.prior
+    assert prior is not None
+    none = np.zeros((0, len(prior.keys)))
+    if prior.told:
+        levels = chosen_levels(task, settings, given)
+        return Posterior(task, levels, prior.covariance, none, np.zeros(0))
+    task = replace(task, moved=prior.keys)
+    known = None if given is None else chosen_levels(task, settings, given)
+    found = _climbed(task, settings, prior, known)
+    if not found.finite or max(found.levels.values()) > LOWEST:  # not this valley, or not the model
+        starts = _mirrored(found, prior) if len(found.covariance) else []
+        others = [_climbed(start, settings, prior, known) for start in starts]
+        found = max([found, *others], key=lambda c: c.log_likelihood)
+    task, levels = found.prepared[0][0], dict(found.levels)
+    covariance = found.covariance
+    if not found.finite or not len(covariance):
+        return Posterior(task, levels, prior.covariance, none, np.zeros(0))
+    bend = _expanded(task, with_level(task, settings, levels), prior, covariance)
+    if bend is None or bend.straight:
+        return Posterior(task, levels, covariance, none, np.zeros(0))
+    w = drawn(bend, _DRAWS, np.random.default_rng(_SEED))
+    draws = task.at(prior.keys) + w @ rooted(covariance).T
+    return Posterior(task, levels, covariance, draws, bend.log(w))
+
+
+def _mirrored(found: Climbed, prior: Prior) -> list[Task]:
+    """Other first values: those found, the other way round wherever the record tells them least.
+
+    Where two parameters can share what the record tells in two ways, such as the stiffness of two
+    bearings, the ways lie on both sides of what was expected. In z, along axes of its covariance,
+    those told better than a share of the prior's deviation stay, and all others change their sign.
+    """
+    task = found.prepared[0][0]
+    inverse = np.linalg.pinv(prior.root)
+    left, axes = np.linalg.eigh(inverse @ found.covariance @ inverse.T)
+    z = axes.T @ prior.coordinates(task.at(prior.keys))
+    told = [np.sqrt(np.maximum(left, 0.0)) < share for share in _TOLD]
+    turned = [prior.mean + prior.root @ axes @ np.where(stay, z, -z) for stay in told]
+    return [task.with_values(dict(zip(prior.keys, map(float, v), strict=True))) for v in turned]
+
+
+def _climbed(
+    task: Task, settings: FilterSettings, prior: Prior, known: Mapping[str, float] | None
+) -> Climbed:
+    """The most probable values, then once more with the process noise that is needed there."""
+    bounds = {
+        k: (-np.inf if p.lower is None else p.lower, np.inf if p.upper is None else p.upper)
+        for k, p in task.model.pairs
+        if k in prior.keys
+    }
+    found = climbed(((task, settings),), prior.keys, known, bounds, prior=prior)
+    if known is not None or not found.finite:
+        return found
+    levels = quieted(found.prepared[0][0], settings, found.levels)
+    return climbed(found.prepared, prior.keys, levels, bounds, prior=prior)
+
+
+def _expanded(
+    task: Task, settings: FilterSettings, prior: Prior, covariance: Array
+) -> Expansion | None:
+    """Innovations and prior to second order in steps of one standard deviation."""
+    root, here = rooted(covariance), task.at(prior.keys)
+
+    def rows(values: Array) -> tuple[Array, Array] | None:
+        moved = task.with_values(dict(zip(prior.keys, map(float, values), strict=True)))
+        part = whitened(moved, settings, prior.keys)
+        if part is None:
+            return None
+        return part.innovations.reshape(-1), -part.columns.reshape(-1, len(here)) @ root
+
+    base = rows(here)
+    if base is None:
+        return None
+    second = np.zeros((root.shape[1], root.shape[1], len(base[0])))
+    for axis, step in enumerate(root.T):
+        ahead, behind = rows(here + step), rows(here - step)
+        if ahead is None or behind is None:
+            return None
+        second[axis] = 0.5 * (ahead[1] - behind[1]).T
+    second = 0.5 * (second + second.transpose(1, 0, 2))
+    slopes = np.linalg.lstsq(prior.root, root, rcond=None)[0]
+    return expansion(*base, second, prior.coordinates(here), slopes)

@@ -1,0 +1,90 @@
+"""What a user declares of uncertain parameters, and what a fit knows of them, as a Gaussian.
+
+    uncertain={"bearing.*": 0.2, "system.phase_origin": 0.05, "preload.force": {"absolute": 3}}
+
+A name or a pattern (``*``, ``?``) stands for full names as a model shows them
+(``linear_stiffness@bearing_1.stiffness_x``), for place and parameter (``bearing_1.stiffness_x``),
+or for places that are numbered (``bearing.stiffness_x``); of several that fit a parameter the last
+one counts. A number is the standard deviation as a share of the value, of an angle in rad.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+
+from spiral.engine.filter.prior import Prior
+from spiral.engine.filter.task import Task
+from spiral.engine.fit import covariance
+from spiral.inference.reconstruction.calibrate import Calibration
+from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.model import Model
+
+_HOW = "a share of the value such as 0.2, or {absolute: 3} in the parameter's unit"
+
+
+def declared(model: Model, task: Task, uncertain: Mapping[str, Any]) -> Prior | None:
+    """Independent parameters around a task's values; nothing where none is uncertain.
+
+    Raises
+    ------
+    ConfigError : a pattern that names nothing, a deviation that is none, or a share of zero.
+    """
+    found: dict[str, float] = {}
+    for pattern, given in uncertain.items():
+        fitting = [k for k in task.keys if any(fnmatchcase(n, pattern) for n in names(k))]
+        if not fitting:
+            raise ConfigError(
+                f"uncertain={{{pattern}: ...}}, which names no parameter",
+                f"names or patterns over {', '.join(task.keys)}",
+                did_you_mean(pattern, [n for k in task.keys for n in names(k)]),
+            )
+        for name in fitting:
+            found[name] = _deviation(model, name, float(task.at((name,))[0]), given)
+    keys = tuple(k for k in task.keys if found.get(k))
+    spread = np.array([found[k] for k in keys])
+    return Prior(keys, task.at(keys), np.diag(spread**2)) if keys else None
+
+
+def fitted(found: Calibration, record: int) -> Prior | None:
+    """The covariance of a fit's parameters, for the record of this number, which is in it.
+
+    What belongs to one record (a phase origin), and splines of the phase, are left out: the filter
+    follows them.
+    """
+    study = found.columns
+    if found.fitted is None or study is None:
+        return None
+    whole, model = covariance(found.fitted), found.models[record]
+    known = [k for k, _ in model.pairs]
+    scopes = [p.scope for _, p in model.pairs]
+    own = [c for c, i in enumerate(study.index) if i < len(known) and scopes[i] != "record"]
+    keys = tuple(known[study.index[c]] for c in own)
+    values = np.array([model.values[k] for k in keys])
+    return Prior(keys, values, whole[np.ix_(own, own)], told=True) if keys else None
+
+
+def names(key: str) -> tuple[str, ...]:
+    """Its names in patterns: ``effect@place_1.name``, ``place_1.name`` and ``place.name``."""
+    owner, parameter = key.rsplit(".", 1)
+    place = owner.rsplit("@", 1)[-1]
+    return key, f"{place}.{parameter}", f"{re.sub('_?[0-9]+$', '', place)}.{parameter}"
+
+
+def _deviation(model: Model, name: str, value: float, given: Any) -> float:
+    absolute = isinstance(given, Mapping) and set(given) == {"absolute"}
+    number = given["absolute"] if absolute else given
+    if isinstance(number, bool) or not isinstance(number, int | float) or not 0 <= number < np.inf:
+        raise ConfigError(f"uncertain: {name} with {given!r}", _HOW)
+    if absolute or model.unit(name) == "rad":
+        return float(number)
+    if value == 0 and number:
+        raise ConfigError(
+            f"uncertain: a share of {name}, which is zero",
+            "a deviation in its unit", f"uncertain={{{name}: {{absolute: 1}}}}",
+        )  # fmt: skip
+    return float(number) * abs(value)
