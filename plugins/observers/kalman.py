@@ -40,10 +40,9 @@ class Tuned(Observer):
     def reconstruct(self, task: Task) -> Reconstruction:
         """Choose the process noise, then run once; more often where parameters are uncertain."""
         from spiral.engine.filter.extended import as_reconstruction
+        from spiral.engine.filter.rounding import finer
         from spiral.engine.filter.setup import chosen_levels, prepared, quieted, with_level
         from spiral.engine.filter.tuning import LOWEST
-
-        from spiral.engine.filter.rounding import finer
 
         clock = time.perf_counter()
         task, settings = prepared(task, self.track, self.doubt, self.spread)
