@@ -19,7 +19,8 @@ lie at a bound. Only such an effect is named as what was missing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -352,13 +353,7 @@ def advice_for(
     last = rounds[-1].comparison
     shape = next((r.details["unknown"] for r in reversed(rounds) if "unknown" in r.details), None)
     if shape is not None and stopped != "max_rounds" and "unknown" in rounds[-1].details:
-        how = "settings.learned=true"
-        if not shape.get("replaces"):
-            how = f"spiral add {shape['effect']} run=latest, or {how}"
-        return (
-            f"Its shape: {shape['sentence']} Admit the curve ({how}), or write the effect that it "
-            "suggests."
-        )
+        return _shape_said(shape)
     if forgotten(rounds):
         return (
             "Offer effects with states of their own (bouc_wen, jenkins, lag), or write one "
@@ -371,6 +366,17 @@ def advice_for(
         )
     return " ".join(s for s in (_ending(verdict, stopped, last, settings),
                                 noise_sentence(last, settings)) if s)  # fmt: skip
+
+
+def _shape_said(shape: Mapping[str, Any]) -> str:
+    """What to do with a curve that was found."""
+    how = "settings.learned=true"
+    if not shape.get("replaces"):
+        how = f"spiral add {shape['effect']} run=latest, or {how}"
+    return (
+        f"Its shape: {shape['sentence']} Admit the curve ({how}), or write the effect that it "
+        "suggests."
+    )
 
 
 def _ending(verdict: Verdict, stopped: Stopped, last: Comparison, settings: Settings) -> str:

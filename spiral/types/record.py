@@ -156,12 +156,10 @@ def make_record(
     _check_time(name, time)
     missing = {k: _missing(v) for k, v in given.items()}
     given = {k: bridged(v, missing[k]) for k, v in given.items()}
-    for kind, group in (("channel", given), ("input", known)):
-        for key, values in group.items():
-            check_values(name, kind, key, values, len(time))
+    _check_series(name, given, known, len(time))
     spoilt = {k: spoilt_readings(v, known.values(), missing[k]) for k, v in given.items()}
-    clipped = {k for k, some in spoilt.items() if any(s.kind == "clipped" for s in some)}
-    extra = [clipping(k, v) for k, v in given.items() if k not in clipped]
+    whole = [k for k, some in spoilt.items() if "clipped" not in [s.kind for s in some]]
+    extra = [clipping(k, given[k]) for k in whole]
     measured = tuple(known)
     known = _derived(system, time, known)
     step = (time[-1] - time[0]) / (len(time) - 1)
@@ -323,6 +321,14 @@ def _even_steps(steps: Array, mean: float) -> str:
     return (
         f"record.resample={1 / mean:.4g} makes the steps even, record.rate={1 / mean:.4g} says so"
     )
+
+
+def _check_series(
+    name: str, channels: Mapping[str, Array], inputs: Mapping[str, Array], samples: int
+) -> None:
+    for kind, group in (("channel", channels), ("input", inputs)):
+        for key, values in group.items():
+            check_values(name, kind, key, values, samples)
 
 
 def _missing(values: Array) -> Array:

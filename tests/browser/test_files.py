@@ -219,7 +219,7 @@ def test_a_model_that_runs_away_loses_nothing(tab, served, files, picture):
     tab.click("button:has-text('Undo')")
     shows(tab, before)
     tab.wait_for_selector("#plot-free_run .main-svg")  # all has been drawn: nothing moves any more
-    tab.click("button:has-text(' more')")
+    tab.locator("button", has_text=re.compile(r"Show \d+ more")).click()
     add(tab, "quadratic stiffness")
     tab.wait_for_selector(".chip.added:has-text('quadratic stiffness')")
     assert error(tab)[-1] == before[0]

@@ -1,6 +1,7 @@
 """Files of ``./plugins`` are run, as the folder's owner wants; never without a word."""
 
 import json
+from unittest.mock import Mock
 
 import pytest
 
@@ -83,7 +84,7 @@ def test_what_is_named_is_what_is_run(folder):
 
 
 def test_the_page_names_them_without_running_them(folder, tmp_path, monkeypatch, trace):
-    monkeypatch.setattr(sessions, "Process", lambda *given: None)
+    monkeypatch.setattr(sessions, "Process", lambda *given: Mock())
     named = sessions.Session(tmp_path).local_plugins()
     assert named == ("plugins/broken.py", "plugins/own.py")
     assert sessions.Session(tmp_path, NO_FOLDER).local_plugins() == ()

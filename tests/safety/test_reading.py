@@ -75,7 +75,7 @@ def test_reading_is_cancelled_and_the_next_file_is_read(page, large, tmp_path):
 
 def test_every_order_about_a_file_has_its_limits_and_a_cancelled_one_says_so(tmp_path):
     orders = []
-    setups = FileSetup(tmp_path, orders.append, None, threading.RLock())
+    setups = FileSetup(tmp_path, orders.append, lambda ident: None, None, threading.RLock())
     setup = setups.begin("a.csv")
     Path(setup.path).write_bytes(bytes(10**6))
     setups.arrived(setup)

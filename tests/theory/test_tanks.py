@@ -6,14 +6,13 @@ from scipy.integrate import solve_ivp
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 from spiral.engine.windows import fair_block, halves
-from spiral.inference.evidence.admission import admit
+from spiral.inference.evidence.admission import admit, let_go
 from spiral.inference.evidence.comparison import prepared
 from spiral.inference.evidence.farstart import from_afar
 from spiral.inference.evidence.fit_state import all_samples, grown
 from spiral.inference.evidence.scoring import score_stage
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import integrate, simulate
-from spiral.inference.strategies.retire import let_go
 from spiral.inference.where.latent import with_latent
 from spiral.types.errors import ConfigError
 from spiral.types.model import seed_model
