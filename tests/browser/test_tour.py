@@ -4,6 +4,8 @@ import re
 import time
 from itertools import pairwise
 
+import pytest
+
 from tests.browser.conftest import PATIENCE
 from tests.browser.steps import error
 from tests.browser.test_data_desk import faults
@@ -11,6 +13,7 @@ from tests.browser.test_data_desk import faults
 NEXT = "#tour button:has-text('Add '):enabled"
 
 
+@pytest.mark.slow  # a whole study of the rotor by hand: two minutes
 def test_a_newcomer_clicks_through_the_tour(tab, served, picture):
     """One button at a time; it ends where nothing more is missing, with the noise's own error."""
     began = time.monotonic()
