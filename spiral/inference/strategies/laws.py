@@ -78,7 +78,8 @@ def named_law(
     """
     gone = _stand_ins(assembly, base)
     aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
-    idle = white and len(gone) < _SEVERAL and not aided
+    several = len(gone) >= _SEVERAL and not _coupled(assembly, gone)
+    idle = white and not several and not aided
     if idle or not options.laws:
         return None
     for start in _starts(assembly, state, base, gone, white, masks[0], progress):
@@ -94,6 +95,12 @@ def _stand_ins(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
     held = {v.label: v.effect for v in assembly.variants if v.label in base.state.labels}
     kinds = ForceEffect | StateFlow
     return tuple(x for x, e in held.items() if isinstance(e, kinds) and not e.states)
+
+
+def _coupled(assembly: Assembly, labels: tuple[str, ...]) -> bool:
+    """Whether a force among these couples two axes, which no law of one variable stands for."""
+    effects = (assembly.variant(x).effect for x in labels)
+    return any(isinstance(e, ForceEffect) and e.axes == 2 for e in effects)
 
 
 def _offering(assembly: Assembly) -> Assembly:
