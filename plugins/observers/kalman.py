@@ -72,8 +72,7 @@ class Tuned(Observer):
         assert prior is not None
 
         def run(values: Array) -> Pass:
-            moved = dict(zip(prior.keys, map(float, values), strict=True))
-            return self.run(task.with_values(moved), settings)
+            return self.run(task.placed(prior.keys, values), settings)
 
         top = self.run(task, settings)
         whole = top.done == task.series.samples

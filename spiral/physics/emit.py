@@ -14,7 +14,7 @@ from typing import Any
 import sympy as sp
 from llvmlite import ir
 
-from spiral.physics.outside.program import Program, ProgramValue
+from spiral.physics.outside.program import CalledProgram, ProgramValue
 from spiral.types.errors import PluginError
 
 DOUBLE = ir.DoubleType()
@@ -55,7 +55,7 @@ class Emitter:
         self._builder = builder
         self._nodes: dict[sp.Basic, Node] = {}
         self._conditions: dict[sp.Basic, Any] = {}
-        self._programs: dict[tuple[Program, tuple[sp.Basic, ...]], list[Node]] = {}
+        self._programs: dict[tuple[CalledProgram, tuple[sp.Basic, ...]], list[Node]] = {}
         one = number(1.0)
         for symbol, value in symbols.items():
             own = {active[symbol]: one} if symbol in active else {}
@@ -193,7 +193,7 @@ class Emitter:
             node = self._select(holds, node, other)
         return node
 
-    def _program(self, program: Program, given: tuple[sp.Basic, ...]) -> list[Node]:
+    def _program(self, program: CalledProgram, given: tuple[sp.Basic, ...]) -> list[Node]:
         """All values of a program by one call; slopes only by arguments that vary."""
         known = self._programs.get((program, given))
         if known is not None:

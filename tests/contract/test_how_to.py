@@ -66,17 +66,23 @@ def _by_the_shell(text):
     return done.stdout
 
 
-def test_the_page_about_a_model_of_ones_own_runs(tmp_path, monkeypatch):
-    """A right-hand side and a CSV, then the same model as a file: the hidden spring is named."""
-    monkeypatch.chdir(tmp_path)
+def _followed(page):
+    """A page's blocks in order, in one process and the current folder; the names they leave."""
     names: dict = {}
-    for language, text in BLOCK.findall((PAGES / "own-model.md").read_text(encoding="utf-8")):
+    for language, text in BLOCK.findall((PAGES / page).read_text(encoding="utf-8")):
         if language == "python":
             exec(text, names)
         elif language == "yaml":
             Path(text.splitlines()[0].removeprefix("# ")).write_text(text, encoding="utf-8")
         elif language == "bash":
             assert main(shlex.split(text.replace("\\\n", " "))[1:]) == 0
+    return names
+
+
+def test_the_page_about_a_model_of_ones_own_runs(tmp_path, monkeypatch):
+    """A right-hand side and a CSV, then the same model as a file: the hidden spring is named."""
+    monkeypatch.chdir(tmp_path)
+    names = _followed("own-model.md")
     assert names["run"].missing == ("cubic_stiffness",)
     assert names["again"].missing == ("cubic_stiffness",)
     assert [p.name for p in names["beam"].ports] == ["drive", "middle", "tip", "span"]
@@ -92,14 +98,7 @@ def test_the_page_about_fmus_runs(tmp_path, monkeypatch):
     """An FMU is made, measured and opened: the hidden spring is named, from Python and as typed."""
     pytest.importorskip("fmpy", reason="FMPy is not installed")
     monkeypatch.chdir(tmp_path)
-    names: dict = {}
-    for language, text in BLOCK.findall((PAGES / "fmu.md").read_text(encoding="utf-8")):
-        if language == "python":
-            exec(text, names)
-        elif language == "yaml":
-            Path(text.splitlines()[0].removeprefix("# ")).write_text(text, encoding="utf-8")
-        elif language == "bash":
-            assert main(shlex.split(text.replace("\\\n", " "))[1:]) == 0
+    names = _followed("fmu.md")
     assert names["run"].missing == ("cubic_stiffness@b_w",)
     found = json.loads(Path("verdict.json").read_text(encoding="utf-8"))
     assert found["rounds"][1]["admitted"] == ["cubic_stiffness@b_w"]

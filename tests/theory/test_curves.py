@@ -1,12 +1,23 @@
 """Curves by the likelihood, values that were left behind, and values that keep their sign."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from spiral_plugins.strategies.likelihood import Likelihood
+from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 import spiral
+from spiral.inference.likelihood.candidates import from_afar
+from spiral.inference.problem import Problem, silent
+from spiral.inference.simulate import simulate
+from spiral.inference.strategies.admission import _narrowed, offering
+from spiral.inference.unknown.holding import carried, with_variants
 from spiral.physics.learned import LEVELS, basis
+from spiral.types.model import seed_model
 from spiral.types.record import make_record
+from tests.scenes import effect, registry
 
 DT = 0.02
 
@@ -119,3 +130,33 @@ def test_the_last_coefficients_are_a_spline_on_fewer_knots(most, knots):
     bend = np.diff(np.random.default_rng(0).normal(size=knots) @ rows, 2)
     jumps = np.abs(np.diff(bend, 2)) > 1e-6 * np.ptp(bend)
     assert 1 <= np.sum(np.diff(np.flatnonzero(jumps)) > 5) + 1 <= knots
+
+
+def test_curves_are_raced_among_themselves():
+    """Not beside candidates that zero amplitude does not show, which are started from afar."""
+    time = 4.0 * np.arange(500)
+    values = {
+        "pump.gain": 0.05,
+        "outlets.upper": 0.06,
+        "outlets.lower": 0.055,
+        "outlets.width": 0.1,
+    }
+    model = seed_model(CascadedTanks(), values=values)
+    pump = {"pump": 3 + np.sin(time / 90)}
+    record = simulate(model, time, pump, 0.02, np.random.default_rng(0))
+    problem = Problem(
+        model, (record,), (), candidates=(effect("overflow"),),
+        dictionary=registry().dictionary(CascadedTanks()), strategy=Likelihood(),
+    )  # fmt: skip
+    begun = Likelihood().begin(problem, silent)
+    assert from_afar(begun.assembly, begun.standing, [])
+    curves = offering(begun.assembly, problem.dictionary)
+    assert {v.original for v in curves.offered} == set(problem.dictionary)
+    assert not from_afar(curves, begun.standing, [])
+    overflow = next(v for v in begun.assembly.offered if v.original.label == "overflow")
+    own = with_variants(curves, [overflow, curves.offered[0]])
+    state = carried(begun.standing, begun.assembly, own)
+    state = replace(state, labels=(*state.labels, overflow.label))
+    narrow, left = _narrowed(own, state)  # what was admitted is no longer offered, and stays
+    assert [v.label for v in narrow.variants] == [overflow.label]
+    assert left.values.shape[1] == len(narrow.study.keys)

@@ -95,7 +95,7 @@ def _mirrored(found: Climbed, prior: Prior) -> list[Task]:
     z = axes.T @ prior.coordinates(task.at(prior.keys))
     told = [np.sqrt(np.maximum(left, 0.0)) < share for share in _TOLD]
     turned = [prior.mean + prior.root @ axes @ np.where(stay, z, -z) for stay in told]
-    return [task.with_values(dict(zip(prior.keys, map(float, v), strict=True))) for v in turned]
+    return [task.placed(prior.keys, values) for values in turned]
 
 
 def _climbed(
@@ -121,8 +121,7 @@ def _expanded(
     root, here = rooted(covariance), task.at(prior.keys)
 
     def rows(values: Array) -> tuple[Array, Array] | None:
-        moved = task.with_values(dict(zip(prior.keys, map(float, values), strict=True)))
-        part = whitened(moved, settings, prior.keys)
+        part = whitened(task.placed(prior.keys, values), settings, prior.keys)
         if part is None:
             return None
         return part.innovations.reshape(-1), -part.columns.reshape(-1, len(here)) @ root

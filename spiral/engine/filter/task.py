@@ -77,6 +77,10 @@ class Task:
         """Values of these parameters."""
         return self.values[[self.keys.index(k) for k in keys]]
 
+    def placed(self, keys: Sequence[str], values: Array) -> Task:
+        """The same with these parameters at ``values`` (keys,)."""
+        return self.with_values(dict(zip(keys, map(float, values), strict=True)))
+
     def with_values(self, values: Mapping[str, float]) -> Task:
         """The same with other parameter values."""
         row = self.values.copy()

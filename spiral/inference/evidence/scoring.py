@@ -123,12 +123,13 @@ def rank(
     """
     active = len(owners)
     table = tabulate(reduction, active)
+    keys = [k for g in groups for k in g.keys]
     ranks: dict[str, list[Ranked]] = {}
     for group, found in scored(table, groups, parts):
         variant = group.variant
         tied = inseparable(reduction.triangle, active, found.columns)
         names = dict.fromkeys(owners[i] for i in tied.with_)
-        inside = _keys_of(groups, group, found.columns)
+        inside = tuple(keys[i] for i in found.columns)
         held = [inside[i] for i in tied.held] + [k for k in group.keys if k not in inside]
         ranked = Ranked(
             variant, found.columns, found, bic(table, found), variant.searched,
@@ -153,12 +154,6 @@ def scored(
                 at = tuple(first + i for i in some)
                 yield group, score(table, at, tuple(group.sides[i] for i in some))
         first += len(whole)
-
-
-def _keys_of(groups: Sequence[Group], group: Group, at: Sequence[int]) -> tuple[str, ...]:
-    """Amplitudes of a candidate by their columns among those of all."""
-    first = sum(len(g.sides) for g in groups[: groups.index(group)])
-    return tuple(group.keys[i - first] for i in at)
 
 
 def _owner(assembly: Assembly, index: int) -> str:

@@ -21,7 +21,7 @@ from spiral.engine.growth import Stage, layouts_for
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.free_doubt import free_doubt
 from spiral.engine.likelihood.free_spread import free_spread
-from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, places
+from spiral.engine.likelihood.noise import NoiseModel, places
 from spiral.engine.likelihood.predict import predicted
 from spiral.engine.study import Point
 from spiral.inference.acting import inputs_said
@@ -195,13 +195,13 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
     task = estimate.prepared[0][0]
     channels, length = task.compiled.traced.channels, task.series.dt * task.series.samples
     spread = dict(zip(channels, np.std(task.series.y, axis=0), strict=True))
-    sizes, times = {}, {}
+    sizes, times, drifted = {}, {}, _drifted(estimate)
     for term in noise.terms:
         size = noise.values[term.size]
         if term.kind == "white" or not errors.get(term.size, np.inf) < _TOLD:
             continue
         if term.kind == "drift":
-            size = max(size * np.sqrt(length), _drifted(estimate, term))
+            size = max(size * np.sqrt(length), drifted[term.size])
         share = size / spread[term.where] if term.where in spread else size
         most = max(share, disturbed) if term.kind in ("force", "gust") else share
         if most >= _COUNTS:
@@ -211,16 +211,19 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
     return sizes, times
 
 
-def _drifted(estimate: Maximum, term: NoiseTerm) -> float:
-    """How far a sensor's zero goes from where it was at first.
+def _drifted(estimate: Maximum) -> dict[str, float]:
+    """How far a sensor's zero goes from where it was at first, by the size of its drift.
 
     One that drifts steadily goes further than one that wanders by as much from sample to sample.
     """
-    found = 0.0
-    for task, settings in estimate.prepared:
+    found = {t.size: 0.0 for t in estimate.noise.terms if t.kind == "drift"}
+    for task, settings in estimate.prepared if found else ():
         run = predicted(task, settings, estimate.noise, keep=True)
-        at = len(task.states) + len(settings.tracked) + places(task, estimate.noise)[term.size]
-        found = max(found, float(np.abs(run.means[: run.done, at]).max(initial=0.0)))
+        first = len(task.states) + len(settings.tracked)
+        for size, place in places(task, estimate.noise).items():
+            if size in found:
+                gone = np.abs(run.means[: run.done, first + place]).max(initial=0.0)
+                found[size] = max(found[size], float(gone))
     return found
 
 

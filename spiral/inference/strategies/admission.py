@@ -21,11 +21,11 @@ from spiral.engine.likelihood.fit import informed
 from spiral.engine.likelihood.predict import Masks, Prepared
 from spiral.inference.acting import random_forces
 from spiral.inference.evidence.admission import let_go
-from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.assembly import Assembly, offers
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import tested_keys
+from spiral.inference.evidence.scoring import Parts, Ranking, present_labels, tested_keys
 from spiral.inference.likelihood.between import with_own_inputs
-from spiral.inference.likelihood.candidates import Race, Rival, held_shapes, with_own_shapes
+from spiral.inference.likelihood.candidates import Race, Rival, held_shapes, race, with_own_shapes
 from spiral.inference.likelihood.comparison import compared_by_likelihood
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
@@ -38,11 +38,13 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.groups import alike, plainest
 from spiral.inference.likelihood.judging import Unselected, judged, unselected
 from spiral.inference.likelihood.ladder import climbed_ladder, pruned, quieted
+from spiral.inference.likelihood.scores import ranked_along
 from spiral.inference.likelihood.starts import on_finer_steps, rebalanced, resolved_in_time
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import Settled
 from spiral.inference.strategy_options import LikelihoodOptions
-from spiral.inference.unknown.holding import carried, emptied, having
+from spiral.inference.unknown.holding import carried, emptied, with_variants
+from spiral.types.effect import Effect
 from spiral.types.horizon import changes
 from spiral.types.run import Comparison
 
@@ -80,30 +82,63 @@ class Passed:
     whole: Whole
 
 
+Objection = Callable[[Whole], str]
+"""Why a model with a candidate is not taken; empty where it is."""
+
+
+def offering(assembly: Assembly, effects: tuple[Effect, ...]) -> Assembly:
+    """The study with these effects offered in place of its candidates."""
+    asked = replace(assembly.problem, candidates=effects)
+    return replace(assembly, offered=tuple(offers(asked, ())[0]))
+
+
+def raced(
+    assembly: Assembly, base: LikelihoodFit, select: Masks, progress: Progress, most: int,
+    parts: Parts | None = None,
+) -> tuple[Race, Ranking] | None:  # fmt: skip
+    """Those offered that promise most, after their first steps; ``parts`` as in ``rank``."""
+    present = present_labels(assembly, base.state)
+    new = [v for v in assembly.offered if v.original.label not in present]
+    ranked = ranked_along(assembly, base, base.estimate.noise, select, lambda _: new, parts)
+    if ranked is None:
+        return None
+    return race(assembly, base, list(ranked.ranked), select, progress, most), ranked
+
+
 def first_to_pass(
     options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, run: Race, judge: Masks,
-    level: float, comparison: Comparison, progress: Progress,
+    level: float, objection: Objection, progress: Progress,
 ) -> tuple[Passed | None, dict[str, str]]:  # fmt: skip
-    """The first winner that holds on other blocks and helps, and why those before it do not."""
+    """The first winner that holds on other blocks and meets no ``objection``.
+
+    And why those before it do not.
+    """
     rejected: dict[str, str] = {}
     ours = functools.cache(lambda: unselected(base, assembly, judge))
     for rival, rivals in itertools.islice(run.winners(), options.judged):
-        if reason := refused(base, ours, rival, judge, level):
+        if reason := _refused(base, ours, rival, judge, level):
             rejected[rival.label] = reason
             continue
         chosen, aliases = plainest(rival, alike(rivals, options.odds), rivals)
         progress(f"most likely values with {chosen.label}")
-        label = chosen.ranked.variant.label
-        fit = chosen.fit
-        whole = with_effect(chosen.assembly, fit.state, label, progress, fit.estimate.prepared)
-        after, settings = whole.settled.comparison, assembly.problem.settings
-        if not whole.fit.estimate.finite:
-            rejected[chosen.label] = "with it the fit to all samples runs away"
-            continue
-        if not (reason := unhelpful(options, comparison, after, settings)):
+        own, state = _narrowed(chosen.assembly, chosen.fit.state)
+        like, label = chosen.fit.estimate.prepared, chosen.ranked.variant.label
+        whole = with_effect(own, state, label, progress, like)
+        reason = "with it the fit to all samples runs away"
+        if whole.fit.estimate.finite and not (reason := objection(whole)):
             return Passed(chosen, aliases, whole), rejected
         rejected[chosen.label] = reason
     return None, rejected
+
+
+def _narrowed(own: Assembly, state: FitState) -> tuple[Assembly, FitState]:
+    """The study with nothing compiled that a state does not hold, and the state in its terms."""
+    if all(v.label in state.labels for v in own.variants):
+        return own, state
+    seed = own.problem.model.labels
+    held = [own.variant(x) for x in state.labels if x not in seed]
+    final = with_variants(emptied(own), held)
+    return final, carried(state, own, final)
 
 
 def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
@@ -118,7 +153,7 @@ def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Li
     return resolved_in_time(assembly, taken_on(assembly, quieted(assembly, found)))
 
 
-def refused(
+def _refused(
     base: LikelihoodFit, ours: Callable[[], Unselected], rival: Rival, judge: Masks, level: float
 ) -> str:
     """Why a candidate does not hold on the blocks that did not select; empty where it does."""
@@ -131,6 +166,11 @@ def refused(
             f"log-likelihood {found.predicted:+.3g} as it was fitted)"
         )
     return ""
+
+
+def helping(options: LikelihoodOptions, before: Comparison, settings: Settings) -> Objection:
+    """The objection to a candidate that does no good to what is predicted."""
+    return lambda whole: unhelpful(options, before, whole.settled.comparison, settings)
 
 
 def unhelpful(
@@ -190,10 +230,8 @@ def whole_of(
 ) -> Whole:
     """A fit to all samples compared, as the state of a study that has what it holds alone."""
     settled = settled_on(own, found, progress, gone)
-    if all(v.label in found.state.labels for v in own.variants):
-        return Whole(own, found, settled)
-    final = having(emptied(own), settled.standing.labels)
-    return Whole(own, found, replace(settled, standing=carried(settled.standing, own, final)))
+    _, standing = _narrowed(own, settled.standing)
+    return Whole(own, found, replace(settled, standing=standing))
 
 
 def _without_superfluous(

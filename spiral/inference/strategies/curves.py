@@ -16,15 +16,22 @@ import numpy as np
 
 from spiral.engine.likelihood.predict import Masks, Prediction, all_predicted
 from spiral.inference.evidence.admission import let_go
-from spiral.inference.evidence.assembly import Assembly, Variant, offers
+from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import Group, Ranking, present_labels
-from spiral.inference.likelihood.candidates import Race, race
+from spiral.inference.evidence.scoring import Group, Ranking
+from spiral.inference.likelihood.candidates import Race
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, price, refitted
-from spiral.inference.likelihood.scores import ranked_along
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.admission import Passed, Whole, first_to_pass, whole_of
+from spiral.inference.strategies.admission import (
+    Passed,
+    Whole,
+    first_to_pass,
+    helping,
+    offering,
+    raced,
+    whole_of,
+)
 from spiral.inference.strategies.base import Settled
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.forcecurve import CurveFit, Unknown, described
@@ -57,6 +64,7 @@ def missing_curve(
         whose unseen data it must do better. masks : (select, judge). level : of the judging test.
     """
     progress("trying curves over each state")
+    assembly = offering(assembly, assembly.problem.dictionary)
     alone = _seed_alone(assembly, base.state, masks[0])
     found = (
         None
@@ -65,15 +73,16 @@ def missing_curve(
     )
     if found is not None and not _better(found[0], base, options.odds):
         found = None
-    replaces = () if found is None else _beyond(assembly, base.state)
+    gone = () if found is None else _beyond(assembly, base.state)
+    replaces = tuple(assembly.variant(x).original.label for x in gone)
     if found is None:
         found = _passing(options, assembly, base, masks, level, comparison, progress)
     if found is None:
         return None
-    passed, (raced, ranked) = found
+    passed, (run, ranked) = found
     label, own = passed.rival.label, passed.rival.ranked.variant.label
     whole = _refined(passed.whole, own, progress)
-    listed = suggestions(raced.tried, ranked, label, passed.aliases)
+    listed = suggestions(run.tried, ranked, label, passed.aliases)
     return MissingCurve(described(_curve_fit(whole, own), label, listed), whole.settled, replaces)
 
 
@@ -82,12 +91,15 @@ def _passing(
     masks: tuple[Masks, Masks], level: float, comparison: Comparison, progress: Progress,
 ) -> tuple[Passed, tuple[Race, Ranking]] | None:  # fmt: skip
     """The curve that comes first beside a model and passes, with its race."""
-    if not start.estimate.finite or (run := _race(assembly, start, masks[0], progress)) is None:
+    parts = functools.partial(_resolutions, assembly)
+    if not start.estimate.finite:
         return None
-    passed, _ = first_to_pass(
-        options, assembly, start, run[0], masks[1], level, comparison, progress
-    )
-    return None if passed is None else (passed, run)
+    found = raced(assembly, start, masks[0], progress, _MOST, parts)
+    if found is None:
+        return None
+    helps = helping(options, comparison, assembly.problem.settings)
+    passed, _ = first_to_pass(options, assembly, start, found[0], masks[1], level, helps, progress)
+    return None if passed is None else (passed, found)
 
 
 def _worth(fit: LikelihoodFit) -> float:
@@ -101,31 +113,16 @@ def _better(passed: Passed, base: LikelihoodFit, odds: float) -> bool:
 
 
 def _beyond(assembly: Assembly, state: FitState) -> tuple[str, ...]:
-    """Effects of a state that its study has added to the seed."""
-    seed = assembly.problem.model.labels
-    return tuple(assembly.variant(x).original.label for x in state.labels if x not in seed)
+    """Compiled labels of what a study has added to its seed."""
+    return tuple(x for x in state.labels if x not in assembly.problem.model.labels)
 
 
 def _seed_alone(assembly: Assembly, state: FitState, masks: Masks) -> LikelihoodFit | None:
     """The seed on the blocks that select; nothing where the state has nothing beyond it."""
-    beyond = tuple(x for x in state.labels if x not in assembly.problem.model.labels)
+    beyond = _beyond(assembly, state)
     if not beyond:
         return None
     return refitted(assembly, let_go(assembly, state, beyond), None, masks, WARM, True)
-
-
-def _race(
-    assembly: Assembly, base: LikelihoodFit, masks: Masks, progress: Progress
-) -> tuple[Race, Ranking] | None:
-    """The curves that promise most after their first steps, beside a model as it is."""
-    present = present_labels(assembly, base.state)
-    curves = tuple(e for e in assembly.problem.dictionary if e.label not in present)
-    variants, _, _ = offers(replace(assembly.problem, candidates=curves), ())
-    noise, parts = base.estimate.noise, functools.partial(_resolutions, assembly)
-    ranked = ranked_along(assembly, base, noise, masks, lambda _: variants, parts)
-    if ranked is None:
-        return None
-    return race(assembly, base, list(ranked.ranked), masks, progress, _MOST), ranked
 
 
 def _resolutions(assembly: Assembly, group: Group) -> list[tuple[int, ...]]:
@@ -169,10 +166,10 @@ def _curve_fit(whole: Whole, label: str) -> CurveFit:
     own, at = whole.assembly, whole.fit.estimate
     learned, count = own.variant(label).effect, len(at.prepared[0][0].states)
     assert isinstance(learned, Learned)
-    seed, state = own.problem.model.labels, whole.fit.state
+    state = whole.fit.state
     runs = all_predicted([(at.prepared, at.noise)], at.keys, keep=True)[0]
     return CurveFit(
-        own, learned, tuple(x for x in state.labels if x not in seed), state.values[0],
+        own, learned, _beyond(own, state), state.values[0],
         tuple(own.study.index(k) for k in at.keys), _covariance(runs),
         np.concatenate([p.means[: p.done, :count] for p in runs]),
     )  # fmt: skip

@@ -10,8 +10,6 @@ nothing but noise, and, in place of others, only where the record is more likely
 
 from __future__ import annotations
 
-import functools
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -19,20 +17,16 @@ import numpy as np
 
 from spiral.engine.likelihood.predict import all_predicted, log_likelihood
 from spiral.inference.evidence.admission import let_go
-from spiral.inference.evidence.assembly import Assembly, offers
+from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.scoring import Ranking
-from spiral.inference.likelihood.candidates import Rival, race
+from spiral.inference.likelihood.candidates import Rival
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, price, refitted, subjects
-from spiral.inference.likelihood.groups import alike, plainest
-from spiral.inference.likelihood.judging import unselected
 from spiral.inference.likelihood.ladder import climbed_ladder
-from spiral.inference.likelihood.scores import ranking
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.admission import refused, unhelpful, with_effect
+from spiral.inference.strategies.admission import Whole, first_to_pass, offering, raced, unhelpful
 from spiral.inference.strategies.base import Settled
 from spiral.inference.strategy_options import LikelihoodOptions
-from spiral.inference.unknown.holding import carried, emptied, having
 from spiral.inference.verdict import near_noise
 from spiral.physics.formulas.laws import laws_of
 from spiral.types.effect import Effect, ForceEffect, StateFlow
@@ -82,6 +76,7 @@ def named_law(
     idle = white and not several and not aided
     if idle or not options.laws:
         return None
+    assembly = offering(assembly, laws_of(assembly.problem.model.system))
     for start in _starts(assembly, state, base, gone, white, masks[0], progress):
         progress("trying laws with a closed form")
         found = _from(options, assembly, start, comparison, masks, level, progress)
@@ -101,13 +96,6 @@ def _coupled(assembly: Assembly, labels: tuple[str, ...]) -> bool:
     """Whether a force among these couples two axes, which no law of one variable stands for."""
     effects = (assembly.variant(x).effect for x in labels)
     return any(isinstance(e, ForceEffect) and e.axes == 2 for e in effects)
-
-
-def _offering(assembly: Assembly) -> Assembly:
-    """The study with laws in place of its candidates."""
-    system = assembly.problem.model.system
-    asked = replace(assembly.problem, candidates=laws_of(system))
-    return replace(assembly, problem=asked, offered=tuple(offers(asked, ())[0]))
 
 
 def _starts(
@@ -133,31 +121,29 @@ def _height(assembly: Assembly, state: FitState) -> float:
 
 
 def _from(
-    options: LikelihoodOptions, known: Assembly, start: _Start, comparison: Comparison,
+    options: LikelihoodOptions, assembly: Assembly, start: _Start, comparison: Comparison,
     masks: tuple[Masks, Masks], level: float, progress: Progress,
 ) -> NamedLaw | None:  # fmt: skip
     """The law that is admitted from there."""
-    (select, judge), assembly = masks, _offering(known)
-    ranked = ranking(assembly, start.base, start.base.estimate.noise, select)
-    if ranked is None:
+    found = raced(assembly, start.base, masks[0], progress, options.rivals)
+    if found is None:
         return None
-    run = race(assembly, start.base, list(ranked.ranked), select, progress, options.rivals)
-    ours = functools.cache(lambda: unselected(start.base, assembly, judge))
-    for rival, rivals in itertools.islice(run.winners(), options.judged):
-        if refused(start.base, ours, rival, judge, level):
-            continue
-        law, aliases = plainest(rival, alike(rivals, options.odds), rivals)
-        effect = law.ranked.variant.original
-        progress(f"most likely values with {effect.label}")
-        own = having(emptied(known), law.fit.state.labels)
-        state = carried(law.fit.state, law.assembly, own)
-        settled = with_effect(own, state, law.ranked.variant.label, progress).settled
-        if not _stands(options, assembly, start, settled, comparison):
-            continue
-        gone = tuple(assembly.variant(x).original.label for x in start.gone)
-        settled = replace(settled, retired=(*settled.retired, *gone))
-        return NamedLaw(effect, aliases, ranked, run.tried, settled)
-    return None
+
+    def objection(whole: Whole) -> str:
+        stands = _stands(options, assembly, start, whole.settled, comparison)
+        return "" if stands else "it does not explain all, or not for less than what it stands for"
+
+    run, ranked = found
+    passed, _ = first_to_pass(
+        options, assembly, start.base, run, masks[1], level, objection, progress
+    )
+    if passed is None:
+        return None
+    gone = tuple(assembly.variant(x).original.label for x in start.gone)
+    settled = passed.whole.settled
+    settled = replace(settled, retired=(*settled.retired, *gone))
+    effect = passed.rival.ranked.variant.original
+    return NamedLaw(effect, passed.aliases, ranked, run.tried, settled)
 
 
 def _stands(

@@ -45,6 +45,7 @@ from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.strategies.admission import (
     finished,
     first_to_pass,
+    helping,
     settled_on,
     with_effect,
 )
@@ -119,8 +120,9 @@ def propose(
     run = run.joined_by(from_given(assembly, base, select, progress))
     level = spent(assembly.problem.settings.level, number) / options.judged
     passed, rejected = first_to_pass(
-        options, assembly, base, run, judge, level, comparison, progress
-    )
+        options, assembly, base, run, judge, level,
+        helping(options, comparison, assembly.problem.settings), progress,
+    )  # fmt: skip
     if passed is not None:
         effect, aliases = passed.rival.ranked.variant.original, passed.aliases
         return Step(

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from spiral.physics.outside import fmi
-from spiral.physics.outside.program import Program
+from spiral.physics.outside.program import CalledProgram
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, InputError
 
@@ -234,7 +234,7 @@ class Opened:
     that a state is measured by, by name.
     """
 
-    program: Program
+    program: CalledProgram
     start: tuple[float, ...]
     readings: tuple[tuple[str, str], ...]
 
@@ -330,7 +330,7 @@ def _start(about: Description, model: Any, handle: int) -> tuple[float, ...]:
 
 def _program(
     about: Description, models: Sequence[Any], handles: Sequence[int], folder: str
-) -> Program:
+) -> CalledProgram:
     groups = (about.states, about.inputs, about.parameters)
     names = ("states", "inputs", "parameters")
     references = {n: [v.reference for v in g] for n, g in zip(names, groups, strict=True)}
@@ -340,14 +340,14 @@ def _program(
     )  # fmt: skip
     arguments = (*(v.name for g in groups for v in g), "time")
     rows = tuple(v.name for v in about.states)
-    made = Program(
+    made = CalledProgram(
         Path(about.path).name, rows, arguments, fmi.kernel.address, whole, numbers, models
     )
     weakref.finalize(made, shutil.rmtree, folder, ignore_errors=True)
     return made
 
 
-def _choose_slopes(about: Description, program: Program, start: Sequence[float]) -> None:
+def _choose_slopes(about: Description, program: CalledProgram, start: Sequence[float]) -> None:
     """Directional derivatives by those arguments for which the FMU's are what differences are."""
     count = len(program.arguments) - 1
     if not about.directional or not program.whole[fmi.Slot.DIRECTION]:
@@ -367,7 +367,7 @@ def _choose_slopes(about: Description, program: Program, start: Sequence[float])
 
 
 def _readings(
-    about: Description, model: Any, program: Program, start: Sequence[float]
+    about: Description, model: Any, program: CalledProgram, start: Sequence[float]
 ) -> tuple[tuple[str, str], ...]:
     """Outputs that are a state wherever they are asked: output -> state."""
     rng = np.random.default_rng(2)

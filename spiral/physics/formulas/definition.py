@@ -263,9 +263,8 @@ def _parameter(name: str, given: Any, free: bool) -> Parameter:
     low, high = (
         None if bounds.get(k) is None else _needed(name, bounds[k]) for k in ("lower", "upper")
     )
-    if (
-        free and value and not {"lower", "upper"} & set(bounds)
-    ):  # it keeps the sign that it was given
+    unbounded = not {"lower", "upper"} & set(bounds)
+    if free and value and unbounded:  # it keeps the sign that it was given
         low, high = (0.0, None) if value > 0 else (None, 0.0)
     start = None if free else value
     return _made(Parameter, name, _unit(name, unit), lower=low, upper=high, start=start)

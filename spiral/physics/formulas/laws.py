@@ -15,10 +15,8 @@ from typing import Any
 from spiral.physics.formulas.expression import class_of
 from spiral.types.cache import kept
 from spiral.types.effect import Effect
-from spiral.types.errors import ConfigError
-from spiral.types.placement import at_every_place, check_effect
+from spiral.types.placement import at_every_place, fits
 from spiral.types.system import System, has_coordinates
-from spiral.types.units import units_fit
 
 
 @dataclass(frozen=True)
@@ -123,15 +121,8 @@ FLOWS = (
 @kept(16)
 def laws_of(system: System) -> tuple[Effect, ...]:
     """Every law at every place of a system where its units fit."""
-    found: list[Effect] = []
-    for effect in _forces(system) if has_coordinates(system) else _flows(system):
-        try:
-            check_effect(system, effect)
-        except ConfigError:
-            continue
-        if units_fit(system, effect):
-            found.append(effect)
-    return tuple(found)
+    made = _forces(system) if has_coordinates(system) else _flows(system)
+    return tuple(effect for effect in made if fits(system, effect))
 
 
 def _beside(system: System, laws: tuple[Law, ...]) -> list[Law]:

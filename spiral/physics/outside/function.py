@@ -17,7 +17,7 @@ import numpy as np
 
 from spiral.physics.formulas.definition import definition_of, parsed
 from spiral.physics.formulas.function import written
-from spiral.physics.outside.program import Program
+from spiral.physics.outside.program import CalledProgram
 from spiral.physics.outside.wrapped import Wrapped, equations, positions, unknown_rates
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError
@@ -61,7 +61,7 @@ def program_of(
     states: Sequence[str],
     inputs: Sequence[str],
     parameters: Mapping[str, float],
-) -> Program:
+) -> CalledProgram:
     """The program of ``rhs(t, x, u, p)``, its arguments in this order, the time last.
 
     Parameters
@@ -79,7 +79,7 @@ def program_of(
     kernel = _compiled(rhs, name, states, groups, count)
     arguments = (*states, *inputs, *parameters, "time")
     unused = np.zeros(1, dtype=np.int64), np.zeros(1)
-    return Program(name, tuple(states), arguments, kernel.address, *unused, kernel)
+    return CalledProgram(name, tuple(states), arguments, kernel.address, *unused, kernel)
 
 
 def _group(letter: str, names: Sequence[str]) -> Any:

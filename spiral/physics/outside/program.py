@@ -20,7 +20,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Program:
+class CalledProgram:
     """values = f(arguments), behind the address of a kernel (``calls.KERNEL``).
 
     ``rows`` name the values, ``arguments`` what they depend on. ``whole`` and ``numbers`` are the
@@ -70,7 +70,7 @@ class Program:
 class ProgramValue(sp.Function):
     """One value of a program, or its slope by one argument."""
 
-    program: ClassVar[Program]
+    program: ClassVar[CalledProgram]
     row: ClassVar[int]
     column: ClassVar[int | None]
 
@@ -91,7 +91,7 @@ class ProgramValue(sp.Function):
         return True
 
 
-def _function(program: Program, row: int, column: int | None) -> type[ProgramValue]:
+def _function(program: CalledProgram, row: int, column: int | None) -> type[ProgramValue]:
     """A class of functions; ``_imp_`` is what ``lambdify`` calls with numbers and arrays."""
     of = "" if column is None else f"_by_{program.arguments[column]}"
 

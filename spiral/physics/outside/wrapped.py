@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from spiral.physics.outside.program import Array, Program
+from spiral.physics.outside.program import Array, CalledProgram
 
 RATE = "rate_of_"
 _POINTS = 5
@@ -31,7 +31,7 @@ class Wrapped:
     pushed : coordinate -> the program's input that a force on it goes through, and its unit.
     """
 
-    program: Program
+    program: CalledProgram
     sizes: tuple[int, int, int]
     text: str
     recorded: tuple[str, ...]
@@ -51,7 +51,7 @@ class Wrapped:
         return {RATE + s: v for s, v in zip(self.program.rows, values, strict=True)}
 
 
-def positions(program: Program, count: int, start: Sequence[float]) -> dict[str, str]:
+def positions(program: CalledProgram, count: int, start: Sequence[float]) -> dict[str, str]:
     """States whose rate is another state, wherever the program is asked: name -> its rate.
 
     Parameters
@@ -70,12 +70,14 @@ def positions(program: Program, count: int, start: Sequence[float]) -> dict[str,
     return found
 
 
-def equations(program: Program, rates: Mapping[str, str]) -> list[str]:
+def equations(program: CalledProgram, rates: Mapping[str, str]) -> list[str]:
     """An equation for each state."""
     return [f"{name}' = {rates.get(name, RATE + name)}" for name in program.rows]
 
 
-def unknown_rates(program: Program, rates: Mapping[str, str], units: Mapping[str, str]) -> Any:
+def unknown_rates(
+    program: CalledProgram, rates: Mapping[str, str], units: Mapping[str, str]
+) -> Any:
     """The inputs that stand for rates, as a definition has them."""
     left = (name for name in program.rows if name not in rates)
     return {RATE + name: f"({units[name] or '1'})/s" for name in left}
