@@ -6,7 +6,7 @@ enters as a plain factor of what they exert.
 
 from __future__ import annotations
 
-from spiral.math import exp, length, ramp, where
+from spiral.math import exp, length, log, ramp, where
 from spiral.types.effect import ForceEffect
 from spiral.types.parameter import Parameter, State
 
@@ -74,11 +74,13 @@ class Lag(ForceEffect):
 
 
 class BoucWen(ForceEffect):
-    """Hysteresis: F = -k z, z' = v - (|v| z + r v |z|) / L.
+    """Hysteresis: F = -k z, z' = v - (|v| z + r v |z|) |z / L|^(n - 1) / L.
 
-    A spring k that begins to slip as its own deflection z nears L / (1 + r). With r = 0 it is
-    Dahl's friction (1968: presliding, then a force of k L whatever the speed); with others the
-    loops of Bouc (1967) and Wen (1976), exponent one: there A = 1, beta = 1 / L, gamma = r / L.
+    A spring k that begins to slip as its own deflection z nears L / (1 + r)^(1 / n). With r = 0 and
+    n = 1 it is Dahl's friction (1968: presliding, then a force of k L whatever the speed); with
+    others the loops of Bouc (1967) and Wen (1976): there A = 1, beta = 1 / L^n, gamma = r / L^n.
+    The exponent n is one unless the record tells it: the larger, the sharper the bend. Near z = 0
+    |z / L| is rounded over a hundredth.
     What it dissipates in a cycle does not depend on how fast it is run through, and its force
     depends on where the motion last turned round.
     """
@@ -88,7 +90,10 @@ class BoucWen(ForceEffect):
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0, per_axis=True),
         Parameter("length", "position", lower=0.0, role="shape", grid=(0.05, 0.2, 0.6)),
-        Parameter("asymmetry", "", role="shape", start=0.0, grid=(-1.0, 0.0, 1.0)),
+        Parameter(
+            "asymmetry", "", lower=-2.0, upper=2.0, role="shape", start=0.0, grid=(-1.0, 0.0, 1.0)
+        ),
+        Parameter("exponent", "", lower=1.0, upper=10.0, role="shape", start=1.0),
     )
 
     def force(self, at, u, p):
@@ -96,13 +101,12 @@ class BoucWen(ForceEffect):
         return [-k * z for k, z in zip(p.stiffness, at.own.slip, strict=True)]
 
     def rate(self, at, u, p):
-        """v - (|v| z + r v |z|) / L."""
-        pairs = zip(at.velocity, at.own.slip, strict=True)
-        return {
-            "slip": [
-                v - (length([v]) * z + p.asymmetry * v * length([z])) / p.length for v, z in pairs
-            ]
-        }
+        """v - (|v| z + r v |z|) |z / L|^(n - 1) / L."""
+        found = []
+        for v, z in zip(at.velocity, at.own.slip, strict=True):
+            slips = (length([v]) * z + p.asymmetry * v * length([z])) / p.length
+            found.append(v - slips * exp((p.exponent - 1) * log(length([z / p.length, 0.01]))))
+        return {"slip": found}
 
 
 class Jenkins(ForceEffect):

@@ -143,8 +143,7 @@ def doubts(model: Model, label: str, settings: Settings) -> str:
         if owner != label or parameter.role != "amplitude" or (t := table[name].t) is None:
             continue
         value = table[name].estimate
-        bounds = [b for b in (parameter.lower, parameter.upper) if b]
-        if any(np.isclose(value, b, rtol=1e-6) for b in bounds):
+        if parameter.at_bound(value):
             reasons.append(f"{name} lies at its bound of {number(value)}")
         elif not abs(t) >= settings.least_t:
             reasons.append(f"{name} is {number(abs(t), 2)} standard errors from zero")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import keyword
 from dataclasses import dataclass
+from math import isclose
 from typing import Literal
 
 from spiral.types.errors import PluginError
@@ -69,6 +70,11 @@ class Parameter:
                 f"parameter {self.name!r} with bounds [{self.lower}, {self.upper}]",
                 "a lower bound below the upper bound",
             )
+
+    def at_bound(self, value: float) -> bool:
+        """Whether a value lies at one of its bounds, zero and the first value apart."""
+        bounds = (b for b in (self.lower, self.upper) if b and b != self.start)
+        return any(isclose(value, b, rel_tol=1e-6) for b in bounds)
 
 
 @dataclass(frozen=True)

@@ -127,10 +127,11 @@ def test_a_lag_under_a_steady_shake_has_the_textbook_stiffness():
 LENGTH, ASYMMETRY = 2e-3, 0.5
 
 
-def slipped(path, duration, asymmetry=ASYMMETRY):
+def slipped(path, duration, asymmetry=ASYMMETRY, exponent=1.0):
     """z along a path x(s), s from 0 to 1, run through in so many seconds."""
     traced = trace(Oscillator(), (effect("bouc_wen"),))
-    names = {"bouc_wen.length": LENGTH, "bouc_wen.asymmetry": asymmetry}
+    names = {"bouc_wen.length": LENGTH, "bouc_wen.asymmetry": asymmetry,
+             "bouc_wen.exponent": exponent}  # fmt: skip
     place = traced.states.index("bouc_wen.slip")
     known = {p: names[k] for k, p in zip(traced.keys, traced.p, strict=True) if k in names}
     rate = sp.lambdify([*traced.x], traced.rate[place].subs(known))
@@ -151,6 +152,12 @@ def test_hysteresis_on_a_way_without_return_saturates_as_written(asymmetry):
     x = np.linspace(0, 4 * LENGTH, 400)
     wanted = LENGTH / (1 + asymmetry) * (1 - np.exp(-(1 + asymmetry) * x / LENGTH))
     np.testing.assert_allclose(z, wanted, atol=1e-6 * LENGTH)
+
+
+def test_hysteresis_of_exponent_two_bends_over_as_a_hyperbolic_tangent():
+    """z' = v (1 - (z / L)^2), but for the rounding near zero: z = L tanh(x / L)."""
+    z = slipped(lambda s: 4 * LENGTH * s, 1.0, 0.0, 2.0)
+    np.testing.assert_allclose(z, LENGTH * np.tanh(np.linspace(0, 4, 400)), atol=2e-4 * LENGTH)
 
 
 @pytest.mark.parametrize("v", [-0.3, -0.02, 0.004, 0.1])
@@ -196,10 +203,10 @@ def test_hysteresis_does_not_know_how_fast_it_is_run_through():
     assert np.ptp(slow[:200]) > 0.5 * LENGTH
 
 
-@pytest.mark.parametrize("asymmetry", [0.0, -1.3])
-def test_hysteresis_is_named_first_and_alone(asymmetry):
-    """Dahl's friction, and a loop that stiffens, by the default."""
-    values = {"stiffness": 2e4, "length": 4e-4, "asymmetry": asymmetry}
+@pytest.mark.parametrize(("asymmetry", "exponent"), [(0.0, 1.0), (-1.3, 1.0), (0.5, 2.5)])
+def test_hysteresis_is_named_first_and_alone(asymmetry, exponent):
+    """Dahl's friction, a loop that stiffens, and one that bends sharply, by the default."""
+    values = {"stiffness": 2e4, "length": 4e-4, "asymmetry": asymmetry, "exponent": exponent}
     run = discover(replace(_problem("bouc_wen", values=values), strategy=Likelihood()))
     assert admitted(run) == ["bouc_wen"]
     estimate = run.model.estimates()["bouc_wen"]["stiffness"]

@@ -76,13 +76,13 @@ def rebalanced(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> 
     if not found.estimate.finite or is_white(assembly, found):
         return found
     progress("starting again with sensor noise alone")
-    again = refitted(assembly, found.state, _sensors_alone(found), rough=True)
+    again = refitted(assembly, found.state, sensors_alone(found), rough=True)
     if not is_white(assembly, again):
         again = climbed_ladder(assembly, again, progress)
     return again if again.height > found.height else found
 
 
-def _sensors_alone(found: LikelihoodFit) -> NoiseModel:
+def sensors_alone(found: LikelihoodFit) -> NoiseModel:
     """Noise of the sensors as large as what the model misses where no reading corrects it much."""
     prepared = found.estimate.prepared
     deaf = first_noise(prepared[0][0], _QUIET, prepared[0][0].series.y.std(axis=0))

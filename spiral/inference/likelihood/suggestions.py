@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +11,8 @@ from spiral.inference.evidence.scoring import Ranking
 from spiral.inference.likelihood.candidates import Rival
 from spiral.inference.suggest import by_evidence
 from spiral.types.run import Suggestion
+
+_WORST = 50.0  # logarithm of the growth of the misses' squares beyond which one is as bad as all
 
 
 def suggestions(
@@ -24,7 +26,8 @@ def suggestions(
     listed = {s.effect: s for s in by_evidence(found, None, ())}
     tried: dict[str, Suggestion] = {}
     for rival in rivals:
-        tried.setdefault(rival.label, _as_suggestion(rival, listed))
+        seen = listed.get(rival.label)
+        tried.setdefault(rival.label, _as_suggestion(rival, seen.hint if seen else ()))
     least, net = (min((getattr(s, n) or 0.0 for s in tried.values()), default=1.0)
                   for n in ("explains", "net"))  # fmt: skip
     others = [
@@ -37,15 +40,20 @@ def suggestions(
     return tuple(sorted(named, key=lambda s: s.effect != label))
 
 
-def _as_suggestion(rival: Rival, listed: Mapping[str, Suggestion]) -> Suggestion:
+def _as_suggestion(rival: Rival, hint: tuple[str, ...]) -> Suggestion:
     """A refitted candidate: twice its gain in log-likelihood, and the share of the misses."""
     from scipy import stats
 
     count = sum(p.misses.size for p in rival.fit.estimate.parts) / 2  # the half that selects
     gain, terms = max(rival.gain, 0.0), len(rival.ranked.columns)
     p_value = float(stats.chi2.sf(2 * gain, terms))
-    return replace(
-        listed[rival.label], statistic=2 * gain, p_value=p_value, wald_p_value=p_value,
-        explains=1 - float(np.exp(-2 * gain / count)),
-        net=1 - float(np.exp(-2 * rival.worth / count)),
+    return Suggestion(
+        effect=rival.label, meaning=rival.ranked.variant.original.meaning(), aliases=(),
+        p_value=p_value, statistic=2 * gain, wald_p_value=p_value, hint=hint,
+        explains=_share(gain, count), net=_share(rival.worth, count),
     )  # fmt: skip
+
+
+def _share(gain: float, count: float) -> float:
+    """Of the misses' squares, what a gain in log-likelihood over so many of them takes away."""
+    return -float(np.expm1(np.clip(-2 * gain / count, None, _WORST)))

@@ -45,6 +45,7 @@ from spiral.inference.strategies.base import Settled
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.holding import carried, emptied, with_variants
 from spiral.types.effect import Effect
+from spiral.types.formatting import number
 from spiral.types.horizon import changes
 from spiral.types.run import Comparison
 
@@ -82,8 +83,32 @@ class Passed:
     whole: Whole
 
 
-Objection = Callable[[Whole], str]
-"""Why a model with a candidate is not taken; empty where it is."""
+@dataclass(frozen=True)
+class Refusal:
+    """Why a model with a candidate is not taken.
+
+    ``alone`` : it may be of use once what else is missing stands beside it.
+    """
+
+    reason: str
+    alone: bool = False
+
+
+Objection = Callable[[Whole], Refusal | None]
+"""Why a model with a candidate is not taken; nothing where it is."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of those that won: the first that passed, and why those before it did not.
+
+    ``likely`` is the first that is more likely, also on the blocks that did not select, and was
+    refused for what it does alone.
+    """
+
+    passed: Passed | None
+    rejected: dict[str, str]
+    likely: Passed | None = None
 
 
 def offering(assembly: Assembly, effects: tuple[Effect, ...]) -> Assembly:
@@ -108,12 +133,10 @@ def raced(
 def first_to_pass(
     options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, run: Race, judge: Masks,
     level: float, objection: Objection, progress: Progress,
-) -> tuple[Passed | None, dict[str, str]]:  # fmt: skip
-    """The first winner that holds on other blocks and meets no ``objection``.
-
-    And why those before it do not.
-    """
+) -> Outcome:  # fmt: skip
+    """The first winner that holds on other blocks and meets no ``objection``."""
     rejected: dict[str, str] = {}
+    likely: Passed | None = None
     ours = functools.cache(lambda: unselected(base, assembly, judge))
     for rival, rivals in itertools.islice(run.winners(), options.judged):
         if reason := _refused(base, ours, rival, judge, level):
@@ -123,12 +146,30 @@ def first_to_pass(
         progress(f"most likely values with {chosen.label}")
         own, state = _narrowed(chosen.assembly, chosen.fit.state)
         like, label = chosen.fit.estimate.prepared, chosen.ranked.variant.label
-        whole = with_effect(own, state, label, progress, like)
-        reason = "with it the fit to all samples runs away"
-        if whole.fit.estimate.finite and not (reason := objection(whole)):
-            return Passed(chosen, aliases, whole), rejected
-        rejected[chosen.label] = reason
-    return None, rejected
+        passed = Passed(chosen, aliases, with_effect(own, state, label, progress, like))
+        refusal = _senseless(passed.whole, chosen) or objection(passed.whole)
+        if refusal is None:
+            return Outcome(passed, rejected, likely)
+        rejected[chosen.label] = refusal.reason
+        likely = likely or (passed if refusal.alone else None)
+    return Outcome(None, rejected, likely)
+
+
+def _senseless(whole: Whole, rival: Rival) -> Refusal | None:
+    """Why the fit to all samples is none of this effect; nothing where it is one.
+
+    A shape that runs to an end of its range no longer means what the effect means by it.
+    """
+    if not whole.fit.estimate.finite:
+        return Refusal("with it the fit to all samples runs away")
+    model = whole.settled.comparison.model
+    for key, parameter in model.pairs:
+        owner, name = key.rsplit(".", 1)
+        if owner == rival.label and parameter.role == "shape" and key in model.values:
+            value = model.values[key]
+            if parameter.at_bound(value):
+                return Refusal(f"its {name} runs to the end of its range, {number(value)}")
+    return None
 
 
 def _narrowed(own: Assembly, state: FitState) -> tuple[Assembly, FitState]:
@@ -175,31 +216,30 @@ def helping(options: LikelihoodOptions, before: Comparison, settings: Settings) 
 
 def unhelpful(
     options: LikelihoodOptions, before: Comparison, after: Comparison, settings: Settings
-) -> str:
-    """Why an effect does no good to what is predicted; empty where it does.
+) -> Refusal | None:
+    """Why an effect does no good to what is predicted; nothing where it does.
 
     The squared error that it takes away, over what is left, is a size in standard deviations of
     the noise; the largest over the horizons and the free run of the fitted records counts.
     """
     forces = max(random_forces(after).values(), default=0.0)
     if forces >= _BOUND * options.random_limit:
-        return (
+        return Refusal(
             "with it, too, a random force as large as the machine's own would have to act: the "
-            "model has not found its values, or is of another machine"
+            "model has not found its values, or is of another machine",
+            alone=True,
         )
     judged_ = changes(before.unseen, after.unseen)
     for change in judged_:
         if change.judged == "worse":
-            return (
-                f"the error on unseen data grows ({change.horizon}: {100 * change.before:.3g} -> "
-                f"{100 * change.after:.3g} %)"
-            )
+            grown = f"{change.horizon}: {100 * change.before:.3g} -> {100 * change.after:.3g} %"
+            return Refusal(f"the error on unseen data grows ({grown})", alone=True)
     pairs = [(before.fit_error, after.fit_error), *((c.before, c.after) for c in judged_)]
     sizes = [np.sqrt(max((b / a) ** 2 - 1, 0.0)) if a > 0 else np.inf for b, a in pairs]
     size = float(max(x if np.isfinite(x) else np.inf for x in sizes))
     if size >= settings.smallest:
-        return ""
-    return (
+        return None
+    return Refusal(
         f"significant, but too small to matter: at no horizon does it take away more than "
         f"{size:.2g} of what is left (least {settings.smallest:g})"
     )

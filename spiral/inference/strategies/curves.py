@@ -98,8 +98,8 @@ def _passing(
     if found is None:
         return None
     helps = helping(options, comparison, assembly.problem.settings)
-    passed, _ = first_to_pass(options, assembly, start, found[0], masks[1], level, helps, progress)
-    return None if passed is None else (passed, found)
+    outcome = first_to_pass(options, assembly, start, found[0], masks[1], level, helps, progress)
+    return None if outcome.passed is None else (outcome.passed, found)
 
 
 def _worth(fit: LikelihoodFit) -> float:

@@ -24,7 +24,14 @@ from spiral.inference.likelihood.candidates import Rival
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, price, refitted, subjects
 from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.admission import Whole, first_to_pass, offering, raced, unhelpful
+from spiral.inference.strategies.admission import (
+    Refusal,
+    Whole,
+    first_to_pass,
+    offering,
+    raced,
+    unhelpful,
+)
 from spiral.inference.strategies.base import Settled
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import near_noise
@@ -129,14 +136,15 @@ def _from(
     if found is None:
         return None
 
-    def objection(whole: Whole) -> str:
-        stands = _stands(options, assembly, start, whole.settled, comparison)
-        return "" if stands else "it does not explain all, or not for less than what it stands for"
+    def objection(whole: Whole) -> Refusal | None:
+        if _stands(options, assembly, start, whole.settled, comparison):
+            return None
+        return Refusal("it does not explain all, or not for less than what it stands for")
 
     run, ranked = found
-    passed, _ = first_to_pass(
+    passed = first_to_pass(
         options, assembly, start.base, run, masks[1], level, objection, progress
-    )
+    ).passed
     if passed is None:
         return None
     gone = tuple(assembly.variant(x).original.label for x in start.gone)
@@ -155,7 +163,7 @@ def _stands(
     if not near_noise(settled.comparison, settings):
         return False
     if not start.gone:
-        return not unhelpful(options, comparison, settled.comparison, settings)
+        return unhelpful(options, comparison, settled.comparison, settings) is None
     height = settled.details["log_likelihood"] - _price(start, settled.comparison)
     return height > start.height - _price(start, comparison) + np.log(options.odds)
 

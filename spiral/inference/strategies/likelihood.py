@@ -22,18 +22,19 @@ from spiral.inference.likelihood.between import (
     with_likely_inputs,
 )
 from spiral.inference.likelihood.candidates import (
+    Race,
     Rival,
     race,
     refit_alone,
     with_own_shapes,
 )
+from spiral.inference.likelihood.elsewhere import from_elsewhere
 from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
     LikelihoodFit,
     refitted,
 )
-from spiral.inference.likelihood.given import from_given
 from spiral.inference.likelihood.identify import untold
 from spiral.inference.likelihood.ladder import pruned
 from spiral.inference.likelihood.scores import ranking
@@ -43,6 +44,9 @@ from spiral.inference.likelihood.starts import (
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.strategies.admission import (
+    Objection,
+    Outcome,
+    Passed,
     finished,
     first_to_pass,
     helping,
@@ -106,35 +110,92 @@ def propose(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
     number: int, progress: Progress,
 ) -> Step[Scored]:  # fmt: skip
-    """The candidate that makes the record most likely, if it passes on other blocks."""
+    """The candidate that makes the record most likely, if it passes on other blocks.
+
+    Or two at once, where none is of use alone.
+    """
     assembly = having(assembly, state.labels)
-    masks = select, judge = half_masks(assembly)
-    progress("scoring candidates by one-step predictions")
-    base = refitted(assembly, state, masks=select, steps=WARM, rough=True)
-    if (ranked := ranking(assembly, base, base.estimate.noise, select)) is None:
+    masks = half_masks(assembly)
+    found = _raced(options, assembly, state, masks[0], progress)
+    if found is None:
         return Step((), {}, stopped="diverged")
-    run = race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
+    base, ranked, run = found
     least = run.best - np.log(options.odds)  # what is not told apart is no effect
-    if (other := likelier_inputs(assembly, base, select, least, progress)) is not None:
+    if (other := likelier_inputs(assembly, base, masks[0], least, progress)) is not None:
         return _otherwise(options, assembly, other.state, number, progress)
-    run = run.joined_by(from_given(assembly, base, select, progress))
+    run = run.joined_by(from_elsewhere(assembly, base, masks[0], progress))
     level = spent(assembly.problem.settings.level, number) / options.judged
-    passed, rejected = first_to_pass(
-        options, assembly, base, run, judge, level,
-        helping(options, comparison, assembly.problem.settings), progress,
-    )  # fmt: skip
-    if passed is not None:
-        effect, aliases = passed.rival.ranked.variant.original, passed.aliases
-        return Step(
-            suggestions(run.tried, ranked, effect.label, aliases)[: options.listed], rejected,
-            (effect.label,), {effect.label: aliases}, second_order(effect, assembly, state),
-            effect.meaning(), found=Scored(ranked, run.tried, passed.whole.settled),
-        )  # fmt: skip
-    step = Step(suggestions(run.tried, ranked, "", ())[: options.listed], rejected,
+    helps = helping(options, comparison, assembly.problem.settings)
+    outcome = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
+    passed = () if outcome.passed is None else (outcome.passed,)
+    if outcome.passed is None and outcome.likely is not None:
+        passed = _with_a_second(options, assembly, outcome.likely, masks, level, helps, progress)
+    if passed:
+        return _admitting(options, assembly, state, passed, Scored(ranked, run.tried), outcome)
+    step = Step(suggestions(run.tried, ranked, "", ())[: options.listed], outcome.rejected,
                 found=Scored(ranked, run.tried))  # fmt: skip
     if near_noise(comparison, assembly.problem.settings):
         step = replace(step, stopped="whiteness")
     return _unexplained(options, assembly, state, base, step, comparison, masks, level, progress)
+
+
+def _raced(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, select: Masks,
+    progress: Progress,
+) -> tuple[LikelihoodFit, Ranking, Race] | None:  # fmt: skip
+    """The model as it is on the blocks that select, candidates by their score, and their race."""
+    progress("scoring candidates by one-step predictions")
+    base = refitted(assembly, state, masks=select, steps=WARM, rough=True)
+    ranked = ranking(assembly, base, base.estimate.noise, select)
+    if ranked is None:
+        return None
+    return base, ranked, race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
+
+
+def _with_a_second(
+    options: LikelihoodOptions, assembly: Assembly, first: Passed, masks: tuple[Masks, Masks],
+    level: float, helps: Objection, progress: Progress,
+) -> tuple[Passed, ...]:  # fmt: skip
+    """A candidate that is likely but of no use alone, and another that passes beside it.
+
+    A softening spring whose sensor is off by a constant is wrong without either. Together they must
+    do to what is predicted what one alone has to. Nothing where none passes.
+    """
+    progress(f"trying a second effect beside {first.rival.label}")
+    state = first.whole.settled.standing
+    assembly = having(assembly, state.labels)
+    found = _raced(options, assembly, state, masks[0], progress)
+    if found is None:
+        return ()
+    base, _, run = found
+    run = run.joined_by(from_elsewhere(assembly, base, masks[0], progress))
+    second = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress).passed
+    if second is None:
+        return ()
+    settled = second.whole.settled
+    if first.rival.label in settled.retired:
+        gone = tuple(x for x in settled.retired if x != first.rival.label)
+        whole = replace(second.whole, settled=replace(settled, retired=gone))
+        return (replace(second, whole=whole),)
+    return first, second
+
+
+def _admitting(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, passed: tuple[Passed, ...],
+    scored: Scored, outcome: Outcome,
+) -> Step[Scored]:  # fmt: skip
+    """The step that admits what passed."""
+    labels = tuple(p.rival.label for p in passed)
+    effects = [p.rival.ranked.variant.original for p in passed]
+    of_second_order = (second_order(e, assembly, state) for e in effects)
+    shown = suggestions(scored.rivals, scored.ranking, labels[0], passed[0].aliases)
+    rejected = {k: v for k, v in outcome.rejected.items() if k not in labels}
+    return Step(
+        shown[: options.listed], rejected, labels,
+        {p.rival.label: p.aliases for p in passed}, any(of_second_order),
+        "; ".join(e.meaning() for e in effects),
+        found=replace(scored, settled=passed[-1].whole.settled),
+    )  # fmt: skip
 
 
 def _unexplained(
@@ -228,8 +289,8 @@ def choose(
         rival = refit_alone(assembly, base, _of(assembly, scored.ranking, label))
     whole = with_effect(rival.assembly, rival.fit.state, rival.ranked.variant.label, silent)
     effect = rival.ranked.variant.original
-    group = set(step.admitted) | {x for v in step.aliases.values() for x in v}
-    aliases = tuple(sorted(group - {label})) if label in group else ()
+    groups = ({k, *v} for k, v in step.aliases.items())
+    aliases = tuple(sorted(next((g - {label} for g in groups if label in g), set())))
     return replace(
         step, suggestions=ranked_by_worth(step)[: options.listed], admitted=(label,),
         aliases={label: aliases},
