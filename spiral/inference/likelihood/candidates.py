@@ -102,6 +102,10 @@ class Race:
             return self
         return replace(self, runners=_in_order([*self.tried, *others]), finals=[])
 
+    def of(self, others: Sequence[Rival]) -> Race:
+        """A race of others, that have taken their first steps, alone."""
+        return replace(self, runners=_in_order(others), finals=[])
+
     def winners(self) -> Iterator[tuple[Rival, list[Rival]]]:
         """One after the other with the rivals that are left in its final, most likely first.
 

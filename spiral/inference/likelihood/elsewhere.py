@@ -14,7 +14,6 @@ is.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -43,36 +42,48 @@ _BEHIND = 2.0  # factor by which a fitted value differs from the one given that 
 _MOST = 4  # candidates refitted from each of these fits
 
 
-def from_elsewhere(
+def from_given(
     assembly: Assembly, base: LikelihoodFit, masks: Masks, progress: Progress
 ) -> list[Rival]:
-    """The most promising candidates after their first steps from other fits than ``base``.
+    """The most promising candidates after their first steps from the values given.
 
-    They are held against ``base``. None where that is near the values given and nothing but little
-    acts at random; ``masks`` are the blocks that select.
+    They are held against ``base``. None where that is near these; ``masks`` are the blocks that
+    select.
     """
+    start = _at_given(assembly, base.state, masks, progress)
+    return [] if start is None else _from(assembly, base, start, masks)
+
+
+def from_less_noise(
+    assembly: Assembly, base: LikelihoodFit, masks: Masks, progress: Progress
+) -> list[Rival]:
+    """The same from white noise alone, and from sensor noise alone; see ``from_given``.
+
+    None where nothing but little acts at random.
+    """
+    noise, less = base.estimate.noise, base.estimate.noise.without(*EXTRA)
     rivals = []
-    for start in _others(assembly, base, masks, progress):
-        ranked = ranking(assembly, start, start.estimate.noise, masks)
-        some = () if ranked is None else promising(list(ranked.ranked), _MOST)
-        rivals += [first_steps(assembly, base, r, masks, start=start) for r in some]
+    if len(less.terms) < len(noise.terms):
+        progress("trying candidates beside white noise alone")
+        rivals += _from(
+            assembly, base, refitted(assembly, base.state, less, masks, WARM, True), masks
+        )
+    if not explains(base):
+        progress("trying candidates beside sensor noise alone")
+        deaf = refitted(assembly, base.state, sensors_alone(base), masks, WARM, True)
+        rivals += _from(assembly, base, deaf, masks)
     return rivals
 
 
-def _others(
-    assembly: Assembly, base: LikelihoodFit, masks: Masks, progress: Progress
-) -> Iterator[LikelihoodFit]:
-    """Fits whose candidates may be others than those of ``base``."""
-    noise, less = base.estimate.noise, base.estimate.noise.without(*EXTRA)
-    others = [_at_given(assembly, base.state, masks, progress)]
-    if len(less.terms) < len(noise.terms):
-        progress("trying candidates beside white noise alone")
-        others.append(refitted(assembly, base.state, less, masks, WARM, True))
-    if not explains(base):
-        progress("trying candidates beside sensor noise alone")
-        deaf = sensors_alone(base)
-        others.append(refitted(assembly, base.state, deaf, masks, WARM, True))
-    yield from (x for x in others if x is not None and x.estimate.finite)
+def _from(
+    assembly: Assembly, base: LikelihoodFit, start: LikelihoodFit, masks: Masks
+) -> list[Rival]:
+    """The most promising candidates of another fit, held against ``base``."""
+    ranked = None
+    if start.estimate.finite:
+        ranked = ranking(assembly, start, start.estimate.noise, masks)
+    some = () if ranked is None else promising(list(ranked.ranked), _MOST)
+    return [first_steps(assembly, base, r, masks, start=start) for r in some]
 
 
 def _at_given(

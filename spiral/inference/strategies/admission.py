@@ -110,6 +110,11 @@ class Outcome:
     rejected: dict[str, str]
     likely: Passed | None = None
 
+    @property
+    def admitted(self) -> tuple[Passed, ...]:
+        """What passed: one, or nothing."""
+        return () if self.passed is None else (self.passed,)
+
 
 def offering(assembly: Assembly, effects: tuple[Effect, ...]) -> Assembly:
     """The study with these effects offered in place of its candidates."""

@@ -28,7 +28,7 @@ from spiral.inference.likelihood.candidates import (
     refit_alone,
     with_own_shapes,
 )
-from spiral.inference.likelihood.elsewhere import from_elsewhere
+from spiral.inference.likelihood.elsewhere import from_given, from_less_noise
 from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
@@ -123,17 +123,22 @@ def propose(
     least = run.best - np.log(options.odds)  # what is not told apart is no effect
     if (other := likelier_inputs(assembly, base, masks[0], least, progress)) is not None:
         return _otherwise(options, assembly, other.state, number, progress)
-    run = run.joined_by(from_elsewhere(assembly, base, masks[0], progress))
     level = spent(assembly.problem.settings.level, number) / options.judged
     helps = helping(options, comparison, assembly.problem.settings)
+    run = run.joined_by(from_given(assembly, base, masks[0], progress))
     outcome = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
-    passed = () if outcome.passed is None else (outcome.passed,)
-    if outcome.passed is None and outcome.likely is not None:
+    passed, tried = outcome.admitted, run.tried
+    if not passed and outcome.likely is not None:
         passed = _with_a_second(options, assembly, outcome.likely, masks, level, helps, progress)
+    if not passed:
+        run = run.of(from_less_noise(assembly, base, masks[0], progress))
+        again = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
+        passed, tried = again.admitted, (*tried, *run.tried)
+        outcome = replace(outcome, rejected={**again.rejected, **outcome.rejected})
     if passed:
-        return _admitting(options, assembly, state, passed, Scored(ranked, run.tried), outcome)
-    step = Step(suggestions(run.tried, ranked, "", ())[: options.listed], outcome.rejected,
-                found=Scored(ranked, run.tried))  # fmt: skip
+        return _admitting(options, assembly, state, passed, Scored(ranked, tried), outcome)
+    step = Step(suggestions(tried, ranked, "", ())[: options.listed], outcome.rejected,
+                found=Scored(ranked, tried))  # fmt: skip
     if near_noise(comparison, assembly.problem.settings):
         step = replace(step, stopped="whiteness")
     return _unexplained(options, assembly, state, base, step, comparison, masks, level, progress)
@@ -168,7 +173,8 @@ def _with_a_second(
     if found is None:
         return ()
     base, _, run = found
-    run = run.joined_by(from_elsewhere(assembly, base, masks[0], progress))
+    run = run.joined_by(from_given(assembly, base, masks[0], progress))
+    run = run.joined_by(from_less_noise(assembly, base, masks[0], progress))
     second = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress).passed
     if second is None:
         return ()
