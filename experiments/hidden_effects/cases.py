@@ -130,6 +130,7 @@ CASES = (
     Case("asymmetric_damping", {"damping": 0.008}, SWING),
     Case("position_friction", {"slope": 0.04, "width": 0.03}, SWING),
     Case("asymmetric_stiffness", {"stiffness": 0.06}, SWING),
+    Case("stiffness_drift", {"rate": 0.002}, SWING),
     Case("cogging", {"cosine": 0.05, "sine": 0.1, "count": 12.0}, SWING),
     Case("jenkins", {"stiffness": 0.15, "length": 0.2}, SWING),
 )

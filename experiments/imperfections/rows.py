@@ -191,6 +191,7 @@ _COLOUR = ("coloured", "correlated", "autoregress", "band-limited", "not white")
 _DRIFT = ("drift", "wander", "trend")
 _OUTLIERS = ("outlier", "spike", "heavy tail", "dropout")
 
+_STIFFNESS, _DRIFTING = ("drift", "stiffness"), ("stiffness_drift", "speed_stiffness")
 ROWS: dict[str, Imperfection] = {
     "white": Imperfection(),
     "ar_0.5": Imperfection(_COLOUR, noise=partial(autoregressive, memory=0.5)),
@@ -220,8 +221,8 @@ ROWS: dict[str, Imperfection] = {
     "jitter": Imperfection(("jitter",), noise=jitter),
     "student_3": Imperfection(_OUTLIERS, noise=student),
     "amplitude_noise": Imperfection(("amplitude", "grows"), noise=growing),
-    "stiffness_drift_1": Imperfection(("drift", "stiffness"), ("speed_stiffness",), drift=0.01),
-    "stiffness_drift_5": Imperfection(("drift", "stiffness"), ("speed_stiffness",), drift=0.05),
+    "stiffness_drift_1": Imperfection(_STIFFNESS, _DRIFTING, drift=0.01),
+    "stiffness_drift_5": Imperfection(_STIFFNESS, _DRIFTING, drift=0.05),
     "declared_half": Imperfection(("declare", "said to be"), declared=0.5),
     "declared_double": Imperfection(("declare", "said to be"), declared=2.0),
 }

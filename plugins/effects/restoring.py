@@ -25,6 +25,23 @@ class LinearStiffness(ForceEffect):
         return [-k * q for k, q in zip(p.stiffness, at.position, strict=True)]
 
 
+class StiffnessDrift(ForceEffect):
+    """Stiffness that changes along a record: F_i = -r_i t q_i, t from the record's first sample.
+
+    Every record begins with the spring as the model has it, as where a machine warms up from cold
+    each time: rubber, oil, a shaft, a preload that thermal growth takes up. What wears on from one
+    record to the next is another stiffness in each. Where the speed runs down in step with time,
+    ``speed_stiffness`` looks much the same.
+    """
+
+    inputs = ("time",)
+    parameters = (Parameter("rate", "force/position/s", per_axis=True),)
+
+    def force(self, at, u, p):
+        """-r_i t q_i per axis."""
+        return [-r * u.time * q for r, q in zip(p.rate, at.position, strict=True)]
+
+
 class QuadraticStiffness(ForceEffect):
     """Stiffness that differs between pull and push: F_i = -k_i q_i^2."""
 

@@ -14,7 +14,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
 from spiral.engine.filter.extended import filtered
-from spiral.engine.filter.noise import groups, intensity, sampled
+from spiral.engine.filter.noise import added_covariance, groups, intensity, sampled
 from spiral.engine.filter.setup import chosen_levels, prepared, with_level
 from spiral.engine.filter.smoother import smooth
 from spiral.engine.filter.static import static_map
@@ -302,3 +302,24 @@ def test_divergence_is_a_result():
     part = reconstructed(wrong, Ekf(process_noise=0.0, track=()))
     assert part.diverged
     assert part.stable < part.record.samples
+
+
+@pytest.mark.parametrize("rate", [1e-3, 1.0, 50.0, 5e4, 1e7])
+def test_noise_behind_any_decay_adds_its_exact_covariance(rate):
+    """q (1 - e^{-2 r t}) / 2 r, also where e^{r t} is beyond all digits."""
+    wanted = -3.0 * np.expm1(-2 * rate * 0.002) / (2 * rate)
+    found = added_covariance(np.array([[-rate]]), np.array([[3.0]]), 0.002)
+    np.testing.assert_allclose(found, [[wanted]], rtol=1e-12)
+
+
+def test_noise_on_a_mass_that_friction_holds_adds_a_covariance():
+    """Near rest dry friction decays 1e4 times faster than the spring moves."""
+    a = np.array([[0.0, 1.0], [-1.25e5, -4.5e4]])
+    steps = 20_000
+    flow, added = expm(a * 0.002 / steps), np.zeros((2, 2))
+    for _ in range(steps):
+        added = flow @ added @ flow.T + np.diag([0.0, 3.0]) * 0.002 / steps
+    found = added_covariance(a, np.diag([0.0, 3.0]), 0.002)
+    assert np.linalg.eigvalsh(found)[0] > 0
+    np.testing.assert_allclose(found[1, 1], added[1, 1], rtol=0.01)
+    np.testing.assert_allclose(found[0, 0], added[0, 0], rtol=0.01)

@@ -45,13 +45,28 @@ def intensity(task: Task, levels: Mapping[str, float]) -> Array:
 
 def sampled(task: Task, continuous: Array) -> Array:
     """(n, n) covariance that white noise of this intensity (n,) adds over one sample."""
+    size = task.scales
+    a = linearised(task.compiled, task.values, task.mean_inputs, task.centre) * size / size[:, None]
+    covariance = added_covariance(a, np.diag(continuous / size**2), task.series.dt)
+    return covariance * np.outer(size, size)
+
+
+def added_covariance(a: Array, intensity: Array, time: float) -> Array:
+    """integral of e^{A s} Q e^{A^T s} over 0 <= s <= t, A (n, n), Q (n, n) symmetric.
+
+    By Van Loan's block exponential (IEEE Trans. Autom. Control 23, 1978) over a part h of the time
+    with |A| h <= 1, beyond which a fast decay (dry friction near rest) would cost it all digits,
+    and then by doubling: with F = e^{A h}, Q(2 h) = Q(h) + F Q(h) F^T and F(2 h) = F F.
+    """
     from scipy.linalg import expm
 
-    n, size = len(continuous), task.scales
-    a = linearised(task.compiled, task.values, task.mean_inputs, task.centre) * size / size[:, None]
+    n = len(a)
+    doublings = max(int(np.ceil(np.log2(max(np.linalg.norm(a, 1) * time, 1.0)))), 0)
     block = np.zeros((2 * n, 2 * n))
-    block[:n, :n], block[n:, n:] = -a, a.T
-    block[:n, n:] = np.diag(continuous / size**2)
-    whole = expm(block * task.series.dt)
-    covariance = whole[n:, n:].T @ whole[:n, n:]
-    return 0.5 * (covariance + covariance.T) * np.outer(size, size)
+    block[:n, :n], block[n:, n:], block[:n, n:] = -a, a.T, intensity
+    whole = expm(block * (time / 2**doublings))
+    flow = whole[n:, n:].T
+    covariance = flow @ whole[:n, n:]
+    for _ in range(doublings):
+        covariance, flow = covariance + flow @ covariance @ flow.T, flow @ flow
+    return 0.5 * (covariance + covariance.T)
