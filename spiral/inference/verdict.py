@@ -341,8 +341,9 @@ def advice_for(
         tied = "; ".join(" = ".join(g) for g in groups)
         return (
             (f"Alike on it are {tied}. " if tied else "")
-            + "Sweep the speed (run-up or coast-down) through the resonance, or record the "
-            "start-up transient, and try again."
+            + "Hold one of them at its known value (fixed=[NAME]), or record a test that moves them "
+            "differently: a start-up transient, other frequencies; of a rotor a sweep of the speed "
+            "through the resonance."
         )
     if stopped == "diverged":
         return (
