@@ -341,9 +341,9 @@ def advice_for(
         tied = "; ".join(" = ".join(g) for g in groups)
         return (
             (f"Alike on it are {tied}. " if tied else "")
-            + "Hold one of them at its known value (fixed=[NAME]), or record a test that moves them "
-            "differently: a start-up transient, other frequencies; of a rotor a sweep of the speed "
-            "through the resonance."
+            + "Hold one of them at its known value (fixed=[NAME]), or record a test that moves "
+            "them differently: a start-up transient, other frequencies; of a rotor a sweep of the "
+            "speed through the resonance."
         )
     if stopped == "diverged":
         return (
