@@ -20,6 +20,7 @@ import sympy as sp
 from llvmlite import binding, ir
 from numba import types
 from numba.core.registry import cpu_target
+from numba.extending import typeof_impl
 
 from spiral.physics.emit import INDEX, Emitter
 from spiral.physics.trace import Traced
@@ -47,7 +48,7 @@ class ModelFunction(types.WrapperAddressProtocol):
     """Machine code of one equation, for Numba's loops and for a call from Python."""
 
     def __init__(self, kind: types.FunctionType, engine: Any, name: str) -> None:
-        self._kind, self._engine = kind, engine  # the code lives as long as its engine
+        self.kind, self._engine = kind, engine  # the code lives as long as its engine
         self._address = engine.get_function_address(name)
 
     def __wrapper_address__(self) -> int:
@@ -55,11 +56,11 @@ class ModelFunction(types.WrapperAddressProtocol):
 
     def signature(self) -> Any:
         """As Numba writes it."""
-        return self._kind.signature
+        return self.kind.signature
 
     def __call__(self, *arrays: Any) -> None:
         """Evaluated at contiguous arrays; the last ones are written."""
-        caller = _with_slopes if self._kind is MODEL_FUNCTION else _value
+        caller = _with_slopes if self.kind is MODEL_FUNCTION else _value
         caller(self, *arrays)
 
     def parameter_slopes(self, x: Any, u: Any, p: Any, columns: Sequence[int]) -> Any:
@@ -72,6 +73,12 @@ class ModelFunction(types.WrapperAddressProtocol):
         found = np.zeros((*x.shape, len(wanted)))
         _along(self, x, u, p, wanted, found)
         return found
+
+
+@typeof_impl.register(ModelFunction)
+def _type_of(function, _):
+    """Its type as it is; Numba would make and compare a new one for every call."""
+    return function.kind
 
 
 @nb.njit(

@@ -19,6 +19,13 @@ LANES = 4
 LANE = ir.VectorType(DOUBLE, LANES)
 ZEROS = ir.Constant(LANE, [0.0] * LANES)
 FUSED: Any = ("contract",)
+LOOP: Any = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+"""How Numba compiles a loop over samples: nothing is allocated, so that no reference is counted.
+
+Counts are atomic, and of every view of an array that is passed on in the loop.
+"""
+INNER: Any = {**LOOP, "inline": "always"}
+"""The same for a part of such a loop: an array handed over is seven numbers on the stack."""
 
 
 @nb.njit(cache=True, nogil=True)

@@ -17,7 +17,7 @@ from numba import types
 from spiral.engine.kernel import slope_of
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
-from spiral.physics.lanes import padded
+from spiral.physics.lanes import INNER, padded
 
 EXACT, SECOND_ORDER = 0, 1
 
@@ -206,7 +206,7 @@ def _measure(x, p, y, r, h, cx, cv, tracked, c, v, s, gain, cp, w):
     return -0.5 * (log_det + squared + m * np.log(2.0 * np.pi))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@nb.njit(**INNER)
 def sound(x, p):
     """Whether mean and covariance are finite numbers of a sane size."""
     for i in range(x.shape[0]):
@@ -217,7 +217,7 @@ def sound(x, p):
     return True
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@nb.njit(**INNER)
 def hold(values, tracked, x):
     """Write the tracked entries at the end of x into the values of parameters."""
     first = x.shape[0] - tracked.shape[0]
@@ -225,7 +225,7 @@ def hold(values, tracked, x):
         values[tracked[j]] = x[first + j]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@nb.njit(**INNER)
 def reset(f):
     """F = I, or [I | 0] where it is wider."""
     f[:] = 0.0

@@ -36,14 +36,14 @@ from spiral.engine.likelihood.transition import (
 )
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
-from spiral.physics.lanes import padded
+from spiral.physics.lanes import INNER, LOOP, padded
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
 _FAST = {"contract", "reassoc"}
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def _rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses):
     """Rows c of all channels by (x, theta, z), and y less what the mean predicts."""
     m, n = cx.shape
@@ -59,7 +59,7 @@ def _rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses):
             misses[k, j] -= seen[j, i] * x[first + i]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def _measured(
     absorb, x, p, c, cv, both, tracked, r, scratch, work, k, d, misses, spreads, slopes, gains
 ):  # fmt: skip
@@ -101,7 +101,7 @@ def _square(matrix, width):
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@nb.njit(**INNER)
 def _keep(k, c, x, rows, means):
     """Rows and mean of a sample, where they are asked for."""
     if rows.shape[0] > 0:
@@ -111,6 +111,41 @@ def _keep(k, c, x, rows, means):
     if means.shape[0] > 0:
         for i in range(means.shape[1]):
             means[k, i] = x[i]
+
+
+@nb.njit(**LOOP, fastmath=_FAST)
+def _along_record(
+    values, flow, output, product, lower, absorb, both, tracked, inputs, stages, substeps, dt,
+    y, r, q, phi, seen, driven, misses, spreads, slopes, means, transitions, gains, rows,
+    states, followed_states, followed, entries, f, work, p, later, a, turned, x, c, d,
+    scratch, space, h, cx, cv,
+):  # fmt: skip
+    """``predict_record`` in room that is there."""
+    size, width = len(q), slopes.shape[2]
+    n, first, half, step = len(states), len(followed_states), 0.5 * dt, dt / substeps
+    k = 0
+    for k in range(y.shape[0]):
+        hold(values, followed, followed_states)
+        output(states, inputs[k * 2 * substeps], values, h, cx, cv)
+        _rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses)
+        if not _measured(absorb, x, p, c, cv, both, tracked, r, scratch, space, k, d, misses,
+                         spreads, slopes, gains):  # fmt: skip
+            return k
+        _keep(k, c, x, rows, means)
+        if k == y.shape[0] - 1 or not sound(x, p):
+            break
+        reset(f)
+        hold(values, followed, followed_states)
+        push(x, driven, entries, first, half)
+        flow(x, stages, k * substeps * 3, 3, substeps, step, values, f, work)
+        push(x, driven, entries, first, half)
+        forget(x, phi, first, scratch[0])
+        transition_rows(f, driven, entries, first, half, a, turned)
+        whole(k, a, phi, n, transitions)
+        carried(product, a, phi, p, later, n, size)
+        carried_slopes(later, f, p, n, first, size, width)
+        carry_covariance(lower, later, turned, phi, q, p, n, size)
+    return k + 1 if sound(x, p) else k
 
 
 @nb.njit(
@@ -152,40 +187,24 @@ def predict_record(
     samples, m = y.shape
     size, width = mean.shape[0], slopes.shape[2]
     n = size - tracked - phi.shape[0]
-    first, half, followed, step = n + tracked, 0.5 * dt, both[:tracked], dt / substeps
+    first = n + tracked
     f, work = room(n, first + width)
-    h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
-    p, k = _square(covariance, width), 0
+    p = _square(covariance, width)
     wide, later = len(p), np.zeros_like(p)
     a, turned = np.zeros((padded(n), size)), np.zeros((size, padded(n)))
     x, c, d = np.zeros(wide), np.zeros((m, wide)), np.zeros((m, padded(width)))
-    scratch, space, entries = np.zeros((2, wide)), np.zeros(2 * p.shape[1]), entries_of(driven)
+    scratch, space = np.zeros((2, wide)), np.zeros(2 * p.shape[1])
+    h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
     x[:size] = mean
-    for k in range(samples):
-        hold(values, followed, x[:first])
-        output(x[:n], inputs[k * 2 * substeps], values, h, cx, cv)
-        _rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses)
-        if not _measured(absorb, x, p, c, cv, both, tracked, r, scratch, space, k, d, misses,
-                         spreads, slopes, gains):  # fmt: skip
-            return k
-        _keep(k, c, x, rows, means)
-        if k == samples - 1 or not sound(x, p):
-            break
-        reset(f)
-        hold(values, followed, x[:first])
-        push(x, driven, entries, first, half)
-        flow(x, stages, k * substeps * 3, 3, substeps, step, values, f, work)
-        push(x, driven, entries, first, half)
-        forget(x, phi, first, scratch[0])
-        transition_rows(f, driven, entries, first, half, a, turned)
-        whole(k, a, phi, n, transitions)
-        carried(product, a, phi, p, later, n, size)
-        carried_slopes(later, f, p, n, first, size, width)
-        carry_covariance(lower, later, turned, phi, q, p, n, size)
-    return k + 1 if sound(x, p) else k
+    return _along_record(
+        values, flow, output, product, lower, absorb, both, tracked, inputs, stages, substeps, dt,
+        y, r, q, phi, seen, driven, misses, spreads, slopes, means, transitions, gains, rows,
+        x[:n], x[:first], both[:tracked], entries_of(driven), f, work, p, later, a, turned, x, c, d,
+        scratch, space, h, cx, cv,
+    )  # fmt: skip
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def _follow(absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, misses, spreads):
     """A sample taken in with other noise: x is how far its mean is from that of the first run."""
     size, c, gain = rows.shape[2], scratch[:1], scratch[1]
@@ -202,7 +221,7 @@ def _follow(absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, 
             x[i] -= gains[k, j, i] * before[k, j]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def _departed(x, a, z, phi, before, n, first, later):
     """x <- F x + (Phi - Phi_0) z, F with this Phi."""
     k = phi.shape[0]
@@ -219,6 +238,34 @@ def _departed(x, a, z, phi, before, n, first, later):
         x[i] = later[i]
     for i in range(first, first + k):
         x[i] = later[i]
+
+
+@nb.njit(**LOOP, fastmath=_FAST)
+def _vary_along(
+    values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven,
+    means, gains, rows, before, seen, r, q, phis, misses, spreads,
+    n, first, followed_states, entries, none, f, work, p, x, here, later,
+    scratch, space, w, a, turned,
+):  # fmt: skip
+    """``vary_record`` in room that is there."""
+    samples, size = means.shape
+    for k in range(samples):
+        for v in range(len(x)):
+            _follow(absorb, k, x[v], p[v], rows, gains, before, seen, r[v], scratch, none,
+                    space, misses[v, k], spreads[v, k])  # fmt: skip
+        if k == samples - 1:
+            break
+        for i in range(size):
+            here[i] = means[k, i]
+        reset(f)
+        hold(values, followed, followed_states)
+        push(here, driven, entries, first, 0.5 * dt)
+        flow(here, stages, k * substeps * 3, 3, substeps, dt / substeps, values, f, work)
+        transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
+        for v in range(len(x)):
+            _departed(x[v], a, means[k], phis[v], phi, n, first, later)
+            carried(product, a, phis[v], p[v], w, n, size)
+            carry_covariance(lower, w, turned, phis[v], q[v], p[v], n, size)
 
 
 @nb.njit(
@@ -246,7 +293,7 @@ def vary_record(
     starts, r, q, phis : (noises, ..) covariance before the first sample, r, Q and Phi of each.
     misses, spreads : (noises, samples, channels) out: e and s.
     """
-    samples, size = means.shape
+    size = means.shape[1]
     first, n = size - phi.shape[0], size - phi.shape[0] - len(followed)
     f, work = room(n, first)
     blank = _square(starts[0], 0)
@@ -254,21 +301,10 @@ def vary_record(
     x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
     scratch, space, w = np.zeros((2, wide)), np.zeros(2 * wide), np.zeros_like(blank)
     a, turned = np.zeros((padded(n), size)), np.zeros((size, padded(n)))
-    none, entries = np.zeros((1, 0)), entries_of(driven)
     p[:, :size, :size] = starts
-    for k in range(samples):
-        for v in range(len(starts)):
-            _follow(absorb, k, x[v], p[v], rows, gains, before, seen, r[v], scratch, none,
-                    space, misses[v, k], spreads[v, k])  # fmt: skip
-        if k == samples - 1:
-            break
-        here[:] = means[k]
-        reset(f)
-        hold(values, followed, here[:first])
-        push(here, driven, entries, first, 0.5 * dt)
-        flow(here, stages, k * substeps * 3, 3, substeps, dt / substeps, values, f, work)
-        transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
-        for v in range(len(starts)):
-            _departed(x[v], a, means[k], phis[v], phi, n, first, later)
-            carried(product, a, phis[v], p[v], w, n, size)
-            carry_covariance(lower, w, turned, phis[v], q[v], p[v], n, size)
+    _vary_along(
+        values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven,
+        means, gains, rows, before, seen, r, q, phis, misses, spreads,
+        n, first, here[:first], entries_of(driven), np.zeros((1, 0)), f, work, p, x, here, later,
+        scratch, space, w, a, turned,
+    )  # fmt: skip

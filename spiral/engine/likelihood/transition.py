@@ -13,6 +13,8 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
+from spiral.physics.lanes import INNER
+
 _FAST = {"contract", "reassoc"}
 _NOTHING = 1e-280  # a variance, in any unit
 
@@ -30,7 +32,7 @@ def entries_of(driven):
     return found[:count].copy()
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def push(x, driven, entries, first, half):
     """x <- x + G z dt / 2."""
     for e in range(entries.shape[0]):
@@ -38,7 +40,7 @@ def push(x, driven, entries, first, half):
         x[i] += half * driven[i, j] * x[first + j]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def forget(x, phi, first, later):
     """z <- Phi z."""
     k = phi.shape[0]
@@ -50,7 +52,7 @@ def forget(x, phi, first, later):
         x[first + i] = later[i]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def transition_rows(f, driven, entries, first, half, a, turned):
     """A (n, N), and A^T, from the slopes (n, n + theta + q) of the flow."""
     n = f.shape[0]
@@ -71,7 +73,7 @@ def transition_rows(f, driven, entries, first, half, a, turned):
             turned[j, i] = a[i, j]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def whole(k, a, phi, n, transitions):
     """F of a sample, where it is asked for."""
     if transitions.shape[0] == 0:
@@ -86,7 +88,7 @@ def whole(k, a, phi, n, transitions):
             transitions[k, first + i, first + j] = phi[i, j]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def carried(product, a, phi, m, w, n, size):
     """W = F M."""
     first = size - phi.shape[0]
@@ -104,7 +106,7 @@ def carried(product, a, phi, m, w, n, size):
                     w[first + i, j] += value * m[first + b, j]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def carry_covariance(lower, w, turned, phi, q, m, n, size):
     """P <- W F^T + Q with W = F P; P stays exactly symmetric.
 
@@ -142,7 +144,7 @@ def carry_covariance(lower, w, turned, phi, q, m, n, size):
                 m[i, j] = m[j, i] = 0.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@nb.njit(**INNER, fastmath=_FAST)
 def carried_slopes(w, f, m, n, first, size, width):
     """S <- F S + F_p, from W."""
     wide = m.shape[0]
