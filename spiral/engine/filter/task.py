@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -73,6 +74,11 @@ class Task:
             return self.series.mean_inputs
         return self.inputs.mean(axis=0) if self.inputs.size else np.zeros(self.inputs.shape[1])
 
+    @cached_property
+    def disturbed(self) -> dict[bytes, Array]:
+        """What noise adds over a sample at these values, by its intensity (``filter.noise``)."""
+        return {}
+
     def at(self, keys: Sequence[str]) -> Array:
         """Values of these parameters."""
         return self.values[[self.keys.index(k) for k in keys]]
@@ -133,10 +139,12 @@ def task_with(
     inputs: Array | None = None,
     substeps: int | None = None,
     series: Series | None = None,
+    like: Task | None = None,
 ) -> Task:
     """A task of functions compiled elsewhere: of the model, or of one with more effects.
 
-    ``series`` is the record where it is prepared already.
+    ``series`` is the record where it is prepared already; ``like`` a task whose scales are taken of
+    the states that it has.
     """
     if series is None:
         if substeps is None:
@@ -144,14 +152,19 @@ def task_with(
         series = prepare(model.system, record, substeps)
     mapping = static_map(compiled.traced, values)
     grid = series.inputs if inputs is None else inputs
-    centre, scales, rates = _settled(compiled, series, grid, values, mapping)
+    names = compiled.traced.states
+    if like is not None and set(names) <= set(like.states):  # no free run for what is not asked
+        centre, scales, rates = (np.zeros(len(names)) for _ in range(3))
+    else:
+        centre, scales, rates = _settled(compiled, series, grid, values, mapping)
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
-    return Task(
+    task = Task(
         model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping
     )
+    return task if like is None else _on_scales(task, like)
 
 
-def on_scales(task: Task, other: Task) -> Task:
+def _on_scales(task: Task, other: Task) -> Task:
     """A task with another's scales of the states that both have."""
     found = {name: getattr(task, name).copy() for name in ("spread", "centre", "scales", "rates")}
     for i, state in enumerate(task.states):

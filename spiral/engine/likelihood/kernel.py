@@ -184,8 +184,7 @@ def predict_record(
     -------
     Samples done before a number became infinite.
     """
-    samples, m = y.shape
-    size, width = mean.shape[0], slopes.shape[2]
+    m, size, width = y.shape[1], mean.shape[0], slopes.shape[2]
     n = size - tracked - phi.shape[0]
     first = n + tracked
     f, work = room(n, first + width)

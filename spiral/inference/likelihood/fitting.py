@@ -8,7 +8,7 @@ import numpy as np
 
 from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.setup import smoothed
-from spiral.engine.filter.task import Task, linearised, on_scales, task_with
+from spiral.engine.filter.task import Task, linearised, task_with
 from spiral.engine.likelihood.fit import Kept, Maximum, maximise
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import (
@@ -93,14 +93,13 @@ def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) 
     rows = np.ascontiguousarray(state.values[:, : len(traced.keys)])
     known = doubts(followed) if state.noise is not None else {}
     begins = state.starts or (None,) * len(rows)
+    others = (None,) * len(rows) if like is None else tuple(task for task, _ in like)
     tasks = [
-        task_with(model, compiled, row.copy(), series.record, start, series=series)
-        for row, start, series in zip(
-            rows, begins, integrated(assembly, state).study.series, strict=True
+        task_with(model, compiled, row.copy(), series.record, start, series=series, like=other)
+        for row, start, series, other in zip(
+            rows, begins, integrated(assembly, state).study.series, others, strict=True
         )
     ]
-    if like is not None:
-        tasks = [on_scales(t, other) for t, (other, _) in zip(tasks, like, strict=True)]
     moved = moving(assembly, state)
     return tuple(filter_prepared(replace(t, moved=moved), followed, known) for t in tasks)
 

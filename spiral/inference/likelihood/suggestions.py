@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import special
 
 from spiral.inference.evidence.scoring import Ranking
 from spiral.inference.likelihood.candidates import Rival
@@ -42,11 +43,9 @@ def suggestions(
 
 def _as_suggestion(rival: Rival, hint: tuple[str, ...]) -> Suggestion:
     """A refitted candidate: twice its gain in log-likelihood, and the share of the misses."""
-    from scipy import stats
-
     count = sum(p.misses.size for p in rival.fit.estimate.parts) / 2  # the half that selects
     gain, terms = max(rival.gain, 0.0), len(rival.ranked.columns)
-    p_value = float(stats.chi2.sf(2 * gain, terms))
+    p_value = float(special.chdtrc(terms, 2 * gain))
     return Suggestion(
         effect=rival.label, meaning=rival.ranked.variant.original.meaning(), aliases=(),
         p_value=p_value, statistic=2 * gain, wald_p_value=p_value, hint=hint,
