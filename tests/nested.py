@@ -1,4 +1,4 @@
-"""Tests that the project writes for people, run by pytest in this process, which has its imports."""
+"""Tests that ``spiral new`` writes, run by pytest in this process, which has its imports."""
 
 import sys
 from pathlib import Path

@@ -39,8 +39,8 @@ def files(tmp_path_factory):
     from scipy.integrate import solve_ivp
 
     folder = tmp_path_factory.mktemp("files")
-    np.savetxt(folder / "soft.csv", softening(np.arange(3000) / RATE), "%.9g", delimiter=",", header="t,x,force",
-               comments="")  # fmt: skip
+    soft = softening(np.arange(3000) / RATE)
+    np.savetxt(folder / "soft.csv", soft, "%.9g", delimiter=",", header="t,x,force", comments="")
     time, rng = np.arange(1500) / RATE, np.random.default_rng(1)
     tones = [(f, rng.uniform(0, 6.3)) for f in np.arange(2.0, 20.0, 0.7)]
 
