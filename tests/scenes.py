@@ -35,7 +35,9 @@ PROJECTION = {
 }
 
 
+@cache
 def registry():
+    """The shipped plugins, read once: nothing changes a registry."""
     return load_registry(None)
 
 
@@ -81,6 +83,10 @@ def planar_problem(record, test, model: Model | None = None, **settings) -> Prob
         settings=Settings(**settings),
         strategy=Shooting(),
     )
+
+
+# A stretch of the run-down that shows every hidden effect in a third of the samples.
+BRIEF = {"duration": 5.0, "start_hz": 30.0, "stop_hz": 10.0}
 
 
 @cache

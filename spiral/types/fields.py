@@ -10,6 +10,7 @@ import typing
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
 from spiral.types.plugin import Plugin
 
@@ -39,6 +40,7 @@ def field_meanings(cls: type) -> dict[str, str]:
     return {n: found[n].replace("``", "") for n in field_names(cls) if n in found}
 
 
+@kept(1024)
 def is_open(cls: type, name: str) -> bool:
     """Whether a field takes a mapping with keys of the user's choice."""
     hint = typing.get_type_hints(cls)[name]

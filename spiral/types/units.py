@@ -10,6 +10,7 @@ from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
 
+from spiral.types.cache import kept
 from spiral.types.effect import (
     Effect,
     FlowEffect,
@@ -182,6 +183,7 @@ def _inputs(system: System) -> SimpleNamespace:
     return u
 
 
+@kept(2048)
 def units_fit(system: System, effect: Effect) -> bool:
     """Whether an effect's units fit a system (sin of a length does not)."""
     try:

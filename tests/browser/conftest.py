@@ -1,4 +1,8 @@
-"""One program and one browser for a whole session; pictures of every step in ``screenshots/``."""
+"""One program and one browser for a whole session.
+
+With SPIRAL_SCREENSHOTS=1 every step is kept as a picture in ``screenshots/``: for a look at the
+whole page, a second or two each.
+"""
 
 import os
 import signal
@@ -90,10 +94,14 @@ def tab(chromium, served):
 
 @pytest.fixture(scope="session")
 def picture():
-    """Keep a picture of a page."""
-    PICTURES.mkdir(exist_ok=True)
+    """Keep a picture of a page, where pictures are asked for."""
+    wanted = bool(os.environ.get("SPIRAL_SCREENSHOTS"))
+    if wanted:
+        PICTURES.mkdir(exist_ok=True)
 
     def keep(page, name):
+        if not wanted:
+            return
         page.evaluate("scrollTo(0, 0)")
         page.wait_for_timeout(400)
         page.screenshot(path=PICTURES / f"{name}.png", full_page=True)

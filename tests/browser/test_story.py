@@ -1,4 +1,7 @@
-"""The story on the embedded record, as a person does it: where it fails, Add, the error falls."""
+"""The story as a person does it: where the model fails, Add, the error falls.
+
+On the first seconds of the embedded record; on all of it in a slow test.
+"""
 
 import os
 import re
@@ -6,6 +9,7 @@ import time
 
 import pytest
 
+from spiral.app.study import new_study
 from tests.browser.conftest import PATIENCE
 from tests.browser.steps import (
     FIRST,
@@ -24,14 +28,26 @@ DRAWN = """[...document.querySelectorAll('.js-plotly-plot')].every(
     plot => plot.querySelector('.main-svg'))"""
 
 
+TITLE = "Short run-down"
+SHORT = ("experiment=rotor_coastdown", "record.duration=4", "test.duration=4")
+
+
 @pytest.fixture(scope="module")
 def study(served, chromium):
     """The address of a study with one effect added, how long its steps took, what was proposed."""
     page = served.enter(chromium.new_page())
     page.set_default_timeout(120_000)
+    made = new_study(served.out, TITLE, SHORT)
+    page.goto(f"{served.address}/study/{made.ident}")
     began = time.monotonic()
-    page.goto(served.address)
-    page.click(".choice:has-text('Rotor coastdown')")
+    page.click("button:has-text('Fit the model as it is')")
+    found = _first_step(page, began)
+    page.close()
+    return found
+
+
+def _first_step(page, began):
+    """What is seen up to the first effect added, and when."""
     page.wait_for_selector("#proposal.good")
     ready(page, FIRST)
     before = error(page)
@@ -47,19 +63,37 @@ def study(served, chromium):
     page.wait_for_selector("#error-now small")
     taken, refitted = time.monotonic() - began, time.monotonic() - clicked
     ready(page, SECOND)
-    address = page.url
-    after = error(page)
-    page.close()
-    return {"address": address, "before": before, "after": after, "taken": taken,
+    return {"address": page.url, "before": before, "after": error(page), "taken": taken,
             "refitted": refitted, "proposed": proposed}  # fmt: skip
 
 
 def test_two_clicks_and_less_than_a_minute_to_the_first_step_down(study):
+    _is_a_step_down(study)
+
+
+@pytest.mark.slow
+def test_two_clicks_and_less_than_a_minute_on_the_whole_embedded_record(tab, served):
+    tab.goto(served.address)
+    began = time.monotonic()
+    tab.click(".choice:has-text('Rotor coastdown')")
+    _is_a_step_down(_first_step(tab, began))
+
+
+def _is_a_step_down(study):
     assert study["taken"] < 60 or os.getloadavg()[0] > 2 * os.cpu_count()  # others are at work too
     assert len(study["before"]) == 1
     now, first = study["after"]
     assert first == study["before"][0]
     assert now < first
+
+
+def test_an_embedded_record_is_one_click_away(tab, served):
+    """Its fit begins at once, and is cancelled here."""
+    tab.goto(served.address)
+    tab.click(".choice:has-text('Rotor coastdown')")
+    tab.wait_for_selector("h1:has-text('Rotor coastdown')")
+    tab.click("button:has-text('Cancel')")
+    tab.wait_for_selector(".note:has-text('Cancelled')")
 
 
 def test_a_step_that_helps_is_the_filled_button_and_costs_no_second_fit(tab, study, picture):
@@ -242,13 +276,17 @@ def test_a_link_opens_the_same_view_of_steps_side_by_side(tab, chromium, served,
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_no_violation_of_accessibility(chromium, served, study, scheme):
-    """axe-core on the start page, and on a study with every tab of its figures."""
+    """axe-core on the start page, and on a study with every tab of its figures.
+
+    What another scheme changes is colours alone.
+    """
+    only = {"runOnly": ["color-contrast"]} if scheme == "dark" else None
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     page = served.enter(chromium.new_page(color_scheme=scheme))
     page.set_default_timeout(PATIENCE)
 
     def faults():
-        found = axe.run(page).response["violations"]
+        found = axe.run(page, options=only).response["violations"]
         return [(v["id"], [n["target"] for n in v["nodes"]]) for v in found]
 
     page.goto(served.address)
@@ -256,7 +294,7 @@ def test_no_violation_of_accessibility(chromium, served, study, scheme):
     assert faults() == []
     page.goto(study["address"])
     page.wait_for_selector("button:has-text('Take away')")
-    assert page.title() == "Rotor coastdown - SPIRAL"
+    assert page.title() == f"{TITLE} - SPIRAL"
     assert page.get_attribute("html", "lang") == "en-US"
     page.click("text=Write an effect of your own")
     page.click("text=Where it helps")
@@ -309,7 +347,7 @@ def test_a_restart_finds_the_study_where_it_was(tab, study, served, adding):
     served.start()
     tab.goto(served.entry)  # as a person opens what was printed
     tab.wait_for_selector("td:has-text('cross stiffness')")
-    tab.click("td a:has-text('Rotor coastdown')")
+    tab.click(f"td a:has-text('{TITLE}')")
     ready(tab, SECOND)
     shows(tab, study["after"])
     if adding:

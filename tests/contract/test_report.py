@@ -17,6 +17,7 @@ from spiral.view.report.style import scaled, thinned
 from spiral.view.terminal.shell import word as shell_word
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
+         "candidates=[cross_stiffness,cubic_stiffness,gyroscopic,rub]",
          "tracking.enabled=false")  # fmt: skip
 FIGURES = {
     "before", "where", "amplitude", "missing_force", "surface", "error_falling", "evidence",

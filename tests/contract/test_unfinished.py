@@ -22,7 +22,7 @@ from spiral.types.errors import InputError
 
 REGISTRY = load_registry()
 GIVEN = (
-    "experiment=rotor_coastdown", "record.duration=2", "settings.max_rounds=3",
+    "experiment=rotor_coastdown", "record.duration=1", "test.duration=1", "settings.max_rounds=3",
     "candidates=[cross_stiffness,cubic_stiffness,gyroscopic]",
 )  # fmt: skip
 UNTIMED = {"seconds"}
@@ -64,7 +64,7 @@ def test_only_the_same_study_is_taken_up(study):
     assert fingerprint({**config, "out": "elsewhere", "n_jobs": 1}, problem, REGISTRY) == own
     settings = {**config["settings"], "level": 0.02}
     assert fingerprint({**config, "settings": settings}, problem, REGISTRY) != own
-    shorter = replace(problem, records=(problem.records[0].part(0, 1500, "shorter"),))
+    shorter = replace(problem, records=(problem.records[0].part(0, 700, "shorter"),))
     assert fingerprint(config, shorter, REGISTRY) != own
 
 

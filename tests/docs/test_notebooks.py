@@ -35,12 +35,24 @@ def test_every_notebook_is_listed():
     assert {path.stem for path in (DOCS / "notebooks").glob("*.py")} == set(SAID)
 
 
-# The rotor has 14 000 samples and every candidate of the catalog: some 45 s of one core.
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow if n == "rotor" else ()) for n in SAID]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SAID)
 def test_a_notebook_runs(name):
-    path = DOCS / "notebooks" / f"{name}.py"
+    _is_as_said(name, DOCS / "notebooks" / f"{name}.py")
+
+
+# The rotor has 14 000 samples and every candidate of the catalog: some 45 s of one core.
+@pytest.mark.parametrize(("name", "whole", "part"), [
+    ("own_file", "duration=12.0", "duration=6.0"), ("own_system", "", ""),
+])  # fmt: skip
+def test_a_notebook_runs_on_a_shorter_record(name, whole, part, tmp_path):
+    text = (DOCS / "notebooks" / f"{name}.py").read_text(encoding="utf-8")
+    assert whole in text
+    (tmp_path / f"{name}.py").write_text(text.replace(whole, part), encoding="utf-8")
+    _is_as_said(name, tmp_path / f"{name}.py")
+
+
+def _is_as_said(name, path):
     shown = "\n".join(_texts(_notebooks().run(path))).replace("\\_", "_")
     for text in SAID[name]:
         assert text in shown

@@ -19,7 +19,7 @@ QUICK = [c for i, c in enumerate(CASES) if c.effect not in OWN and i % 3 == 0]  
 
 @pytest.mark.parametrize("case", QUICK, ids=lambda c: c.effect)
 def test_of_a_short_record_the_hidden_effect_is_the_first_suggestion_and_adding_it_is_enough(case):
-    found_and_enough(replace(case, scene=replace(case.scene, duration=0.35 * case.scene.duration)))
+    found_and_enough(replace(case, scene=replace(case.scene, duration=0.2 * case.scene.duration)))
 
 
 @pytest.mark.slow

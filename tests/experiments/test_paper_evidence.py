@@ -21,7 +21,8 @@ def ran(folder, *overrides):
 
 def test_a_table_is_made_of_saved_runs(tmp_path):
     """One run with each strategy, grouped; the figures are those of the runs' own results."""
-    few = ("strategy=shooting", "candidates=[cross_stiffness,cubic_stiffness]")
+    few = ("strategy=shooting", "candidates=[cross_stiffness,cubic_stiffness]",
+           "settings.max_rounds=2")  # fmt: skip
     results = {"paper": ran(tmp_path, *PAPER), "shooting": ran(tmp_path, *SHORT, *few)}
     rows = {r["strategy"]: r for r in load(tmp_path)}
     assert set(rows) == {"paper", "shooting"}

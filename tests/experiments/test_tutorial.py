@@ -1,4 +1,4 @@
-"""The README's five minutes, run as written."""
+"""The README's five minutes: on a short record, and (slow) as written."""
 
 import json
 import re
@@ -27,13 +27,23 @@ def test_the_tutorial_of_the_site_takes_the_same_steps():
     assert [s for s in steps if s[0] not in ("discover", "report")] == _commands()
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory):
+SHORT = ("record.duration=4", "test.duration=4")  # of 14 s
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(SHORT, id="short"),
+        pytest.param((), id="as written", marks=pytest.mark.slow),
+    ],
+)
+def results(request, tmp_path_factory):
     found = []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("tutorial"))
         for words in _commands():
-            assert main([*words, *WITHOUT, "--json", "found.json"]) == 0
+            own = () if "run=latest" in words else request.param  # a run brings its records
+            assert main([*words, *own, *WITHOUT, "--json", "found.json"]) == 0
             found.append((words, json.loads(Path("found.json").read_text())))
     return found
 

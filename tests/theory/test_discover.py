@@ -14,6 +14,7 @@ from spiral.inference.discover import add, discover
 from spiral.types.model import seed_model
 from spiral.types.record import split_off_test
 from tests.scenes import (
+    BRIEF,
     PROJECTION,
     SEED_TRUTH,
     admitted,
@@ -26,7 +27,7 @@ from tests.scenes import (
 
 @pytest.fixture(scope="module")
 def coastdown():
-    return discover(coastdown_problem(11))
+    return discover(coastdown_problem(11, **BRIEF))
 
 
 def test_the_hidden_tilt_is_named_in_order(coastdown):
@@ -42,7 +43,7 @@ def test_the_error_falls_to_the_noise(coastdown):
     assert errors == sorted(errors, reverse=True)
     assert coastdown.final.test_error <= 1.1 * coastdown.final.noise_floor
     assert 0.97 <= coastdown.final.chi2_per_dof <= 1.03
-    assert coastdown.final.horizon == 14000
+    assert coastdown.final.horizon == 5000
 
 
 def test_coefficients_agree_with_the_exact_projection(coastdown):
@@ -57,7 +58,7 @@ def test_coefficients_agree_with_the_exact_projection(coastdown):
 
 
 def test_without_the_gyroscopic_effect_the_whole_record_does_not_fit(coastdown):
-    problem = coastdown_problem(11)
+    problem = coastdown_problem(11, **BRIEF)
     model = coastdown.model.without("gyroscopic")
     assert compare(replace(problem, model=model)).chi2_per_dof > 1.1
 
@@ -104,7 +105,7 @@ def test_constant_speed_with_its_start_up_transient_is_judged_by_its_signatures(
 
 def test_three_effects_added_at_once_lead_to_the_same_place():
     """What ``diagnose`` says before, tests/experiments/test_tutorial.py shows on this record."""
-    problem = coastdown_problem(11)
+    problem = coastdown_problem(11, **BRIEF)
     three = tuple(effect(e) for e in ("cross_stiffness", "cubic_stiffness", "gyroscopic"))
     before, after, run = add(problem, three)
     assert after.test_error < 0.05 * before.test_error

@@ -29,12 +29,12 @@ HIDDEN = {
 
 
 def driven(seed, name):
-    """An oscillator under noise of 0.3 to 10 Hz for 20 s, 1 % noise that nobody declares."""
+    """An oscillator under noise of 0.3 to 10 Hz for 12 s, 1 % noise that nobody declares."""
     effect, values = HIDDEN[name]
     named = {f"{name}.{k}": v for k, v in values.items()}
     model = seed_model(Oscillator(), (effect,), values={**TRUTH, **named})
-    time = np.arange(4000) / 200
-    force = band_limited(np.random.default_rng(seed), 8.0, (0.3, 10.0), 20.0)(time)
+    time = np.arange(2400) / 200
+    force = band_limited(np.random.default_rng(seed), 8.0, (0.3, 10.0), 12.0)(time)
     record = simulate(model, time, {"force": force}, 0.01, np.random.default_rng(seed))
     return replace(record, noise={})
 
@@ -151,8 +151,8 @@ def test_straight_lines_between_samples_are_found(seed):
 
 def test_an_input_that_the_record_cannot_tell_runs_as_its_system_says():
     """Under 10 Hz at 200 samples per second lines, splines and filters are one."""
-    time = np.arange(4000) / 200
-    force = band_limited(np.random.default_rng(0), 8.0, (0.3, 10.0), 20.0)(time)
+    time = np.arange(2400) / 200
+    force = band_limited(np.random.default_rng(0), 8.0, (0.3, 10.0), 12.0)(time)
     model = seed_model(Oscillator(), values=TRUTH)
     record = simulate(model, time, {"force": force}, 0.01, np.random.default_rng(1))
     found = spiral.compare(replace(record, noise={}), "oscillator", values=WRONG)

@@ -33,7 +33,7 @@ ORDERS = [
 def _problem(name, values=None, model=None, only=(), seed=1):
     values = {**HIDDEN.get(name, {}), **(values or {})}
     record, test = (
-        planar_record(s, (effect(name),), values, phase=phase, duration=6.0)
+        planar_record(s, (effect(name),), values, phase=phase, duration=4.0)
         for s, phase in ((seed, 0.4), (seed + 100, 1.3))
     )
     problem = planar_problem(record, test, model)

@@ -48,7 +48,7 @@ def _values(name, values=None):
     return {f"{name}.{k}": v for k, v in (values or HIDDEN[name]).items()}
 
 
-def _problem(name="", seed=0, duration=10.0, values=None, **settings):
+def _problem(name="", seed=0, duration=6.0, values=None, **settings):
     """An oscillator under noise of 5 to 60 Hz, with 2 % noise; nothing hidden without a name."""
     source = Simulation(
         system=Oscillator(),

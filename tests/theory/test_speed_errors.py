@@ -8,7 +8,14 @@ import pytest
 from spiral.inference.compare import compare
 from spiral.inference.discover import discover
 from spiral.types.record import make_record
-from tests.scenes import admitted, coastdown_problem
+from tests.scenes import BRIEF, admitted, coastdown_problem
+
+FEW = (
+    "cross_stiffness", "cubic_stiffness", "gyroscopic", "cross_damping", "speed_stiffness",
+    "antisymmetric_damping", "coulomb_friction", "quadratic_damping", "quadratic_stiffness",
+    "shaft_bow",
+)  # fmt: skip
+"""What is hidden, and candidates that look like it."""
 
 
 def _spoiled(record, system, scale: float, noise: float):
@@ -20,27 +27,36 @@ def _spoiled(record, system, scale: float, noise: float):
     )
 
 
-def _problem(scale: float, noise: float, seed: int = 11, **settings):
-    problem = coastdown_problem(seed)
+def _problem(scale: float, noise: float, fields=None):
+    problem = coastdown_problem(11, **(fields or {}))
     system = problem.model.system
     return replace(
         problem,
         records=(_spoiled(problem.records[0], system, scale, noise),),
         test=(_spoiled(problem.test[0], system, scale, noise),),
-        settings=replace(problem.settings, **settings),
     )
 
 
 CASES = [
-    pytest.param(1e-3, 0.0, id="scale-1e-3"),
+    pytest.param(1e-3, 0.0, id="scale-1e-3", marks=pytest.mark.slow),
     pytest.param(1e-4, 0.0, id="scale-1e-4", marks=pytest.mark.slow),
     pytest.param(0.0, 2e-3, id="noise-0.2-percent", marks=pytest.mark.slow),
 ]
 
 
+def test_the_same_effects_are_found_in_a_short_record_with_a_wrong_speed():
+    problem = _problem(1e-3, 0.0, BRIEF)
+    candidates = tuple(c for c in problem.candidates if c.label in FEW)
+    _found(replace(problem, candidates=candidates))
+
+
 @pytest.mark.parametrize(("scale", "noise"), CASES)
 def test_the_same_effects_are_found_under_speed_errors(scale, noise):
-    run = discover(_problem(scale, noise))
+    _found(_problem(scale, noise))
+
+
+def _found(problem):
+    run = discover(problem)
     names = admitted(run)
     assert names[:3] == ["cross_stiffness", "cubic_stiffness", "gyroscopic"]
     assert set(names[3:]) <= {"cross_damping", "speed_stiffness"}
