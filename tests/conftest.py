@@ -6,15 +6,16 @@ import pytest
 
 from spiral.io.tracking.background import WAIT_VARIABLE
 
-# Over half a minute each, longest first: with two workers none of them is begun last.
+# A quarter of a minute or more each, longest first: with two workers none of them is begun last.
 LONG = (
-    "experiments/test_tutorial.py", "browser/test_story.py", "theory/test_discover.py",
-    "browser/test_files.py", "theory/test_speed_errors.py", "contract/test_third_party.py",
-    "contract/test_unfinished.py", "docs/test_notebooks.py", "contract/test_tracking.py",
-    "experiments/test_hidden_effects.py", "contract/test_how_to.py",
-    "experiments/test_paper_evidence.py", "contract/test_report.py", "browser/test_steps.py",
-    "theory/test_compile.py", "theory/test_unknown.py", "experiments/test_configs.py",
-    "contract/test_dask.py", "contract/test_plugins.py", "theory/test_calibrate.py",
+    "browser/test_story.py", "browser/test_files.py", "theory/test_discover.py",
+    "browser/test_data_desk.py", "contract/test_how_to.py", "experiments/test_hidden_effects.py",
+    "docs/test_notebooks.py", "browser/test_steps.py", "contract/test_plugins.py",
+    "contract/test_unfinished.py", "experiments/test_tutorial.py", "theory/test_inputs.py",
+    "theory/test_memory.py", "contract/test_tracking.py", "contract/test_dask.py",
+    "experiments/test_zoo.py", "theory/test_look_alikes.py", "theory/test_calibrate.py",
+    "contract/test_third_party.py", "theory/test_sensors.py", "experiments/test_configs.py",
+    "contract/test_sweeps.py", "theory/test_unknown.py",
 )  # fmt: skip
 
 

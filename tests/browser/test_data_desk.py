@@ -70,6 +70,7 @@ def drag(tab, first, last):
 def faults(page, part=None):
     """What axe-core has against the page as it is, or against a part of it."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    page.wait_for_timeout(600)  # what fades in has its colours only then
     return [(v["id"], [n["target"] for n in v["nodes"]])
             for v in axe.run(page, part).response["violations"]]  # fmt: skip
 
