@@ -342,7 +342,7 @@ def advice_for(
         return (
             (f"Alike on it are {tied}. " if tied else "")
             + "Hold one of them at its known value (fixed=[NAME]), or record a test that moves "
-            "them differently: a start-up transient, other frequencies; of a rotor a sweep of the "
+            "them differently: a start-up transient, other frequencies; of a rotor, sweep the "
             "speed through the resonance."
         )
     if stopped == "diverged":
