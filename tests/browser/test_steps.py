@@ -174,7 +174,7 @@ def test_an_effect_that_was_let_go_is_no_part_of_the_model(tab, served, picture)
     assert "+ probe turn" in curve
     assert "\N{MINUS SIGN} cross damping" in curve
     tab.click("text=as a command and in Python")
-    assert "spiral add probe_turn " in tab.inner_text("main")
+    tab.wait_for_selector("text=spiral add probe_turn ")
     picture(tab, "step-let-go")
     tab.goto(served.address)
     row = tab.inner_text("tr:has-text('let go')")
