@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from spiral.cli import main
-from tests.nested import passed
 
 PAGES = Path(__file__).parents[2] / "docs" / "how-to"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -48,7 +47,7 @@ def test_every_block_runs(page, tmp_path, monkeypatch):
 
 
 def run_as_typed(text):
-    """A block's commands; ``spiral`` and ``pytest`` run in this process, which has its imports.
+    """A block's commands; those of ``spiral`` run in this process, which has its imports.
 
     The shell itself reads the words, with its quotes, and hands them back.
     """
@@ -56,8 +55,6 @@ def run_as_typed(text):
         if command.partition(" ")[0] == "spiral":
             words = _by_the_shell(f"printf '%s\\0' {command}").split("\0")[1:-1]
             assert main(words) == 0, command
-        elif command.partition(" ")[0] == "pytest":
-            assert passed(*command.split()[1:])
         else:
             _by_the_shell(command)
 

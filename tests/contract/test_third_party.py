@@ -1,14 +1,13 @@
 """A package of someone else's, installed with pip: listed, checked, fitted, swept."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
-from spiral.cli import main
 
 FIXTURE = Path(__file__).parents[1] / "fixtures" / "third_party"
 EFFECT = "fifth_power_stiffness"
@@ -37,27 +36,18 @@ def installed(tmp_path_factory):
 
 
 @pytest.fixture
-def beside(installed, tmp_path, monkeypatch):
-    """The package where this process and those that it starts find it; nothing of it stays."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", str(installed))
-    monkeypatch.delenv("SPIRAL_PLUGINS", raising=False)
-    monkeypatch.setenv("COLUMNS", "100")
-    monkeypatch.syspath_prepend(installed)
-    yield
-    for name, module in list(sys.modules.items()):
-        if Path(getattr(module, "__file__", None) or "/").is_relative_to(installed):
-            del sys.modules[name]
-
-
-@pytest.fixture
-def spiral(beside, capsys):
+def spiral(installed, tmp_path):
     """Runs the command line beside the package; gives exit code and JSON."""
+    environment = {**os.environ, "PYTHONPATH": str(installed), "OMP_NUM_THREADS": "1"}
+    environment.pop("SPIRAL_PLUGINS", None)
 
     def run(*words):
-        capsys.readouterr()
-        code = main([*words, "--json", "-"])
-        return code, json.loads(capsys.readouterr().out)
+        command = [sys.executable, "-m", "spiral", *words, "--json", "-"]
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment
+        )
+        assert done.stdout, done.stderr
+        return done.returncode, json.loads(done.stdout)
 
     return run
 
@@ -71,16 +61,19 @@ def test_it_is_listed_with_its_package_and_version_and_passes_its_check(spiral):
     assert spiral("check", EFFECT)[0] == 0
 
 
-def test_it_is_in_the_help_of_its_group(beside, capsys):
+def test_it_is_in_the_help_of_its_group(installed, tmp_path):
+    environment = {**os.environ, "PYTHONPATH": str(installed), "COLUMNS": "100"}
     for words, seen in ((("discover", "--help"), EFFECT), (("discover", "--help", "effect"),
                         "[spiral-fifth-power 0.3.0]"), (("compare", "--help", EFFECT),
                         "stiffness (force/position^5)")):  # fmt: skip
-        assert main(words) == 0
-        assert seen in capsys.readouterr().out
+        done = subprocess.run(
+            [sys.executable, "-m", "spiral", *words],
+            capture_output=True, text=True, check=True, cwd=tmp_path, env=environment,
+        )  # fmt: skip
+        assert seen in done.stdout
 
 
 def test_it_is_fitted_and_swept(spiral):
-    """By workers in processes of their own."""
     words = ("compare", *RECORD, "record.seed=1,2", f"effect=[{EFFECT}],[]")
     code, result = spiral(*words, "-m", "n_jobs=2", "strategy=shooting", "tracking.enabled=false")
     assert code == 0
@@ -90,12 +83,10 @@ def test_it_is_fitted_and_swept(spiral):
         assert one["result"]["test_error"] < 0.5 * other["result"]["test_error"]
 
 
-def test_a_process_of_its_own_finds_it(beside):
-    command = [sys.executable, "-m", "spiral", "plugins", EFFECT, "--json", "-"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout)["plugins"][0]["origin"] == "spiral-fifth-power"
-
-
-def test_without_the_package_its_name_is_refused(capsys):
-    assert main(["check", EFFECT]) == 2
-    assert "expected: the name of a plugin" in capsys.readouterr().err
+def test_without_the_package_its_name_is_refused(spiral, monkeypatch, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "spiral", "check", EFFECT],
+        capture_output=True, text=True, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "expected: the name of a plugin" in done.stderr

@@ -104,19 +104,30 @@ def processor_time():
     return sum(os.times()[:4])
 
 
+def memory(name):
+    """Of this process, in bytes: ``VmRSS`` is what it holds, ``VmHWM`` the most it has held."""
+    return 1024 * int(re.search(rf"{name}:\s+(\d+)", STATUS.read_text())[1])
+
+
+FRESH = memory("VmRSS") if STATUS.exists() else 0  # interpreter and libraries, before any test
+
+
 @pytest.fixture(autouse=True)
 def measured(request, record_property):
-    """Processor time and memory of a test marked ``hostile``, with interpreter and libraries."""
+    """Processor time and memory of a test marked ``hostile``, with interpreter and libraries.
+
+    What tests before it have left in this process is not counted.
+    """
     mark = request.node.get_closest_marker("hostile")
     if mark is None or not PEAK.exists():
         yield
         return
     PEAK.write_text("5")  # the peak starts anew
     began, before = processor_time(), largest_child()
+    left = max(memory("VmRSS") - FRESH, 0)
     yield
     seconds, child = processor_time() - began, largest_child()
-    taken = 1024 * int(re.search(r"VmHWM:\s+(\d+)", STATUS.read_text())[1])
-    taken = max(taken, child if child > before else 0)
+    taken = max(memory("VmHWM") - left, child if child > before else 0)
     record_property(MEASURED, (mark.args[0], seconds, taken))
     assert seconds < SECONDS
     assert taken < BYTES
