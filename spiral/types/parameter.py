@@ -72,8 +72,9 @@ class Parameter:
             )
 
     def at_bound(self, value: float) -> bool:
-        """Whether a value lies at one of its bounds, zero and the first value apart."""
-        bounds = (b for b in (self.lower, self.upper) if b and b != self.start)
+        """Whether a value lies at a bound that is not zero, nor the first value of a shape."""
+        plain = self.start if self.role == "shape" else None
+        bounds = (b for b in (self.lower, self.upper) if b and b != plain)
         return any(isclose(value, b, rel_tol=1e-6) for b in bounds)
 
 

@@ -32,12 +32,11 @@ def _softening(folder, seed):
 
 
 def _system():
-    def rate(x, u, p):
+    def rate(t, x, u, p):
         return [x["v"], (u["F"] - p["c"] * x["v"] - p["k"] * x["s"]) / p["m"]]
 
     return spiral.system(
-        lambda t, x, u, p: rate(x, u, p),
-        states={"s": "m", "v": "m/s"}, inputs={"F": "N"}, observed=["s"],
+        rate, states={"s": "m", "v": "m/s"}, inputs={"F": "N"}, observed=["s"],
         parameters={"m": (1.0, "kg"), "c": (2.3, "N*s/m"), "k": (765.0, "N/m")},
         free=["c", "k"],
     )  # fmt: skip

@@ -68,7 +68,7 @@ def added_covariance(a: Array, intensity: Array, time: float) -> Array:
     from scipy.linalg import expm
 
     n = len(a)
-    doublings = max(int(np.ceil(np.log2(max(np.linalg.norm(a, 1) * time, 1.0)))), 0)
+    doublings = int(np.ceil(np.log2(max(np.linalg.norm(a, 1) * time, 1.0))))
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[n:, n:], block[:n, n:] = -a, a.T, intensity
     whole = expm(block * (time / 2**doublings))

@@ -99,7 +99,7 @@ Objection = Callable[[Whole], Refusal | None]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RaceOutcome:
     """What became of those that won: the first that passed, and why those before it did not.
 
     ``likely`` is the first that is more likely, also on the blocks that did not select, and was
@@ -138,7 +138,7 @@ def raced(
 def first_to_pass(
     options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, run: Race, judge: Masks,
     level: float, objection: Objection, progress: Progress,
-) -> Outcome:  # fmt: skip
+) -> RaceOutcome:  # fmt: skip
     """The first winner that holds on other blocks and meets no ``objection``."""
     rejected: dict[str, str] = {}
     likely: Passed | None = None
@@ -154,10 +154,10 @@ def first_to_pass(
         passed = Passed(chosen, aliases, with_effect(own, state, label, progress, like))
         refusal = _senseless(passed.whole, chosen) or objection(passed.whole)
         if refusal is None:
-            return Outcome(passed, rejected, likely)
+            return RaceOutcome(passed, rejected, likely)
         rejected[chosen.label] = refusal.reason
         likely = likely or (passed if refusal.alone else None)
-    return Outcome(None, rejected, likely)
+    return RaceOutcome(None, rejected, likely)
 
 
 def _senseless(whole: Whole, rival: Rival) -> Refusal | None:

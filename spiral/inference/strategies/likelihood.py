@@ -45,8 +45,8 @@ from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.strategies.admission import (
     Objection,
-    Outcome,
     Passed,
+    RaceOutcome,
     finished,
     first_to_pass,
     helping,
@@ -62,9 +62,6 @@ from spiral.inference.unknown.holding import having
 from spiral.inference.verdict import near_noise
 from spiral.types.errors import ConfigError
 from spiral.types.run import Comparison, Suggestion
-
-_LAST = 1e-6  # whiteness from which a model may be the last
-_BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
 def begin_study(problem: Problem, progress: Progress) -> Begun:
@@ -188,7 +185,7 @@ def _with_a_second(
 
 def _admitting(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, passed: tuple[Passed, ...],
-    scored: Scored, outcome: Outcome,
+    scored: Scored, outcome: RaceOutcome,
 ) -> Step[Scored]:  # fmt: skip
     """The step that admits what passed."""
     labels = tuple(p.rival.label for p in passed)
