@@ -8,6 +8,7 @@ import numpy as np
 
 from spiral.engine.growth import Stage
 from spiral.engine.threads import one_blas_thread
+from spiral.inference.advice import advice_for
 from spiral.inference.evidence.admission import admit
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import judged, last_stage, prepared, test_run
@@ -23,8 +24,7 @@ from spiral.inference.strategies.shooting import curve_of
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried
-from spiral.inference.unknown.memory import memory_said
-from spiral.inference.verdict import advice_for, seed_verdict, verdict_sentence
+from spiral.inference.verdict import seed_said, seed_verdict, verdict_sentence
 from spiral.inference.where.regions import where
 from spiral.types.run import Comparison, Diagnosis, Round, Stopped, Suggestion
 
@@ -75,7 +75,7 @@ def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Dia
         standing, comparison = step.again.standing, step.again.comparison
         first = replace(first, comparison=comparison)
     shape, memory = step.details.get("unknown"), step.details.get("memory")
-    told = {"unknown": shape, "memory": memory}
+    told = {"unknown": shape, "memory": memory, "held": begun.details.get("held")}
     first = replace(first, details={k: v for k, v in told.items() if v is not None})
     verdict = seed_verdict(first, step.stopped, settings, bool(step.admitted))
     suggestions = () if verdict == "nothing_missing" else step.suggestions
@@ -90,8 +90,7 @@ def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Dia
     return Diagnosis(
         verdict, comparison, suggestions, where(assembly, stage), advice, stage.length,
         step.stopped == "diverged", unknown=shape, left_out=begun.assembly.left_out,
-        summary=f"{verdict_sentence(verdict, comparison, settings)} {memory_said([first])}".strip(),
-        memory=memory,
+        summary=seed_said(verdict, [first], settings), memory=memory,
     )  # fmt: skip
 
 

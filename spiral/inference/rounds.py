@@ -9,11 +9,13 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
+from spiral.inference.advice import advice_for
 from spiral.inference.evidence.assembly import Assembly, to_model
 from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.identifiability.held import groups_of
 from spiral.inference.problem import Problem, Progress, Settings
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
-from spiral.inference.verdict import advice_for, missing, study_verdict, summary
+from spiral.inference.verdict import missing, study_verdict, summary
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.horizon import changes
 from spiral.types.model import Model
@@ -126,10 +128,12 @@ def concluded(
 ) -> Run:
     """The history of a study that ends here."""
     rounds = at.rounds
-    verdict = study_verdict(rounds, stopped, settings)
+    verdict, groups = study_verdict(rounds, stopped, settings), groups_of(rounds[0].details)
+    if verdict == "not_identifiable":
+        stopped = "not_identifiable"
     said = advice_for(verdict, stopped, rounds, (), settings) if advice is None else advice
     return Run(
-        verdict, stopped, rounds, rounds[-1].comparison.model, said,
+        verdict, stopped, rounds, rounds[-1].comparison.model, said, groups,
         missing=missing(rounds, settings), summary=summary(rounds, verdict, stopped, settings),
     )  # fmt: skip
 

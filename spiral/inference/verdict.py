@@ -19,8 +19,7 @@ lie at a bound. Only such an effect is named as what was missing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from spiral.inference.acting import (
     random_sentence,
     record_sentence,
 )
+from spiral.inference.identifiability.held import effects_tied, held_said
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import forgotten, memory_said
 from spiral.types.formatting import number, percent
@@ -202,8 +202,9 @@ def seed_verdict(
 ) -> Verdict:
     """The verdict on a seed, which ``diagnose`` gives; ``proposed``: an effect passed the gates.
 
-    ``nothing_missing`` needs no candidate passing *and* a model near its noise; candidates
-    exhausted while it is not is ``unknown_structure``, also where a learned curve went on.
+    ``nothing_missing`` needs no candidate passing *and* a model near its noise whose parameters the
+    record tells apart; candidates exhausted while it is not near is ``unknown_structure``, also
+    where a learned curve went on.
     """
     if stopped == "not_identifiable":
         return "not_identifiable"
@@ -211,7 +212,9 @@ def seed_verdict(
         return "effect_missing"
     if stopped == "diverged" or {"unknown", "memory"} & set(seed.details):
         return "unknown_structure"
-    return "nothing_missing" if near_noise(seed.comparison, settings) else "unknown_structure"
+    if near_noise(seed.comparison, settings):
+        return "not_identifiable" if effects_tied(seed.details) else "nothing_missing"
+    return "unknown_structure"
 
 
 # --- words ---------------------------------------------------------------------------------------
@@ -255,13 +258,11 @@ def _figures(found: Comparison, settings: Settings) -> str:
 def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, settings: Settings) -> str:
     """What a study found, with its figures, in sentences to be signed."""
     admitted = _admitted(rounds)
-    first, last = rounds[0].comparison, rounds[-1].comparison
-    if verdict == "not_identifiable":
-        return _VERDICTS[verdict]
+    last = rounds[-1].comparison
     if not admitted:
         if stopped == "diverged":
             return "The fit diverged."
-        return f"{verdict_sentence(verdict, first, settings)} {memory_said(rounds)}".strip()
+        return seed_said(verdict, rounds, settings)
     if _replaced(rounds):
         return _in_place(rounds, admitted)
     said = [_change(rounds, admitted, settings)]
@@ -270,7 +271,7 @@ def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, setting
         for label in admitted
         if (doubt := doubts(last.model, label, settings))
     ]
-    said.append(memory_said(rounds))
+    said += [memory_said(rounds), held_said(rounds[0].details)]
     if reasons := shortfalls(last, settings):
         more = "More is missing" if last.converged else "Whether more is missing cannot be told"
         said.append(f"{more}: {'; '.join(reasons)}.")
@@ -314,6 +315,15 @@ def _in_place(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:
     )
 
 
+def seed_said(verdict: Verdict, rounds: Sequence[Round], settings: Settings) -> str:
+    """What was found of a model to which nothing was added."""
+    seed, held = rounds[0].comparison, held_said(rounds[0].details)
+    if held and verdict == "not_identifiable":
+        return f"{held} Beside that, nothing is missing: {_figures(seed, settings)}."
+    about = verdict_sentence(verdict, seed, settings)
+    return " ".join(filter(None, (about, memory_said(rounds), held)))
+
+
 def noise_sentence(found: Comparison, settings: Settings) -> str:
     """What the noise is where the record says otherwise; empty where it does not."""
     factor = noise_factor(found, settings)
@@ -327,65 +337,3 @@ def noise_sentence(found: Comparison, settings: Settings) -> str:
         else f"The noise is only {number(factor, 2)} times what {stated}: what is left is smaller. "
         "Correct record.noise; standard errors here are too large."
     )
-
-
-def advice_for(
-    verdict: Verdict,
-    stopped: Stopped,
-    rounds: Sequence[Round],
-    groups: tuple[tuple[str, ...], ...],
-    settings: Settings,
-) -> str:
-    """One or two sentences: what to do next."""
-    if verdict == "not_identifiable":
-        tied = "; ".join(" = ".join(g) for g in groups)
-        return (
-            (f"Alike on it are {tied}. " if tied else "")
-            + "Hold one of them at its known value (fixed=[NAME]), or record a test that moves "
-            "them differently: a start-up transient, other frequencies; of a rotor, sweep the "
-            "speed through the resonance."
-        )
-    if stopped == "diverged":
-        return (
-            "The model diverged even on short windows. Check units and signs of the channels, or "
-            "give starts with values='{...}'."
-        )
-    last = rounds[-1].comparison
-    shape = next((r.details["unknown"] for r in reversed(rounds) if "unknown" in r.details), None)
-    if shape is not None and stopped != "max_rounds" and "unknown" in rounds[-1].details:
-        return _shape_said(shape)
-    if forgotten(rounds):
-        return (
-            "Offer effects with states of their own (bouc_wen, jenkins, lag), or write one "
-            "(spiral new effect NAME)."
-        )
-    if verdict == "unknown_structure" and len(rounds) == 1:
-        return (
-            "See where the residual lives with `spiral diagnose`, and add an effect of your own "
-            "(a file in ./plugins)."
-        )
-    return " ".join(s for s in (_ending(verdict, stopped, last, settings),
-                                noise_sentence(last, settings)) if s)  # fmt: skip
-
-
-def _shape_said(shape: Mapping[str, Any]) -> str:
-    """What to do with a curve that was found."""
-    how = "settings.learned=true"
-    if not shape.get("replaces"):
-        how = f"spiral add {shape['effect']} run=latest, or {how}"
-    return (
-        f"Its shape: {shape['sentence']} Admit the curve ({how}), or write the effect that it "
-        "suggests."
-    )
-
-
-def _ending(verdict: Verdict, stopped: Stopped, last: Comparison, settings: Settings) -> str:
-    """Why the loop ended."""
-    near = near_noise(last, settings)
-    if verdict == "nothing_missing":
-        return "The model explains this record down to its noise."
-    if stopped == "max_rounds":
-        return "The loop stopped at its largest number of rounds."
-    if stopped == "no_candidate" or not near:
-        return "No further candidate passes the gates."
-    return "What is left is white noise."

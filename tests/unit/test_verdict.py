@@ -7,9 +7,9 @@ import pytest
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 
+from spiral.inference.advice import advice_for
 from spiral.inference.problem import Settings
 from spiral.inference.verdict import (
-    advice_for,
     doubts,
     missing,
     near_noise,

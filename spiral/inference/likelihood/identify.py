@@ -8,34 +8,72 @@ cannot tell.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from spiral.inference.identifiability.parameters import components
 from spiral.inference.likelihood.fitting import LikelihoodFit
+from spiral.types.record import Array
 
 _WHOLE = 1.0  # relative standard error of a combination from which it is not told
 _PART = 0.3  # share of the largest part from which a parameter takes part
 
 
-def untold(found: LikelihoodFit) -> tuple[tuple[str, ...], ...]:
-    """Groups of effects that these records cannot tell apart; none where they can."""
+@dataclass(frozen=True)
+class Ties:
+    """What records cannot tell apart: ``groups`` of effects, or of parameters where one has all.
+
+    ``parts`` are parameters, those with the largest part in the flat combinations first. One that
+    is held takes one combination away; others are looked for again beside it, as a fit that has
+    gone astray tells nothing, and may find its way with one parameter less.
+    """
+
+    groups: tuple[tuple[str, ...], ...] = ()
+    parts: tuple[str, ...] = ()
+
+
+def untold(found: LikelihoodFit) -> Ties:
+    """What these records cannot tell apart; nothing where they can.
+
+    A combination may be flat beside the noise as it is, or only where the sizes of the noise move
+    with it (a hidden state counted in another unit, and the random force on it).
+    """
     estimate = found.estimate
     if not estimate.finite or not estimate.keys:
-        return ()
+        return Ties()
     sizes = np.array([abs(estimate.values[k]) for k in estimate.keys])
     rows = [p.columns.reshape(-1, len(sizes)) for p in estimate.parts]
     gram = np.sum([r.T @ r for r in rows], axis=0)
     told = sizes > 0
-    scaled = np.sqrt(np.maximum(np.diag(gram), 0.0)) * sizes
+    seen = np.sqrt(np.maximum(np.diag(gram), 0.0))[told] * sizes[told] > 1.0
     keys = [k for k, t in zip(estimate.keys, told, strict=True) if t]
-    matrix = gram[np.ix_(told, told)] * np.outer(sizes[told], sizes[told])
-    values, vectors = np.linalg.eigh(matrix)
     groups: list[set[str]] = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value * _WHOLE**2 >= 1.0:
-            continue
+    flat = []
+    for vector in _flat(gram, estimate.covariance, sizes, told):
         part = np.abs(vector) > _PART * np.abs(vector).max()
         owners = {k.rsplit(".", 1)[0] for k, p in zip(keys, part, strict=True) if p}
-        if len(owners) > 1 and np.all(scaled[told][part] > 1.0):
-            groups.append(owners)
-    return components(groups)
+        if np.sum(part) > 1 and np.all(seen[part]):
+            groups.append(owners if len(owners) > 1 else set(np.array(keys)[part].tolist()))
+            flat.append(np.where(part, vector, 0.0) / np.linalg.norm(vector[part]))
+    if not flat:
+        return Ties()
+    parts = np.sum(np.square(flat), axis=0)
+    order = [i for i in np.argsort(-parts, kind="stable") if parts[i] > 0.0]
+    return Ties(components(groups), tuple(keys[i] for i in order))
+
+
+def _flat(gram: Array, covariance: Array, sizes: Array, told: Array) -> list[Array]:
+    """Unit combinations of relative changes whose standard error is whole.
+
+    First those of the information beside the noise as it is, then those of the covariance, in which
+    the noise's sizes move too.
+    """
+    scale = sizes[told]
+    values, vectors = np.linalg.eigh(gram[np.ix_(told, told)] * np.outer(scale, scale))
+    found = [v for x, v in zip(values, vectors.T, strict=True) if x * _WHOLE**2 < 1.0]
+    spread = covariance[np.ix_(told, told)] / np.outer(scale, scale)
+    if np.all(np.isfinite(spread)):
+        values, vectors = np.linalg.eigh(spread)
+        found += [v for x, v in zip(values, vectors.T, strict=True) if x > _WHOLE**2]
+    return found

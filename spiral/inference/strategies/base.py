@@ -30,7 +30,8 @@ Found = TypeVar("Found", covariant=True)
 class Begun:
     """A study ready for its first round: compiled, its seed fitted and compared.
 
-    ``groups`` are effects of the seed that the record cannot tell apart; the loop then refuses.
+    ``groups`` are effects of the seed that the record cannot tell apart. Where that is ``refused``
+    the loop ends there; else ``details["held"]`` says which parameters keep their given values.
     """
 
     assembly: Assembly

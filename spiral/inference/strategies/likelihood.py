@@ -17,6 +17,7 @@ from spiral.inference.evidence.assembly import Assembly, check_candidates, compi
 from spiral.inference.evidence.comparison import refined
 from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking
+from spiral.inference.identifiability.parameters import components
 from spiral.inference.likelihood.between import (
     likelier_inputs,
     with_likely_inputs,
@@ -35,7 +36,7 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     refitted,
 )
-from spiral.inference.likelihood.identify import untold
+from spiral.inference.likelihood.identify import Ties, untold
 from spiral.inference.likelihood.ladder import pruned
 from spiral.inference.likelihood.scores import ranking
 from spiral.inference.likelihood.starts import (
@@ -65,7 +66,32 @@ from spiral.types.run import Comparison, Suggestion
 
 
 def begin_study(problem: Problem, progress: Progress) -> Begun:
-    """The model as it is, most likely with the noise that its record wants."""
+    """The model as it is, most likely with the noise that its record wants.
+
+    Parameters that the record cannot tell from others are held at their given values: along a flat
+    combination the likelihood is the same, whatever value one of them has.
+    """
+    groups: tuple[tuple[str, ...], ...] = ()
+    held: tuple[str, ...] = ()
+    while True:
+        begun, ties = _begun(problem, progress)
+        if not ties.groups:
+            break
+        groups, model = components([set(g) for g in (*groups, *ties.groups)]), problem.model
+        given = next((k for k in ties.parts if model.values.get(k)), None)
+        if given is None:  # nobody said how large any of them is
+            return replace(begun, refused=True, groups=groups)
+        progress(f"holding {given}, which the record cannot tell from others")
+        held = (*held, given)
+        problem = replace(problem, model=replace(model, fixed=(*model.fixed, given)))
+    if not held:
+        return begun
+    alike = {"parameters": list(held), "groups": [list(g) for g in groups]}
+    return replace(begun, details={**begun.details, "held": alike}, groups=groups)
+
+
+def _begun(problem: Problem, progress: Progress) -> tuple[Begun, Ties]:
+    """The model fitted and compared, and what the record cannot tell apart in it."""
     progress("compiling the model")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
     problem = replace(problem, settings=settings)
@@ -85,10 +111,8 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
     fitted = replace(problem, model=settled.comparison.model)
     variants, left_out, _ = offers(fitted, bare.later)
     assembly = replace(bare, offered=tuple(variants), left_out=left_out, bare=True)
-    groups = untold(found)
-    return Begun(
-        assembly, settled.standing, settled.comparison, settled.details, bool(groups), groups
-    )
+    begun = Begun(assembly, settled.standing, settled.comparison, settled.details)
+    return begun, untold(found)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,73 @@
+"""What to do after a study: one or two sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from spiral.inference.problem import Settings
+from spiral.inference.unknown.memory import forgotten
+from spiral.inference.verdict import near_noise, noise_sentence
+from spiral.types.run import Comparison, Round, Stopped, Verdict
+
+
+def advice_for(
+    verdict: Verdict,
+    stopped: Stopped,
+    rounds: Sequence[Round],
+    groups: tuple[tuple[str, ...], ...],
+    settings: Settings,
+) -> str:
+    """One or two sentences: what to do next."""
+    if verdict == "not_identifiable":
+        tied = "; ".join(" = ".join(g) for g in groups)
+        return (
+            (f"Alike on it are {tied}. " if tied else "")
+            + "Hold one of them at its known value (fixed=[NAME]), or record a test that moves "
+            "them differently: a start-up transient, other frequencies; of a rotor, sweep the "
+            "speed through the resonance."
+        )
+    if stopped == "diverged":
+        return (
+            "The model diverged even on short windows. Check units and signs of the channels, or "
+            "give starts with values='{...}'."
+        )
+    last = rounds[-1].comparison
+    shape = next((r.details["unknown"] for r in reversed(rounds) if "unknown" in r.details), None)
+    if shape is not None and stopped != "max_rounds" and "unknown" in rounds[-1].details:
+        return _shape_said(shape)
+    if forgotten(rounds):
+        return (
+            "Offer effects with states of their own (bouc_wen, jenkins, lag), or write one "
+            "(spiral new effect NAME)."
+        )
+    if verdict == "unknown_structure" and len(rounds) == 1:
+        return (
+            "See where the residual lives with `spiral diagnose`, and add an effect of your own "
+            "(a file in ./plugins)."
+        )
+    return " ".join(s for s in (_ending(verdict, stopped, last, settings),
+                                noise_sentence(last, settings)) if s)  # fmt: skip
+
+
+def _shape_said(shape: Mapping[str, Any]) -> str:
+    """What to do with a curve that was found."""
+    how = "settings.learned=true"
+    if not shape.get("replaces"):
+        how = f"spiral add {shape['effect']} run=latest, or {how}"
+    return (
+        f"Its shape: {shape['sentence']} Admit the curve ({how}), or write the effect that it "
+        "suggests."
+    )
+
+
+def _ending(verdict: Verdict, stopped: Stopped, last: Comparison, settings: Settings) -> str:
+    """Why the loop ended."""
+    near = near_noise(last, settings)
+    if verdict == "nothing_missing":
+        return "The model explains this record down to its noise."
+    if stopped == "max_rounds":
+        return "The loop stopped at its largest number of rounds."
+    if stopped == "no_candidate" or not near:
+        return "No further candidate passes the gates."
+    return "What is left is white noise."
