@@ -25,6 +25,7 @@ from spiral.inference.likelihood.fitting import (
     explains,
     price,
     refitted,
+    reopened,
 )
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.holding import carried as carried_to
@@ -134,8 +135,14 @@ class Race:
             self.progress(f"refitting with {runner.label}")
         again = [_freed(self.base, self._further(r, _HEAT), self.masks) for r in near]
         least = _share(_NEAR, max(r.worth for r in again))
-        last = [self._further(r, _RACE) for r in again if r.worth >= least]
+        last = [self._further(self._reopened(r), _RACE) for r in again if r.worth >= least]
         return sorted(last, key=lambda r: -r.worth)
+
+    def _reopened(self, rival: Rival) -> Rival:
+        fit = reopened(rival.assembly, rival.fit, self.masks, _RACE)
+        if fit is rival.fit:
+            return rival
+        return _rival(rival.assembly, self.base, rival.ranked, fit, rival.shapes)
 
     def _further(self, rival: Rival, steps: int) -> Rival:
         return _further(self.base, rival, self.masks, steps)

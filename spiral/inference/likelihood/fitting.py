@@ -10,7 +10,7 @@ from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.setup import smoothed
 from spiral.engine.filter.task import Task, linearised, task_with
 from spiral.engine.likelihood.fit import Kept, Maximum, maximise
-from spiral.engine.likelihood.noise import NoiseModel, first_noise
+from spiral.engine.likelihood.noise import NoiseModel, first_noise, limits
 from spiral.engine.likelihood.predict import (
     Masks,
     Prepared,
@@ -28,9 +28,11 @@ from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
 WARM = 6  # scoring steps from the values on all samples to those on the selecting half
+LEAST = 1.5  # times its least value from which a random force is one
 LITTLE = 0.05  # share up to which what acts at random is little
 _FAR = 30.0  # times its motion that a hidden state may lie from where it is first looked for
 _AGAIN = 12  # times that beginnings are looked for
+_FAINT = 0.1  # of what one step misses: white noise below makes next to nothing of it
 _WORTH = 1.0  # log-likelihood for which they are looked for once more
 _HEAD = 2048  # samples that tell where a record begins
 _ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
@@ -171,6 +173,41 @@ def explains(found: LikelihoodFit) -> bool:
     noise = found.estimate.noise
     kinds = ("force", "gust")
     return all(noise.values[t.size] <= LITTLE for t in noise.terms if t.kind in kinds)
+
+
+def reopened(
+    assembly: Assembly, found: LikelihoodFit, masks: Masks = None, steps: int = 40
+) -> LikelihoodFit:
+    """The fit with random terms that have vanished begun again, where that is more likely.
+
+    Sizes are on a logarithmic scale, on which one near zero has no slope: noise of a sensor that a
+    large random force has made superfluous never comes back by itself when the model no longer
+    needs that force. Nothing is tried where the model explains the records.
+    """
+    if not found.estimate.finite or explains(found):
+        return found
+    sizes = _vanished(found.estimate)
+    if not sizes:
+        return found
+    at = found.estimate
+    noise = at.noise.with_values(sizes)
+    again = refitted(assembly, found.state, noise, masks, steps, rough=True, like=at.prepared)
+    return again if again.height > found.height else found
+
+
+def _vanished(at: Maximum) -> dict[str, float]:
+    """White noise and white forces that are next to nothing, with sizes to begin again."""
+    task = at.prepared[0][0]
+    rms = np.sqrt(np.mean(np.concatenate([p.misses for p in at.parts]) ** 2, axis=0))
+    missed = dict(zip(task.compiled.traced.channels, rms, strict=True))
+    found = {}
+    for term in at.noise.terms:
+        size = at.noise.values[term.size]
+        if term.kind == "white" and size < _FAINT * missed[term.where]:
+            found[term.size] = 0.5 * float(missed[term.where])
+        elif term.kind == "force" and size < LEAST * limits(task, term.size)[0]:
+            found[term.size] = LEVEL
+    return found
 
 
 def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:

@@ -25,6 +25,7 @@ from spiral.engine.likelihood.predict import Prepared
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import doubts, liveliest
 from spiral.inference.likelihood.fitting import (
+    LEAST,
     LikelihoodFit,
     is_white,
     price,
@@ -37,7 +38,6 @@ _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those th
 _KEEP = 0.7  # share of the best gain at first look that keeps up
 _SHARED = 0.7  # of the size of white noise, that it and a coloured one start with (half of it)
 _ROUNDS = 2
-_LEAST = 1.5  # times its least value from which a random force is one
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def quieted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
     least = {
         t.size: limits(task, t.size)[0]
         for t in noise.terms
-        if t.kind == "force" and noise.values[t.size] > _LEAST * limits(task, t.size)[0]
+        if t.kind == "force" and noise.values[t.size] > LEAST * limits(task, t.size)[0]
     }
     if not found.estimate.finite or not least:
         return found

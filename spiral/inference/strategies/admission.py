@@ -32,6 +32,7 @@ from spiral.inference.likelihood.fitting import (
     colour,
     price,
     refitted,
+    reopened,
     restarted,
     taken_on,
 )
@@ -193,6 +194,7 @@ def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Li
     It is at its very maximum where the model may be the last: its misses are white.
     """
     found = rebalanced(assembly, climbed_ladder(assembly, found, progress), progress)
+    found = reopened(assembly, found)
     if not found.estimate.finite or colour(assembly, found).p < _LAST:
         return found
     progress("polishing the fit")
