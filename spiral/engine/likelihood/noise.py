@@ -15,7 +15,7 @@ standard deviation of the rate it acts on.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -87,9 +87,13 @@ class NoiseModel:
 
     def without(self, *kinds: Kind) -> NoiseModel:
         """Without the terms of these kinds."""
-        terms = tuple(t for t in self.terms if t.kind not in kinds)
-        names = NoiseModel(terms, {}).names
-        return NoiseModel(terms, {k: v for k, v in self.values.items() if k in names})
+        return self.of(t for t in self.terms if t.kind not in kinds)
+
+    def of(self, terms: Iterable[NoiseTerm]) -> NoiseModel:
+        """Some of its terms alone."""
+        kept = tuple(terms)
+        names = NoiseModel(kept, {}).names
+        return NoiseModel(kept, {k: v for k, v in self.values.items() if k in names})
 
 
 def first_noise(task: Task, level: float, sizes: Array | None = None) -> NoiseModel:
@@ -122,6 +126,15 @@ def limits(task: Task, name: str) -> tuple[float, float]:
         length = np.sqrt(task.series.dt * task.series.samples)
         return _LEAST * spread / length, _MOST * spread / length
     return _LEAST * spread, _MOST * spread
+
+
+def acting_on(task: Task, noise: NoiseModel) -> NoiseModel:
+    """The noise without forces on states that a model does not have.
+
+    An effect with states of its own takes them with it when it is let go.
+    """
+    known = groups(task)
+    return noise.of(t for t in noise.terms if t.kind not in ("force", "gust") or t.where in known)
 
 
 @dataclass(frozen=True)

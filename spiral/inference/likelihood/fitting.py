@@ -10,7 +10,7 @@ from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.setup import smoothed
 from spiral.engine.filter.task import Task, linearised, task_with
 from spiral.engine.likelihood.fit import Kept, Maximum, maximise
-from spiral.engine.likelihood.noise import NoiseModel, first_noise, limits
+from spiral.engine.likelihood.noise import NoiseModel, acting_on, first_noise, limits
 from spiral.engine.likelihood.predict import (
     Masks,
     Prepared,
@@ -150,7 +150,7 @@ def refitted(
         ``differences`` and ``least`` as in ``maximise``; ``like`` as in ``subjects``.
     """
     prepared = subjects(assembly, state, like)
-    noise = noise or state.noise or first_noise(prepared[0][0], LEVEL)
+    noise = acting_on(prepared[0][0], noise or state.noise or first_noise(prepared[0][0], LEVEL))
     keys = moving(assembly, state)
     bounds = bounds_of(assembly, keys)
     estimate = maximise(

@@ -51,6 +51,7 @@ from spiral.types.horizon import changes
 from spiral.types.run import Comparison
 
 _LAST = 1e-6  # whiteness from which a model may be the last
+_BEYOND = 100.0  # times its scaled value from which a shape is of no motion in the records
 _BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
@@ -164,17 +165,21 @@ def first_to_pass(
 def _senseless(whole: Whole, rival: Rival) -> Refusal | None:
     """Why the fit to all samples is none of this effect; nothing where it is one.
 
-    A shape that runs to an end of its range no longer means what the effect means by it.
+    A shape that runs to an end of its range, or far beyond the motion that it was scaled by, no
+    longer means what the effect means by it.
     """
     if not whole.fit.estimate.finite:
         return Refusal("with it the fit to all samples runs away")
-    model = whole.settled.comparison.model
+    model, variant = whole.settled.comparison.model, rival.ranked.variant
+    tried = {k.rpartition(".")[2]: size for k, size in variant.shapes.items()}
     for key, parameter in model.pairs:
         owner, name = key.rsplit(".", 1)
         if owner == rival.label and parameter.role == "shape" and key in model.values:
             value = model.values[key]
             if parameter.at_bound(value):
                 return Refusal(f"its {name} runs to the end of its range, {number(value)}")
+            if parameter.grid and abs(value) > _BEYOND * abs(tried.get(name, np.inf)):
+                return Refusal(f"its {name} runs off to {number(value)}, beyond these records")
     return None
 
 
