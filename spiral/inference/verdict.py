@@ -34,6 +34,7 @@ from spiral.inference.identifiability.held import effects_tied, held_said
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import forgotten, memory_said
 from spiral.types.formatting import number, percent
+from spiral.types.horizon import changes
 from spiral.types.model import Model
 from spiral.types.run import Comparison, Round, Stopped, Verdict
 
@@ -90,8 +91,7 @@ def noise_factor(found: Comparison, settings: Settings) -> float:
 def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
     """Why a model is not near its noise, one phrase with its figure for each reason."""
     limit = settings.chi2_limit
-    factor = 1.0 if found.random is not None else noise_factor(found, settings)
-    floor = float(np.hypot(factor * found.noise_floor, _drifting(found)))
+    factor = _factor(found, settings)
     reasons = []
     if not found.converged:
         where = "" if found.random is not None else f" on windows of {found.horizon} samples"
@@ -111,13 +111,36 @@ def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
         if share > settings.noise_limit:
             where = name.partition(".")[2]
             reasons.append(f"the noise of {where} would be {percent(share)} of what it shows")
-    modelled = found.innovation_chi2 is None or found.random is not None
-    carried = float(np.hypot(found.disturbed, found.uncertain))
-    allowed = limit * floor**2 + _STRETCHES * carried**2
-    if modelled and not found.test_error**2 <= allowed:
-        made = percent(float(np.hypot(floor, carried)))
+    if _errs(found, settings):
+        made = percent(float(np.hypot(_floor(found, settings), _carried(found))))
         reasons.append(f"the test error is {percent(found.test_error)} where noise makes {made}")
     return tuple(reasons)
+
+
+def _factor(found: Comparison, settings: Settings) -> float:
+    return 1.0 if found.random is not None else noise_factor(found, settings)
+
+
+def _floor(found: Comparison, settings: Settings) -> float:
+    """The error of a free run that noise of the sensors alone makes."""
+    return float(np.hypot(_factor(found, settings) * found.noise_floor, _drifting(found)))
+
+
+def _carried(found: Comparison) -> float:
+    """What random forces, and values and starts that are uncertain, make of a free run's error."""
+    return float(np.hypot(found.disturbed, found.uncertain))
+
+
+def _errs(found: Comparison, settings: Settings) -> bool:
+    """Whether the error on unseen data is larger than noise, and what it carries on, make it.
+
+    It is not asked where random forces were not modelled: they move what runs freely.
+    """
+    if found.innovation_chi2 is not None and found.random is None:
+        return False
+    floor = _floor(found, settings)
+    allowed = settings.chi2_limit * floor**2 + _STRETCHES * _carried(found) ** 2
+    return not found.test_error**2 <= allowed
 
 
 def _drifting(found: Comparison) -> float:
@@ -162,10 +185,17 @@ def missing(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
     """The effects that were missing: determined ones, where they lower the error on unseen data.
 
     Where what is left has memory, effects without any may only have stood in for it; so have those
-    in whose place one curve makes the record more likely.
+    in whose place one curve makes the record more likely. A model that predicts nothing of an
+    unseen record names nothing.
     """
-    doubted = _worse(rounds) or forgotten(rounds) or _replaced(rounds)
+    doubted = _worse(rounds, settings) or forgotten(rounds) or _replaced(rounds)
+    doubted = doubted or _predicts_nothing(rounds[-1].comparison, settings)
     return () if doubted else determined(rounds, settings)
+
+
+def _predicts_nothing(found: Comparison, settings: Settings) -> bool:
+    """Whether a free run on unseen data errs by all that moves there, more than noise explains."""
+    return not found.test_error < 1.0 and _errs(found, settings)
 
 
 def _replaced(rounds: Sequence[Round]) -> bool:
@@ -178,9 +208,17 @@ def _admitted(rounds: Sequence[Round]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(x for r in rounds for x in r.admitted if x in held))
 
 
-def _worse(rounds: Sequence[Round]) -> bool:
+def _worse(rounds: Sequence[Round], settings: Settings) -> bool:
+    """Whether the error on unseen data grew over the study.
+
+    It has not where it lies within what noise makes of it before and after: then it cannot fall,
+    and chance alone decides which is larger.
+    """
     first, last = rounds[0].comparison, rounds[-1].comparison
-    return len(rounds) > 1 and not last.test_error <= first.test_error
+    if len(rounds) < 2 or last.test_error <= first.test_error:
+        return False
+    judged = [c.judged for c in changes(first.unseen, last.unseen)]
+    return _errs(last, settings) or not judged or "worse" in judged
 
 
 # --- verdicts ------------------------------------------------------------------------------------
@@ -285,11 +323,16 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
         f"test error {percent(first.test_error)} -> {percent(last.test_error)} "
         f"(noise floor {percent(last.noise_floor)})"
     )
-    if _worse(rounds):
-        them = "it" if len(admitted) == 1 else "them"
+    them = "it" if len(admitted) == 1 else "them"
+    if _worse(rounds, settings):
         return (
             f"The model now holds {', '.join(admitted)}, but on data that no fit has seen the "
             f"error grew: {change}. Do not take {them} for what is missing."
+        )
+    if _predicts_nothing(last, settings):
+        return (
+            f"The model now holds {', '.join(admitted)}, and predicts nothing of data that no fit "
+            f"has seen: {change}. Do not take {them} for what is missing."
         )
     if forgotten(rounds):
         return (
