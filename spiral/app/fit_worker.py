@@ -353,7 +353,7 @@ def caveats(at: Checkpoint, settings: Settings) -> list[str]:
     found = [
         f"This record does not determine {words(label)}: {doubt}."
         for label in model.labels
-        if (doubt := doubts(model, label, settings))
+        if (doubt := doubts(at.rounds[-1], label, settings))
     ]
     for number, one in enumerate(at.rounds):
         kept = {k: v for k, v in one.aliases.items() if k in model.labels}

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from spiral.inference.nearness import near_noise
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import forgotten
-from spiral.inference.verdict import near_noise, noise_sentence
+from spiral.inference.verdict import noise_sentence
 from spiral.types.run import Comparison, Round, Stopped, Verdict
 
 

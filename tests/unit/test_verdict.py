@@ -8,14 +8,13 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.inference.advice import advice_for
+from spiral.inference.nearness import near_noise, noise_factor, shortfalls
 from spiral.inference.problem import Settings
 from spiral.inference.verdict import (
+    FROM_NONE,
     doubts,
     missing,
-    near_noise,
-    noise_factor,
     seed_verdict,
-    shortfalls,
     study_verdict,
     summary,
 )
@@ -49,6 +48,11 @@ POOR = replace(GOOD, model=seed_model(Oscillator()), fit_error=0.5, test_error=0
 def rounds(last, first=POOR):
     return (Round(0, (), {}, {}, (), first, 1.0),
             Round(1, ("cubic_stiffness",), {}, {}, (), last, 1.0))  # fmt: skip
+
+
+def held(known):
+    """A round with this model."""
+    return Round(1, (), {}, {}, (), replace(GOOD, model=known), 1.0)
 
 
 def said(found, stopped="no_candidate"):
@@ -106,14 +110,24 @@ def test_an_amplitude_at_its_bound_is_not_determined():
     errors = {k: v / 50 for k, v in uppers.items()}
     at_bound = replace(tank, values=uppers, errors=errors)
     inside = replace(at_bound, values={k: v / 2 for k, v in uppers.items()})
-    assert "bound" in doubts(at_bound, "overflow", SETTINGS)
-    assert doubts(inside, "overflow", SETTINGS) == ""
+    assert "bound" in doubts(held(at_bound), "overflow", SETTINGS)
+    assert doubts(held(inside), "overflow", SETTINGS) == ""
 
 
 def test_one_determined_axis_is_enough():
     friction = effect("coulomb_friction")
-    held = model(friction, coulomb_friction__level=(2.0, 0.1), coulomb_friction__width=(1e-3, 1e-3))
-    assert doubts(held, "coulomb_friction", SETTINGS) == ""
+    known = model(
+        friction, coulomb_friction__level=(2.0, 0.1), coulomb_friction__width=(1e-3, 1e-3)
+    )
+    assert doubts(held(known), "coulomb_friction", SETTINGS) == ""
+
+
+def test_a_likelihood_far_below_without_an_effect_determines_it():
+    """A rim that spills all there is has no slope, and is there all the same."""
+    doubtful = held(model(CUBIC, cubic_stiffness__stiffness=(1.9, 3.3)))
+    assert doubts(doubtful, "cubic_stiffness", SETTINGS)
+    sure = replace(doubtful, details={FROM_NONE: {"cubic_stiffness": 12.0}})
+    assert doubts(sure, "cubic_stiffness", SETTINGS) == ""
 
 
 def test_nothing_is_missing_only_near_the_noise():

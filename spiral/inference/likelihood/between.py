@@ -54,6 +54,22 @@ def with_own_inputs(assembly: Assembly, found: LikelihoodFit, progress: Progress
     return found
 
 
+def run_otherwise(
+    assembly: Assembly, found: LikelihoodFit, state: FitState, progress: Progress
+) -> list[LikelihoodFit]:
+    """Fits of another state than a fit's own (of one with an effect less), inputs run otherwise."""
+    fits: list[LikelihoodFit] = []
+    for known in assembly.problem.model.system.inputs:
+        if not _open(assembly.problem, known):
+            continue
+        progress(f"asking how {known.name} runs between its samples")
+        for way in get_args(Interpolation):
+            if way != _way(found, known):
+                other = replace(state, between=_with(found, known, way))
+                fits.append(refitted(assembly, other, rough=True))
+    return fits
+
+
 def likelier_inputs(
     assembly: Assembly, base: LikelihoodFit, masks: Masks, least: float, progress: Progress
 ) -> LikelihoodFit | None:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from spiral.engine.likelihood.fit import informed
 from spiral.engine.likelihood.predict import Masks, Prepared
@@ -24,7 +25,7 @@ from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly, offers
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Parts, Ranking, present_labels, tested_keys
-from spiral.inference.likelihood.between import with_own_inputs
+from spiral.inference.likelihood.between import run_otherwise, with_own_inputs
 from spiral.inference.likelihood.candidates import Race, Rival, held_shapes, race, with_own_shapes
 from spiral.inference.likelihood.comparison import compared_by_likelihood
 from spiral.inference.likelihood.fitting import (
@@ -41,11 +42,13 @@ from spiral.inference.likelihood.judging import Unselected, judged, unselected
 from spiral.inference.likelihood.ladder import climbed_ladder, pruned, quieted
 from spiral.inference.likelihood.scores import ranked_along
 from spiral.inference.likelihood.starts import on_finer_steps, rebalanced, resolved_in_time
+from spiral.inference.nearness import grown
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import Settled
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.holding import carried, emptied, with_variants
-from spiral.types.effect import Effect
+from spiral.inference.verdict import FROM_NONE
+from spiral.types.effect import Effect, InputEffect, SensorEffect
 from spiral.types.formatting import number
 from spiral.types.horizon import changes
 from spiral.types.run import Comparison
@@ -62,6 +65,8 @@ def settled_on(
     found = replace(found, estimate=informed(found.estimate))
     state, comparison = compared_by_likelihood(assembly, found, progress)
     details: dict[str, Any] = {"noise": dict(found.estimate.noise.values)}
+    if told := _told_by_likelihood(assembly, found):
+        details[FROM_NONE] = told
     if found.estimate.finite:
         details["log_likelihood"] = found.height
     return Settled(state, comparison, retired, details)
@@ -242,10 +247,9 @@ def unhelpful(
             alone=True,
         )
     judged_ = changes(before.unseen, after.unseen)
-    for change in judged_:
-        if change.judged == "worse":
-            grown = f"{change.horizon}: {100 * change.before:.3g} -> {100 * change.after:.3g} %"
-            return Refusal(f"the error on unseen data grows ({grown})", alone=True)
+    if (worse := grown(before, after, settings)) is not None:
+        said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
+        return Refusal(f"the error on unseen data grows ({said})", alone=True)
     pairs = [(before.fit_error, after.fit_error), *((c.before, c.after) for c in judged_)]
     sizes = [np.sqrt(max((b / a) ** 2 - 1, 0.0)) if a > 0 else np.inf for b, a in pairs]
     size = float(max(x if np.isfinite(x) else np.inf for x in sizes))
@@ -274,7 +278,9 @@ def with_effect(
     found, effect = pruned(own, found, progress), own.variant(label).effect
     found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
     found = finished(own, with_own_inputs(own, found, progress), progress)
-    return whole_of(own, *_without_superfluous(own, found, label), progress)
+    found, gone = _without_superfluous(own, found, label)
+    found, told = _run_otherwise(own, found, label, progress)
+    return whole_of(own, found, (*gone, *told), progress)
 
 
 def whole_of(
@@ -295,12 +301,68 @@ def _without_superfluous(
         if label in assembly.problem.model.labels or label == latest:
             continue
         keys = tested_keys(assembly, assembly.variant(label))
-        values, errors = found.estimate.values, found.estimate.errors
-        least = assembly.problem.settings.least_t
-        if any(abs(values.get(k, 0.0)) > least * errors.get(k, np.inf) for k in keys):
+        if _far_from_zero(assembly, found, keys):
             continue
         trial = refitted(assembly, let_go(assembly, found.state, (label,)))
         if trial.height > found.height - price(len(keys), trial.estimate.prepared):
             found = trial
             gone.append(assembly.variant(label).original.label)
     return found, tuple(gone)
+
+
+def _run_otherwise(
+    assembly: Assembly, found: LikelihoodFit, latest: str, progress: Progress
+) -> tuple[LikelihoodFit, tuple[str, ...]]:
+    """Effects of inputs and sensors that another way of the input between samples makes needless.
+
+    A force that a controller holds looks like an actuator that lags by half a sample; while another
+    effect is missing the lag may be the more likely of the two, as its time can make up for that.
+    """
+    gone: list[str] = []
+    for label in found.state.labels:
+        if label in assembly.problem.model.labels or label == latest:
+            continue
+        variant = assembly.variant(label)
+        if not isinstance(variant.original, InputEffect | SensorEffect):
+            continue
+        fits = run_otherwise(assembly, found, let_go(assembly, found.state, (label,)), progress)
+        best = max(fits, key=lambda f: f.height, default=None)
+        worth = price(len(tested_keys(assembly, variant)), found.estimate.prepared)
+        if best is not None and best.height > found.height - worth:
+            found = best
+            gone.append(variant.original.label)
+    return found, tuple(gone)
+
+
+def _far_from_zero(assembly: Assembly, found: LikelihoodFit, keys: tuple[str, ...]) -> bool:
+    """Whether one of these values is further from zero than standard errors allow."""
+    values, errors = found.estimate.values, found.estimate.errors
+    least = assembly.problem.settings.least_t
+    return any(abs(values.get(k, 0.0)) > least * errors.get(k, np.inf) for k in keys)
+
+
+def _told_by_likelihood(assembly: Assembly, found: LikelihoodFit) -> dict[str, float]:
+    """How far effects within their standard errors of none are by the likelihood without them.
+
+    A slope where an amplitude stands says nothing of zero where it saturates (a rim that spills
+    all), or where a shape makes up for it. The ratio is told in standard errors of one estimate: z
+    with P(|x| > z) that of a chi-squared 2 (log L_1 - log L_0).
+    """
+    told: dict[str, float] = {}
+    for label in found.state.labels if found.estimate.finite else ():
+        if label in assembly.problem.model.labels:
+            continue
+        variant = assembly.variant(label)
+        if _far_from_zero(assembly, found, tested_keys(assembly, variant)):
+            continue
+        without = refitted(assembly, let_go(assembly, found.state, (label,)), rough=True)
+        free = [k for k in found.estimate.keys if k.rpartition(".")[0] == label]
+        gain = max(found.height - without.height, 0.0)
+        told[variant.original.label] = _as_one(2 * gain, len(free))
+    return told
+
+
+def _as_one(statistic: float, degrees: int) -> float:
+    """Standard errors of one estimate that are as unlikely as a chi-squared statistic."""
+    single = float(np.sqrt(chi2.isf(chi2.sf(statistic, max(degrees, 1)), 1)))
+    return min(single, float(np.sqrt(statistic)))

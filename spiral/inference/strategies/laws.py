@@ -23,6 +23,7 @@ from spiral.inference.evidence.scoring import Ranking
 from spiral.inference.likelihood.candidates import Rival
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, price, refitted, subjects
 from spiral.inference.likelihood.ladder import climbed_ladder
+from spiral.inference.nearness import near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import (
     Refusal,
@@ -34,7 +35,6 @@ from spiral.inference.strategies.admission import (
 )
 from spiral.inference.strategies.base import Settled
 from spiral.inference.strategy_options import LikelihoodOptions
-from spiral.inference.verdict import near_noise
 from spiral.physics.formulas.laws import laws_of
 from spiral.types.effect import Effect, ForceEffect, StateFlow
 from spiral.types.run import Comparison

@@ -43,6 +43,7 @@ from spiral.inference.likelihood.starts import (
     best_fit,
 )
 from spiral.inference.likelihood.suggestions import suggestions
+from spiral.inference.nearness import near_noise
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.strategies.admission import (
     Objection,
@@ -60,7 +61,6 @@ from spiral.inference.strategies.laws import named_law
 from spiral.inference.strategies.remembered import missing_memory
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.holding import having
-from spiral.inference.verdict import near_noise
 from spiral.types.errors import ConfigError
 from spiral.types.run import Comparison, Suggestion
 
@@ -135,7 +135,7 @@ def propose(
 
     Or two at once, where none is of use alone.
     """
-    assembly = having(assembly, state.labels)
+    bare, assembly = assembly, having(assembly, state.labels)
     masks = half_masks(assembly)
     found = _raced(options, assembly, state, masks[0], progress)
     if found is None:
@@ -150,7 +150,7 @@ def propose(
     outcome = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
     passed, tried = outcome.admitted, run.tried
     if not passed and outcome.likely is not None:
-        passed = _with_a_second(options, assembly, outcome.likely, masks, level, helps, progress)
+        passed = _with_a_second(options, bare, outcome.likely, masks, level, helps, progress)
     if not passed:
         run = run.of(from_less_noise(assembly, base, masks[0], progress))
         again = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
@@ -185,7 +185,8 @@ def _with_a_second(
     """A candidate that is likely but of no use alone, and another that passes beside it.
 
     A softening spring whose sensor is off by a constant is wrong without either. Together they must
-    do to what is predicted what one alone has to. Nothing where none passes.
+    do to what is predicted what one alone has to. Nothing where none passes. ``assembly`` is the
+    study that holds no more than its seed: ``first`` may have let go what was admitted before.
     """
     progress(f"trying a second effect beside {first.rival.label}")
     state = first.whole.settled.standing

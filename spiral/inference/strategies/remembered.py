@@ -10,9 +10,9 @@ from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, refitted
 from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.likelihood.memory import memory_of
+from spiral.inference.nearness import near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.memory import Memory
-from spiral.inference.verdict import near_noise
 from spiral.types.effect import InputEffect
 from spiral.types.run import Comparison
 
