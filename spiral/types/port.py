@@ -28,9 +28,9 @@ class Port:
         import re
 
         words = {
-            "force": f"({self.force_unit})",
-            "position": f"({self.position_unit})",
-            "velocity": f"({self.position_unit}/s)",
+            "force": f"({self.force_unit or '1'})",
+            "position": f"({self.position_unit or '1'})",
+            "velocity": f"({self.position_unit or '1'})/s",
         }
         return re.sub(r"\b(force|position|velocity)\b", lambda m: words[m[0]], relative)
 

@@ -149,7 +149,7 @@ def check_system_units(system: MechanicalSystem) -> None:
 
     coordinates, name = system.coordinates, system.plugin_name()
     q = SimpleNamespace(**{c.name: _quantity(c.unit) for c in (*coordinates, *system.others)})
-    v = SimpleNamespace(**{c.name: _quantity(f"({c.unit})/s") for c in coordinates})
+    v = SimpleNamespace(**{c.name: _quantity(f"({c.unit or '1'})/s") for c in coordinates})
     p = SimpleNamespace(**{k.name: _quantity(k.unit) for k in system.parameters})
     u = _inputs(system)
     try:
@@ -163,7 +163,7 @@ def check_system_units(system: MechanicalSystem) -> None:
     for i, entry in enumerate(system.injections[: len(coordinates)]):
         own = [("force", force[i])]
         own += [
-            (f"mass row {i}", m * _quantity(f"({c.unit})/s^2"))
+            (f"mass row {i}", m * _quantity(f"({c.unit or '1'})/s^2"))
             for m, c in zip(mass[i], coordinates, strict=True)
             if not _is_zero(m)
         ]
@@ -179,7 +179,7 @@ def _inputs(system: System) -> SimpleNamespace:
     u = SimpleNamespace(time=_quantity("s"))
     for item in system.inputs:
         setattr(u, item.name, _quantity(item.unit))
-        setattr(u, f"{item.name}_rate", _quantity(f"({item.unit})/s"))
+        setattr(u, f"{item.name}_rate", _quantity(f"({item.unit or '1'})/s"))
     return u
 
 
@@ -203,8 +203,10 @@ def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, An
     """(what it is, its value with units, the unit it must have) of all that an effect gives."""
     count = len(port.axes)
     position = tuple(_quantity(port.position_unit, 1.0 + 0.25 * i) for i in range(count))
-    velocity = tuple(_quantity(f"({port.position_unit})/s", 0.5 + 0.25 * i) for i in range(count))
-    acceleration = tuple(_quantity(f"({port.position_unit})/s^2") for _ in range(count))
+    velocity = tuple(
+        _quantity(f"({port.position_unit or '1'})/s", 0.5 + 0.25 * i) for i in range(count)
+    )
+    acceleration = tuple(_quantity(f"({port.position_unit or '1'})/s^2") for _ in range(count))
     own = SimpleNamespace(
         **{
             s.name: tuple(_quantity(port.unit(s.unit)) for _ in range(count))
@@ -245,7 +247,7 @@ def _own_rates(
 ) -> list[tuple[str, Any, str]]:
     rates = effect.rate(at, u, p) if effect.states else {}
     return [
-        (state.name, value, f"({port.unit(state.unit)})/s")
+        (state.name, value, f"({port.unit(state.unit) or '1'})/s")
         for state in effect.states
         if state.name in rates
         for value in (rates[state.name] if state.per_axis else [rates[state.name]])

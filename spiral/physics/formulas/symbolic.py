@@ -48,8 +48,11 @@ class Expression(np.lib.mixins.NDArrayOperatorsMixin):
         name = ufunc.__name__
         if name in _STEPS:
             raise CannotFollowError(f"numpy.{name}, a step", "numpy.tanh(v/w) with a small width w")
+        target = options.pop("out", (None,))[0]  # of ``+=`` and its like
         if method != "__call__" or options or name not in _FUNCTIONS:
             raise CannotFollowError(f"numpy.{name}", f"one of {', '.join(_NAMED)}")
+        if isinstance(target, np.ndarray):
+            return _filled(target, self.__array_ufunc__(ufunc, method, *values))
         values = tuple(np.array(v, object) if isinstance(v, list | tuple) else v for v in values)
         if any(isinstance(v, np.ndarray) and v.ndim for v in values):
             each = np.frompyfunc(lambda *v: self.__array_ufunc__(ufunc, method, *v), ufunc.nin, 1)
@@ -59,9 +62,11 @@ class Expression(np.lib.mixins.NDArrayOperatorsMixin):
         return Condition(found) if name in _COMPARED else Expression(found)
 
     def __array_function__(self, function: Any, types: Any, values: Any, options: Any) -> Any:
-        """``numpy.where`` of a comparison; nothing else is known."""
+        """``numpy.where`` of a comparison and ``numpy.clip``; nothing else is known."""
         if function is np.where and len(values) == 3:
             return _where(*values)
+        if function is np.clip and len(values) == 3 and not options:
+            return _clipped(*values)
         raise CannotFollowError(f"numpy.{function.__name__}", f"one of {', '.join(_NAMED)}")
 
     def __bool__(self) -> NoReturn:
@@ -107,6 +112,23 @@ def _where(condition: Any, first: Any, second: Any) -> Any:
     return Expression(WHERE(condition.expression, expression_of(first), expression_of(second)))
 
 
+def _clipped(value: Any, low: Any, high: Any) -> Any:
+    """min(max(x, low), high); a bound that is None is none."""
+    raised = value if low is None else np.maximum(value, low)
+    return raised if high is None else np.minimum(raised, high)
+
+
+def _filled(target: Any, values: Any) -> Any:
+    """An array that holds these values from now on, as ``+=`` asks for."""
+    if target.dtype != object:
+        raise CannotFollowError(
+            "numbers in an array, to which an expression is added",
+            "a list in place of an array that is filled",
+        )
+    target[...] = values
+    return target
+
+
 def _power(base: Any, power: Any) -> Any:
     if not power.is_number:
         raise CannotFollowError(f"the power {base}**({power})", "a power that is a number")
@@ -141,12 +163,13 @@ _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "minimum": MINIMUM,
     "fmax": MAXIMUM,
     "fmin": MINIMUM,
+    "clip": lambda x, low, high: MINIMUM(MAXIMUM(x, low), high),
     **{name: _is(name) for name in ("sin", "cos", "tanh", "exp", "log", "sqrt")},
     **_COMPARED,
 }
 _STEPS = ("sign", "heaviside", "floor", "ceil", "rint", "trunc")
 _NAMED = ("sin", "cos", "tan", "tanh", "sinh", "cosh", "exp", "log", "sqrt", "abs", "hypot",
-          "maximum", "minimum", "where")  # fmt: skip
+          "maximum", "minimum", "clip", "where")  # fmt: skip
 _DECIDE = "numpy.where(x > g, a, b) or spiral.math.where in place of if; numpy.maximum for max"
 
 
