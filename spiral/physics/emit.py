@@ -250,6 +250,8 @@ class Emitter:
             return self._builder.fcmp_ordered(_ORDERED[type(c)], left, right)
         if isinstance(c, sp.Not):
             return self._builder.not_(self._condition(c.args[0]))
+        if isinstance(c, sp.ITE):  # of a corner inside another corner's condition
+            return self._builder.select(*(self._condition(a) for a in c.args))
         join = {sp.And: self._builder.and_, sp.Or: self._builder.or_}.get(type(c))
         if join is None:
             raise _unknown(type(c))

@@ -19,6 +19,7 @@ from spiral.io.storage import model_data, model_from
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
 from spiral.physics.formulas.function import CannotTraceError, definition_from
+from spiral.physics.formulas.laws import laws_of
 from spiral.physics.trace import trace
 from spiral.types.errors import SpiralError
 from spiral.types.model import seed_model
@@ -75,7 +76,28 @@ CORNERS = {
     "inputs": {"F": "1/s^2"},
     "observed": ["x"],
 }
-CASES = {"motor": (motor, MOTOR), "cart": (cart, CART), "corners": (corners, CORNERS)}
+
+
+def in_place(t, x, u):
+    """Forces of a chain summed up link by link, beside an input that its actuator clips."""
+    force = [0.0, 0.0]
+    for i, stiffness in enumerate((300.0, 200.0)):
+        pull = stiffness * (x[i] - (x[i - 1] if i else 0.0))
+        force[i] -= pull
+        if i:
+            force[i - 1] += pull
+    drive = np.array([0.0 * x.a, np.clip(u.F, -0.5, 0.5)])
+    drive += np.array(force)
+    return [x.va, x.vb, *drive]
+
+
+IN_PLACE = {
+    "states": {"a": "", "b": "", "va": "1/s", "vb": "1/s"},
+    "inputs": {"F": "1/s^2"},
+    "observed": ["a"],
+}
+CASES = {"motor": (motor, MOTOR), "cart": (cart, CART), "corners": (corners, CORNERS),
+         "in_place": (in_place, IN_PLACE)}  # fmt: skip
 
 
 def rates(system, effects, values, states, inputs):
@@ -139,6 +161,17 @@ def test_a_force_at_a_port_acts_as_the_input_at_its_place(systems):
     by_port = rates(systems["cart"], load, {"constant_load.force": 1.0}, states, still)
     by_input = rates(systems["cart"], load, {"constant_load.force": 0.0}, states, pushed)
     assert by_port == pytest.approx(by_input, rel=1e-9)
+
+
+def test_effects_and_laws_act_at_places_that_have_no_unit(systems):
+    """Each has units of its own, some per unit of the place."""
+    found = load_registry(NO_FOLDER).candidates(systems["in_place"], True)
+    assert "cubic_stiffness@b" in [e.label for e in found]
+    assert laws_of(systems["in_place"])
+    share = spiral.system(
+        lambda t, x, u: [u.F - 0.2 * x.c], states={"c": ""}, inputs={"F": "1/s"}, observed=["c"]
+    )
+    assert laws_of(share)
 
 
 def test_a_model_is_data_and_needs_its_function_no_more(systems):

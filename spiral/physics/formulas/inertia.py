@@ -7,6 +7,7 @@ from fractions import Fraction
 from typing import Any
 
 import sympy as sp
+from sympy.core.function import AppliedUndef
 
 from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import SystemDefinition
@@ -102,7 +103,10 @@ def _own_inertia(
     found = _dimension_of(divisor, units)
     if mechanical and found is not None and found.times(per) == due:
         return divisor
+    within = {s for f in acceleration.atoms(AppliedUndef) for s in f.free_symbols}
     for item in given.inputs:
+        if symbol(item.name) in within:  # of ``where``, ``maximum``: it does not act in proportion
+            continue
         slope: Any = sp.together(acceleration.diff(symbol(item.name)))
         plain = slope != 0 and not slope.free_symbols & {*states, *map(symbol, TIME)}
         if plain and not negative(slope) and (dimension(item.unit) == due or not mechanical):

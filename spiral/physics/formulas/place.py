@@ -50,7 +50,7 @@ class Place:
     def absolute(self, relative: str) -> str:
         """A unit in the place's words (``force/position``) in absolute ones: ``(N)/(m)``."""
         words = {**self.words, "velocity": f"({self.position_unit or '1'})/s"}
-        return re.sub(_RELATIVE, lambda m: f"({words[m[0]]})", relative)
+        return re.sub(_RELATIVE, lambda m: f"({words[m[0]] or '1'})", relative)
 
     def relative(self, unit: str) -> bool:
         """Whether a unit is in the place's words."""
