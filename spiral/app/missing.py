@@ -14,6 +14,7 @@ from spiral.app.own_effect import own_name
 from spiral.app.session import Scene, Session
 from spiral.app.study import Turn, turn_place, why_file
 from spiral.types.errors import SpiralError
+from spiral.types.label import name_of
 
 _SHOWN = 5  # candidates before "show all"
 _OWN = (
@@ -88,7 +89,7 @@ class Missing:
             self._candidate(scene, turn, found)
         always = {*scene.study.own, *turn.proposed}
         for found in turn.candidates[count:]:
-            if {found["effect"], found["effect"].partition("@")[0]} & always:
+            if {found["effect"], name_of(found["effect"])} & always:
                 self._candidate(scene, turn, found)
         left = len(turn.candidates) - few
         if left > 0:
@@ -215,7 +216,7 @@ class Missing:
 
     def _add(self, effect: str, serial: int) -> None:
         self.every = False
-        if effect.partition("@")[0] == own_name(self.typed.get("name", "")):
+        if name_of(effect) == own_name(self.typed.get("name", "")):
             self.typed.clear()  # it is in the model now
         self.ask(lambda: self.session.add(self.ident, effect, serial))
 

@@ -23,6 +23,7 @@ from spiral.app.study import LEARNED, Study, Turn
 from spiral.io.registry import local_sources
 from spiral.io.tracking.store import URI_VARIABLE
 from spiral.types.errors import ConfigError
+from spiral.types.label import name_of
 
 _RANKS = ("start", "add", "rank", "invent")  # orders that end with a ranking
 _OF_A_TURN = ("invent", "rank", "preview", "plan")  # orders that make no new one
@@ -156,7 +157,7 @@ class Session:
                 for t in scene.study.after(serial)
                 if t.added == effect and t.candidates is not None
             ]
-            if again and effect.partition("@")[0] not in scene.study.own:  # a formula may differ
+            if again and name_of(effect) not in scene.study.own:  # a formula may differ
                 self.move(ident, again[-1].serial, serial)
                 return
             self._ask(scene, "add", f"Adding {words(effect)}", effect=effect, base=serial,

@@ -22,6 +22,7 @@ from spiral.io.system_files import plugin_of_file
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.fields import by_name, construct, defaults_of, field_names, is_open, plain
+from spiral.types.label import name_of, split_port
 
 Config = dict[str, Any]
 
@@ -201,7 +202,7 @@ def build_model(config: Config, registry: Registry) -> Any:
 
         def kept(key: str) -> bool:
             owner = key.rsplit(".", 1)[0]
-            return owner in {e.label for e in effects} or owner.partition("@")[0] not in gone
+            return owner in {e.label for e in effects} or name_of(owner) not in gone
 
         values = {k: v for k, v in values.items() if kept(k)}
         free, fixed = tuple(filter(kept, free)), tuple(filter(kept, fixed))
@@ -298,7 +299,7 @@ def _effect_fields(given: Any, registry: Registry) -> Config:
     """``[a, b@PORT]``, ``a`` or ``{a: {field: value}}`` -> label -> all its fields."""
     found = {}
     for label, fields in by_name(given, "effect", "effect=[cubic_stiffness]").items():
-        name, _, port = label.partition("@")
+        name, port = split_port(label)
         defaults = defaults_of(registry.entry("effect", name).plugin)
         for hidden in ("variant", *(["port"] if port else [])):
             defaults.pop(hidden)

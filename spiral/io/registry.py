@@ -25,6 +25,7 @@ from spiral.io.programs import refuse_program
 from spiral.io.system_files import plugin_of_file
 from spiral.types.errors import ConfigError, PluginError, SpiralError, did_you_mean
 from spiral.types.fields import construct
+from spiral.types.label import split_port
 from spiral.types.plugin import Plugin, is_concrete
 
 if TYPE_CHECKING:
@@ -152,7 +153,7 @@ class Registry:
 
     def effect_from_label(self, label: str, fields: Mapping[str, Any] | None = None) -> Effect:
         """``cubic_stiffness@bearing_2`` and further fields -> the effect."""
-        name, _, port = label.partition("@")
+        name, port = split_port(label)
         own = {"port": port} if port else {}
         return self.make("effect", name, {**(fields or {}), **own})
 

@@ -21,6 +21,7 @@ from spiral.io.run_id import new_run_id
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 from spiral.types.fields import plain
+from spiral.types.label import make_label
 from spiral.types.masking import without_passwords
 
 if TYPE_CHECKING:
@@ -380,7 +381,7 @@ def _hashes(recorded: Any) -> dict[str, str]:
 
 
 def _label(effect: Mapping[str, Any]) -> str:
-    return effect["name"] + (f"@{effect['port']}" if effect.get("port") else "")
+    return make_label(effect["name"], effect.get("port") or "")
 
 
 def _own_fields(effect: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
+from spiral.types.label import make_label
 from spiral.types.parameter import Parameter, State
 from spiral.types.plugin import Plugin
 from spiral.types.port import At, Port
@@ -50,8 +51,7 @@ class Effect(Plugin):
     @property
     def label(self) -> str:
         """Its name in a model: ``cubic_stiffness`` or ``cubic_stiffness@bearing_2``."""
-        place = f"@{self.port}" if self.port else ""
-        return self.plugin_name() + place + (f"#{self.variant}" if self.variant else "")
+        return make_label(self.plugin_name(), self.port, self.variant)
 
     @classmethod
     def amplitudes(cls) -> tuple[Parameter, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.formatting import plus_minus
+from spiral.types.label import name_of
 from spiral.types.parameter import Parameter
 from spiral.types.placement import check_effect, model_keys
 from spiral.types.system import System
@@ -76,7 +77,7 @@ class Model:
                 raise ConfigError(
                     f"effect {label!r} twice",
                     "each effect once at a port",
-                    f"drop one, or place one at another port: {label.split('@')[0]}@PORT",
+                    f"drop one, or place one at another port: {name_of(label)}@PORT",
                 )
         for effect in self.effects:
             check_effect(self.system, effect)

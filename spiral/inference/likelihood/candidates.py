@@ -31,6 +31,7 @@ from spiral.inference.problem import Progress
 from spiral.inference.unknown.holding import carried as carried_to
 from spiral.inference.unknown.holding import with_variants
 from spiral.types.effect import Effect
+from spiral.types.label import make_label
 
 _HEAT, _RACE = 3, 12  # scoring steps for all rivals, at most, and for those that keep up
 _FAR, _FAR_ONES = 0.1, 3  # share of its bound that an amplitude starts from; shapes tried so
@@ -181,7 +182,7 @@ def promising(found: list[Ranked], most: int) -> list[Ranked]:
     chosen = [r for r in found if r.rank < 0 and not r.whole][:most]
     known = {r.variant.original.label: r for r in reversed(found)}
     effects = [r.variant.original for r in chosen]
-    labels = [f"{name}@{e.port}" if e.port else name for e in effects for name in e.special]
+    labels = [make_label(name, e.port) for e in effects for name in e.special]
     special = (known[label] for label in dict.fromkeys(labels) if label in known)
     return chosen + [r for r in special if r not in chosen]
 

@@ -37,6 +37,7 @@ from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose
 from spiral.inference.unknown.holding import carried, held_variants, reassembled, variant_of
 from spiral.types.effect import Effect, SensorEffect
+from spiral.types.label import split_variant
 from spiral.types.record import Array
 
 VALUES = 3  # peaks whose frequencies are tried
@@ -119,7 +120,7 @@ def called_for(
     sensor's (a reading that comes late and a force that comes late look much the same) and leaves
     no white noise after its refit.
     """
-    present = {label.split("#")[0] for label in standing.labels}
+    present = {split_variant(label)[0] for label in standing.labels}
     waiting = tuple(e for e in assembly.later if e.label not in present)
     if proposal.evidence is None or not waiting:
         return ()
@@ -184,7 +185,7 @@ class _Scan:
     def of(cls, assembly: Assembly, standing: FitState, stage: Stage, effect: Effect) -> _Scan:
         """Compile without the other candidates."""
         copies = tuple(variant_of(effect, str(i + 1), {}) for i in range(VALUES))
-        active = {label.split("#")[0] for label in standing.labels}
+        active = {split_variant(label)[0] for label in standing.labels}
         kept = [e for e in assembly.problem.candidates if e.label in active]
         own = held_variants(assembly, standing.labels)
         wide = reassembled(assembly, (*kept, effect), (*own, *copies))

@@ -25,6 +25,7 @@ from spiral.inference.evidence.comparison import substeps_for
 from spiral.inference.evidence.fit_state import FitState
 from spiral.physics.formulas.laws import laws_of
 from spiral.types.effect import Effect
+from spiral.types.label import split_variant
 from spiral.types.record import Array
 
 
@@ -46,7 +47,7 @@ def holding(assembly: Assembly, standing: FitState) -> Assembly:
 def having(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
     """A study that has all effects with these compiled labels, at the same steps per sample."""
     known = {*assembly.problem.model.labels, *(v.label for v in assembly.variants)}
-    names = {x.split("#")[0] for x in labels if x not in known}
+    names = {split_variant(x)[0] for x in labels if x not in known}
     if not names:
         return assembly
     if assembly.bare:
@@ -61,7 +62,7 @@ def _variant(assembly: Assembly, label: str) -> Variant:
     for variant in assembly.offered:
         if variant.label == label:
             return variant
-    name, _, tag = label.partition("#")
+    name, tag = split_variant(label)
     problem = assembly.problem
     effects = (*assembly.later, *problem.dictionary, *laws_of(problem.model.system))
     return variant_of(next(e for e in effects if e.label == name), tag, {})
@@ -87,8 +88,8 @@ def emptied(assembly: Assembly) -> Assembly:
 def held_variants(assembly: Assembly, labels: tuple[str, ...]) -> tuple[Variant, ...]:
     """Variants of effects with own states among these labels; their shapes stay to be carried."""
     later = {e.label: e for e in assembly.later}
-    pairs = [label.partition("#") for label in labels]
-    return tuple(variant_of(later[name], tag, {}) for name, _, tag in pairs if name in later)
+    pairs = [split_variant(label) for label in labels]
+    return tuple(variant_of(later[name], tag, {}) for name, tag in pairs if name in later)
 
 
 def variant_of(effect: Effect, tag: str, shapes: dict[str, float], searched: int = 1) -> Variant:
