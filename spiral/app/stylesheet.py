@@ -183,6 +183,8 @@ table.plain td.n, table.plain th.n {{ text-align:right; font-variant-numeric:tab
 .bar a.quiet {{ align-self:center; font-weight:600; }}
 a.quiet {{ color:var(--blue); text-decoration:none; }}
 a.quiet:hover {{ text-decoration:underline; }}
+@media (prefers-reduced-motion:reduce) {{ *, *::before, *::after {{
+  animation:none !important; transition:none !important; scroll-behavior:auto !important; }} }}
 @media (max-width:980px) {{ .split {{ grid-template-columns:minmax(0,1fr); }} }}
 @media (max-width:560px) {{ .bar-inner, .wrap {{ padding-left:12px; padding-right:12px; }}
   .card {{ padding:14px 13px; }} .number {{ font-size:36px; }} h1.big {{ font-size:27px; }}

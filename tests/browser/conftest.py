@@ -15,6 +15,7 @@ import pytest
 from spiral.view.report.pictures import browser as found_browser
 
 PICTURES = Path(__file__).parent / "screenshots"
+SIZE = {"width": 1366, "height": 900}
 PATIENCE = 120_000  # ms, on a machine that does other things too
 
 HARMLESS = (
@@ -59,14 +60,22 @@ class Served:
 
 
 @pytest.fixture(scope="session")
-def chromium():
+def chromium(tmp_path_factory):
+    """One browser, which keeps what it has fetched and compiled, as a person's does.
+
+    Nothing in it moves (``prefers-reduced-motion``), so that nothing has to be waited for.
+    """
     program = found_browser()
     if program is None:
         pytest.skip("no browser: apt install chromium, or set SPIRAL_BROWSER")
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as p:
         flags = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-        window = p.chromium.launch(executable_path=program, args=flags)
+        window = p.chromium.launch_persistent_context(
+            tmp_path_factory.mktemp("profile"), executable_path=program, args=flags,
+            viewport=SIZE, reduced_motion="reduce",
+        )  # fmt: skip
+        window.set_default_timeout(PATIENCE)
         yield window
         window.close()
 
@@ -81,14 +90,21 @@ def served(chromium, tmp_path_factory):
 
 @pytest.fixture
 def tab(chromium, served):
-    """A new page whose console has no error in it at the end."""
-    page = served.enter(chromium.new_page(viewport={"width": 1366, "height": 900}))
-    page.set_default_timeout(PATIENCE)
+    """The browser's one lasting page, blank and of its usual size; no error in its console."""
+    page = served.enter(chromium.pages[0] if chromium.pages else chromium.new_page())
     wrong = []
-    page.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)
-    page.on("pageerror", lambda e: wrong.append(str(e)))
+    heard = {
+        "console": lambda m: wrong.append(m.text) if m.type == "error" else None,
+        "pageerror": lambda e: wrong.append(str(e)),
+    }
+    for event, hear in heard.items():
+        page.on(event, hear)
     yield page
-    page.close()
+    page.goto("about:blank")
+    page.set_viewport_size(SIZE)
+    page.emulate_media(color_scheme="light")
+    for event, hear in heard.items():
+        page.remove_listener(event, hear)
     assert not [w for w in wrong if not any(known in w for known in HARMLESS)]
 
 

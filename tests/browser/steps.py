@@ -5,6 +5,7 @@ import time
 from contextlib import contextmanager, suppress
 
 import psutil
+import pytest
 
 FIRST, SECOND = "cross stiffness", "cubic stiffness"
 
@@ -20,6 +21,20 @@ def shows(page, wanted):
     while (found := error(page)) != wanted and time.monotonic() < until:
         page.wait_for_timeout(100)
     assert found == wanted
+
+
+def settled(page):
+    """Wait until nothing fades in or out any more: only then has it its colours."""
+    page.wait_for_function("document.getAnimations().every(a => a.playState !== 'running')")
+
+
+def faults(page, part=None, **options):
+    """What axe-core has against the page as it is, or against a part of it."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    settled(page)
+    options["resultTypes"] = ["violations"]  # not every element of what is right
+    found = axe.run(page, part, options).response["violations"]
+    return [(v["id"], [n["target"] for n in v["nodes"]]) for v in found]
 
 
 def add(page, effect):

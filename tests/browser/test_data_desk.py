@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.browser.conftest import PATIENCE
+from tests.browser.steps import faults
 
 RATE, SAMPLES = 500.0, 3000
 BEGIN = "button:has-text('Compare with the model'):enabled"
@@ -34,7 +35,7 @@ def files(tmp_path_factory):
                    delimiter=",", header="t,x,force", comments="")  # fmt: skip
     steady = planar_record(3, noise=0.01, duration=10.0, hertz=(20.0, 20.0))
     rows = np.column_stack([steady.time, steady.channels["x"], steady.channels["y"],
-                            steady.inputs["speed"]])[6000:]  # fmt: skip
+                            steady.inputs["speed"]])[8000:]  # fmt: skip
     np.savetxt(folder / "steady.csv", rows, "%.9g", delimiter=",", header="t,x,y,speed",
                comments="")  # fmt: skip
     return folder
@@ -65,14 +66,6 @@ def drag(tab, first, last):
     tab.mouse.move(box["x"] + 0.5 * (first + last) * box["width"], height, steps=5)
     tab.mouse.move(box["x"] + last * box["width"], height, steps=5)
     tab.mouse.up()
-
-
-def faults(page, part=None):
-    """What axe-core has against the page as it is, or against a part of it."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    page.wait_for_timeout(600)  # what fades in has its colours only then
-    return [(v["id"], [n["target"] for n in v["nodes"]])
-            for v in axe.run(page, part).response["violations"]]  # fmt: skip
 
 
 def test_stretches_are_marked_with_the_mouse_or_typed(tab, served, files, picture):
@@ -114,7 +107,6 @@ def test_a_second_file_is_the_test_and_a_third_is_fitted_too(tab, served, files,
     tab.wait_for_selector(BEGIN)
     picture(tab, "desk-files")
     tab.emulate_media(color_scheme="dark")
-    tab.wait_for_timeout(500)
     assert faults(tab) == []
     tab.reload()  # nothing of it is lost
     tab.wait_for_selector("#files:has-text('run3.csv')")

@@ -10,7 +10,6 @@ import pytest
 
 from spiral.app import study as kept
 from spiral.app.study import Turn
-from tests.browser.conftest import PATIENCE
 
 SCRIPT = "window.ran = (window.ran || 0) + 1"
 PROP = f'm" :autofocus="{SCRIPT}" :label="{SCRIPT}'
@@ -45,8 +44,7 @@ def foreign():
 @pytest.fixture
 def page(chromium, served):
     """A page whose console may tell of what its policy refused."""
-    opened = served.enter(chromium.new_page(viewport={"width": 1366, "height": 900}))
-    opened.set_default_timeout(PATIENCE)
+    opened = served.enter(chromium.new_page())
     yield opened
     opened.close()
 

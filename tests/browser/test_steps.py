@@ -49,7 +49,6 @@ def study(served, chromium, tmp_path_factory):
     words = ("system=oscillator", "record=csv", f"record.path={file}", "strategy=shooting", known)
     made = new_study(served.out, "softening", words)
     page = served.enter(chromium.new_page())
-    page.set_default_timeout(120_000)
     page.goto(f"{served.address}/study/{made.ident}")
     page.click("button:has-text('Fit the model as it is')")
     ready(page, SECOND)

@@ -10,12 +10,12 @@ import time
 import pytest
 
 from spiral.app.study import new_study
-from tests.browser.conftest import PATIENCE
 from tests.browser.steps import (
     FIRST,
     SECOND,
     add,
     error,
+    faults,
     filled,
     held,
     judged,
@@ -41,7 +41,6 @@ SHORT = (
 def study(served, chromium):
     """The address of a study with one effect added, how long its steps took, what was proposed."""
     page = served.enter(chromium.new_page())
-    page.set_default_timeout(120_000)
     made = new_study(served.out, TITLE, SHORT)
     page.goto(f"{served.address}/study/{made.ident}")
     began = time.monotonic()
@@ -181,20 +180,45 @@ def test_two_tabs_on_one_study_show_the_same(tab, chromium, served, study):
     other.close()
 
 
-def test_every_tab_of_figures_draws(tab, study, picture):
-    """The maps that need the missing force come a little later, by themselves."""
+def test_every_tab_of_figures_draws_and_is_accessible(tab, study, served, picture):
+    """axe-core in light and in dark, on the start page and on a study, everything in it opened.
+
+    What dark changes is colours alone, what another tab of figures changes is its panel. The maps
+    that need the missing force come a little later, by themselves.
+    """
+    tab.goto(served.address)
+    tab.wait_for_selector(".choice")
+    assert _faults(tab) == []
     tab.goto(study["address"])
+    tab.wait_for_selector("button:has-text('Take away')")
     tab.wait_for_selector(".q-tab:has-text('Missing force')")
+    assert tab.title() == f"{TITLE} - SPIRAL"
+    assert tab.get_attribute("html", "lang") == "en-US"
+    for what, figure in (("Where it helps", "why"), ("Compare steps and branches", "beside")):
+        tab.click(f"text={what}")
+        tab.wait_for_selector(f"#plot-{figure} .main-svg")
+    tab.click("text=Write an effect of your own")
     titles = tab.eval_on_selector_all(".q-tab", "all => all.map(t => t.innerText)")
     for number, title in enumerate(titles):
         tab.click(f".q-tab >> nth={number}")
-        tab.wait_for_selector(".figure-head")
+        tab.wait_for_selector(".figure-head, .equation")
         tab.wait_for_function(DRAWN)
         picture(tab, f"tab-{number}-{title.lower().replace(' ', '-')}")
+        panel = {"include": [[".q-tabs"], ["[role=tabpanel]"]]}
+        assert _faults(tab, None if number == 0 else panel) == []
     assert {"Measured and model", "Where it fails", "Spectra", "Hidden states"} <= set(titles)
     tab.click(".q-tab:has-text('Where it fails')")
     tab.wait_for_selector(".sentence:has-text('The model fails between')")
-    tab.wait_for_function("location.search.endsWith('&tab=Where%20it%20fails')")
+    tab.wait_for_function("location.search.includes('&tab=Where%20it%20fails')")
+
+
+def _faults(page, part=None):
+    """What axe-core has against a page or a part of it, and against its colours in dark."""
+    found = faults(page, part)
+    page.emulate_media(color_scheme="dark")
+    found += faults(page, part, runOnly=["color-contrast"])
+    page.emulate_media(color_scheme="light")
+    return found
 
 
 SEEN = """(() => {
@@ -277,43 +301,6 @@ def test_a_link_opens_the_same_view_of_steps_side_by_side(tab, chromium, served,
     other.click(f"button:has-text('Redo {FIRST}')")
     shows(tab, study["after"])
     other.close()
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_no_violation_of_accessibility(chromium, served, study, scheme):
-    """axe-core on the start page, and on a study with every tab of its figures.
-
-    What another scheme changes is colours alone, what another tab changes is its panel.
-    """
-    only = {"runOnly": ["color-contrast"]} if scheme == "dark" else None
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    page = served.enter(chromium.new_page(color_scheme=scheme))
-    page.set_default_timeout(PATIENCE)
-
-    def faults(part=None):
-        found = axe.run(page, part, only).response["violations"]
-        return [(v["id"], [n["target"] for n in v["nodes"]]) for v in found]
-
-    page.goto(served.address)
-    page.wait_for_selector(".choice")
-    assert faults() == []
-    page.goto(study["address"])
-    page.wait_for_selector("button:has-text('Take away')")
-    assert page.title() == f"{TITLE} - SPIRAL"
-    assert page.get_attribute("html", "lang") == "en-US"
-    page.click("text=Write an effect of your own")
-    page.click("text=Where it helps")
-    page.wait_for_selector("#plot-why .main-svg")
-    page.click("text=Compare steps and branches side by side")
-    page.wait_for_selector("#plot-beside .main-svg")
-    last = page.locator(".q-tab").count() - 1
-    for number in range(last + 1):
-        page.click(f".q-tab >> nth={number}")
-        page.wait_for_function(DRAWN)
-        page.wait_for_timeout(600)  # what fades in has its colours only then
-        panel = {"include": [[".q-tabs"], ["[role=tabpanel]"]]}
-        assert faults(None if number in (0, last) else panel) == []
-    page.close()
 
 
 def test_every_step_is_a_run_that_mlflow_knows(tab, study, served):

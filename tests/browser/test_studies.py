@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from spiral.app.study import Turn, new_study, save
-from tests.browser.test_data_desk import faults
+from tests.browser.steps import faults
 
 
 @pytest.fixture
@@ -47,7 +47,6 @@ def test_studies_are_found_named_and_noted(tab, served, three, picture):
     item(tab, "zebra plain", "Name and note")
     tab.fill(".dialog input[aria-label='Name']", "zebra at night")
     tab.fill(".dialog textarea", "Bearing 2 was <b>changed</b>.")
-    tab.wait_for_timeout(1200)  # what fades in has its colours only then
     # axe-core takes the dimmed page for what is behind these letters, which is a white card.
     assert {rule for rule, _ in faults(tab, ".dialog")} <= {"color-contrast"}
     picture(tab, "study-named")
@@ -56,7 +55,6 @@ def test_studies_are_found_named_and_noted(tab, served, three, picture):
     tab.fill("input[aria-label='Search studies']", "bearing")
     tab.wait_for_function("document.querySelectorAll('#studies tr td:first-child').length === 1")
     assert "Bearing 2 was <b>changed</b>." in tab.inner_text("#studies")
-    tab.wait_for_timeout(500)
     assert faults(tab) == []
     picture(tab, "studies")
     tab.set_viewport_size({"width": 390, "height": 844})

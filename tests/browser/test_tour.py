@@ -7,8 +7,7 @@ from itertools import pairwise
 import pytest
 
 from tests.browser.conftest import PATIENCE
-from tests.browser.steps import error
-from tests.browser.test_data_desk import faults
+from tests.browser.steps import error, faults
 
 NEXT = "#tour button:has-text('Add '):enabled"
 
@@ -30,7 +29,6 @@ def test_a_newcomer_clicks_through_the_tour(tab, served, picture):
             tab.click("#tour button:has-text('Where does it fail?')")
             tab.wait_for_selector(".q-tab--active:has-text('Where it fails')")
             picture(tab, "tour")
-            tab.wait_for_timeout(600)
             assert faults(tab) == []
         steps = tab.inner_text("#tour h2")
         tab.click(NEXT)
