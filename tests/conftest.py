@@ -9,13 +9,15 @@ from spiral.io.tracking.background import WAIT_VARIABLE
 # A quarter of a minute or more each, longest first: with two workers none of them is begun last.
 LONG = (
     "browser/test_story.py", "browser/test_files.py", "theory/test_discover.py",
-    "browser/test_data_desk.py", "contract/test_how_to.py", "experiments/test_hidden_effects.py",
-    "docs/test_notebooks.py", "browser/test_steps.py", "contract/test_plugins.py",
-    "contract/test_unfinished.py", "experiments/test_tutorial.py", "theory/test_inputs.py",
-    "theory/test_memory.py", "contract/test_tracking.py", "contract/test_dask.py",
-    "experiments/test_zoo.py", "theory/test_look_alikes.py", "theory/test_calibrate.py",
-    "contract/test_third_party.py", "theory/test_sensors.py", "experiments/test_configs.py",
-    "contract/test_sweeps.py", "theory/test_unknown.py",
+    "browser/test_data_desk.py", "contract/test_how_to.py", "contract/test_plugins.py",
+    "experiments/test_hidden_effects.py", "contract/test_tracking.py", "theory/test_memory.py",
+    "theory/test_inputs.py", "docs/test_notebooks.py", "experiments/test_zoo.py",
+    "contract/test_third_party.py", "contract/test_unfinished.py", "browser/test_steps.py",
+    "experiments/test_tutorial.py", "theory/test_sensors.py", "theory/test_unknown.py",
+    "theory/test_look_alikes.py", "theory/test_calibrate.py", "contract/test_new_and_check.py",
+    "contract/test_dask.py", "theory/test_published.py", "experiments/test_configs.py",
+    "theory/test_compile.py", "theory/test_laws.py", "browser/test_hostile_files.py",
+    "browser/test_studies.py", "contract/test_sweeps.py",
 )  # fmt: skip
 
 

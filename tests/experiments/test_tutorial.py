@@ -27,7 +27,7 @@ def test_the_tutorial_of_the_site_takes_the_same_steps():
     assert [s for s in steps if s[0] not in ("discover", "report")] == _commands()
 
 
-SHORT = ("record.duration=4", "test.duration=4")  # of 14 s
+SHORT = ("record.duration=3", "test.duration=3")  # of 14 s
 
 
 @pytest.fixture(
