@@ -30,7 +30,7 @@ class Port:
         words = {
             "force": f"({self.force_unit or '1'})",
             "position": f"({self.position_unit or '1'})",
-            "velocity": f"({self.position_unit or '1'})/s",
+            "velocity": f"(({self.position_unit or '1'})/s)",
         }
         return re.sub(r"\b(force|position|velocity)\b", lambda m: words[m[0]], relative)
 
