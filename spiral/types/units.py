@@ -201,12 +201,10 @@ def _quantity(unit: str, size: float = 1.25) -> Any:
 
 def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, Any, str]]:
     """(what it is, its value with units, the unit it must have) of all that an effect gives."""
-    count = len(port.axes)
+    count, length = len(port.axes), port.position_unit or "1"
     position = tuple(_quantity(port.position_unit, 1.0 + 0.25 * i) for i in range(count))
-    velocity = tuple(
-        _quantity(f"({port.position_unit or '1'})/s", 0.5 + 0.25 * i) for i in range(count)
-    )
-    acceleration = tuple(_quantity(f"({port.position_unit or '1'})/s^2") for _ in range(count))
+    velocity = tuple(_quantity(f"({length})/s", 0.5 + 0.25 * i) for i in range(count))
+    acceleration = tuple(_quantity(f"({length})/s^2") for _ in range(count))
     own = SimpleNamespace(
         **{
             s.name: tuple(_quantity(port.unit(s.unit)) for _ in range(count))
