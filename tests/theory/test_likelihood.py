@@ -24,7 +24,7 @@ from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, m
 from spiral.engine.likelihood.own_states import own_of, own_states_along
 from spiral.engine.likelihood.predict import log_likelihood, predicted
 from spiral.inference.likelihood import candidates
-from spiral.inference.likelihood.fitting import refitted
+from spiral.inference.likelihood.fitting import refitted, reopened
 from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.likelihood.scores import motion_of, ranking
 from spiral.inference.problem import silent
@@ -295,16 +295,34 @@ def relaxed(rng, count, keep):
     return found
 
 
-def laddered(record) -> NoiseModel:
+def unfitted(record):
+    """A study of the oscillator and its state, nothing fitted."""
     from spiral.inference.evidence.assembly import compiled_with
     from spiral.inference.evidence.fit_state import FitState, first_row
-    from spiral.inference.likelihood.fitting import refitted
-    from spiral.inference.problem import Problem, silent
+    from spiral.inference.problem import Problem
 
     model = seed_model(Oscillator(), values=TRUTH)
     assembly = compiled_with(Problem(model, (record,), ()), (), 4)
-    state = FitState(model.labels, first_row(assembly), corrected=False)
+    return assembly, FitState(model.labels, first_row(assembly), corrected=False)
+
+
+def laddered(record) -> NoiseModel:
+    assembly, state = unfitted(record)
     return climbed_ladder(assembly, refitted(assembly, state), silent).estimate.noise
+
+
+def test_noise_that_vanished_beside_a_large_random_force_is_found_again():
+    """On a logarithmic scale a size near zero has no slope: a fit from there stays there."""
+    record = shaken(3, 0.3)
+    size = 0.02 * np.std(record.truth["x"])
+    assembly, state = unfitted(replace(record, noise={}))
+    vanished = first_noise(task_of(record)[0], 0.3, np.array([1e-5 * size]))
+    stuck = refitted(assembly, state, vanished)
+    assert stuck.estimate.noise.values["white.x"] < 0.01 * size
+    found = reopened(assembly, stuck)
+    assert found.height > stuck.height + 10
+    assert found.estimate.noise.values["white.x"] == pytest.approx(size, rel=0.15)
+    assert reopened(assembly, found) is found
 
 
 def test_integration_steps_are_as_short_as_the_record_can_tell():

@@ -237,7 +237,8 @@ def unhelpful(
     """Why an effect does no good to what is predicted; nothing where it does.
 
     The squared error that it takes away, over what is left, is a size in standard deviations of
-    the noise; the largest over the horizons and the free run of the fitted records counts.
+    the noise; the largest over the horizons counts at which unseen data are predicted better, or
+    the free run of the fitted records where there are no others.
     """
     forces = max(random_forces(after).values(), default=0.0)
     if forces >= _BOUND * options.random_limit:
@@ -250,9 +251,10 @@ def unhelpful(
     if (worse := grown(before, after, settings)) is not None:
         said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
         return Refusal(f"the error on unseen data grows ({said})", alone=True)
-    pairs = [(before.fit_error, after.fit_error), *((c.before, c.after) for c in judged_)]
+    seen = [] if judged_ else [(before.fit_error, after.fit_error)]
+    pairs = [*seen, *((c.before, c.after) for c in judged_ if c.judged == "better")]
     sizes = [np.sqrt(max((b / a) ** 2 - 1, 0.0)) if a > 0 else np.inf for b, a in pairs]
-    size = float(max(x if np.isfinite(x) else np.inf for x in sizes))
+    size = float(max((x if np.isfinite(x) else np.inf for x in sizes), default=0.0))
     if size >= settings.smallest:
         return None
     return Refusal(
