@@ -162,6 +162,16 @@ def test_friction_at_a_hidden_load_is_found_and_the_still_wall_named(records):
     assert "nothing moves" in run.rounds[0].rejected["coulomb_friction@wall"]
 
 
+def test_times_that_nobody_gave_are_the_middle_of_what_the_record_can_show(records):
+    """Geometric, between four periods in the record and ten samples a period."""
+    wide = replace(seed_model(FlexibleDrive()), values=DRIVE).add(effect("lag", port="load"))
+    found, scaled = with_scaled_shapes(wide, records[:1])
+    samples, dt = records[0].samples, records[0].dt
+    middle = np.sqrt(4 / (samples * dt) * 0.1 / dt)
+    assert scaled == ("lag@load.time_constant",)
+    assert found.values[scaled[0]] == pytest.approx(1 / (2 * np.pi * middle))
+
+
 def test_shapes_that_nobody_gave_are_the_middle_of_their_grids(records):
     """Of what the record shows at the port without the effect; those given stay."""
     model = replace(seed_model(FlexibleDrive()), values=DRIVE)

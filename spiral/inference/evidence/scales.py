@@ -28,6 +28,7 @@ from spiral.engine.filter.task import free_run, task_with
 from spiral.engine.series import Series, prepare
 from spiral.engine.start import motion
 from spiral.engine.study import CompiledStudy
+from spiral.inference.evidence.spectrum import band, spectral
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import Traced, trace
 from spiral.types.effect import Effect
@@ -82,7 +83,8 @@ def scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> flo
 def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model, tuple[str, ...]]:
     """A model whose effects have all their shapes, and the full names of those that were lacking.
 
-    A shape that was given no value, and has none to start from, takes the middle of its grid.
+    A shape that was given no value takes the middle of its grid; a frequency, or a time, the middle
+    of the band that the records can show (geometric), whatever it starts from elsewhere.
     """
     lacking = {
         effect.label: shapes
@@ -98,6 +100,10 @@ def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model
     values = {}
     for effect in model.effects:
         for shape in lacking.get(effect.label, ()):
+            if shape.spectrum:
+                middle = float(np.sqrt(np.prod(band(records[0].samples, records[0].dt))))
+                values[f"{effect.label}.{shape.name}"] = spectral(effect, middle)[shape.name]
+                continue
             size = scale(shape, largest, model.system.place(effect))
             if usable(size):
                 middle = shape.grid[len(shape.grid) // 2]
@@ -106,8 +112,11 @@ def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model
 
 
 def _without_value(model: Model, effect: Effect, parameter: Parameter) -> bool:
-    shape = parameter.role == "shape" and parameter.grid and parameter.start is None
-    return bool(shape) and f"{effect.label}.{parameter.name}" not in model.values
+    scaled = parameter.spectrum or (parameter.grid and parameter.start is None)
+    return (
+        bool(parameter.role == "shape" and scaled)
+        and f"{effect.label}.{parameter.name}" not in model.values
+    )
 
 
 def usable(size: float) -> bool:

@@ -15,9 +15,14 @@ STEP = 1.1  # ratio of neighbouring frequencies of the spectrum
 _LOWEST, _HIGHEST = 4.0, 0.1  # band: periods in the record; share of the sample rate
 
 
+def band(samples: int, dt: float) -> tuple[float, float]:
+    """Hz that a record can show: from four periods in it to a tenth of its rate."""
+    return _LOWEST / (samples * dt), _HIGHEST / dt
+
+
 def frequencies(series: Series) -> Array:
-    """Frequencies of the spectrum, Hz: from four periods in the record to a tenth of its rate."""
-    low, high = _LOWEST / (series.samples * series.dt), _HIGHEST / series.dt
+    """Frequencies of the spectrum, Hz, over the band that a record can show."""
+    low, high = band(series.samples, series.dt)
     count = max(int(np.ceil(np.log(high / low) / np.log(STEP))), 1) + 1
     return np.geomspace(low, high, count)
 
