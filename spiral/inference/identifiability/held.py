@@ -25,5 +25,5 @@ def held_said(details: Mapping[str, Any]) -> str:
     keep = "keeps the value that it was" if len(names) == 1 else "keep the values that they were"
     return (
         f"The record cannot tell some of the model's own parameters apart ({tied}): "
-        f"{', '.join(names)} {keep} given, and other values are for that."
+        f"{', '.join(names)} {keep} given, to which other values are relative."
     )

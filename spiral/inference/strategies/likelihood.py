@@ -17,6 +17,7 @@ from spiral.inference.evidence.assembly import Assembly, check_candidates, compi
 from spiral.inference.evidence.comparison import refined
 from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking
+from spiral.inference.identifiability.held import held_said
 from spiral.inference.identifiability.parameters import components
 from spiral.inference.likelihood.between import (
     likelier_inputs,
@@ -86,8 +87,11 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
         problem = replace(problem, model=replace(model, fixed=(*model.fixed, given)))
     if not held:
         return begun
-    alike = {"parameters": list(held), "groups": [list(g) for g in groups]}
-    return replace(begun, details={**begun.details, "held": alike}, groups=groups)
+    details = {**begun.details, "held": {"parameters": list(held), "groups": list(groups)}}
+    notes = (*begun.comparison.notes, held_said(details))
+    return replace(
+        begun, comparison=replace(begun.comparison, notes=notes), details=details, groups=groups
+    )
 
 
 def _begun(problem: Problem, progress: Progress) -> tuple[Begun, Ties]:

@@ -164,6 +164,9 @@ def _compare(console: Console, outcome: Outcome) -> None:
     console.print(_errors({"model": comparison}))
     console.print()
     console.print(parameter_table(comparison.model))
+    known = {n for r in outcome.parts["problem"].records for n in r.remarks}
+    for note in dict.fromkeys(n for n in comparison.notes if n not in known):
+        console.print(Text(note[:1].upper() + note[1:]))
     warn_unconverged(console, outcome)
     request = outcome.parts["request"]
     diagnose = (command("diagnose", request), "where it fails, and what may be missing")
