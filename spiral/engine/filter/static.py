@@ -43,7 +43,7 @@ def static_map(traced: Traced, values: Array) -> StaticMap | None:
     names = tuple(n for n in traced.states if traced.rate_name(n) in traced.states)
     hidden = tuple(n for n in names if n not in traced.channels)
     observed = tuple(n for n in names if n in traced.channels)
-    if not traced.balance or not hidden or not observed:
+    if not traced.forces or not hidden or not observed:
         return None
     stiffness = _stiffness(traced, names, values)
     rows = [names.index(n) for n in hidden]
@@ -64,6 +64,8 @@ def _stiffness(traced: Traced, names: tuple[str, ...], values: Array) -> Array:
 @lru_cache(maxsize=32)
 def _stiffness_function(traced: Traced, names: tuple[str, ...]) -> Callable[..., Any]:
     coordinates = [traced.x[traced.states.index(n)] for n in names]
-    jacobian = sp.Matrix(traced.balance).jacobian(coordinates)
-    still = dict.fromkeys((*traced.u, *traced.acceleration), 0)
-    return sp.lambdify([*traced.x, *traced.p], jacobian.subs(still), "numpy")
+    moving = [x for x in traced.x if x not in coordinates]
+    still = dict.fromkeys((*traced.u, *traced.acceleration, *moving), sp.Integer(0))
+    rows = [row.xreplace(still) for row in traced.forces]
+    jacobian = sp.Matrix([[row.diff(q) for q in coordinates] for row in rows])
+    return sp.lambdify([*traced.x, *traced.p], jacobian, "numpy")
