@@ -66,6 +66,6 @@ def _stiffness_function(traced: Traced, names: tuple[str, ...]) -> Callable[...,
     coordinates = [traced.x[traced.states.index(n)] for n in names]
     moving = [x for x in traced.x if x not in coordinates]
     still = dict.fromkeys((*traced.u, *traced.acceleration, *moving), sp.Integer(0))
-    rows = [row.xreplace(still) for row in traced.forces]
+    rows: list[Any] = [row.xreplace(still) for row in traced.forces]
     jacobian = sp.Matrix([[row.diff(q) for q in coordinates] for row in rows])
     return sp.lambdify([*traced.x, *traced.p], jacobian, "numpy")
