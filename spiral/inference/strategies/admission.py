@@ -238,7 +238,8 @@ def unhelpful(
 
     The squared error that it takes away, over what is left, is a size in standard deviations of
     the noise; the largest over the horizons counts at which unseen data are predicted better, or
-    the free run of the fitted records where there are no others.
+    the free run of the fitted records where there are no others. A free run that random forces move
+    by more than noise does is no witness.
     """
     forces = max(random_forces(after).values(), default=0.0)
     if forces >= _BOUND * options.random_limit:
@@ -251,8 +252,9 @@ def unhelpful(
     if (worse := grown(before, after, settings)) is not None:
         said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
         return Refusal(f"the error on unseen data grows ({said})", alone=True)
+    told = [c for c in judged_ if c.samples is not None or after.disturbed <= after.noise_floor]
     seen = [] if judged_ else [(before.fit_error, after.fit_error)]
-    pairs = [*seen, *((c.before, c.after) for c in judged_ if c.judged == "better")]
+    pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]
     sizes = [np.sqrt(max((b / a) ** 2 - 1, 0.0)) if a > 0 else np.inf for b, a in pairs]
     size = float(max((x if np.isfinite(x) else np.inf for x in sizes), default=0.0))
     if size >= settings.smallest:
