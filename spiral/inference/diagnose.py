@@ -75,7 +75,7 @@ def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Dia
         standing, comparison = step.again.standing, step.again.comparison
         first = replace(first, comparison=comparison)
     shape, memory = step.details.get("unknown"), step.details.get("memory")
-    told = {"unknown": shape, "memory": memory, "held": begun.details.get("held")}
+    told = {"unknown": shape, "memory": memory, "tied": begun.details.get("tied")}
     first = replace(first, details={k: v for k, v in told.items() if v is not None})
     verdict = seed_verdict(first, step.stopped, settings, bool(step.admitted))
     suggestions = () if verdict == "nothing_missing" else step.suggestions

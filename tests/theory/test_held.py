@@ -46,7 +46,7 @@ def test_a_spring_is_found_though_only_ratios_to_the_mass_are_told(tmp_path):
     """What no decay tells is the one scale of mass, damping and springs; it keeps a given value."""
     run = _study(tmp_path, _function(), CUBIC)
     assert run.missing == ("cubic_stiffness",)
-    (held,) = run.rounds[0].details["held"]["parameters"]
+    (held,) = run.rounds[0].details["tied"]["parameters"]
     assert f"{held} keeps the value that it was given" in run.summary
     found = run.model.estimates()
     spring, scale = found["cubic_stiffness"]["stiffness"], found["system"]["m"].estimate / MASS

@@ -8,7 +8,7 @@ from typing import Any
 
 def groups_of(details: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
     """What the seed's record cannot tell apart, of a round's details: effects, or parameters."""
-    return tuple(tuple(g) for g in details.get("held", {}).get("groups", ()))
+    return tuple(tuple(g) for g in details.get("tied", {}).get("groups", ()))
 
 
 def effects_tied(details: Mapping[str, Any]) -> bool:
@@ -18,7 +18,7 @@ def effects_tied(details: Mapping[str, Any]) -> bool:
 
 def held_said(details: Mapping[str, Any]) -> str:
     """Which parameters were held and why, in words; empty where none was."""
-    names = tuple(details.get("held", {}).get("parameters", ()))
+    names = tuple(details.get("tied", {}).get("parameters", ()))
     if not names:
         return ""
     tied = "; ".join(" = ".join(g) for g in groups_of(details))

@@ -31,7 +31,7 @@ class Begun:
     """A study ready for its first round: compiled, its seed fitted and compared.
 
     ``groups`` are effects of the seed that the record cannot tell apart. Where that is ``refused``
-    the loop ends there; else ``details["held"]`` says which parameters keep their given values.
+    the loop ends there; else ``details["tied"]`` says which parameters keep their given values.
     """
 
     assembly: Assembly

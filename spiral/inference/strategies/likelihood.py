@@ -87,7 +87,7 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
         problem = replace(problem, model=replace(model, fixed=(*model.fixed, given)))
     if not held:
         return begun
-    details = {**begun.details, "held": {"parameters": list(held), "groups": list(groups)}}
+    details = {**begun.details, "tied": {"parameters": list(held), "groups": list(groups)}}
     notes = (*begun.comparison.notes, held_said(details))
     return replace(
         begun, comparison=replace(begun.comparison, notes=notes), details=details, groups=groups
