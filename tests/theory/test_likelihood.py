@@ -193,6 +193,7 @@ def test_those_that_a_final_leaves_behind_run_their_own(monkeypatch):
     """One after the other by worth, as long as it is above its price; each effect once."""
     monkeypatch.setattr(candidates, "_further", lambda base, rival, masks, steps: rival)
     monkeypatch.setattr(candidates, "_freed", lambda base, rival, masks: rival)
+    monkeypatch.setattr(candidates, "_reopened", lambda base, rival, masks: rival)
 
     def rival(label, worth):
         ranked = SimpleNamespace(score=SimpleNamespace(gain=worth))

@@ -136,14 +136,9 @@ class Race:
             self.progress(f"refitting with {runner.label}")
         again = [_freed(self.base, self._further(r, _HEAT), self.masks) for r in near]
         least = _share(_NEAR, max(r.worth for r in again))
-        last = [self._further(self._reopened(r), _RACE) for r in again if r.worth >= least]
+        kept = [_reopened(self.base, r, self.masks) for r in again if r.worth >= least]
+        last = [self._further(r, _RACE) for r in kept]
         return sorted(last, key=lambda r: -r.worth)
-
-    def _reopened(self, rival: Rival) -> Rival:
-        fit = reopened(rival.assembly, rival.fit, self.masks, _RACE)
-        if fit is rival.fit:
-            return rival
-        return _rival(rival.assembly, self.base, rival.ranked, fit, rival.shapes)
 
     def _further(self, rival: Rival, steps: int) -> Rival:
         return _further(self.base, rival, self.masks, steps)
@@ -265,6 +260,14 @@ def _further(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Riv
     found = _taken(own, fit, masks, steps)
     fit = found if found.height >= fit.height else fit
     return replace(_rival(own, base, rival.ranked, fit, rival.shapes), plain=plain)
+
+
+def _reopened(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
+    """A rival with noise that had vanished begun again, where that is more likely."""
+    fit = reopened(rival.assembly, rival.fit, masks, _RACE)
+    if fit is rival.fit:
+        return rival
+    return _rival(rival.assembly, base, rival.ranked, fit, rival.shapes)
 
 
 def _taken(
