@@ -9,6 +9,7 @@ from spiral.types.cache import kept
 from spiral.types.errors import ConfigError
 from spiral.types.parameter import State
 from spiral.types.port import Port
+from spiral.types.rates import per_second
 from spiral.types.system import MechanicalSystem
 
 EXAMPLE = """\
@@ -67,7 +68,7 @@ class Equations(MechanicalSystem):
     def injections(self):
         """A force on each coordinate, a flow into each other state."""
         pairs = zip(self.coordinates, self.form.force_units, strict=True)
-        flows = (State(s.name, f"({s.unit or '1'})/s") for s in self.others)
+        flows = (State(s.name, per_second(s.unit)) for s in self.others)
         return (*(State(c.name, unit) for c, unit in pairs), *flows)
 
     @property
@@ -168,7 +169,7 @@ def _ports(system):
     """Asked for thousands of times where many candidates are placed."""
     if not system.coordinates:
         return tuple(
-            Port(s.name, (s.name,), _state(s.name), s.unit, f"({s.unit or '1'})/s")
+            Port(s.name, (s.name,), _state(s.name), s.unit, per_second(s.unit))
             for s in system.others
         )
     named = system.form.definition.ports

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+from spiral.types.rates import per_second
+
 
 @dataclass(frozen=True)
 class Port:
@@ -30,7 +32,7 @@ class Port:
         words = {
             "force": f"({self.force_unit or '1'})",
             "position": f"({self.position_unit or '1'})",
-            "velocity": f"(({self.position_unit or '1'})/s)",
+            "velocity": f"({per_second(self.position_unit)})",
         }
         return re.sub(r"\b(force|position|velocity)\b", lambda m: words[m[0]], relative)
 

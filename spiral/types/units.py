@@ -21,6 +21,7 @@ from spiral.types.effect import (
 )
 from spiral.types.errors import ConfigError, InputError, PluginError
 from spiral.types.port import At, Port
+from spiral.types.rates import per_second
 from spiral.types.system import MechanicalSystem, System
 
 _PER_TURN = {"rpm": 2 * math.pi / 60, "hz": 2 * math.pi, "rps": 2 * math.pi, "1/s": 2 * math.pi}
@@ -149,7 +150,7 @@ def check_system_units(system: MechanicalSystem) -> None:
 
     coordinates, name = system.coordinates, system.plugin_name()
     q = SimpleNamespace(**{c.name: _quantity(c.unit) for c in (*coordinates, *system.others)})
-    v = SimpleNamespace(**{c.name: _quantity(f"({c.unit or '1'})/s") for c in coordinates})
+    v = SimpleNamespace(**{c.name: _quantity(per_second(c.unit)) for c in coordinates})
     p = SimpleNamespace(**{k.name: _quantity(k.unit) for k in system.parameters})
     u = _inputs(system)
     try:
@@ -163,7 +164,7 @@ def check_system_units(system: MechanicalSystem) -> None:
     for i, entry in enumerate(system.injections[: len(coordinates)]):
         own = [("force", force[i])]
         own += [
-            (f"mass row {i}", m * _quantity(f"({c.unit or '1'})/s^2"))
+            (f"mass row {i}", m * _quantity(per_second(c.unit, 2)))
             for m, c in zip(mass[i], coordinates, strict=True)
             if not _is_zero(m)
         ]
@@ -179,7 +180,7 @@ def _inputs(system: System) -> SimpleNamespace:
     u = SimpleNamespace(time=_quantity("s"))
     for item in system.inputs:
         setattr(u, item.name, _quantity(item.unit))
-        setattr(u, f"{item.name}_rate", _quantity(f"({item.unit or '1'})/s"))
+        setattr(u, f"{item.name}_rate", _quantity(per_second(item.unit)))
     return u
 
 
@@ -201,10 +202,10 @@ def _quantity(unit: str, size: float = 1.25) -> Any:
 
 def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, Any, str]]:
     """(what it is, its value with units, the unit it must have) of all that an effect gives."""
-    count, length = len(port.axes), port.position_unit or "1"
-    position = tuple(_quantity(port.position_unit, 1.0 + 0.25 * i) for i in range(count))
-    velocity = tuple(_quantity(f"({length})/s", 0.5 + 0.25 * i) for i in range(count))
-    acceleration = tuple(_quantity(f"({length})/s^2") for _ in range(count))
+    count, unit = len(port.axes), port.position_unit
+    position = tuple(_quantity(unit, 1.0 + 0.25 * i) for i in range(count))
+    velocity = tuple(_quantity(per_second(unit), 0.5 + 0.25 * i) for i in range(count))
+    acceleration = tuple(_quantity(per_second(unit, 2)) for _ in range(count))
     own = SimpleNamespace(
         **{
             s.name: tuple(_quantity(port.unit(s.unit)) for _ in range(count))
@@ -245,7 +246,7 @@ def _own_rates(
 ) -> list[tuple[str, Any, str]]:
     rates = effect.rate(at, u, p) if effect.states else {}
     return [
-        (state.name, value, f"({port.unit(state.unit) or '1'})/s")
+        (state.name, value, per_second(port.unit(state.unit)))
         for state in effect.states
         if state.name in rates
         for value in (rates[state.name] if state.per_axis else [rates[state.name]])

@@ -7,7 +7,7 @@ looks like an actuator that lags or limits its rate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import get_args
 
@@ -47,7 +47,7 @@ def with_own_inputs(assembly: Assembly, found: LikelihoodFit, progress: Progress
     for known in assembly.problem.model.system.inputs:
         if known.name not in found.state.between:
             continue
-        progress(f"asking how {known.name} runs between its samples")
+        progress(_asking(known))
         state = replace(found.state, between=_with(found, known, known.interpolation))
         own = refitted(assembly, state, rough=True)
         found = own if own.height > found.height - np.log(_ODDS) else found
@@ -60,13 +60,9 @@ def run_otherwise(
     """Fits of another state than a fit's own (of one with an effect less), inputs run otherwise."""
     fits: list[LikelihoodFit] = []
     for known in assembly.problem.model.system.inputs:
-        if not _open(assembly.problem, known):
-            continue
-        progress(f"asking how {known.name} runs between its samples")
-        for way in get_args(Interpolation):
-            if way != _way(found, known):
-                other = replace(state, between=_with(found, known, way))
-                fits.append(refitted(assembly, other, rough=True))
+        for ways in _other_ways(assembly, found, known):
+            progress(_asking(known))
+            fits.append(refitted(assembly, replace(state, between=ways), rough=True))
     return fits
 
 
@@ -97,15 +93,24 @@ def _others(
     where it changes the whitened misses, in squares and summed, by one.
     """
     fits: list[LikelihoodFit] = []
-    if not found.estimate.finite or not _open(assembly.problem, known):
-        return fits
-    for way in get_args(Interpolation):
-        state = replace(found.state, between=_with(found, known, way))
-        if way == _way(found, known) or not _differs(assembly, found, state):
-            continue
-        progress(f"asking how {known.name} runs between its samples")
-        fits.append(refitted(assembly, state, masks=masks, rough=True))
+    for ways in _other_ways(assembly, found, known) if found.estimate.finite else ():
+        state = replace(found.state, between=ways)
+        if _differs(assembly, found, state):
+            progress(_asking(known))
+            fits.append(refitted(assembly, state, masks=masks, rough=True))
     return fits
+
+
+def _other_ways(assembly: Assembly, found: LikelihoodFit, known: Input) -> Iterator[Ways]:
+    """The ways of a fit with an input run in each other way; none where a record declares it."""
+    if _open(assembly.problem, known):
+        for way in get_args(Interpolation):
+            if way != _way(found, known):
+                yield _with(found, known, way)
+
+
+def _asking(known: Input) -> str:
+    return f"asking how {known.name} runs between its samples"
 
 
 def _open(problem: Problem, known: Input) -> bool:

@@ -22,7 +22,7 @@ from spiral.engine.likelihood.fit import informed
 from spiral.engine.likelihood.predict import Masks, Prepared
 from spiral.inference.acting import random_forces
 from spiral.inference.evidence.admission import let_go
-from spiral.inference.evidence.assembly import Assembly, offers
+from spiral.inference.evidence.assembly import Assembly, Variant, offers
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Parts, Ranking, present_labels, tested_keys
 from spiral.inference.likelihood.between import run_otherwise, with_own_inputs
@@ -283,8 +283,8 @@ def with_effect(
     found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
     found = finished(own, with_own_inputs(own, found, progress), progress)
     found, gone = _without_superfluous(own, found, label)
-    found, told = _run_otherwise(own, found, label, progress)
-    return whole_of(own, found, (*gone, *told), progress)
+    found, needless = _run_otherwise(own, found, label, progress)
+    return whole_of(own, found, (*gone, *needless), progress)
 
 
 def whole_of(
@@ -301,17 +301,21 @@ def _without_superfluous(
 ) -> tuple[LikelihoodFit, tuple[str, ...]]:
     """Effects admitted before that the record no longer wants, let go."""
     gone: list[str] = []
-    for label in found.state.labels:
-        if label in assembly.problem.model.labels or label == latest:
-            continue
-        keys = tested_keys(assembly, assembly.variant(label))
+    for variant in _admitted(assembly, found, latest):
+        keys = tested_keys(assembly, variant)
         if _far_from_zero(assembly, found, keys):
             continue
-        trial = refitted(assembly, let_go(assembly, found.state, (label,)))
+        trial = refitted(assembly, let_go(assembly, found.state, (variant.label,)))
         if trial.height > found.height - price(len(keys), trial.estimate.prepared):
             found = trial
-            gone.append(assembly.variant(label).original.label)
+            gone.append(variant.original.label)
     return found, tuple(gone)
+
+
+def _admitted(assembly: Assembly, found: LikelihoodFit, latest: str = "") -> list[Variant]:
+    """What a fit holds beside the seed, but for the latest."""
+    seed = assembly.problem.model.labels
+    return [assembly.variant(x) for x in found.state.labels if x not in seed and x != latest]
 
 
 def _run_otherwise(
@@ -323,13 +327,11 @@ def _run_otherwise(
     effect is missing the lag may be the more likely of the two, as its time can make up for that.
     """
     gone: list[str] = []
-    for label in found.state.labels:
-        if label in assembly.problem.model.labels or label == latest:
-            continue
-        variant = assembly.variant(label)
+    for variant in _admitted(assembly, found, latest):
         if not isinstance(variant.original, InputEffect | SensorEffect):
             continue
-        fits = run_otherwise(assembly, found, let_go(assembly, found.state, (label,)), progress)
+        without = let_go(assembly, found.state, (variant.label,))
+        fits = run_otherwise(assembly, found, without, progress)
         best = max(fits, key=lambda f: f.height, default=None)
         worth = price(len(tested_keys(assembly, variant)), found.estimate.prepared)
         if best is not None and best.height > found.height - worth:
@@ -353,14 +355,11 @@ def _told_by_likelihood(assembly: Assembly, found: LikelihoodFit) -> dict[str, f
     with P(|x| > z) that of a chi-squared 2 (log L_1 - log L_0).
     """
     told: dict[str, float] = {}
-    for label in found.state.labels if found.estimate.finite else ():
-        if label in assembly.problem.model.labels:
-            continue
-        variant = assembly.variant(label)
+    for variant in _admitted(assembly, found) if found.estimate.finite else ():
         if _far_from_zero(assembly, found, tested_keys(assembly, variant)):
             continue
-        without = refitted(assembly, let_go(assembly, found.state, (label,)), rough=True)
-        free = [k for k in found.estimate.keys if k.rpartition(".")[0] == label]
+        without = refitted(assembly, let_go(assembly, found.state, (variant.label,)), rough=True)
+        free = [k for k in found.estimate.keys if k.rpartition(".")[0] == variant.label]
         gain = max(found.height - without.height, 0.0)
         told[variant.original.label] = _as_one(2 * gain, len(free))
     return told

@@ -37,7 +37,7 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     refitted,
 )
-from spiral.inference.likelihood.identify import Ties, untold
+from spiral.inference.likelihood.identify import untold
 from spiral.inference.likelihood.ladder import pruned
 from spiral.inference.likelihood.scores import ranking
 from spiral.inference.likelihood.starts import (
@@ -75,27 +75,25 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
     groups: tuple[tuple[str, ...], ...] = ()
     held: tuple[str, ...] = ()
     while True:
-        begun, ties = _begun(problem, progress)
-        if not ties.groups:
-            break
-        groups, model = components([set(g) for g in (*groups, *ties.groups)]), problem.model
+        bare, found = _fitted(problem, progress)
+        ties, model = untold(found), problem.model
+        groups = components([set(g) for g in (*groups, *ties.groups)])
         given = next((k for k in ties.parts if model.values.get(k)), None)
-        if given is None:  # nobody said how large any of them is
-            return replace(begun, refused=True, groups=groups)
+        if given is None:  # nothing is tied, or nobody said how large any of it is
+            break
         progress(f"holding {given}, which the record cannot tell from others")
         held = (*held, given)
         problem = replace(problem, model=replace(model, fixed=(*model.fixed, given)))
-    if not held:
+    begun = replace(_begun(bare, found, progress), refused=bool(ties.groups), groups=groups)
+    if begun.refused or not held:
         return begun
     details = {**begun.details, "tied": {"parameters": list(held), "groups": list(groups)}}
     notes = (*begun.comparison.notes, held_said(details))
-    return replace(
-        begun, comparison=replace(begun.comparison, notes=notes), details=details, groups=groups
-    )
+    return replace(begun, comparison=replace(begun.comparison, notes=notes), details=details)
 
 
-def _begun(problem: Problem, progress: Progress) -> tuple[Begun, Ties]:
-    """The model fitted and compared, and what the record cannot tell apart in it."""
+def _fitted(problem: Problem, progress: Progress) -> tuple[Assembly, LikelihoodFit]:
+    """The model compiled as it is, and its most likely values and noise."""
     progress("compiling the model")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
     problem = replace(problem, settings=settings)
@@ -111,12 +109,16 @@ def _begun(problem: Problem, progress: Progress) -> tuple[Begun, Ties]:
     if not problem.candidates:
         run = with_likely_inputs(bare, found, progress)
         found = found if run is found else finished(bare, pruned(bare, run, progress), progress)
+    return bare, found
+
+
+def _begun(bare: Assembly, found: LikelihoodFit, progress: Progress) -> Begun:
+    """A fit compared with the test records, its candidates laid out."""
     settled = settled_on(bare, found, progress)
-    fitted = replace(problem, model=settled.comparison.model)
+    fitted = replace(bare.problem, model=settled.comparison.model)
     variants, left_out, _ = offers(fitted, bare.later)
     assembly = replace(bare, offered=tuple(variants), left_out=left_out, bare=True)
-    begun = Begun(assembly, settled.standing, settled.comparison, settled.details)
-    return begun, untold(found)
+    return Begun(assembly, settled.standing, settled.comparison, settled.details)
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from spiral.physics.formulas.rows import (
 from spiral.physics.formulas.symbolic import text_of
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import State
+from spiral.types.rates import per_second
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class StandardForm:
         pairs = zip(self.rates, self.coordinates, strict=True)
         return {
             **self.definition.units,
-            **{rate: f"({c.unit or '1'})/s" for rate, c in pairs},
+            **{rate: per_second(c.unit) for rate, c in pairs},
             **dict.fromkeys(TIME, "s"),
         }
 

@@ -19,6 +19,7 @@ from spiral.physics.formulas.dimensions import BASE, NONE, Demands, Dimension, W
 from spiral.physics.formulas.rows import symbol
 from spiral.physics.formulas.symbolic import CannotFollowError, Expression, expression_of, text_of
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
+from spiral.types.rates import per_second
 from spiral.types.units import short_form
 
 _LIBRARIES = ("numpy", "sympy", "spiral", "scipy")
@@ -83,7 +84,7 @@ def definition_from(rhs: Callable[..., Any], sections: Mapping[str, Any]) -> dic
     found = _called(rhs, given, names)
     formulas = {n: text_of(expression_of(v)) for n, v in found.items()}
     units = {**declared.units, "time": "s"}
-    due = {s.name: f"({s.unit or '1'})/s" for s in declared.states}
+    due = {s.name: per_second(s.unit) for s in declared.states}
     formulas, constants = _with_units(formulas, units, due)
     lines = [f"{name}' = {text}" for name, text in formulas.items()]
     if constants:

@@ -16,6 +16,7 @@ from spiral.physics.formulas.rows import TIME, evaluated, negative, size_of, sym
 from spiral.physics.formulas.symbolic import text_of
 from spiral.types.errors import ConfigError
 from spiral.types.parameter import State
+from spiral.types.rates import per_second
 
 
 def inertia_of(
@@ -96,7 +97,7 @@ def _own_inertia(
     """
     due = dimension("N" if coordinate.unit and dimension(coordinate.unit).known else "N*m")
     mechanical = dimension(coordinate.unit) in (dimension("m"), dimension(""))
-    per = dimension(f"({coordinate.unit or '1'})/s^2")
+    per = dimension(per_second(coordinate.unit, 2))
     states = {symbol(s.name) for s in given.states}
     named = [d for d in _divisors(acceleration) if d.free_symbols and not d.free_symbols & states]
     divisor = sp.Mul(*named)
@@ -139,4 +140,4 @@ def _force_unit(
     for name in usual:
         if dimension(name) == dimension(unit) and abs(size_of(name) / size_of(unit) - 1) < 1e-9:
             return name
-    return f"({coordinate.unit or '1'})/s^2" if not parts else unit
+    return per_second(coordinate.unit, 2) if not parts else unit

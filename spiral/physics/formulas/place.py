@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from spiral.types.rates import per_second
 from spiral.types.system import System, has_coordinates
 
 _RELATIVE = r"\b(force|position|velocity)\b"
@@ -31,9 +32,9 @@ class Place:
     @property
     def known(self) -> dict[str, str]:
         """Name -> unit of everything that is no parameter."""
-        rates = {f"{n}_rate": f"({u or '1'})/s" for n, u in self.positions}
+        rates = {f"{n}_rate": per_second(u) for n, u in self.positions}
         each = dict(
-            zip(EACH_AXIS, (self.position_unit, f"({self.position_unit or '1'})/s"), strict=True)
+            zip(EACH_AXIS, (self.position_unit, per_second(self.position_unit)), strict=True)
         )
         found = {**dict(self.positions), **rates, **each} if self.force else dict(self.states)
         return {**found, **dict(self.inputs)}
@@ -49,7 +50,7 @@ class Place:
 
     def absolute(self, relative: str) -> str:
         """A unit in the place's words (``force/position``) in absolute ones: ``(N)/(m)``."""
-        words = {**self.words, "velocity": f"({self.position_unit or '1'})/s"}
+        words = {**self.words, "velocity": per_second(self.position_unit)}
         return re.sub(_RELATIVE, lambda m: f"({words[m[0]] or '1'})", relative)
 
     def relative(self, unit: str) -> bool:
@@ -61,7 +62,7 @@ def place_of(system: System, port: str = "") -> Place:
     """What a formula may name at a port of a system."""
     at = system.port(port)
     inputs = [(i.name, i.unit) for i in system.inputs]
-    inputs += [(f"{i.name}_rate", f"({i.unit or '1'})/s") for i in system.inputs if i.derivative]
+    inputs += [(f"{i.name}_rate", per_second(i.unit)) for i in system.inputs if i.derivative]
     force = has_coordinates(system)
     axes = tuple((axis, at.force_unit) for axis in at.axes)
     flows = tuple((i.name, i.unit) for i in system.injections)

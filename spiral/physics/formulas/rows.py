@@ -16,6 +16,7 @@ from spiral.physics.formulas.definition import SystemDefinition
 from spiral.physics.formulas.dimensions import Demands, Walk, dimension
 from spiral.physics.formulas.symbolic import CannotFollowError, Expression, expression_of
 from spiral.types.errors import ConfigError, did_you_mean
+from spiral.types.rates import per_second
 from spiral.types.units import factor, short_form
 
 TIME = ("t", "time")
@@ -106,11 +107,11 @@ def checked_units(
     states = {s.name: s.unit for s in given.states}
     for name, rate in velocity.items():
         if rate in states:
-            _agree(rate, states[rate], f"({states[name] or '1'})/s")
+            _agree(rate, states[rate], per_second(states[name]))
     units = {**given.units, **dict.fromkeys(TIME, "s")}
     for s in given.states:
-        units[s.name + FIRST] = f"({s.unit or '1'})/s"
-        units[s.name + SECOND] = f"({s.unit or '1'})/s^2"
+        units[s.name + FIRST] = per_second(s.unit)
+        units[s.name + SECOND] = per_second(s.unit, 2)
     walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
     sizes = {n: size_of(u) for n, u in units.items()}
     coherent = all(size == 1.0 for size in sizes.values())

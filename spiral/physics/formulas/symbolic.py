@@ -163,7 +163,6 @@ _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "minimum": MINIMUM,
     "fmax": MAXIMUM,
     "fmin": MINIMUM,
-    "clip": lambda x, low, high: MINIMUM(MAXIMUM(x, low), high),
     **{name: _is(name) for name in ("sin", "cos", "tanh", "exp", "log", "sqrt")},
     **_COMPARED,
 }

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from spiral.physics.outside.program import Array, CalledProgram
+from spiral.types.rates import per_second
 
 RATE = "rate_of_"
 _POINTS = 5
@@ -80,7 +81,7 @@ def unknown_rates(
 ) -> Any:
     """The inputs that stand for rates, as a definition has them."""
     left = (name for name in program.rows if name not in rates)
-    return {RATE + name: f"({units[name] or '1'})/s" for name in left}
+    return {RATE + name: per_second(units[name]) for name in left}
 
 
 def _same(values: Array, others: Array) -> bool:
