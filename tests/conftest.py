@@ -22,9 +22,15 @@ LONG = (
 
 
 def pytest_collection_modifyitems(items):
-    """Long files first, each with its tests in their own order."""
-    rank = {Path(__file__).parent / name: number for number, name in enumerate(LONG)}
-    items.sort(key=lambda item: rank.get(item.path, len(rank)))
+    """Long files first, each with its tests in their own order; before all those of safety.
+
+    They measure memory. A process that a worker starts is told to have taken at least as much as
+    that worker holds by then, which the tests before have left.
+    """
+    here = Path(__file__).parent
+    rank = {here / name: number for number, name in enumerate(LONG)}
+    rank |= dict.fromkeys((here / "safety").glob("test_*.py"), -1)
+    items.sort(key=lambda item: rank.get(item.path, len(LONG)))
 
 
 @pytest.fixture(autouse=True, scope="session")
