@@ -1,7 +1,8 @@
 """The benchmark: every effect hidden, at three strengths and three noises, beside null records.
 
 python -m experiments.hidden_effects.benchmark [--seeds 10] [--out runs/hidden_effects]
-    [--systems NAME ...] [--strengths medium] [--noises 0.02] [--only EFFECT ...] [--jobs -1]
+    [--systems NAME ...] [--strengths medium] [--noises 0.02] [--only EFFECT ...]
+    [--strategy likelihood] [--jobs -1]
 
 Rows are kept as they end (rows.jsonl); the same command takes up what is there.
 """
@@ -31,6 +32,7 @@ from experiments.hidden_effects.strengths import (
 from experiments.hidden_effects.summary import conclude
 from experiments.studies.outcomes import coefficient, named
 from spiral.inference.discover import discover
+from spiral.io.question import USUAL_STRATEGY
 from spiral.io.registry import Registry
 from spiral.types.errors import ConfigError
 from spiral.types.run import Run
@@ -40,17 +42,19 @@ ROUNDS = 2  # one for the hidden effect, one in which nothing more may be admitt
 
 @dataclass(frozen=True)
 class Job:
-    """One study: a hidden effect, or none, at a noise and a seed."""
+    """One study: a hidden effect, or none, at a noise and a seed, by a strategy."""
 
     hidden: Hidden
     noise: float
     seed: int
+    strategy: str = USUAL_STRATEGY
 
     @property
     def key(self) -> str:
         """Its name among the rows."""
         h = self.hidden
-        return f"{h.system} {h.effect or 'null'} {h.strength} {self.noise} {self.seed}"
+        case = f"{h.system} {h.effect or 'null'} {h.strength} {self.noise} {self.seed}"
+        return f"{case} {self.strategy}"
 
 
 def study(job: Job) -> dict[str, Any] | None:
@@ -62,7 +66,7 @@ def study(job: Job) -> dict[str, Any] | None:
     hidden, clock = job.hidden, time.process_time()
     case = hidden.case if hidden.effect else Case("", {}, SCENES[hidden.system])
     try:
-        given = problem(case, installed(), job.seed, job.noise, ROUNDS)
+        given = problem(case, installed(), job.seed, job.noise, ROUNDS, job.strategy)
     except ConfigError:
         return None
     run = discover(given)
@@ -104,7 +108,10 @@ def jobs_of(given: argparse.Namespace, registry: Registry) -> list[Job]:
     ]
     made = Parallel(n_jobs=given.jobs)(delayed(_strengths)(s, e) for s, e in pairs)
     hidden = [h for group in made for h in group if h.strength in given.strengths]
-    full = [Job(h, n, s + 1) for h in hidden for n in given.noises for s in range(given.seeds)]
+    full = [
+        Job(h, n, s + 1, given.strategy)
+        for h in hidden for n in given.noises for s in range(given.seeds)
+    ]  # fmt: skip
     return full + _nulls(full)
 
 
@@ -120,7 +127,7 @@ def _nulls(full: list[Job]) -> list[Job]:
         place = (job.hidden.system, job.noise)
         counts[place] = counts.get(place, 0) + 1
         none = Hidden(job.hidden.system, "", "none", {}, 0.0, 0.0)
-        found.append(Job(none, job.noise, 100_000 + counts[place]))
+        found.append(Job(none, job.noise, 100_000 + counts[place], job.strategy))
     return found
 
 
@@ -165,6 +172,7 @@ def parsed(words: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--strengths", nargs="*", default=list(SHARES), choices=list(SHARES))
     parser.add_argument("--noises", nargs="*", type=float, default=list(NOISES))
     parser.add_argument("--seeds", type=int, default=10, help="records per case")
+    parser.add_argument("--strategy", default=USUAL_STRATEGY, help="the default one if left out")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: every processor")
     parser.add_argument("--out", default="runs/hidden_effects", help="folder of the results")
     parser.add_argument("--no-tracking", action="store_true", help="do not tell MLflow")

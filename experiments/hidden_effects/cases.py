@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 
 import numpy as np
-from spiral_plugins.strategies.shooting import Shooting
 
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.simulate import simulate
@@ -20,8 +20,8 @@ from spiral.types.system import System
 
 @cache
 def installed() -> Registry:
-    """The plugins that are installed, found once for a process."""
-    return load_registry(None)
+    """The plugins that are installed and the chain of masses, found once for a process."""
+    return load_registry(Path(__file__).parent / "systems")
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,20 @@ class Scene:
     """A system, its usual truth, and how it is excited.
 
     ``repeated``: the same excitation in every record, with fresh noise, and another in every test.
+    ``everywhere``: effects at every port and input compete; else those that fit the first port.
+    ``corner``, ``force``: of an applied force, the end of its band in Hz, and its size in N.
     """
 
     system: str
-    fields: Mapping[str, str]
+    fields: Mapping[str, object]
     truth: Mapping[str, float]
     duration: float
     rate: float
     substeps: int
     repeated: bool = False
+    everywhere: bool = False
+    corner: float = 6.0
+    force: float = 3.0
 
     def inputs(self, time: np.ndarray, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """A rotor's run-down from 40 to 0 Hz, band-limited noise, or a pump's voltage in steps."""
@@ -51,8 +56,8 @@ class Scene:
             return {"pump": np.repeat(steps, 30)[: len(time)]}
         from scipy.signal import butter, sosfiltfilt
 
-        low = butter(6, 6.0, fs=self.rate, output="sos")
-        return {"force": sosfiltfilt(low, rng.normal(size=len(time))) * 3.0}
+        low = butter(6, self.corner, fs=self.rate, output="sos")
+        return {"force": sosfiltfilt(low, rng.normal(size=len(time))) * self.force}
 
 
 ROTOR = Scene(
@@ -137,21 +142,23 @@ CASES = (
 
 
 def problem(
-    case: Case, registry: Registry, seed: int = 1, noise: float = 0.02, max_rounds: int = 1
-) -> Problem:
+    case: Case, registry: Registry, seed: int = 1, noise: float = 0.02, max_rounds: int = 1,
+    strategy: str = "shooting",
+) -> Problem:  # fmt: skip
     """The study of one case: record and test from the truth, a model without the effect."""
     system = registry.make("system", case.scene.system, dict(case.scene.fields))
     assert isinstance(system, System)
     truth = truth_of(case, system, registry)
     model = Model(system, tuple(e for e in system.seed if e.label != case.effect))
-    candidates = tuple(e for e in registry.candidates(system) if e.label not in model.labels)
+    offered = registry.candidates(system, everywhere=case.scene.everywhere)
+    candidates = tuple(e for e in offered if e.label not in model.labels)
     return Problem(
         model,
         (record_of(case.scene, truth, seed, 0.4, noise),),
         (record_of(case.scene, truth, seed + 1000, 1.3, noise, 1),),
         candidates=candidates,
         settings=Settings(max_rounds=max_rounds),
-        strategy=Shooting(),
+        strategy=registry.make("strategy", strategy),
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import sha256
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from spiral.engine.study import Point
 from spiral.inference.evidence.assembly import assemble, first_row
 from spiral.inference.evidence.comparison import refined
 from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.evidence.scales import extremes, scale
 from spiral.inference.identifiability.information import View
 from spiral.inference.problem import Problem
 from spiral.io.registry import Registry
@@ -29,10 +31,11 @@ SHARES = {"weak": 0.05, "medium": 0.2, "strong": 0.5}
 NOISES = (0.005, 0.02, 0.05)
 KNOWN_FROM = 100.0  # rise of chi^2 that an effect must cause to count as identifiable
 
-# Short records, so that thousands of studies fit into half an hour.
+# Short records, so that thousands of studies fit into half an hour; steps so fine that a sharp
+# friction of the truth is not that of the integrator.
 SCENES = {
-    "planar_rotor": replace(ROTOR, duration=3.0, rate=200.0),
-    "oscillator": replace(SWING, fields={}, duration=8.0, rate=125.0, repeated=True),
+    "planar_rotor": replace(ROTOR, duration=3.0, rate=200.0, substeps=16),
+    "oscillator": replace(SWING, fields={}, duration=8.0, rate=125.0, repeated=True, substeps=16),
     "cascaded_tanks": Scene(
         "cascaded_tanks",
         {},
@@ -43,6 +46,16 @@ SCENES = {
         repeated=True,
     ),
 }
+CHAINS = {
+    f"chain_{n}": Scene(
+        "chain", {"masses": n},
+        {"linear_stiffness.stiffness": 4000.0, "linear_damping.damping": 2.0},
+        duration=8.0, rate=200.0, substeps=16, everywhere=True, corner=30.0, force=20.0,
+    )
+    for n in (1, 2, 3, 4, 6)
+}  # fmt: skip
+"""One to six coordinates, of which two are measured; effects at every port and on the force."""
+SCENES |= CHAINS
 _SKIPPED = {"cascaded_tanks": ("mains_hum",)}  # a sample every 4 s shows no mains
 _STEPS = 30
 _CLOSE = 0.03
@@ -51,7 +64,7 @@ _STEEPEST = 100.0  # factor on an amplitude from one strength to the next
 
 @dataclass(frozen=True)
 class Hidden:
-    """One effect hidden in one system at one strength; ``change`` at a noise of 2 %.
+    """One effect hidden in one scene (``system``) at one strength; ``change`` at a noise of 2 %.
 
     ``change`` is lambda, the rise of chi^2 that it causes beyond what the seed can take over.
     """
@@ -73,33 +86,43 @@ class Hidden:
         return self.change * (0.02 / noise) ** 2 >= KNOWN_FROM
 
 
-def effects_of(system: str, registry: Registry) -> tuple[str, ...]:
-    """Every effect that may be missing from a system's seed."""
-    made = registry.make("system", system, dict(SCENES[system].fields))
+def effects_of(scene: str, registry: Registry) -> tuple[str, ...]:
+    """Every effect that may be missing from a scene's seed, at one of the places where it fits.
+
+    Where effects at every port compete, the place of each is drawn by a hash of both names.
+    """
+    made = registry.make("system", SCENES[scene].system, dict(SCENES[scene].fields))
     seeded = [e.label for e in made.seed]
-    labels = [e.label for e in registry.candidates(made)]
-    return tuple(x for x in labels if x not in (*seeded, *_SKIPPED.get(system, ())))
+    places: dict[str, list[str]] = {}
+    for effect in registry.candidates(made, everywhere=SCENES[scene].everywhere):
+        if effect.label not in (*seeded, *_SKIPPED.get(scene, ())):
+            places.setdefault(effect.plugin_name(), []).append(effect.label)
+    return tuple(own[_drawn(scene, name) % len(own)] for name, own in places.items())
 
 
-def strengths(system: str, label: str, registry: Registry) -> list[Hidden]:
-    """An effect at every strength that it can have without the motion running away."""
-    scene = SCENES[system]
-    made = registry.make("system", system, dict(scene.fields))
+def _drawn(*names: str) -> int:
+    return int.from_bytes(sha256(" ".join(names).encode()).digest()[:4], "big")
+
+
+def strengths(name: str, label: str, registry: Registry) -> list[Hidden]:
+    """An effect at every strength that it can have without the motion of a scene running away."""
+    scene = SCENES[name]
+    made = registry.make("system", scene.system, dict(scene.fields))
     effect = registry.effect_from_label(label)
     base = _clean(Case("", {}, scene), made, registry)
     direction, shapes = _direction(effect, made), _shapes(effect, made, base)
     found, size = [], 1e-3
     most = min((p.upper or np.inf for p in effect.amplitudes()), default=np.inf)
     shown = partial(_share, direction=direction, shapes=shapes, label=label, system=made,
-                    base=base, registry=registry)  # fmt: skip
-    for name, share in SHARES.items():
+                    scene=scene, base=base, registry=registry)  # fmt: skip
+    for strength, share in SHARES.items():
         reached = _solved(share, size, shown, most)
         if reached is None or (found and reached[0] > _STEEPEST * size):
             break
         size, got = reached
         values = {**{k: size * v for k, v in direction.items()}, **shapes}
         change = _change(Case(label, values, scene), made, registry)
-        found.append(Hidden(system, label, name, values, got, change))
+        found.append(Hidden(name, label, strength, values, got, change))
     return found
 
 
@@ -119,15 +142,13 @@ def _shapes(effect: Effect, system: System, base: Record) -> dict[str, float]:
 
     A hidden frequency lies a third above the one that halves the energy of the motion.
     """
-    channels = np.column_stack(list(base.channels.values()))
-    moved = float(np.abs(channels).max())
-    speed = float(np.abs(np.gradient(channels, base.dt, axis=0)).max())
+    states = np.column_stack([base.truth[s.name] for s in system.states])
+    largest, place = extremes(system, (base,), (states,)), system.place(effect)
     found = {}
-    for key, p in effect.keys(system.place(effect)):
+    for key, p in effect.keys(place):
         if p.role == "shape":
-            scale = speed if "velocity" in p.unit else moved if "position" in p.unit else 1.0
             middle = 0 if any(a.upper for a in effect.amplitudes()) else len(p.grid) // 2
-            value = p.grid[middle] * scale if p.grid else p.start or 1.0
+            value = (p.grid[middle] if p.grid else 1.0) * scale(p, largest, place)
             if p.spectrum:
                 hertz = 4 / 3 * _median_frequency(base)
                 value = 1 / (2 * np.pi * hertz) if p.unit == "s" else hertz
@@ -153,13 +174,14 @@ def _share(
     shapes: Mapping[str, float],
     label: str,
     system: System,
+    scene: Scene,
     base: Record,
     registry: Registry,
 ) -> float:
     """Share of the response at an amplitude; infinite where the motion runs away."""
     values = {**{k: size * v for k, v in direction.items()}, **shapes}
     try:
-        record = _clean(Case(label, values, SCENES[system.plugin_name()]), system, registry)
+        record = _clean(Case(label, values, scene), system, registry)
     except SpiralError:
         return float("inf")
     shares = [

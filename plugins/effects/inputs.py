@@ -23,6 +23,7 @@ class InputGain(InputEffect):
     input acts on is free (a mass with its spring and damper) it looks like these, and is not told.
     """
 
+    twins = ("gain",)
     parameters = (Parameter("error", ""),)
 
     def drive(self, at, u, p):
@@ -79,6 +80,7 @@ class ActuatorLag(InputEffect):
 
     special = ("input_delay",)
     states = (State("followed", "position"),)
+    twins = ("sensor_lag", "delay")
     parameters = (
         Parameter("share", "", lower=0.0),
         Parameter("time_constant", "s", lower=0.0, role="shape", start=0.01, spectrum=True),
@@ -142,6 +144,7 @@ class InputDelay(InputEffect):
     """
 
     states = (State("level", "position"), State("slope", "position"))
+    twins = ("delay", "sensor_lag")
     parameters = (
         Parameter("time", "s", lower=0.0),
         Parameter("scale", "s", lower=0.0, role="shape", start=0.01, spectrum=True),

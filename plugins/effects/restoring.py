@@ -86,7 +86,7 @@ class Clearance(ForceEffect):
 
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0),
-        Parameter("gap", "position", lower=0.0, role="shape", grid=(0.2, 0.4, 0.6, 0.8)),
+        Parameter("gap", "position", lower=0.0, role="shape", grid=(0.2, 0.4, 0.6, 0.8, 0.9)),
         WIDTH,
     )
 
@@ -103,7 +103,7 @@ class Stop(ForceEffect):
 
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0),
-        Parameter("gap", "position", role="shape", grid=(0.4, 0.7, -0.4, -0.7)),
+        Parameter("gap", "position", role="shape", grid=(0.4, 0.7, 0.9, -0.4, -0.7, -0.9)),
         WIDTH,
     )
 
@@ -227,7 +227,7 @@ class Rub(ForceEffect):
     axes = 2
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0),
-        Parameter("gap", "position", lower=0.0, role="shape", grid=(0.2, 0.4, 0.6, 0.8)),
+        Parameter("gap", "position", lower=0.0, role="shape", grid=(0.2, 0.4, 0.6, 0.8, 0.9)),
         WIDTH,
     )
 

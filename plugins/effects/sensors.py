@@ -32,6 +32,7 @@ class Gain(SensorEffect):
     A common factor of all channels looks like larger forces (an unbalance) in a linear machine.
     """
 
+    twins = ("input_gain",)
     parameters = (Parameter("error", "", per_axis=True),)
 
     def reading(self, y, at, u, p):
@@ -63,6 +64,7 @@ class Delay(SensorEffect):
     like an input that acts so much later.
     """
 
+    twins = ("input_delay", "actuator_lag")
     parameters = (Parameter("time", "s", per_axis=True),)
 
     def reading(self, y, at, u, p):
@@ -86,6 +88,7 @@ class SensorLag(SensorEffect):
     state of the system (a level, a temperature) they are one.
     """
 
+    twins = ("actuator_lag", "input_delay")
     parameters = (Parameter("time", "s", per_axis=True),)
 
     def reading(self, y, at, u, p):

@@ -11,7 +11,7 @@ import numpy as np
 from spiral.types.record import Array, Record
 from spiral.types.system import System
 
-SPEED_RATE_KNOTS = 64  # samples between the knots of the smooth curve a rate is taken from
+SPEED_RATE_KNOTS = 64  # samples between the knots of the curve that a rate is taken from, at most
 
 
 _MOST_PIECES = 60
@@ -212,10 +212,21 @@ def held_values(values: Array, substeps: int) -> Array:
 
 
 def rate_per_sample(values: Array, coarse: Array, fine: Array) -> Array:
-    """Rate per sample of a least-squares cubic spline with knots about 64 samples apart."""
+    """Rate per sample of a least-squares cubic spline with knots up to 64 samples apart.
+
+    They are half as far apart, down to two samples, as long as the spline misses more of the
+    values than twice their noise, which differences of the sixth order tell.
+    """
     from scipy.interpolate import make_lsq_spline
 
-    pieces = max(1, len(values) // SPEED_RATE_KNOTS)
-    inner = np.linspace(coarse[0], coarse[-1], pieces + 1)[1:-1]
-    knots = np.concatenate([[coarse[0]] * 4, inner, [coarse[-1]] * 4])
-    return make_lsq_spline(coarse, values, knots, k=3, method="norm-eq").derivative()(fine)
+    noise = np.sqrt(np.mean(np.diff(values, 6) ** 2) / 924.0) if len(values) > 12 else 0.0
+    most = max(2.0 * noise, 1e-6 * np.std(values))
+    spacing = SPEED_RATE_KNOTS
+    while True:
+        inner = np.linspace(coarse[0], coarse[-1], max(1, len(values) // spacing) + 1)[1:-1]
+        knots = np.concatenate([[coarse[0]] * 4, inner, [coarse[-1]] * 4])
+        curve = make_lsq_spline(coarse, values, knots, k=3, method="norm-eq")
+        missed = np.sqrt(np.mean((values - curve(coarse)) ** 2))
+        if missed <= most or spacing <= 2:
+            return curve.derivative()(fine)
+        spacing //= 2

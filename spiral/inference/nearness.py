@@ -4,14 +4,14 @@ A model is *near its noise* where all of these hold:
 
     1 / L <= chi2 / dof <= L          on the samples that were fitted,
     p >= level or Q / N <= s^2        what is left is white, or its colour harmless,
-    (test error)^2 <= L (floor)^2 + 4 d^2     on samples that no fit has seen,
+    (test error)^2 <= L (floor)^2 + 6.6 d^2   on samples that no fit has seen,
 
 with L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box, d what the fitted random forces
-are expected to make of a free run (``engine.likelihood.free_spread``; a record has few stretches
-that are independent of one another, so that twice as much is no wonder). Q/N is about the share of
-what is left that its own past predicts: below s^2 it is smaller than the smallest effect that
-counts. Where a filter's likelihood is the evidence chi2 is that of the innovations; with
-``strategy=innovation`` the test error is not asked: process noise moves what runs freely.
+are expected to make of a free run (``engine.likelihood.free_spread``; a record may be one stretch
+of what they move slowly, and chi2 of one degree of freedom is 6.6 once in a hundred). Q/N is about
+the share of what is left that its own past predicts: below s^2 it is smaller than the smallest
+effect that counts. Where a filter's likelihood is the evidence chi2 is that of the innovations;
+with ``strategy=innovation`` the test error is not asked: process noise moves what runs freely.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from spiral.types.formatting import number, percent
 from spiral.types.horizon import Change, changes
 from spiral.types.run import Comparison
 
-_STRETCHES = 4.0  # times the variance that random forces are expected to make of one free run
+_STRETCHES = 6.6  # times the variance that random forces are expected to make of one free run
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
 
 

@@ -13,7 +13,7 @@ from spiral.inference.acting import (
     random_sentence,
     record_sentence,
 )
-from spiral.inference.identifiability.held import effects_tied, held_said
+from spiral.inference.identifiability.held import effects_tied, held_said, untold_said
 from spiral.inference.nearness import (
     chi2_of,
     errs,
@@ -193,7 +193,7 @@ def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, setting
         for label in admitted
         if (doubt := doubts(rounds[-1], label, settings))
     ]
-    said += [memory_said(rounds), held_said(rounds[0].details)]
+    said += [memory_said(rounds), held_said(rounds[0].details), untold_said(rounds[-1].details)]
     if reasons := shortfalls(last, settings):
         more = "More is missing" if last.converged else "Whether more is missing cannot be told"
         said.append(f"{more}: {'; '.join(reasons)}.")

@@ -128,10 +128,14 @@ def signatures(
 
 def _told(along: Along, effect: SensorEffect, u: SimpleNamespace, p: SimpleNamespace) -> Array:
     """(samples, channels) readings with a sensor's effect."""
-    seen = [_index(along.system, c) for c in along.system.observed]
+    channels = check_effect(along.system, effect).axes
+    seen = [_index(along.system, c) for c in channels]
+    own = [along.system.observed.index(c) for c in channels]
     position, velocity = (tuple(x[:, i] for i in seen) for x in (along.states, along.rates))
-    at, y = At(position, velocity, SimpleNamespace()), list(along.readings.T)
-    return _columns(asked(effect, "reading", effect.reading, y, at, u, p), len(along.states))
+    at, found = At(position, velocity, SimpleNamespace()), np.array(along.readings)
+    told = asked(effect, "reading", effect.reading, list(found.T[own]), at, u, p)
+    found[:, own] = _columns(told, len(along.states))
+    return found
 
 
 def _steady(matrix: Array) -> Array:

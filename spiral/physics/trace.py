@@ -143,7 +143,7 @@ def trace(
     seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
     injected = _inject(system, placed, seen, x)
     rates = asked(system, "rate", system.rate, x, u, p, injected)
-    placed = [_with_rates(system, item, rates, x) for item in placed]
+    placed = [_with_rates(item, rates, x) for item in placed]
     for item, view in zip(placed, seen, strict=True):
         rates.update(_own_rates(item, view))
     output = _readings(system, placed, seen, x)
@@ -227,7 +227,7 @@ def _place(
     position: tuple[Any, ...] = ()
     velocity: tuple[Any, ...] = ()
     if isinstance(effect, SensorEffect):
-        position = tuple(getattr(x, name) for name in system.observed)
+        position = tuple(getattr(x, name) for name in port.axes)
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
     elif isinstance(effect, StateFlow):
@@ -262,13 +262,11 @@ def _driven(placed: list[_Placed], inputs: dict[str, sp.Symbol]) -> SimpleNamesp
     return u
 
 
-def _with_rates(
-    system: System, item: _Placed, rates: dict[str, Any], x: SimpleNamespace
-) -> _Placed:
+def _with_rates(item: _Placed, rates: dict[str, Any], x: SimpleNamespace) -> _Placed:
     """A sensor sees the rates of its channels as velocities, in a system of any order."""
     if not isinstance(item.effect, SensorEffect):
         return item
-    velocity = tuple(sp.sympify(rates[name]) for name in system.observed)
+    velocity = tuple(sp.sympify(rates[name]) for name in item.port.axes)
     second = {getattr(x, name): sp.sympify(rate) for name, rate in rates.items()}
     acceleration = tuple(second.get(v, sp.Integer(0)) for v in velocity)
     return replace(item, at=replace(item.at, velocity=velocity, acceleration=acceleration))
@@ -363,13 +361,17 @@ def _readings(
             effect = item.effect
             kind = replace(effect, variant="").label if effect.variant else ""
             before, last = (before if kind and kind == last else y), kind
-            told = list(asked(effect, "reading", effect.reading, before, item.at, u, item.p))
-            if len(told) != len(system.observed):
+            own = [system.observed.index(name) for name in item.port.axes]
+            seen_there = [before[i] for i in own]
+            told = list(asked(effect, "reading", effect.reading, seen_there, item.at, u, item.p))
+            if len(told) != len(own):
                 raise PluginError(
                     f"reading of effect {item.effect.label!r} with {len(told)} values",
-                    f"{len(system.observed)} values, one for each channel",
+                    f"{len(own)} values, one for each channel",
                 )
-            y = [sum_ + new - old for sum_, new, old in zip(y, told, before, strict=True)]
+            y = list(y)
+            for i, new, old in zip(own, told, seen_there, strict=True):
+                y[i] = y[i] + new - old
     return [sp.sympify(value) for value in y]
 
 

@@ -27,6 +27,8 @@ class Effect(Plugin):
         coordinates: what is then found of them is its own next order.
     special : names of effects that it becomes at the ends of its shapes. They are tried wherever it
         is, because the simpler one is the answer where both explain a record.
+    twins : names of effects elsewhere (an input that acts late, beside a sensor that does) which do
+        the same to what is measured; two formulas for it may differ by more than the noise.
     bare : a monomial of a library without a physical name; no candidate unless it is asked for.
 
     Fields
@@ -43,6 +45,7 @@ class Effect(Plugin):
     channels: ClassVar[tuple[str, ...]] = ()
     leaves: ClassVar[tuple[str, ...]] = ()
     special: ClassVar[tuple[str, ...]] = ()
+    twins: ClassVar[tuple[str, ...]] = ()
     bare: ClassVar[bool] = False
 
     port: str = ""

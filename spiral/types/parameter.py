@@ -114,7 +114,8 @@ class Input:
     (a measured force), ``linear`` straight lines, ``zero_order`` holds each value until the next
     sample. A record may say otherwise (``record.hold``); where none does, the default strategy
     takes the most likely of the four. ``derived_from`` names another input that this one follows
-    from where it is not measured (``phase`` from ``speed``).
+    from where it is not measured (``phase`` from ``speed``). With ``derivative`` its rate is known
+    as ``NAME_rate``: that of a least-squares spline as smooth as the samples' noise asks for.
     """
 
     name: str

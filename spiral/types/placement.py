@@ -29,6 +29,9 @@ def at_every_place(system: System, effect: Effect) -> list[Effect]:
         names += [port.name for port in system.pairs] if effect.pairs else []
     elif isinstance(effect, InputEffect):
         names = [place_name(port) for port in system.driven]
+    elif isinstance(effect, SensorEffect):
+        fit = [port for port in system.sensed if effect.axes in (None, len(port.axes))]
+        names = [place_name(port) for port in fit]
     elif isinstance(effect, StateFlow):
         return [
             replace(effect, port=place_name(port))
@@ -53,9 +56,9 @@ def fits(system: System, effect: Effect) -> bool:
 
 def check_effect(system: System, effect: Effect) -> Port:
     """The effect's port, or an error saying what the system lacks."""
-    port = system.place(effect)
     if isinstance(effect, SensorEffect):
         _check_sensors(system, effect)
+    port = system.place(effect)
     if effect.axes is not None and len(port.axes) != effect.axes:
         raise ConfigError(
             f"effect {effect.label!r} at port {port.name!r} with {len(port.axes)} axis",
@@ -81,18 +84,12 @@ def check_effect(system: System, effect: Effect) -> Port:
 
 
 def _check_sensors(system: System, effect: Effect) -> None:
-    """A change of readings has no port, and its parameters one unit for all channels."""
-    if effect.port:
+    """A change of readings has no port where all channels have one unit."""
+    if effect.port and len(system.sensed) == 1:
         raise ConfigError(
             f"effect {effect.label!r}, which acts on what the sensors report",
             "no port",
             f"{effect.plugin_name()}",
-        )
-    units = {n: system.unit_of(n) for n in system.observed}
-    if len(set(units.values())) > 1:
-        raise ConfigError(
-            f"effect {effect.label!r} on channels in {', '.join(sorted(set(units.values())))}",
-            "channels of one unit",
         )
 
 

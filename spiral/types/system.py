@@ -100,16 +100,23 @@ class System(Plugin):
         return _pairs(self) if has_coordinates(self) else ()
 
     @property
-    def sensors(self) -> Port:
-        """The channels as a port of their own: what effects on readings see, one axis each."""
-        names = tuple(self.observed)
-        return Port(
-            "sensors",
-            names,
-            lambda x, p: [getattr(x, n) for n in names],
-            self.unit_of(names[0]),
-            self.ports[0].force_unit,
-        )
+    def sensed(self) -> tuple[Port, ...]:
+        """The channels as ports of their own, those of one unit together, one axis each.
+
+        Effects on readings act there. The port is called ``sensors`` where all have one unit, else
+        ``sensors NAME`` or ``sensors NAME-NAME``.
+        """
+        units: dict[str, list[str]] = {}
+        for name in self.observed:
+            units.setdefault(self.unit_of(name), []).append(name)
+        force = self.ports[0].force_unit
+        return tuple(
+            Port(
+                "sensors" if len(units) == 1 else f"sensors {'-'.join(names)}", tuple(names),
+                lambda x, p, names=names: [getattr(x, n) for n in names], unit, force,
+            )
+            for unit, names in units.items()
+        )  # fmt: skip
 
     @property
     def driven(self) -> tuple[Port, ...]:
@@ -140,7 +147,11 @@ class System(Plugin):
     def place(self, effect: Effect) -> Port:
         """Where an effect acts: at its port, on an input, into a state, or on the sensors."""
         if isinstance(effect, SensorEffect):
-            return self.sensors
+            fit = [p for p in self.sensed if effect.axes in (None, len(p.axes))]
+            return self._place_of(
+                effect, tuple(fit or self.sensed), "which acts on what the sensors report",
+                "a channel",
+            )  # fmt: skip
         if isinstance(effect, InputEffect):
             return self._place_of(
                 effect, self.driven, "which acts on an input", "an input that no other follows"

@@ -6,6 +6,7 @@ import pytest
 
 from experiments.hidden_effects.benchmark import Job, main, study
 from experiments.hidden_effects.cases import CASES, Case, problem
+from experiments.hidden_effects.cases import installed as registry_of_chains
 from experiments.hidden_effects.run import outcome
 from experiments.hidden_effects.strengths import SCENES, SHARES, strengths
 from experiments.studies.rates import wilson
@@ -87,3 +88,17 @@ def test_every_candidate_of_the_tanks_is_traced_together():
     assembly = assemble(problem(null, registry()))
     labels = {v.original.label for v in assembly.variants}
     assert {"delay", "overflow", "sensor_saturation"} <= labels
+
+
+@pytest.mark.parametrize(("scene", "label", "strength", "noise", "seed"), [
+    ("planar_rotor", "delay", "strong", 0.005, 2),  # begins slowly, beside noise of the seed's
+    ("chain_2", "bouc_wen@link1", "medium", 0.02, 1),  # several valleys, a shape tried at 0
+    ("chain_2", "offset", "medium", 0.02, 1),  # of both sensors: a load in one number
+])  # fmt: skip
+def test_the_default_names_what_is_hidden_first_and_alone(scene, label, strength, noise, seed):
+    made = strengths(scene, label, registry_of_chains())
+    (hidden,) = (h for h in made if h.strength == strength)
+    found = study(Job(hidden, noise, seed))
+    assert found["first"]
+    assert not found["invented"]
+    assert found["after"] < 1.2 * found["floor"]

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 from spiral_plugins.effects.dissipative import CoulombFriction
-from spiral_plugins.effects.memory import HiddenMode
+from spiral_plugins.effects.memory import BoucWen, HiddenMode
 from spiral_plugins.effects.restoring import Clearance, CubicStiffness
 from spiral_plugins.effects.sensors import Gain
 from spiral_plugins.strategies.likelihood import Likelihood
@@ -194,13 +194,14 @@ def test_those_that_a_final_leaves_behind_run_their_own(monkeypatch):
     monkeypatch.setattr(candidates, "_further", lambda base, rival, masks, steps: rival)
     monkeypatch.setattr(candidates, "_freed", lambda base, rival, masks: rival)
     monkeypatch.setattr(candidates, "_reopened", lambda base, rival, masks: rival)
+    monkeypatch.setattr(candidates, "_of_other_shapes", lambda study, base, rival, masks: rival)
 
     def rival(label, worth):
         ranked = SimpleNamespace(score=SimpleNamespace(gain=worth))
         return SimpleNamespace(label=label, worth=worth, ranked=ranked)
 
     runners = [rival("a", 157.0), rival("a", 98.0), rival("b", 90.0), rival("c", 80.0)]
-    run = candidates.Race(None, None, silent, [*runners, rival("d", -3.0)])
+    run = candidates.Race(None, None, None, silent, [*runners, rival("d", -3.0)])
     assert [(w.label, len(left)) for w, left in run.winners()] == [
         ("a", 2), ("a", 1), ("b", 2), ("c", 1),
     ]  # fmt: skip
@@ -222,6 +223,28 @@ def test_own_states_follow_the_motion_as_the_compiled_effect_has_them():
     through = (2 * ratio * natural * s + natural**2) / (s**2 + 2 * ratio * natural * s + natural**2)
     expected = np.imag(through * np.exp(s * time))
     np.testing.assert_allclose(found["displacement"][0][-1000:], expected[-1000:], atol=1e-5)
+
+
+def test_own_states_that_forget_within_a_sample_are_followed_in_parts_of_it():
+    """A slip of a fiftieth of the motion, ten samples a period, against steps fifty times finer.
+
+    One that runs away leaves those beside it alone.
+    """
+    effect, fine = BoucWen(), 50
+    shapes = {"length": np.array([0.02, 0.02, 0.3]), "asymmetry": np.array([-9.0, 0.0, 0.5]),
+              "exponent": np.ones(3)}  # fmt: skip
+
+    def slips(dt):
+        time = np.arange(0.0, 3.0, dt)
+        turn = 2 * np.pi
+        states = np.column_stack([np.sin(turn * time), turn * np.cos(turn * time)])
+        inputs = np.column_stack([0.0 * time, time])
+        along = Along(Oscillator(), states, inputs, 0 * states, states[:, :1], {"mass": 1.0})
+        return own_states_along(along, dt, effect, shapes)[:, :, 0]
+
+    coarse, exact = slips(0.1), slips(0.1 / fine)[:, ::fine]
+    size = np.array([0.02, 0.3])[:, None]
+    assert np.max(np.abs(coarse[1:] - exact[1:, : coarse.shape[1]]) / size) < 0.05
 
 
 def test_estimates_scatter_as_their_standard_errors_say():

@@ -275,6 +275,55 @@ def test_a_file_of_second_order_equations(tmp_path):
     assert not failed(check_system(spiral.system(file)))
 
 
+def test_the_rate_of_an_input_is_known(tmp_path):
+    """A mass on a moving base, as equations and as a function; the input itself has no port."""
+    file = tmp_path / "base.yaml"
+    text = (
+        "equations: [\"m*x'' + c*(x' - z') + k*(x - z) = 0\"]\nstates: {x: m}\ninputs: {z: m}\n"
+        "parameters: {m: 2 kg, c: 3 N*s/m, k: 400 N/m}\nobserved: [x]\n"
+    )
+    file.write_text(text, encoding="utf-8")
+
+    def rate(t, x, u, p):
+        (z,) = u
+        return [x.v, -(p.c * (x.v - u.z_rate) + p.k * (x.x - z)) / p.m]
+
+    function = spiral.system(
+        rate, states={"x": "m", "v": "m/s"}, inputs={"z": "m"}, observed=["x"],
+        parameters={"m": (2.0, "kg"), "c": (3.0, "N*s/m"), "k": (400.0, "N/m")},
+    )  # fmt: skip
+    given = {"z": 0.5, "z_rate": -2.0, "time": 0.0}
+    due = -(3 * (0.1 + 2.0) + 400 * (0.2 - 0.5)) / 2
+    for system, speed in ((spiral.system(file), "x_rate"), (function, "v")):
+        assert system.inputs[0].derivative
+        assert not system.driven
+        found = rates(system, (), {}, {"x": 0.2, speed: 0.1}, given)
+        assert found[speed] == pytest.approx(due)
+    file.write_text(text + "ports: {mount: x - z}\n", encoding="utf-8")
+    with pytest.raises(SpiralError, match="port mount: 'z'"):
+        spiral.system(file)
+
+
+def test_equations_that_share_accelerations_may_stand_in_any_order(tmp_path):
+    """Each has both accelerations; one order of them alone has a symmetric mass matrix."""
+    both = ("m1*(x'' - z'') + c1*(x' - z') + k1*(x - z) = F",
+            "m1*(z'' - x'') + m2*z'' + c1*(z' - x') + k1*(z - x) = 0")  # fmt: skip
+    found = []
+    for i, (one, other) in enumerate((both, both[::-1])):
+        file = tmp_path / f"order_{i}.yaml"
+        file.write_text(
+            f"equations:\n  - {one}\n  - {other}\nstates: {{x: m, z: m}}\ninputs: {{F: N}}\n"
+            "parameters: {m1: 1 kg, m2: 2 kg, c1: 3 N*s/m, k1: 400 N/m}\nobserved: [x]\n",
+            encoding="utf-8",
+        )
+        states = {"x": 0.2, "z": 0.5, "x_rate": 0.1, "z_rate": -0.3}
+        found.append(rates(spiral.system(file), (), {}, states, {"F": 7.0, "time": 0.0}))
+    link = 3 * 0.4 - 400 * 0.3
+    assert found[0] == found[1]
+    assert found[0]["z_rate"] == pytest.approx(7.0 / 2)
+    assert found[0]["x_rate"] == pytest.approx(7.0 / 2 + 7.0 - link)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [

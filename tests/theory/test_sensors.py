@@ -10,6 +10,7 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
+import spiral
 from spiral.engine.score import ScoreTable
 from spiral.inference.discover import discover
 from spiral.inference.evidence.gridnull import effective_tests
@@ -21,7 +22,7 @@ from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError
 from spiral.types.model import seed_model
 from spiral.types.placement import check_effect
-from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record
+from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record, registry
 
 SENSORS = {
     "offset": {"offset_x": 4e-6, "offset_y": -3e-6},
@@ -109,6 +110,32 @@ def test_a_hum_follows_the_time_of_the_record():
 def test_a_sensor_effect_has_no_port():
     with pytest.raises(ConfigError, match="no port"):
         check_effect(PlanarRotor(), replace(effect("offset"), port="disk"))
+
+
+def test_where_channels_have_several_units_each_unit_has_sensors_of_its_own():
+    """A motor's current and two angles: readings of one change, and their slopes with them."""
+
+    def rate(t, x, u, p):
+        turn = p["k"] * (x["a"] - x["b"])
+        current = (u["e"] - p["r"] * x["i"]) / p["l"]
+        return [x["va"], (p["c"] * x["i"] - turn) / p["m"], x["vb"], turn / p["m"], current]
+
+    system = spiral.system(
+        rate, states={"a": "rad", "va": "rad/s", "b": "rad", "vb": "rad/s", "i": "A"},
+        inputs={"e": "V"}, observed=["a", "i", "b"],
+        parameters={"l": (0.5, "H"), "r": (1.0, "ohm"), "k": (2.0, "N*m"), "c": (0.1, "N*m/A"),
+                    "m": (0.1, "kg*m^2")},
+    )  # fmt: skip
+    offered = [e.label for e in registry().candidates(system, everywhere=True)]
+    assert {"offset", "offset@i", "gain@i", "axis_rotation"} <= {*offered}
+    assert "axis_rotation@i" not in offered
+    zero = replace(effect("offset"), port="i")
+    traced = trace(system, (zero,))
+    a, i, b = (traced.x[traced.states.index(n)] for n in ("a", "i", "b"))
+    off = dict(zip(traced.keys, traced.p, strict=True))["offset@i.offset"]
+    assert traced.output == (a, i + off, b)
+    angles = trace(system, (effect("offset"),))
+    assert [k for k in angles.keys if "offset" in k] == ["offset.offset_a", "offset.offset_b"]
 
 
 def test_a_ramp_is_the_positive_part_outside_its_corner_and_smooth_inside():

@@ -74,6 +74,7 @@ def added_covariance(a: Array, intensity: Array, time: float) -> Array:
     whole = expm(block * (time / 2**doublings))
     flow = whole[n:, n:].T
     covariance = flow @ whole[:n, n:]
-    for _ in range(doublings):
-        covariance, flow = covariance + flow @ covariance @ flow.T, flow @ flow
+    with np.errstate(all="ignore"):  # a trial step of a fit may make a machine that runs away
+        for _ in range(doublings):
+            covariance, flow = covariance + flow @ covariance @ flow.T, flow @ flow
     return 0.5 * (covariance + covariance.T)

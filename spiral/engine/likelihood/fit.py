@@ -203,7 +203,7 @@ def informed(at: Maximum) -> Maximum:
 
     On the way there slopes are kept from other places, which is good enough for a direction.
     """
-    if not at.finite:
+    if not at.finite or at.widened:
         return at
     search = _Search(at.keys)
     at = search.with_differences(at)

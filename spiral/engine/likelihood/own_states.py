@@ -5,8 +5,9 @@ functions of time, and compiled once for each number of axes,
 
     z' = r(z, q(t), q'(t), u(t), shapes),
 
-then integrated by classical Runge-Kutta steps of one sample from rest, for many values of the
-shapes at once; the motion between samples is a cubic Hermite curve.
+then integrated by classical Runge-Kutta steps from rest, of one sample or parts of one where the
+states are faster, for many values of the shapes at once; the motion between samples is a parabola
+through a cubic Hermite curve's middle.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def own_states_along(
     ----------
     shapes : (copies,) of each shape parameter. shift : rad added to ``u.phase``.
     """
-    from spiral.engine.likelihood.signatures_kernel import drive_own
+    from spiral.engine.likelihood.own_states_kernel import drive_own
 
     port = check_effect(along.system, effect)
     axes = max(len(port.axes), 1)

@@ -85,43 +85,6 @@ def carry_signatures(transitions, gains, rows, pushes, readings, s, half, slopes
 
 
 @nb.njit(
-    types.void(VALUE_FUNCTION, _F2, _F2, _F2, _F2, types.float64, _F3),
-    cache=True, nogil=True, error_model="numpy",
-)  # fmt: skip
-def drive_own(rate, motion, between, inputs, values, dt, states):
-    """States z of an effect alone, driven by a motion, by classical Runge-Kutta from rest.
-
-    Parameters
-    ----------
-    rate : function of (z, motion), u, p. motion, between : (samples, m) at the samples, and half a
-        step later. inputs : (samples, k). values : (copies, parameters).
-    states : (copies, samples, n) out.
-    """
-    copies, samples, n = states.shape
-    m = motion.shape[1]
-    x, f, total, u = np.zeros(n + m), np.zeros(n + m), np.zeros(n), inputs[0].copy()
-    for copy in range(copies):
-        p = values[copy]
-        for k in range(samples - 1):
-            total[:] = 0.0
-            for stage in range(4):
-                point = dt * (0.0 if stage == 0 else (1.0 if stage == 3 else 0.5))
-                for i in range(n):
-                    x[i] = states[copy, k, i] + point * f[i]
-                here = motion[k] if stage == 0 else (motion[k + 1] if stage == 3 else between[k])
-                for i in range(m):
-                    x[n + i] = here[i]
-                for i in range(u.shape[0]):
-                    late = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-                    u[i] = (1.0 - late) * inputs[k, i] + late * inputs[k + 1, i]
-                rate(x, u, p, f)
-                for i in range(n):
-                    total[i] += (2.0 if stage == 1 or stage == 2 else 1.0) * f[i]
-            for i in range(n):
-                states[copy, k + 1, i] = states[copy, k, i] + dt / 6.0 * total[i]
-
-
-@nb.njit(
     types.void(VALUE_FUNCTION, VALUE_FUNCTION, _F2, _F2, _F1, _F2, _F2),
     cache=True, nogil=True, error_model="numpy",
 )  # fmt: skip

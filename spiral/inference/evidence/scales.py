@@ -65,8 +65,10 @@ def extremes(system: System, records: Sequence[Record], along: Sequence[Array]) 
         found[f"{port.name}.velocity"] = float(
             max(np.abs(np.diff(u)).max() / dt for u, dt in given)
         )
-    seen = [np.abs(c).max() for r in records for c in r.channels.values()]
-    return {**found, "sensors.position": float(max(seen))}
+    for port in system.sensed:
+        seen = [np.abs(r.channels[name]).max() for r in records for name in port.axes]
+        found[f"{port.name}.position"] = float(max(seen))
+    return found
 
 
 def scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> float:

@@ -21,6 +21,8 @@ from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.gridnull import effective_tests
 from spiral.inference.evidence.inseparable import inseparable
 
+_NEAR = 0.8  # share of the best variant's gain from which another scores nearly as well
+
 
 @dataclass(frozen=True)
 class Ranked:
@@ -28,7 +30,8 @@ class Ranked:
 
     ``tests`` is the number of independent tests that its shapes amount to (``gridnull``);
     ``tied`` are effects of the model that can take over part of it, all of it where ``whole``;
-    ``held`` are amplitudes that then stay at zero.
+    ``held`` are amplitudes that then stay at zero; ``others`` values of its shapes that score
+    nearly as well.
     """
 
     variant: Variant
@@ -39,6 +42,7 @@ class Ranked:
     tied: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     whole: bool = False
+    others: tuple[Ranked, ...] = ()
 
     @property
     def log_p(self) -> tuple[float, float]:
@@ -171,7 +175,12 @@ def _best(table: ScoreTable, variants: list[Ranked]) -> Ranked:
     best = min(range(len(variants)), key=lambda i: variants[i].rank)
     groups = [r.columns for r in variants]
     tests = effective_tests(table, groups, best, np.random.default_rng(0))
-    return replace(variants[best], tests=tests * variants[best].tests)
+    least = _NEAR * variants[best].score.gain
+    near = [r for i, r in enumerate(variants) if i != best and r.score.gain > least]
+    return replace(
+        variants[best], tests=tests * variants[best].tests,
+        others=tuple(sorted(near, key=lambda r: r.rank)),
+    )  # fmt: skip
 
 
 def present_labels(assembly: Assembly, standing: FitState) -> set[str]:

@@ -1,4 +1,4 @@
-"""Parameters that keep their given values because a record cannot tell them from others."""
+"""What is said of parameters that a record cannot tell from others: held, or with large errors."""
 
 from __future__ import annotations
 
@@ -27,3 +27,13 @@ def held_said(details: Mapping[str, Any]) -> str:
         f"The record cannot tell some of the model's own parameters apart ({tied}): "
         f"{', '.join(names)} {keep} given, to which other values are relative."
     )
+
+
+def untold_said(details: Mapping[str, Any]) -> str:
+    """Which parameters of a model to which effects were added have no values of their own."""
+    untold = details.get("untold", {})
+    if not untold:
+        return ""
+    names = untold["parameters"]
+    listed = f"{', '.join(names[:-1])} and {names[-1]}"
+    return f"Of {listed} the record tells only what they do together, beside what was added."

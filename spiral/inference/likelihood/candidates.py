@@ -8,35 +8,41 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from spiral.engine.likelihood.noise import EXTRA
+from spiral.engine.likelihood.fit import Kept
+from spiral.engine.likelihood.noise import EXTRA, NoiseModel, first_noise
 from spiral.engine.likelihood.predict import Masks
 from spiral.engine.score import Score
-from spiral.inference.evidence.admission import TOLD, stepped
+from spiral.inference.evidence.admission import stepped
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState, two_sided
 from spiral.inference.evidence.scoring import Ranked, present_labels, tested_keys
 from spiral.inference.likelihood.fitting import (
+    LEVEL,
     LikelihoodFit,
     explains,
     price,
     refitted,
     reopened,
 )
+from spiral.inference.likelihood.shapes import with_own_shapes
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.holding import carried as carried_to
 from spiral.inference.unknown.holding import with_variants
-from spiral.types.effect import Effect
 from spiral.types.label import make_label
 
 _HEAT, _RACE = 3, 12  # scoring steps for all rivals, at most, and for those that keep up
+_FRESH = 8  # from noise that is begun afresh
 _FAR, _FAR_ONES = 0.1, 3  # share of its bound that an amplitude starts from; shapes tried so
 _KEEP, _PROMISED = 0.3, 0.7  # share of the best gain, and of its score, that keeps up at first
 _NEAR = 0.6  # share of the best gain that keeps up to the end
+_SEVERAL, _OTHERS = 2, 2  # shapes from which others are tried, and how many of these
+_ALIKE, _ALIKE_ONES = 0.9, 3  # share of the best score from which a candidate looks like it
 
 
 @dataclass(frozen=True)
@@ -71,6 +77,7 @@ class Race:
     maximum.
     """
 
+    assembly: Assembly
     base: LikelihoodFit
     masks: Masks
     progress: Progress
@@ -136,9 +143,11 @@ class Race:
             self.progress(f"refitting with {runner.label}")
         again = [_freed(self.base, self._further(r, _HEAT), self.masks) for r in near]
         least = _share(_NEAR, max(r.worth for r in again))
-        kept = [_reopened(self.base, r, self.masks) for r in again if r.worth >= least]
-        last = [self._further(r, _RACE) for r in kept]
-        return sorted(last, key=lambda r: -r.worth)
+        rising = zip(near, again, strict=True)  # what it has just won it may win once more
+        fit = [r for was, r in rising if r.worth + max(r.worth - was.worth, 0.0) >= least]
+        kept = [_reopened(self.base, r, self.masks) for r in fit]
+        last = sorted((self._further(r, _RACE) for r in kept), key=lambda r: -r.worth)
+        return [_of_other_shapes(self.assembly, self.base, last[0], self.masks), *last[1:]]
 
     def _further(self, rival: Rival, steps: int) -> Rival:
         return _further(self.base, rival, self.masks, steps)
@@ -163,7 +172,7 @@ def race(
     for ranked in [*promising(found, most), *far]:
         progress(f"refitting with {ranked.variant.original.label}")
         runners.append(first_steps(assembly, base, ranked, masks, ranked in far))
-    return Race(base, masks, progress, _in_order(runners))
+    return Race(assembly, base, masks, progress, _in_order(runners))
 
 
 def _in_order(runners: Sequence[Rival]) -> list[Rival]:
@@ -173,8 +182,15 @@ def _in_order(runners: Sequence[Rival]) -> list[Rival]:
 
 
 def promising(found: list[Ranked], most: int) -> list[Ranked]:
-    """The promising ones that come first, and the special cases of these."""
+    """The promising ones that come first, what scores like the best, and special cases of these.
+
+    What needs more numbers for the same score (an offset of each of several sensors, beside a load)
+    is not worth their price, yet the records may not tell the two apart.
+    """
     chosen = [r for r in found if r.rank < 0 and not r.whole][:most]
+    best = max((r.score.gain for r in chosen), default=np.inf)
+    alike = (r for r in found if r.score.gain >= _ALIKE * best and not r.whole)
+    chosen += itertools.islice((r for r in alike if r not in chosen), _ALIKE_ONES)
     known = {r.variant.original.label: r for r in reversed(found)}
     effects = [r.variant.original for r in chosen]
     labels = [make_label(name, e.port) for e in effects for name in e.special]
@@ -219,15 +235,25 @@ def first_steps(
 
     ``far``: from a share of its bounds; else from zero, where the first step finds its size.
     ``start``: where it begins, of other values than ``base``, against which it is held.
+    Where much acts at random beside both models the noise is begun afresh as well: what the model
+    as it is has found to be at random may leave the candidate no way to where little is.
     """
     begun = start or base
     own = with_variants(assembly, [ranked.variant])
     wider = added(own, carried_to(begun.state, assembly, own), ranked, far)
     at = begun.estimate
-    fit = refitted(
-        own, wider, at.noise, masks, _HEAT, True, at.kept, differences=False, like=at.prepared
-    )
-    return _rival(own, base, ranked, fit)
+
+    def taken(noise: NoiseModel, steps: int, kept: Kept | None = None) -> Rival:
+        fit = refitted(
+            own, wider, noise, masks, steps, True, kept, differences=False, like=at.prepared
+        )
+        return _rival(own, base, ranked, fit)
+
+    one = taken(at.noise, _HEAT, at.kept)
+    if start is not None or explains(base) or explains(one.fit):
+        return one
+    fresh = taken(first_noise(at.prepared[0][0], LEVEL), _FRESH)
+    return max(one, fresh, key=lambda r: r.worth)
 
 
 def added(assembly: Assembly, state: FitState, ranked: Ranked, far: bool = False) -> FitState:
@@ -290,76 +316,22 @@ def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
     return _rival(own, base, rival.ranked, fit, len(variant.tuned))
 
 
-def _loosened(
-    assembly: Assembly,
-    fit: LikelihoodFit,
-    keys: tuple[str, ...],
-    masks: Masks,
-    steps: int,
-) -> LikelihoodFit:
-    """A fit taken on with these shapes free; ``masks`` and ``steps`` as in ``refitted``."""
-    freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *keys))))
-    at = fit.estimate
-    return refitted(
-        assembly, freer, at.noise, masks, steps, rough=True, kept=at.kept, like=at.prepared
-    )
+def _of_other_shapes(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
+    """The winner begun from other shapes that score as well, where that leads further.
 
-
-def with_own_shapes(
-    assembly: Assembly,
-    found: LikelihoodFit,
-    effect: Effect,
-    keys: tuple[str, ...],
-    masks: Masks = None,
-    steps: int = 40,
-) -> LikelihoodFit:
-    """A fit in which shapes ``keys`` of an effect that it holds take their most likely values.
-
-    They were held while it was a candidate: the corner of a gap rounded over a share of the motion,
-    say. Where the record tells them they are free, with an error of their own; where their most
-    likely values are better than their price, they are held there; else they stay. ``masks`` and
-    ``steps`` as in ``refitted``.
+    The likelihood of one shape has a valley; that of several (the length of a slip, and how much
+    of it depends on the side) has more.
     """
-    if not keys or not found.estimate.finite:
-        return found
-    at, loose = found.estimate, _loosened(assembly, found, keys, masks, steps)
-    if not loose.height > found.height + price(len(keys), at.prepared):
-        return found
-    if told(loose, keys, effect):
-        return loose
-    held = replace(loose.state, freed=found.state.freed)
-    again = refitted(
-        assembly, held, loose.estimate.noise, masks, steps, rough=True, like=at.prepared
-    )
-    return again if again.height > found.height else found
-
-
-def held_shapes(assembly: Assembly, found: LikelihoodFit, effect: Effect) -> tuple[str, ...]:
-    """Shapes of an effect that a fit holds at a size; one at zero (a sharp corner) has no slope."""
-    return tuple(
-        k
-        for p in effect.parameters
-        if p.role == "shape"
-        and (k := f"{effect.label}.{p.name}") not in found.state.freed
-        and found.state.values[0, assembly.study.index(k)] != 0
-    )
-
-
-def told(fit: LikelihoodFit, keys: tuple[str, ...], effect: Effect) -> bool:
-    """Whether a fit leaves these shapes of an effect a relative error of a half at most.
-
-    One that may as well be zero (its grid is on both sides) is held against its grid instead.
-    """
-    values, errors = fit.estimate.values, fit.estimate.errors
-    sizes = {
-        f"{effect.label}.{p.name}": max(map(abs, p.grid))
-        for p in effect.parameters
-        if p.grid and min(p.grid) < 0
-    }
-    return all(
-        errors.get(k, np.inf) <= TOLD * max(abs(values.get(k, 0.0)), sizes.get(k, 0.0))
-        for k in keys
-    )
+    if len(rival.ranked.variant.tuned) < _SEVERAL:
+        return rival
+    best = rival
+    for ranked in rival.ranked.others[:_OTHERS]:
+        other = first_steps(assembly, base, ranked, masks)
+        if other.fit.estimate.finite:
+            other = _freed(base, _further(base, other, masks, _HEAT), masks)
+            other = _further(base, other, masks, _RACE)
+        best = max(best, other, key=lambda r: r.worth if r.fit.estimate.finite else -np.inf)
+    return best
 
 
 def _rival(

@@ -21,6 +21,7 @@ from spiral.engine.growth import Stage, layouts_for
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.free_doubt import free_doubt
 from spiral.engine.likelihood.free_spread import free_spread
+from spiral.engine.likelihood.hidden_force import hidden_force_spread
 from spiral.engine.likelihood.noise import NoiseModel, places
 from spiral.engine.likelihood.predict import predicted
 from spiral.engine.study import Point
@@ -142,10 +143,11 @@ def _disturbed(estimate: Maximum, run: FreeRun) -> float:
 def _uncertain(
     other: Assembly, model: Model, run: FreeRun, starts: tuple[Array, ...], estimate: Maximum
 ) -> float:
-    """The error that the uncertainty of values and starts is expected to make of a free run."""
+    """The error that the uncertainty of values, starts and forces may make of a free run."""
     if not estimate.finite:
         return 0.0
     total, count = 0.0, 0
+    force = hidden_force_spread(estimate, max(len(p) for p in run.predicted))
     for r, series in enumerate(other.study.series):
         task = task_for(other, model, run.values[r], series.record, series.substeps)
         begin = starts[r][0][: len(task.states)]
@@ -154,7 +156,7 @@ def _uncertain(
         )
         total, count = total + np.sum(doubt**2, axis=0), count + len(doubt)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.mean(np.sqrt(total / max(count, 1)) / run.deviations()))
+        return float(np.mean(np.sqrt(total / max(count, 1) + force**2) / run.deviations()))
 
 
 def _left(assembly: Assembly, found: LikelihoodFit) -> tuple[dict[str, float], bool]:

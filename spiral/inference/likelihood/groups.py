@@ -8,16 +8,45 @@ from spiral.engine.likelihood.predict import log_likelihood
 from spiral.inference.likelihood.candidates import Rival
 from spiral.types.effect import SensorEffect
 
+_TWIN = 0.98  # share of the gain from which one that should do the same does
+
 
 def alike(rivals: list[Rival], odds: float) -> tuple[str, ...]:
-    """Rivals that the whole records do not tell from the first one: less than ``odds`` to one."""
+    """Rivals that the whole records do not tell from the first one: less than ``odds`` to one.
+
+    The price of their numbers counts, but not of a sensor's beside a change of the machine: it has
+    a number for every channel, and still it may be the sensors.
+    """
     first, *others = rivals
-
-    def worth(rival: Rival) -> float:
-        return log_likelihood(rival.fit.estimate.parts) - (rival.gain - rival.worth)
-
-    near = [r for r in others if worth(first) - worth(r) < np.log(odds)]
+    near = [r for r in others if _lead(first, r) < np.log(odds)]
     return tuple(dict.fromkeys(r.label for r in near if r.label != first.label))
+
+
+def _lead(first: Rival, other: Rival) -> float:
+    """By how much the first is more likely on the whole records, beyond its numbers' price."""
+    likely = _height(first) - _height(other)
+    if _of_sensors(other) and not _of_sensors(first):
+        return likely
+    return likely - _price(first) + _price(other)
+
+
+def _height(rival: Rival) -> float:
+    return log_likelihood(rival.fit.estimate.parts)
+
+
+def _price(rival: Rival) -> float:
+    return rival.gain - rival.worth
+
+
+def _of_sensors(rival: Rival) -> bool:
+    return isinstance(rival.ranked.variant.original, SensorEffect)
+
+
+def twins(chosen: Rival, rivals: list[Rival]) -> tuple[str, ...]:
+    """Rivals elsewhere that do the same as the chosen one, and explain nearly as much."""
+    names = chosen.ranked.variant.original.twins
+    near = [r for r in rivals if r.gain > _TWIN * chosen.gain]
+    return tuple(r.label for r in near if r.ranked.variant.original.plugin_name() in names)
 
 
 def plainest(
@@ -32,7 +61,7 @@ def plainest(
 
     def order(one: Rival) -> tuple[bool, int]:
         effect = one.ranked.variant.original
-        return isinstance(effect, SensorEffect), len(effect.parameters)
+        return _of_sensors(one), len(effect.parameters)
 
     chosen = min(group, key=order)
     return chosen, tuple(r.label for r in group if r is not chosen)

@@ -17,7 +17,8 @@ from spiral.inference.likelihood.fitting import LikelihoodFit
 from spiral.types.record import Array
 
 _WHOLE = 1.0  # relative standard error of a combination from which it is not told
-_PART = 0.3  # share of the largest part from which a parameter takes part
+_PART = 0.3  # relative change, of a whole or of the largest, from which a parameter takes part
+_FLATTEST = 1e-24  # information that a combination is taken to have at least
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,9 @@ class Ties:
 
     groups: tuple[tuple[str, ...], ...] = ()
     parts: tuple[str, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.groups)
 
 
 def untold(found: LikelihoodFit) -> Ties:
@@ -51,7 +55,8 @@ def untold(found: LikelihoodFit) -> Ties:
     groups: list[set[str]] = []
     flat = []
     for vector in _flat(gram, estimate.covariance, sizes, told):
-        part = np.abs(vector) > _PART * np.abs(vector).max()
+        change = np.abs(vector)
+        part = change > _PART * min(change.max(), _WHOLE)
         owners = {k.rsplit(".", 1)[0] for k, p in zip(keys, part, strict=True) if p}
         if np.sum(part) > 1 and np.all(seen[part]):
             groups.append(owners if len(owners) > 1 else set(np.array(keys)[part].tolist()))
@@ -64,16 +69,17 @@ def untold(found: LikelihoodFit) -> Ties:
 
 
 def _flat(gram: Array, covariance: Array, sizes: Array, told: Array) -> list[Array]:
-    """Unit combinations of relative changes whose standard error is whole.
+    """Combinations of relative changes whose standard error is whole, each as long as that is.
 
     First those of the information beside the noise as it is, then those of the covariance, in which
     the noise's sizes move too.
     """
     scale = sizes[told]
     values, vectors = np.linalg.eigh(gram[np.ix_(told, told)] * np.outer(scale, scale))
-    found = [v for x, v in zip(values, vectors.T, strict=True) if x * _WHOLE**2 < 1.0]
+    inverse = 1.0 / np.maximum(values, _FLATTEST)
+    pairs = list(zip(inverse, vectors.T, strict=True))
     spread = covariance[np.ix_(told, told)] / np.outer(scale, scale)
     if np.all(np.isfinite(spread)):
         values, vectors = np.linalg.eigh(spread)
-        found += [v for x, v in zip(values, vectors.T, strict=True) if x > _WHOLE**2]
-    return found
+        pairs += zip(values, vectors.T, strict=True)
+    return [np.sqrt(x) * v for x, v in pairs if x > _WHOLE**2]

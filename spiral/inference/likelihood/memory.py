@@ -52,8 +52,7 @@ from spiral.physics.history import (
 )
 from spiral.physics.signatures import Along, at_port_along, inputs_seen
 from spiral.types.effect import Effect, values_for
-from spiral.types.errors import ConfigError
-from spiral.types.placement import at_every_place, check_effect
+from spiral.types.placement import at_every_place
 from spiral.types.port import At
 from spiral.types.record import Array
 from spiral.types.system import has_coordinates, place_name
@@ -161,11 +160,7 @@ def _without_memory(assembly: Assembly, past: Variant) -> tuple[Variant, ...]:
     length = max(s.samples * s.dt for s in series)
     found = [variant_of(PresentForce(port=past.effect.port), "", {**shapes, "record": length})]
     late: list[Effect] = [LateInput(port=place_name(port)) for port in system.driven]
-    for effect in (LateReading(), *late):
-        try:
-            check_effect(system, effect)
-        except ConfigError:  # channels of several units
-            continue
+    for effect in (*at_every_place(system, LateReading()), *late):
         own = {"time": series[0].dt} if effect.states else {}
         found.append(variant_of(effect, "", own))
     return tuple(found)

@@ -26,22 +26,30 @@ from spiral.inference.evidence.assembly import Assembly, Variant, offers
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Parts, Ranking, present_labels, tested_keys
 from spiral.inference.likelihood.between import run_otherwise, with_own_inputs
-from spiral.inference.likelihood.candidates import Race, Rival, held_shapes, race, with_own_shapes
+from spiral.inference.likelihood.candidates import Race, Rival, race
 from spiral.inference.likelihood.comparison import compared_by_likelihood
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     colour,
+    is_white,
     price,
     refitted,
     reopened,
     restarted,
     taken_on,
 )
-from spiral.inference.likelihood.groups import alike, plainest
+from spiral.inference.likelihood.groups import alike, plainest, twins
+from spiral.inference.likelihood.identify import untold
 from spiral.inference.likelihood.judging import Unselected, judged, unselected
 from spiral.inference.likelihood.ladder import climbed_ladder, pruned, quieted
 from spiral.inference.likelihood.scores import ranked_along
-from spiral.inference.likelihood.starts import on_finer_steps, rebalanced, resolved_in_time
+from spiral.inference.likelihood.shapes import held_shapes, with_own_shapes
+from spiral.inference.likelihood.starts import (
+    best_fit,
+    on_finer_steps,
+    rebalanced,
+    resolved_in_time,
+)
 from spiral.inference.nearness import grown
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import Settled
@@ -69,6 +77,8 @@ def settled_on(
         details[FROM_NONE] = told
     if found.estimate.finite:
         details["log_likelihood"] = found.height
+    if ties := untold(found):
+        details["untold"] = {"groups": list(ties.groups), "parameters": list(ties.parts)}
     return Settled(state, comparison, retired, details)
 
 
@@ -154,7 +164,8 @@ def first_to_pass(
         if reason := _refused(base, ours, rival, judge, level):
             rejected[rival.label] = reason
             continue
-        chosen, aliases = plainest(rival, alike(rivals, options.odds), rivals)
+        chosen, near = plainest(rival, alike(rivals, options.odds), rivals)
+        aliases = tuple(dict.fromkeys((*near, *twins(chosen, rivals))))
         progress(f"most likely values with {chosen.label}")
         own, state = _narrowed(chosen.assembly, chosen.fit.state)
         like, label = chosen.fit.estimate.prepared, chosen.ranked.variant.label
@@ -183,7 +194,7 @@ def _senseless(whole: Whole, rival: Rival) -> Refusal | None:
             value = model.values[key]
             if parameter.at_bound(value):
                 return Refusal(f"its {name} runs to the end of its range, {number(value)}")
-            if parameter.grid and abs(value) > _BEYOND * abs(tried.get(name, np.inf)):
+            if parameter.grid and abs(value) > _BEYOND * abs(tried.get(name) or np.inf):
                 return Refusal(f"its {name} runs off to {number(value)}, beyond these records")
     return None
 
@@ -279,6 +290,8 @@ def with_effect(
     if not found.estimate.finite:  # sizes of its noise may mean something else: on the same scales
         found = refitted(own, state, rough=True, like=like)
     found = restarted(own, on_finer_steps(own, found))
+    if not is_white(own, found):  # it may have stayed with the noise of the model as it was
+        found = max(found, best_fit(own, state, progress), key=lambda f: f.height)
     found, effect = pruned(own, found, progress), own.variant(label).effect
     found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
     found = finished(own, with_own_inputs(own, found, progress), progress)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spiral.engine.likelihood.fit import informed
 from spiral.engine.statistics import spent
 from spiral.inference.evidence.admission import cannot_be_asked, second_order
 from spiral.inference.evidence.assembly import Assembly, check_candidates, compiled_with, offers
@@ -28,7 +29,6 @@ from spiral.inference.likelihood.candidates import (
     Rival,
     race,
     refit_alone,
-    with_own_shapes,
 )
 from spiral.inference.likelihood.elsewhere import from_given, from_less_noise
 from spiral.inference.likelihood.fitting import (
@@ -40,6 +40,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.identify import untold
 from spiral.inference.likelihood.ladder import pruned
 from spiral.inference.likelihood.scores import ranking
+from spiral.inference.likelihood.shapes import from_other_values, with_own_shapes
 from spiral.inference.likelihood.starts import (
     best_fit,
 )
@@ -104,12 +105,13 @@ def _fitted(problem: Problem, progress: Progress) -> tuple[Assembly, LikelihoodF
     found = best_fit(bare, state, progress)
     for effect in problem.model.effects:
         keys = tuple(k for k in problem.scaled if k.rsplit(".", 1)[0] == effect.label)
+        found = from_other_values(bare, found, effect, keys)
         found = with_own_shapes(bare, found, effect, keys)
     found = finished(bare, found, progress)
     if not problem.candidates:
         run = with_likely_inputs(bare, found, progress)
         found = found if run is found else finished(bare, pruned(bare, run, progress), progress)
-    return bare, found
+    return bare, replace(found, estimate=informed(found.estimate))
 
 
 def _begun(bare: Assembly, found: LikelihoodFit, progress: Progress) -> Begun:

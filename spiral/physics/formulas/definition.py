@@ -11,8 +11,9 @@ observed: [x]
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args
@@ -20,6 +21,7 @@ from typing import Any, get_args
 from spiral.types.errors import ConfigError, InputError, PluginError, did_you_mean
 from spiral.types.fields import unknown_field
 from spiral.types.parameter import Input, Interpolation, Parameter, State
+from spiral.types.rates import per_second
 from spiral.types.units import short_form
 
 ENDINGS = (".yaml", ".yml", ".toml", ".json")
@@ -32,7 +34,8 @@ class SystemDefinition:
 
     Fields
     ------
-    equations : one for each state, ``LEFT = RIGHT``; ``x'`` and ``x''`` are rates.
+    equations : one for each state, ``LEFT = RIGHT``; ``x'`` and ``x''`` are rates, of an input the
+        first alone (also ``z_rate``).
     states : name -> unit, or ``{unit: V, like: NAME of a measured state of alike values}``.
     inputs : name -> unit, or ``{unit: N, interpolation: zero_order}``.
     parameters : name -> ``VALUE UNIT``, ``[VALUE, UNIT]``, ``UNIT`` where it is to be found, or
@@ -62,7 +65,8 @@ class SystemDefinition:
     def units(self) -> dict[str, str]:
         """Name -> unit of all that equations may name, rates and the time apart."""
         named = (*self.states, *self.inputs, *self.parameters)
-        return {**{i.name: i.unit for i in named}, **{n: u for n, _, u in self.constants}}
+        rates = {f"{i.name}_rate": per_second(i.unit) for i in self.inputs if i.derivative}
+        return {**{i.name: i.unit for i in named}, **rates, **{n: u for n, _, u in self.constants}}
 
 
 SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name != "values"), "free")
@@ -101,7 +105,18 @@ def definition_of(text: str) -> SystemDefinition:
         title=str(given.get("title") or ""),
     )
     _check(found, free)
-    return found
+    return _with_input_rates(found)
+
+
+def _with_input_rates(found: SystemDefinition) -> SystemDefinition:
+    """With the rates of inputs that the equations name, in plain names (``z_rate``)."""
+    texts, inputs = list(found.equations), []
+    for item in found.inputs:
+        rate = f"{item.name}_rate"
+        texts = [re.sub(rf"\b{item.name}'(?!')", rate, t) for t in texts]
+        named = rate not in found.units and any(re.search(rf"\b{rate}\b", t) for t in texts)
+        inputs.append(replace(item, derivative=named))
+    return replace(found, equations=tuple(texts), inputs=tuple(inputs))
 
 
 def text_of_file(path: str | Path) -> str:

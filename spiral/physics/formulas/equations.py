@@ -8,6 +8,7 @@ a coordinate, and so is a state whose rate is another state (``x' = v``).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -34,6 +35,8 @@ from spiral.physics.formulas.symbolic import text_of
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import State
 from spiral.types.rates import per_second
+
+_PERMUTED = 6  # coordinates up to which every order of their equations is tried
 
 
 @dataclass(frozen=True)
@@ -96,9 +99,9 @@ def _arranged(given: SystemDefinition, rows: Sequence[EquationRow]) -> StandardF
             f"{len(unknown) + len(taken)}, one for each of "
             + ", ".join(primed(str(s)) for s in (*(symbol(c + FIRST) for c in pairs), *unknown)),
         )
-    order, signs, matrix = _matched(values, unknown, [r.place for r in left])
-    units = checked_units(given, rows, velocity)
     count = len(coordinates)
+    order, signs, matrix = _matched(values, unknown, [r.place for r in left], count)
+    units = checked_units(given, rows, velocity)
     _check_apart(matrix, count, [left[i].place for i in order])
     known = dict.fromkeys(unknown, 0)
     rest = [-sign * values[i].subs(known) for i, sign in zip(order, signs, strict=True)]
@@ -137,9 +140,12 @@ def _pairs(
 
 
 def _matched(
-    values: Sequence[Any], unknown: Sequence[sp.Symbol], places: Sequence[str]
+    values: Sequence[Any], unknown: Sequence[sp.Symbol], places: Sequence[str], count: int
 ) -> tuple[list[int], list[int], Any]:
-    """The equations in the order of their unknown rates, their signs, the matrix of these rates."""
+    """The equations in the order of their unknown rates, their signs, the matrix of these rates.
+
+    The first ``count`` rates are accelerations.
+    """
     for value, place in zip(values, places, strict=True):
         for one in unknown:
             slope = value.diff(one)
@@ -157,6 +163,7 @@ def _matched(
             f"equations without {', '.join(map(primed, lacking)) or 'a unique solution'}",
             "one equation for the highest rate of each state",
         )
+    order = _symmetric(matrix, order, count)
     matrix = matrix.extract(order, list(range(len(unknown))))
     signs = [-1 if negative(matrix[i, i]) else 1 for i in range(len(order))]
     return order, signs, sp.diag(*signs) * matrix
@@ -179,6 +186,24 @@ def _assigned(rows: Mapping[int, Sequence[int]], count: int) -> list[int] | None
         return None
     back = {column: row for row, column in owner.items()}
     return [back[j] for j in range(count)]
+
+
+def _symmetric(matrix: Any, order: list[int], count: int) -> list[int]:
+    """The order with which the mass matrix is symmetric, where one of the accelerations' has that.
+
+    Of m (x'' - z'') = f and m (z'' - x'') + M z'' = g each has both accelerations.
+    """
+
+    def inertia(some: Sequence[int]) -> Any:
+        found = matrix.extract(list(some), list(range(count)))
+        return sp.diag(*(-1 if negative(found[i, i]) else 1 for i in range(count))) * found
+
+    orders = itertools.permutations(order[:count]) if count <= _PERMUTED else ()
+    for some in (tuple(order[:count]), *orders):
+        found = inertia(some)
+        if all(found[i, i] != 0 for i in range(count)) and found.is_symmetric(simplify=True):
+            return [*some, *order[count:]]
+    return order
 
 
 def _check_apart(matrix: Any, count: int, places: Sequence[str]) -> None:
@@ -212,11 +237,12 @@ def port_unit(equations: StandardForm, texts: Iterable[str], name: str) -> tuple
     """
     units, known = equations.units, {c.name: i for i, c in enumerate(equations.coordinates)}
     walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
-    found = set()
+    found, given = set(), equations.definition
+    driven = {f"{i.name}{end}" for i in given.inputs for end in ("", "_rate")}
     for text in texts:
         names = [n for n in syntax.names(text) if n in known]
         for other in syntax.names(text):
-            if other not in known and other not in equations.definition.units:
+            if other in driven or other not in {*known, *given.units}:
                 raise ConfigError(
                     f"port {name}: {other!r}",
                     f"coordinates: {', '.join(known)}",

@@ -79,11 +79,17 @@ def definition_from(rhs: Callable[..., Any], sections: Mapping[str, Any]) -> dic
     def values(group: Sequence[Any]) -> Values:
         return Values({item.name: Expression(symbol(item.name)) for item in group})
 
+    rates = {f"{i.name}_rate": per_second(i.unit) for i in declared.inputs}
+    beside = {n: Expression(symbol(n)) for n in rates if n not in declared.units}
+    inputs = type("Inputs", (Values,), beside)  # by name alone: u has as many values as inputs
     time = Expression(symbol("time"))
-    given = (time, *(values(g) for g in (declared.states, declared.inputs, declared.parameters)))
+    given = (
+        time, values(declared.states), inputs(vars(values(declared.inputs))),
+        values(declared.parameters),
+    )  # fmt: skip
     found = _called(rhs, given, names)
     formulas = {n: text_of(expression_of(v)) for n, v in found.items()}
-    units = {**declared.units, "time": "s"}
+    units = {**rates, **declared.units, "time": "s"}
     due = {s.name: per_second(s.unit) for s in declared.states}
     formulas, constants = _with_units(formulas, units, due)
     lines = [f"{name}' = {text}" for name, text in formulas.items()]
