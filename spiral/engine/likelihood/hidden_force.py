@@ -24,15 +24,19 @@ _FIRST, _FACTOR = 1e-4, 3.0  # least level that is tried, and from one to the ne
 
 
 def hidden_force_spread(at: Maximum, samples: int) -> Array:
-    """(channels,) rms of a free run of so many samples that larger forces may add."""
+    """(channels,) rms of a free run of so many samples that larger forces may add.
+
+    At most as much as two motions differ that know nothing of one another.
+    """
     task, settings = at.prepared[0]
     known = free_spread(task, settings, at.noise, samples) ** 2
     most = np.zeros_like(known)
     for term in (t for t in at.noise.terms if t.kind == "force"):
         larger = at.noise.with_values({term.size: _largest(at, term.size)})
-        more = free_spread(task, settings, larger, samples) ** 2 - known
-        most = np.maximum(most, np.nan_to_num(more, nan=0.0, posinf=np.inf))
-    return np.sqrt(most)
+        spread = free_spread(task, settings, larger, samples)
+        more = np.where(np.isfinite(known), spread**2 - known, 0.0)
+        most = np.maximum(most, more)
+    return np.minimum(np.sqrt(most), np.sqrt(2.0) * task.series.deviations)
 
 
 def _largest(at: Maximum, size: str) -> float:

@@ -186,6 +186,8 @@ def _senseless(whole: Whole, rival: Rival) -> Refusal | None:
     """
     if not whole.fit.estimate.finite:
         return Refusal("with it the fit to all samples runs away")
+    if rival.label in whole.settled.retired:
+        return Refusal("an input that runs otherwise between its samples explains as much")
     model, variant = whole.settled.comparison.model, rival.ranked.variant
     tried = {k.rpartition(".")[2]: size for k, size in variant.shapes.items()}
     for key, parameter in model.pairs:
@@ -296,7 +298,7 @@ def with_effect(
     found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
     found = finished(own, with_own_inputs(own, found, progress), progress)
     found, gone = _without_superfluous(own, found, label)
-    found, needless = _run_otherwise(own, found, label, progress)
+    found, needless = _run_otherwise(own, found, progress)
     return whole_of(own, found, (*gone, *needless), progress)
 
 
@@ -332,7 +334,7 @@ def _admitted(assembly: Assembly, found: LikelihoodFit, latest: str = "") -> lis
 
 
 def _run_otherwise(
-    assembly: Assembly, found: LikelihoodFit, latest: str, progress: Progress
+    assembly: Assembly, found: LikelihoodFit, progress: Progress
 ) -> tuple[LikelihoodFit, tuple[str, ...]]:
     """Effects of inputs and sensors that another way of the input between samples makes needless.
 
@@ -340,7 +342,7 @@ def _run_otherwise(
     effect is missing the lag may be the more likely of the two, as its time can make up for that.
     """
     gone: list[str] = []
-    for variant in _admitted(assembly, found, latest):
+    for variant in _admitted(assembly, found):
         if not isinstance(variant.original, InputEffect | SensorEffect):
             continue
         without = let_go(assembly, found.state, (variant.label,))
