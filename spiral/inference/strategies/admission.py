@@ -294,12 +294,22 @@ def with_effect(
     found = restarted(own, on_finer_steps(own, found))
     if not is_white(own, found):  # it may have stayed with the noise of the model as it was
         found = max(found, best_fit(own, state, progress), key=lambda f: f.height)
-    found, effect = pruned(own, found, progress), own.variant(label).effect
-    found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
+    found = _with_shapes(own, pruned(own, found, progress), label)
     found = finished(own, with_own_inputs(own, found, progress), progress)
     found, gone = _without_superfluous(own, found, label)
     found, needless = _run_otherwise(own, found, progress)
     return whole_of(own, found, (*gone, *needless), progress)
+
+
+def _with_shapes(own: Assembly, found: LikelihoodFit, label: str) -> LikelihoodFit:
+    """The fit with the latest effect's shapes at their likeliest, and those of others before it.
+
+    A width that was of no use while another friction was missing may be all that is still wrong;
+    held, it would be made up for by whatever scales the motion.
+    """
+    for effect in (*(v.effect for v in _admitted(own, found, label)), own.variant(label).effect):
+        found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
+    return found
 
 
 def whole_of(
