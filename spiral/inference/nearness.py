@@ -131,8 +131,12 @@ def near_noise(found: Comparison, settings: Settings) -> bool:
 
 
 def predicts_nothing(found: Comparison, settings: Settings) -> bool:
-    """Whether a free run on unseen data errs by all that moves there, more than noise explains."""
-    return not found.test_error < 1.0 and errs(found, settings)
+    """Whether a free run on unseen data errs by all that moves there, more than noise explains.
+
+    Noise that would be most of what a sensor shows explains nothing.
+    """
+    drowned = any(v > settings.noise_limit for v in coloured_noise(found).values())
+    return not found.test_error < 1.0 and (drowned or errs(found, settings))
 
 
 def grown(before: Comparison, after: Comparison, settings: Settings) -> Change | None:
