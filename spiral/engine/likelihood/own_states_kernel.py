@@ -66,7 +66,7 @@ def drive_own(rate, motion, between, inputs, values, dt, states):
     ----------
     rate : function of (z, motion), u, p. motion, between : (samples, m) at the samples, and half a
         step later. inputs : (samples, k). values : (copies, parameters).
-    states : (copies, samples, n) out.
+    states : (copies, samples, n) out; not a number from where they run away.
     """
     copies, samples, n = states.shape
     x, u = np.zeros(n + motion.shape[1]), inputs[0].copy()
@@ -88,5 +88,8 @@ def drive_own(rate, motion, between, inputs, values, dt, states):
                 if worst <= _SHARE or parts >= _MOST:
                     break
                 parts *= _FINER
+            if worst == np.inf:  # it runs away however short the steps are
+                states[copy, k + 1 :] = np.nan
+                break
             for i in range(n):
                 largest[i] = max(largest[i], abs(after[i]))
