@@ -1,37 +1,27 @@
-"""A chain of masses on equal springs and dampers, its ends measured."""
+"""A chain of masses on equal springs and dampers, its ends measured, a port at every link."""
 
 from __future__ import annotations
 
-from spiral_plugins.effects.dissipative import LinearDamping
-from spiral_plugins.effects.restoring import LinearStiffness
-
-from spiral.types.parameter import Input, Parameter, State
+from experiments.zoo.systems.mass_chain import MassChain, stretch
+from spiral.types.parameter import Parameter
 from spiral.types.port import Port
-from spiral.types.system import MechanicalSystem
 
 
-class Chain(MechanicalSystem):
+class Chain(MassChain):
     """m x_i'' = k (x_{i-1} - 2 x_i + x_{i+1}) + c (same of rates), x1 on a mount, driven there.
 
-    Every link has a port. Fields
+    Fields
     ------
     masses : how many, from one on.
     """
 
     masses: int = 3
 
-    inputs = (Input("force", "N", "band_limited"),)
     parameters = (
         Parameter("mass", "kg", lower=0.0, start=0.5),
         Parameter("stiffness", "N/m", lower=0.0, start=4000.0),
         Parameter("damping", "N*s/m", lower=0.0, start=2.0),
     )
-    seed = (LinearStiffness(), LinearDamping())  # the mount
-
-    @property
-    def coordinates(self):
-        """x1 to xn."""
-        return tuple(State(f"x{i + 1}", "m") for i in range(self.masses))
 
     @property
     def observed(self):
@@ -39,32 +29,10 @@ class Chain(MechanicalSystem):
         return tuple(dict.fromkeys(("x1", f"x{self.masses}")))
 
     @property
-    def injections(self):
-        """A force on each mass."""
-        return tuple(State(f"x{i + 1}", "N") for i in range(self.masses))
-
-    @property
     def ports(self):
         """The mount and the links, counted by their first mass."""
         links = (
-            Port(f"link{i}", ("x",), lambda q, p, i=i: [_stretch(q, i)], "m", "N")
+            Port(f"link{i}", ("x",), lambda q, p, i=i: [stretch(q, i)], "m", "N")
             for i in range(1, self.masses)
         )
         return (Port("mount", ("x",), lambda q, p: [q.x1], "m", "N"), *links)
-
-    def mass(self, q, p):
-        """m times the identity, kg."""
-        count = range(self.masses)
-        return [[p.mass if i == j else 0 for j in count] for i in count]
-
-    def force(self, q, v, u, p):
-        """The links' forces on each mass, and the applied force on the first, N."""
-        pull = [
-            p.stiffness * _stretch(q, i) + p.damping * _stretch(v, i) for i in range(1, self.masses)
-        ]
-        return [a - b for a, b in zip([*pull, 0], [-u.force, *pull], strict=True)]
-
-
-def _stretch(q, i):
-    """x_{i+1} - x_i."""
-    return getattr(q, f"x{i + 1}") - getattr(q, f"x{i}")

@@ -49,8 +49,8 @@ class MassChain(MechanicalSystem):
         half, last = self.masses // 2, self.masses
         return (
             Port("mount", ("x",), lambda q, p: [q.x1], "m", "N"),
-            Port("middle", ("x",), lambda q, p: [_stretch(q, half)], "m", "N"),
-            Port("end", ("x",), lambda q, p: [_stretch(q, last - 1)], "m", "N"),
+            Port("middle", ("x",), lambda q, p: [stretch(q, half)], "m", "N"),
+            Port("end", ("x",), lambda q, p: [stretch(q, last - 1)], "m", "N"),
         )
 
     def mass(self, q, p):
@@ -61,11 +61,11 @@ class MassChain(MechanicalSystem):
     def force(self, q, v, u, p):
         """The links' forces on each mass, and the applied force on the first, N."""
         pull = [
-            p.stiffness * _stretch(q, i) + p.damping * _stretch(v, i) for i in range(1, self.masses)
+            p.stiffness * stretch(q, i) + p.damping * stretch(v, i) for i in range(1, self.masses)
         ]
         return [a - b for a, b in zip([*pull, 0], [-u.force, *pull], strict=True)]
 
 
-def _stretch(q, i):
+def stretch(q, i):
     """x_{i+1} - x_i."""
     return getattr(q, f"x{i + 1}") - getattr(q, f"x{i}")
