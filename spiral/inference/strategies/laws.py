@@ -57,12 +57,14 @@ class NamedLaw:
 class _Start:
     """A model from which laws are tried.
 
-    ``gone`` are the effects that it lets go, ``height`` the log-likelihood of the model with them.
+    ``gone`` are the effects that it lets go, ``height`` the log-likelihood of the model with them,
+    ``state`` that model's.
     """
 
     base: LikelihoodFit
     gone: tuple[str, ...] = ()
     height: float = -np.inf
+    state: FitState | None = None
 
 
 def named_law(
@@ -116,7 +118,7 @@ def _starts(
         before = climbed_ladder(assembly, before, progress)
         if before.estimate.finite:
             before = refitted(assembly, before.state, masks=select, steps=WARM, rough=True)
-            yield _Start(before, gone, _height(assembly, state))
+            yield _Start(before, gone, _height(assembly, state), state)
     if not white:
         yield _Start(base)
 
@@ -165,7 +167,23 @@ def _stands(
     if not start.gone:
         return unhelpful(options, comparison, settled.comparison, settings) is None
     height = settled.details["log_likelihood"] - _price(start, settled.comparison)
-    return height > start.height - _price(start, comparison) + np.log(options.odds)
+    least = np.log(options.odds) - _price(start, comparison)
+    if not height > start.height + least:
+        return False
+    return height > _beside_its_noise(assembly, start, settled.standing) + least
+
+
+def _beside_its_noise(assembly: Assembly, start: _Start, law: FitState) -> float:
+    """Log-likelihood of the model that a law stands for, beside the noise that the law has found.
+
+    A drift that nobody had looked for is no merit of the law with which it was found.
+    """
+    known = start.state
+    assert known is not None
+    assert known.noise is not None
+    if law.noise is None or {*law.noise.names} == {*known.noise.names}:
+        return start.height
+    return refitted(assembly, known, law.noise, rough=True).height
 
 
 def _price(start: _Start, of: Comparison) -> float:
