@@ -126,7 +126,7 @@ class Equations(MechanicalSystem):
         found |= {self.rate_name(name): value for name, value in vars(v).items()}
         if u is not None:
             found |= {i.name: getattr(u, i.name) for i in self.inputs}
-            rates = [f"{i.name}_rate" for i in self.inputs if i.derivative]
+            rates = (i.rate.name for i in self.inputs if i.derivative)
             found |= {name: getattr(u, name) for name in rates}
             found |= {"t": u.time, "time": u.time}
         quantities = any(hasattr(value, "dimensionality") for value in found.values())

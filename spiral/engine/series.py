@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from spiral.types.record import Array, Record
+from spiral.types.record import Array, Record, estimate_noise
 from spiral.types.system import System
 
 SPEED_RATE_KNOTS = 64  # samples between the knots of the curve that a rate is taken from, at most
@@ -215,11 +215,11 @@ def rate_per_sample(values: Array, coarse: Array, fine: Array) -> Array:
     """Rate per sample of a least-squares cubic spline with knots up to 64 samples apart.
 
     They are half as far apart, down to two samples, as long as the spline misses more of the
-    values than twice their noise, which differences of the sixth order tell.
+    values than twice their noise.
     """
     from scipy.interpolate import make_lsq_spline
 
-    noise = np.sqrt(np.mean(np.diff(values, 6) ** 2) / 924.0) if len(values) > 12 else 0.0
+    noise = estimate_noise(values) if len(values) > 12 else 0.0  # of so high differences
     most = max(2.0 * noise, 1e-6 * np.std(values))
     spacing = SPEED_RATE_KNOTS
     while True:

@@ -206,7 +206,7 @@ def own_states(system: System, effects: tuple[Effect, ...]) -> dict[str, str]:
 def input_columns(system: System) -> tuple[str, ...]:
     """Columns of the input array: each input, ``NAME_rate`` where its rate is used, then time."""
     names = [i.name for i in system.inputs]
-    return (*names, *(f"{i.name}_rate" for i in system.inputs if i.derivative), TIME)
+    return (*names, *(i.rate.name for i in system.inputs if i.derivative), TIME)
 
 
 def _suffixes(per_axis: bool, port: Port) -> list[str]:

@@ -8,6 +8,7 @@ from math import isclose
 from typing import Literal
 
 from spiral.types.errors import PluginError
+from spiral.types.rates import per_second
 
 Role = Literal["amplitude", "shape"]
 Scope = Literal["machine", "record"]
@@ -126,3 +127,8 @@ class Input:
 
     def __post_init__(self) -> None:
         _check_name("input", self.name)
+
+    @property
+    def rate(self) -> State:
+        """Its rate, as formulas call it, with its unit."""
+        return State(f"{self.name}_rate", per_second(self.unit))

@@ -180,7 +180,7 @@ def _inputs(system: System) -> SimpleNamespace:
     u = SimpleNamespace(time=_quantity("s"))
     for item in system.inputs:
         setattr(u, item.name, _quantity(item.unit))
-        setattr(u, f"{item.name}_rate", _quantity(per_second(item.unit)))
+        setattr(u, item.rate.name, _quantity(item.rate.unit))
     return u
 
 

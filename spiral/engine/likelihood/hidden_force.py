@@ -15,8 +15,8 @@ import numpy as np
 
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.free_spread import free_spread
-from spiral.engine.likelihood.noise import OWN, NoiseModel
-from spiral.engine.likelihood.predict import all_predicted, log_likelihood
+from spiral.engine.likelihood.noise import OWN
+from spiral.engine.likelihood.predict import likelihood_of
 from spiral.types.record import Array
 
 _FALL = 2.0  # of log L
@@ -45,13 +45,9 @@ def _largest(at: Maximum, size: str) -> float:
     level = max(known, _FIRST / _FACTOR)
     while level < OWN:
         further = min(level * _FACTOR, OWN)
-        fell = at.log_likelihood - _height(at, at.noise.with_values({size: further}))
+        fell = at.log_likelihood - likelihood_of(at.prepared, at.noise.with_values({size: further}))
         if fell > _FALL:
             way = (_FALL - lost) / (fell - lost)
             return float(max(known, level * (further / level) ** way))
         level, lost = further, max(fell, 0.0)
     return float(max(known, OWN))
-
-
-def _height(at: Maximum, noise: NoiseModel) -> float:
-    return log_likelihood(all_predicted([(at.prepared, noise)])[0])

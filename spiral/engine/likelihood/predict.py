@@ -187,3 +187,8 @@ def log_likelihood(parts: Sequence[Prediction], masks: Masks = None) -> float:
         rows = [h if m is None else h[m] for h, m in zip(rows, masks, strict=True)]
     total = float(sum(h.sum() for h in rows))
     return total if np.isfinite(total) else RUNAWAY
+
+
+def likelihood_of(prepared: Prepared, noise: NoiseModel) -> float:
+    """Log-likelihood of all samples at the values and the noise that are given."""
+    return log_likelihood(all_predicted([(prepared, noise)])[0])

@@ -141,7 +141,7 @@ class Race:
         near = [r for r in runners if r.worth >= least or r.ranked.score.gain >= promised]
         for runner in near:
             self.progress(f"refitting with {runner.label}")
-        again = [_freed(self.base, self._further(r, _HEAT), self.masks) for r in near]
+        again = [_heated(self.base, r, self.masks) for r in near]
         least = _share(_NEAR, max(r.worth for r in again))
         rising = zip(near, again, strict=True)  # what it has just won it may win once more
         fit = [r for was, r in rising if r.worth + max(r.worth - was.worth, 0.0) >= least]
@@ -307,6 +307,11 @@ def _taken(
     )  # fmt: skip
 
 
+def _heated(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
+    """A rival taken a few steps further, its shapes at their most likely values."""
+    return _freed(base, _further(base, rival, masks, _HEAT), masks)
+
+
 def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
     """A rival with its shapes at their most likely values, where that is worth their price."""
     variant, own = rival.ranked.variant, rival.assembly
@@ -324,14 +329,9 @@ def _of_other_shapes(assembly: Assembly, base: LikelihoodFit, rival: Rival, mask
     """
     if len(rival.ranked.variant.tuned) < _SEVERAL:
         return rival
-    best = rival
-    for ranked in rival.ranked.others[:_OTHERS]:
-        other = first_steps(assembly, base, ranked, masks)
-        if other.fit.estimate.finite:
-            other = _freed(base, _further(base, other, masks, _HEAT), masks)
-            other = _further(base, other, masks, _RACE)
-        best = max(best, other, key=lambda r: r.worth if r.fit.estimate.finite else -np.inf)
-    return best
+    others = [first_steps(assembly, base, r, masks) for r in rival.ranked.others[:_OTHERS]]
+    heated = [_heated(base, r, masks) for r in _in_order(others)]
+    return _in_order([rival, *(_further(base, r, masks, _RACE) for r in heated)])[0]
 
 
 def _rival(

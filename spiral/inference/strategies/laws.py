@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.likelihood.predict import all_predicted, log_likelihood
+from spiral.engine.likelihood.predict import likelihood_of
 from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks
@@ -126,7 +126,7 @@ def _starts(
 def _height(assembly: Assembly, state: FitState) -> float:
     """Log-likelihood of all samples."""
     assert state.noise is not None
-    return log_likelihood(all_predicted([(subjects(assembly, state), state.noise)])[0])
+    return likelihood_of(subjects(assembly, state), state.noise)
 
 
 def _from(

@@ -85,7 +85,7 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
         progress(f"holding {given}, which the record cannot tell from others")
         held = (*held, given)
         problem = replace(problem, model=replace(model, fixed=(*model.fixed, given)))
-    begun = replace(_begun(bare, found, progress), refused=bool(ties.groups), groups=groups)
+    begun = replace(_begun(bare, found, progress), refused=bool(ties), groups=groups)
     if begun.refused or not held:
         return begun
     details = {**begun.details, "tied": {"parameters": list(held), "groups": list(groups)}}

@@ -112,7 +112,7 @@ def program(model: Model, origin: str = "") -> Program:
             "text or latex, with the effects that were found as equations",
         )
     values = model.row("model", "fit it first, or give values={{'{}': 1.0}}")
-    rates = {f"{i.name}_rate": i.name for i in system.inputs if i.derivative}
+    rates = {i.rate.name: i.name for i in system.inputs if i.derivative}
     return Program(
         title=model.name,
         origin=origin,

@@ -23,6 +23,7 @@ from spiral.io.export.program import (
     used,
 )
 from spiral.io.writing import filled
+from spiral.types.record import estimate_noise
 
 _RESERVED = (*keyword.kwlist, "t", "x", "u", "p", "np", "found", "by_x", "by_p")
 
@@ -91,7 +92,9 @@ class PythonPrinter(NumPyPrinter):
 
 def python(found: Program) -> str:
     """The module's text."""
-    between = (series.between_samples, series.held_values, series.rate_per_sample)
+    between = (
+        series.between_samples, series.held_values, estimate_noise, series.rate_per_sample,
+    )  # fmt: skip
     given = [i for i in found.inputs if i.name not in found.rates]
     return filled(
         "export_python",

@@ -21,7 +21,6 @@ from typing import Any, get_args
 from spiral.types.errors import ConfigError, InputError, PluginError, did_you_mean
 from spiral.types.fields import unknown_field
 from spiral.types.parameter import Input, Interpolation, Parameter, State
-from spiral.types.rates import per_second
 from spiral.types.units import short_form
 
 ENDINGS = (".yaml", ".yml", ".toml", ".json")
@@ -64,9 +63,9 @@ class SystemDefinition:
     @property
     def units(self) -> dict[str, str]:
         """Name -> unit of all that equations may name, rates and the time apart."""
-        named = (*self.states, *self.inputs, *self.parameters)
-        rates = {f"{i.name}_rate": per_second(i.unit) for i in self.inputs if i.derivative}
-        return {**{i.name: i.unit for i in named}, **rates, **{n: u for n, _, u in self.constants}}
+        rates = (i.rate for i in self.inputs if i.derivative)
+        named = (*self.states, *self.inputs, *rates, *self.parameters)
+        return {**{i.name: i.unit for i in named}, **{n: u for n, _, u in self.constants}}
 
 
 SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name != "values"), "free")
@@ -112,7 +111,7 @@ def _with_input_rates(found: SystemDefinition) -> SystemDefinition:
     """With the rates of inputs that the equations name, in plain names (``z_rate``)."""
     texts, inputs = list(found.equations), []
     for item in found.inputs:
-        rate = f"{item.name}_rate"
+        rate = item.rate.name
         texts = [re.sub(rf"\b{item.name}'(?!')", rate, t) for t in texts]
         named = rate not in found.units and any(re.search(rf"\b{rate}\b", t) for t in texts)
         inputs.append(replace(item, derivative=named))

@@ -163,10 +163,31 @@ def _matched(
             f"equations without {', '.join(map(primed, lacking)) or 'a unique solution'}",
             "one equation for the highest rate of each state",
         )
-    order = _symmetric(matrix, order, count)
-    matrix = matrix.extract(order, list(range(len(unknown))))
-    signs = [-1 if negative(matrix[i, i]) else 1 for i in range(len(order))]
-    return order, signs, sp.diag(*signs) * matrix
+    others = itertools.permutations(order[:count]) if count <= _PERMUTED else ()
+    orders = ([*some, *order[count:]] for some in (order[:count], *others))
+    trials = ((some, *_in_order(matrix, some)) for some in orders)
+    return next((t for t in trials if _fits(t[2], count)), (order, *_in_order(matrix, order)))
+
+
+def _in_order(matrix: Any, order: Sequence[int]) -> tuple[list[int], Any]:
+    """The equations' signs, by which each own rate is positive, and the matrix in this order."""
+    found = matrix.extract(list(order), list(range(len(order))))
+    signs = [-1 if negative(found[i, i]) else 1 for i in range(len(order))]
+    return signs, sp.diag(*signs) * found
+
+
+def _fits(matrix: Any, count: int) -> bool:
+    """Whether every coordinate's own acceleration is there, and the mass matrix symmetric.
+
+    Of m (x'' - z'') = f and m (z'' - x'') + M z'' = g each equation has both accelerations, and one
+    order alone is right.
+    """
+    inertia = matrix[:count, :count]
+    return all(inertia[i, i] != 0 for i in range(count)) and _symmetric(inertia)
+
+
+def _symmetric(inertia: Any) -> bool:
+    return (inertia - inertia.T).expand() == sp.zeros(*inertia.shape)
 
 
 def _assigned(rows: Mapping[int, Sequence[int]], count: int) -> list[int] | None:
@@ -188,24 +209,6 @@ def _assigned(rows: Mapping[int, Sequence[int]], count: int) -> list[int] | None
     return [back[j] for j in range(count)]
 
 
-def _symmetric(matrix: Any, order: list[int], count: int) -> list[int]:
-    """The order with which the mass matrix is symmetric, where one of the accelerations' has that.
-
-    Of m (x'' - z'') = f and m (z'' - x'') + M z'' = g each has both accelerations.
-    """
-
-    def inertia(some: Sequence[int]) -> Any:
-        found = matrix.extract(list(some), list(range(count)))
-        return sp.diag(*(-1 if negative(found[i, i]) else 1 for i in range(count))) * found
-
-    orders = itertools.permutations(order[:count]) if count <= _PERMUTED else ()
-    for some in (tuple(order[:count]), *orders):
-        found = inertia(some)
-        if all(found[i, i] != 0 for i in range(count)) and found.is_symmetric(simplify=True):
-            return [*some, *order[count:]]
-    return order
-
-
 def _check_apart(matrix: Any, count: int, places: Sequence[str]) -> None:
     size = matrix.shape[0]
     for i in range(size):
@@ -217,7 +220,7 @@ def _check_apart(matrix: Any, count: int, places: Sequence[str]) -> None:
                     "put the rate's own equation in its place",
                 )
     inertia = matrix[:count, :count]
-    if (inertia - inertia.T).expand() != sp.zeros(count, count):
+    if not _symmetric(inertia):
         raise ConfigError(
             f"equations with a mass matrix that is not symmetric: {inertia.tolist()}",
             "M = M^T, as Lagrange's equations give it, so that a force at a port has its work",
@@ -238,7 +241,7 @@ def port_unit(equations: StandardForm, texts: Iterable[str], name: str) -> tuple
     units, known = equations.units, {c.name: i for i, c in enumerate(equations.coordinates)}
     walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
     found, given = set(), equations.definition
-    driven = {f"{i.name}{end}" for i in given.inputs for end in ("", "_rate")}
+    driven = {name for i in given.inputs for name in (i.name, i.rate.name)}
     for text in texts:
         names = [n for n in syntax.names(text) if n in known]
         for other in syntax.names(text):

@@ -79,7 +79,7 @@ def definition_from(rhs: Callable[..., Any], sections: Mapping[str, Any]) -> dic
     def values(group: Sequence[Any]) -> Values:
         return Values({item.name: Expression(symbol(item.name)) for item in group})
 
-    rates = {f"{i.name}_rate": per_second(i.unit) for i in declared.inputs}
+    rates = {i.rate.name: i.rate.unit for i in declared.inputs}
     beside = {n: Expression(symbol(n)) for n in rates if n not in declared.units}
     inputs = type("Inputs", (Values,), beside)  # by name alone: u has as many values as inputs
     time = Expression(symbol("time"))

@@ -62,7 +62,7 @@ def place_of(system: System, port: str = "") -> Place:
     """What a formula may name at a port of a system."""
     at = system.port(port)
     inputs = [(i.name, i.unit) for i in system.inputs]
-    inputs += [(f"{i.name}_rate", per_second(i.unit)) for i in system.inputs if i.derivative]
+    inputs += [(i.rate.name, i.rate.unit) for i in system.inputs if i.derivative]
     force = has_coordinates(system)
     axes = tuple((axis, at.force_unit) for axis in at.axes)
     flows = tuple((i.name, i.unit) for i in system.injections)
