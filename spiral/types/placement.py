@@ -56,9 +56,9 @@ def fits(system: System, effect: Effect) -> bool:
 
 def check_effect(system: System, effect: Effect) -> Port:
     """The effect's port, or an error saying what the system lacks."""
+    port = system.place(effect)
     if isinstance(effect, SensorEffect):
         _check_sensors(system, effect)
-    port = system.place(effect)
     if effect.axes is not None and len(port.axes) != effect.axes:
         raise ConfigError(
             f"effect {effect.label!r} at port {port.name!r} with {len(port.axes)} axis",

@@ -147,6 +147,9 @@ class System(Plugin):
     def place(self, effect: Effect) -> Port:
         """Where an effect acts: at its port, on an input, into a state, or on the sensors."""
         if isinstance(effect, SensorEffect):
+            first, *more = self.sensed
+            if not more:  # it has no name
+                return first
             fit = [p for p in self.sensed if effect.axes in (None, len(p.axes))]
             return self._place_of(
                 effect, tuple(fit or self.sensed), "which acts on what the sensors report",

@@ -108,14 +108,14 @@ def definition_of(text: str) -> SystemDefinition:
 
 
 def _with_input_rates(found: SystemDefinition) -> SystemDefinition:
-    """With the rates of inputs that the equations name, in plain names (``z_rate``)."""
-    texts, inputs = list(found.equations), []
-    for item in found.inputs:
+    """With the rates of inputs that the equations name, ``z'`` or ``z_rate``."""
+
+    def named(item: Input) -> bool:
         rate = item.rate.name
-        texts = [re.sub(rf"\b{item.name}'(?!')", rate, t) for t in texts]
-        named = rate not in found.units and any(re.search(rf"\b{rate}\b", t) for t in texts)
-        inputs.append(replace(item, derivative=named))
-    return replace(found, equations=tuple(texts), inputs=tuple(inputs))
+        either = re.compile(rf"\b{item.name}'|\b{rate}\b")
+        return rate not in found.units and any(map(either.search, found.equations))
+
+    return replace(found, inputs=tuple(replace(i, derivative=named(i)) for i in found.inputs))
 
 
 def text_of_file(path: str | Path) -> str:

@@ -45,15 +45,19 @@ def read_row(given: SystemDefinition, number: int) -> EquationRow:
     place = f"equation {number + 1}, {text!r}"
     if text.count("=") != 1:
         raise ConfigError(place, "one = with a formula on each side", "m*x'' + c*x' + k*x = F")
-    order = {m[1]: len(m[2]) for m in _PRIMED.finditer(text)}
     names = [s.name for s in given.states]
-    for name in order:
-        if name not in names:
+    rates = {i.name: i.rate.name for i in given.inputs}
+    for found in _PRIMED.finditer(text):
+        name, order = found[1], len(found[2])
+        if name in rates and order > 1:
+            raise ConfigError(f"{place}: {found[0]}", f"of an input its first rate: {name}'")
+        if name not in names and name not in rates:
             raise ConfigError(
-                f"{place}: the rate of {name!r}", f"of a state: {', '.join(names)}",
-                did_you_mean(name, names),
-            )  # fmt: skip
-    left, right = (unprimed(side).strip() for side in text.split("="))
+                f"{place}: the rate of {name!r}",
+                f"of a state or an input: {', '.join((*names, *rates))}",
+                did_you_mean(name, (*names, *rates)),
+            )
+    left, right = (unprimed(side, rates).strip() for side in text.split("="))
     formula = left if right == "0" else f"({left}) - ({right})"
     try:
         value = evaluated(given, formula)
@@ -62,9 +66,10 @@ def read_row(given: SystemDefinition, number: int) -> EquationRow:
     return EquationRow(place, formula, value)
 
 
-def unprimed(text: str) -> str:
-    """A formula's own names for ``x'`` and ``x''``."""
-    return _PRIMED.sub(lambda m: m[1] + (FIRST if len(m[2]) == 1 else SECOND), text)
+def unprimed(text: str, rates: Mapping[str, str]) -> str:
+    """A formula's own names for ``x'`` and ``x''``; ``rates`` are those of inputs."""
+    ends = {1: FIRST, 2: SECOND}
+    return _PRIMED.sub(lambda m: rates.get(m[1]) or m[1] + ends[len(m[2])], text)
 
 
 def primed(text: str) -> str:
