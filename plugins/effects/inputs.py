@@ -7,7 +7,7 @@ an effect is there: 1 where the actuator is as the equation says.
 from __future__ import annotations
 
 from spiral_plugins.effects.restoring import WIDTH, beyond
-from spiral_plugins.effects.sensors import half_a_sample
+from spiral_plugins.effects.sensors import SCALE, bent, earlier, half_a_sample
 
 from spiral.math import tanh
 from spiral.types.effect import InputEffect
@@ -79,7 +79,7 @@ class ActuatorLag(InputEffect):
     """
 
     special = ("input_delay",)
-    states = (State("followed", "position"),)
+    states = (State("followed", "position", like="position"),)
     twins = ("sensor_lag", "delay")
     parameters = (
         Parameter("share", "", lower=0.0),
@@ -113,7 +113,7 @@ class RateLimit(InputEffect):
     """
 
     special = ("actuator_lag",)
-    states = (State("followed", "position"),)
+    states = (State("followed", "position", like="position"),)
     parameters = (
         Parameter("share", "", lower=0.0),
         Parameter("rate", "velocity", lower=0.0, role="shape", grid=(0.05, 0.15, 0.4)),
@@ -143,31 +143,22 @@ class InputDelay(InputEffect):
     Linear in T to leading order only. All sensors late by T look the same.
     """
 
-    states = (State("level", "position"), State("slope", "position"))
+    states = (State("level", "position", like="position"), State("slope", "position"))
     twins = ("delay", "sensor_lag")
-    parameters = (
-        Parameter("time", "s", lower=0.0),
-        Parameter("scale", "s", lower=0.0, role="shape", start=0.01, spectrum=True),
-    )
+    parameters = (Parameter("time", "s", lower=0.0), SCALE)
 
     def drive(self, at, u, p):
         """u - r b + (r^2 - r) c / 2, r = T / z."""
         (given,) = at.position
-        ratio = p.time / p.scale
-        return given - ratio * at.own.slope + (ratio * ratio - ratio) * _bent(given, at.own) / 2
+        return given - earlier(given, at.own.level, at.own.slope, p.time / p.scale)
 
     def rate(self, at, u, p):
         """b / z and c / z."""
         return {
             "level": at.own.slope / p.scale,
-            "slope": _bent(at.position[0], at.own) / p.scale,
+            "slope": bent(at.position[0], at.own.level, at.own.slope) / p.scale,
         }
 
     def remark(self, values, step):
         """Half a sample has a usual cause."""
         return half_a_sample(values["time"], step)
-
-
-def _bent(given, own):
-    """12 (u - a) - 6 b."""
-    return 12 * (given - own.level) - 6 * own.slope

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from spiral.math import cos, sin
 from spiral.types.effect import SensorEffect
-from spiral.types.parameter import Parameter
+from spiral.types.parameter import Parameter, State
 
 _TURN = 6.283185307179586
 _NEAR = 0.1  # samples around half a sample
+SCALE = Parameter("scale", "s", lower=0.0, role="shape", start=0.01, spectrum=True)
 
 
 class Offset(SensorEffect):
@@ -56,20 +57,36 @@ class AxisRotation(SensorEffect):
 
 
 class Delay(SensorEffect):
-    """A sensor that reports late: reading = y_i - tau_i q_i' + tau_i^2 q_i'' / 2.
+    """A sensor that reports late by T_i: reading = y_i + (q_i(t - T_i) - q_i).
 
-    Right where tau is short against a period: at the frequency f the third order is (2 pi f
-    tau)^3 / 6 of the motion. Where q_i' is no state of the system (a level, a temperature) the
-    second order is left out, (2 pi f tau)^2 / 2 of the motion. All sensors late by one time look
-    like an input that acts so much later.
+    Transport of a sample, a bus, averaging in an instrument. With states a and b of a time z near T
+    for each channel,
+
+        z a' = b,  z b' = c = 12 (q - a) - 6 b,  r = T / z,  q(t - T) = q - r b + (r^2 - r) c / 2,
+
+    right to the second order in T whatever z is, and with z = T Pade's second approximation (as
+    ``input_delay``). All sensors late by one time look like an input that acts so much later.
     """
 
+    states = (
+        State("level", "position", per_axis=True, like="position"),
+        State("slope", "position", per_axis=True),
+    )
     twins = ("input_delay", "actuator_lag")
-    parameters = (Parameter("time", "s", per_axis=True),)
+    parameters = (Parameter("time", "s", per_axis=True), SCALE)
 
     def reading(self, y, at, u, p):
-        """y_i - tau_i q_i' + tau_i^2 q_i'' / 2."""
-        return _late(y, at, p.time, 1 / 2)
+        """y_i - r_i b_i + (r_i^2 - r_i) c_i / 2."""
+        rows = zip(y, at.position, at.own.level, at.own.slope, p.time, strict=True)
+        return [value - earlier(q, a, b, late / p.scale) for value, q, a, b, late in rows]
+
+    def rate(self, at, u, p):
+        """b_i / z and c_i / z."""
+        rows = zip(at.position, at.own.level, at.own.slope, strict=True)
+        return {
+            "level": [b / p.scale for b in at.own.slope],
+            "slope": [bent(q, a, b) / p.scale for q, a, b in rows],
+        }
 
     def remark(self, values, step):
         """A sensor cannot be early, and half a sample has a usual cause."""
@@ -79,21 +96,56 @@ class Delay(SensorEffect):
         return half_a_sample(min(times), step)
 
 
-class SensorLag(SensorEffect):
-    """A sensor that follows slowly, 1 / (1 + T s): reading = y_i - T_i q_i' + T_i^2 q_i''.
+def bent(given, level, slope):
+    """c = 12 (q - a) - 6 b of a delay's states."""
+    return 12 * (given - level) - 6 * slope
 
-    A first-order low-pass (a thermocouple, a filter in an amplifier), right where T is short
-    against a period: at the frequency f the third order is (2 pi f T)^3 of the motion. It differs
-    from a ``delay`` in the second order alone, which slow motion does not show; where q_i' is no
-    state of the system (a level, a temperature) they are one.
+
+def earlier(given, level, slope, ratio):
+    """q(t) - q(t - T) by a delay's states: r b - (r^2 - r) c / 2, r = T / z."""
+    return ratio * slope - (ratio * ratio - ratio) * bent(given, level, slope) / 2
+
+
+class SensorLag(SensorEffect):
+    """A sensor that follows slowly, 1 / (1 + T_i s): reading = y_i - r e_i - (r - r^2) f_i.
+
+    A first-order low-pass (a thermocouple, a probe, a filter in an amplifier). e and f are the true
+    value behind one and two high-passes of a time z near T,
+
+        z a' = e = q - a,    z b' = f = e - b,    r = T / z,
+
+    right to the second order in T whatever z is, and exact with z = T, where the reading is a. It
+    differs from a ``delay`` in the second order alone, which slow motion does not show.
     """
 
+    states = (
+        State("level", "position", per_axis=True, like="position"),
+        State("behind", "position", per_axis=True),
+    )
     twins = ("actuator_lag", "input_delay")
-    parameters = (Parameter("time", "s", per_axis=True),)
+    parameters = (Parameter("time", "s", per_axis=True), SCALE)
 
     def reading(self, y, at, u, p):
-        """y_i - T_i q_i' + T_i^2 q_i''."""
-        return _late(y, at, p.time, 1)
+        """y_i - r_i e_i - (r_i - r_i^2) f_i."""
+        found = []
+        for value, late, (e, f) in zip(y, p.time, _passed(at), strict=True):
+            ratio = late / p.scale
+            found.append(value - ratio * e - (ratio - ratio * ratio) * f)
+        return found
+
+    def rate(self, at, u, p):
+        """e_i / z and f_i / z."""
+        passed = _passed(at)
+        return {
+            "level": [e / p.scale for e, _ in passed],
+            "behind": [f / p.scale for _, f in passed],
+        }
+
+
+def _passed(at):
+    """e and f of every channel."""
+    rows = zip(at.position, at.own.level, at.own.behind, strict=True)
+    return [(q - a, q - a - b) for q, a, b in rows]
 
 
 def half_a_sample(late, step):
@@ -104,13 +156,6 @@ def half_a_sample(late, step):
         f"{late:.2g} s is half a sample, as where a controller holds an input to the next sample: "
         "record.hold=zero_order if it does"
     )
-
-
-def _late(y, at, times, share):
-    """y_i - T_i q_i' + share T_i^2 q_i''."""
-    second = at.acceleration or (0,) * len(at.velocity)
-    rows = zip(y, times, at.velocity, second, strict=True)
-    return [value - late * v + share * late * late * a for value, late, v, a in rows]
 
 
 class Runout(SensorEffect):

@@ -37,7 +37,7 @@ def motion(study: CompiledStudy, series: Series, window: int) -> Motion:
     """Local polynomials of degree 3 (Savitzky-Golay) through the measured coordinates.
 
     A state that is not measured, nor the rate of one that is, is taken as zero, or as the measured
-    one that it is said to be like.
+    one, or the input, that it is said to be like.
     """
     traced = study.compiled.traced
     states = np.zeros((series.samples, len(traced.states)))
@@ -48,8 +48,12 @@ def motion(study: CompiledStudy, series: Series, window: int) -> Motion:
         if traced.rate_name(name) in traced.states:
             states[:, traced.states.index(traced.rate_name(name))] = smooth[1][:, channel]
             acceleration[:, traced.states.index(name)] = smooth[2][:, channel]
-    for name, measured in traced.like:
-        states[:, traced.states.index(name)] = states[:, traced.states.index(measured)]
+    for name, shown in traced.like:
+        if shown in traced.inputs:
+            given = series.inputs[:: 2 * series.substeps, traced.inputs.index(shown)]
+        else:
+            given = states[:, traced.states.index(shown)]
+        states[:, traced.states.index(name)] = given
     return Motion(states, acceleration)
 
 

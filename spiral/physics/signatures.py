@@ -105,12 +105,11 @@ def signatures(
     # One amplitude after the other in memory: callers take them out one by one.
     rates = np.moveaxis(np.zeros((len(units), count, n)), 0, 2)
     readings = np.moveaxis(np.zeros((len(units), count, len(system.observed))), 0, 2)
-    u = inputs_seen(along, shift)
+    u, hidden = inputs_seen(along, shift), SimpleNamespace(**(own or {}))
     if isinstance(effect, SensorEffect):
         for j, p in enumerate(units):
-            readings[:, :, j] = _told(along, effect, u, p) - along.readings
+            readings[:, :, j] = _told(along, effect, u, p, hidden) - along.readings
         return rates, readings
-    hidden = SimpleNamespace(**(own or {}))
     if isinstance(effect, InputEffect):
         recorded, slope = _input(along, port), along.by_input[port.axes[0]]
         at = At((recorded,), (), hidden)
@@ -126,15 +125,21 @@ def signatures(
     return rates, readings
 
 
-def _told(along: Along, effect: SensorEffect, u: SimpleNamespace, p: SimpleNamespace) -> Array:
+def _told(
+    along: Along,
+    effect: SensorEffect,
+    u: SimpleNamespace,
+    p: SimpleNamespace,
+    own: SimpleNamespace,
+) -> Array:
     """(samples, channels) readings with a sensor's effect."""
     channels = check_effect(along.system, effect).axes
     seen = [_index(along.system, c) for c in channels]
-    own = [along.system.observed.index(c) for c in channels]
+    places = [along.system.observed.index(c) for c in channels]
     position, velocity = (tuple(x[:, i] for i in seen) for x in (along.states, along.rates))
-    at, found = At(position, velocity, SimpleNamespace()), np.array(along.readings)
-    told = asked(effect, "reading", effect.reading, list(found.T[own]), at, u, p)
-    found[:, own] = _columns(told, len(along.states))
+    at, found = At(position, velocity, own), np.array(along.readings)
+    told = asked(effect, "reading", effect.reading, list(found.T[places]), at, u, p)
+    found[:, places] = _columns(told, len(along.states))
     return found
 
 
@@ -151,9 +156,12 @@ def _applied(matrix: Array, vectors: Array) -> Array:
 def at_port_along(along: Along, effect: Effect) -> tuple[Array, Array]:
     """(samples, axes) positions and velocities where an effect acts.
 
-    A flow's place and an input move at their own rates.
+    A flow's place and an input move at their own rates; a sensor sees the motion that is there.
     """
     port = along.system.place(effect)
+    if isinstance(effect, SensorEffect):
+        seen = [_index(along.system, c) for c in port.axes]
+        return along.states[:, seen], along.rates[:, seen]
     if isinstance(effect, InputEffect | StateFlow):
         flows = isinstance(effect, StateFlow)
         position = _levels(along, port) if flows else _input(along, port)[:, None]

@@ -161,7 +161,7 @@ def trace(
         output=tuple(output),
         acceleration=acceleration,
         forces=forces,
-        like=tuple((s.name, s.like) for s in system.states if s.like),
+        like=(*((s.name, s.like) for s in system.states if s.like), *_followers(system, effects)),
         rates=_rate_names(system),
     )
 
@@ -201,6 +201,19 @@ def own_states(system: System, effects: tuple[Effect, ...]) -> dict[str, str]:
         for state in effect.states
         for suffix in _suffixes(state.per_axis, system.place(effect))
     }
+
+
+def _followers(system: System, effects: tuple[Effect, ...]) -> list[tuple[str, str]]:
+    """Own states of effects that begin at what their sensor or input shows, and its name."""
+    found = []
+    for effect in effects:
+        port = system.place(effect)
+        for state in (s for s in effect.states if s.like):
+            suffixes = _suffixes(state.per_axis, port)
+            axes = port.axes if state.per_axis else port.axes[:1]
+            found += [(f"{effect.label}.{state.name}{s}", a)
+                      for s, a in zip(suffixes, axes, strict=True)]  # fmt: skip
+    return found
 
 
 def input_columns(system: System) -> tuple[str, ...]:

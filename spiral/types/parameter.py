@@ -84,7 +84,8 @@ class State:
     """A state of a system, or of an effect that brings its own (``per_axis`` then counts axes).
 
     ``like`` names a measured state whose values are a first guess for this hidden one; without it
-    a fit begins at zero.
+    a fit begins at zero. Of an effect on a sensor or an input it may be ``position``: the state
+    begins at what is there.
     """
 
     name: str

@@ -280,4 +280,9 @@ def _first_state(compiled: Compiled, series: Series, mapping: StaticMap | None) 
         hidden = mapping.matrix @ [start[names.index(n)] for n in mapping.observed]
         for name, value in zip(mapping.hidden, hidden, strict=True):
             start[names.index(name)] = value
+    for name, shown in compiled.traced.like:
+        if shown in compiled.traced.inputs:
+            start[names.index(name)] = series.inputs[0, compiled.traced.inputs.index(shown)]
+        else:
+            start[names.index(name)] = start[names.index(shown)]
     return start

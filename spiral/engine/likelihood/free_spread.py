@@ -5,10 +5,16 @@ About the machine's mean motion, with A its slope there and the noise states z o
     P_{k+1} = F P_k F^T + Q,    F = exp(A dt) with what z pushes,    P_0 = 0 but for z,
 
 so that reading j is off by sqrt(mean_k (c_j P_k c_j^T)). Of a machine whose slope changes much
-along its motion this is the order of magnitude.
+along its motion this is the order of magnitude. The sum is taken by doubling: over m samples
+
+    P_m = A P_0 A^T + W,    sum_k c_j P_k c_j^T = <G_j, P_0> + u_j,    A = F^m
+
+and two such stretches, one after the other, make a third.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,10 +41,39 @@ def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel, samples
     q, p = parts.q[np.ix_(kept, kept)], np.zeros((n + k, n + k))
     p[n:, n:] = parts.p[-k:, -k:] if k else 0.0
     seen = [task.states.index(c) for c in task.compiled.traced.channels]
-    count, total = min(samples, _MOST), np.zeros(len(seen))
+    count = min(samples, _MOST)
     with np.errstate(all="ignore"):
-        for _ in range(count):
-            p = f @ p @ f.T + q
-            total += np.diag(p)[seen]
-    found = np.sqrt(total / count)
+        run = _stretch(f, q, np.array(seen), count)
+        found = np.sqrt((np.einsum("jab,ab->j", run.slopes, p) + run.sums) / count)
     return np.where(np.isfinite(found), found, np.inf)
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """m samples: ``flow`` A, ``added`` W, ``slopes`` G (channels, n, n) and ``sums`` u."""
+
+    flow: Array
+    added: Array
+    slopes: Array
+    sums: Array
+
+    def then(self, other: _Stretch) -> _Stretch:
+        """One stretch and another after it."""
+        return _Stretch(
+            other.flow @ self.flow,
+            other.flow @ self.added @ other.flow.T + other.added,
+            self.slopes + self.flow.T @ other.slopes @ self.flow,
+            self.sums + other.sums + np.einsum("jab,ab->j", other.slopes, self.added),
+        )
+
+
+def _stretch(f: Array, q: Array, seen: Array, samples: int) -> _Stretch:
+    """So many samples of P <- F P F^T + Q, at least one, by doubling."""
+    rows = f[seen]
+    double = _Stretch(f, q, np.einsum("ja,jb->jab", rows, rows), np.diag(q)[seen])
+    whole = double if samples % 2 else None
+    while samples := samples // 2:
+        double = double.then(double)
+        if samples % 2:
+            whole = double if whole is None else whole.then(double)
+    return double if whole is None else whole

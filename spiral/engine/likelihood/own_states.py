@@ -5,9 +5,10 @@ functions of time, and compiled once for each number of axes,
 
     z' = r(z, q(t), q'(t), u(t), shapes),
 
-then integrated by classical Runge-Kutta steps from rest, of one sample or parts of one where the
-states are faster, for many values of the shapes at once; the motion between samples is a parabola
-through a cubic Hermite curve's middle.
+then integrated by classical Runge-Kutta steps from rest (or from where its port is, for a state
+that is said to be ``like`` it), of one sample or parts of one where the states are faster, for many
+values of the shapes at once; the motion between samples is a parabola through a cubic Hermite
+curve's middle.
 """
 
 from __future__ import annotations
@@ -57,12 +58,22 @@ def own_states_along(
             values[:, i] = shapes.get(known.name, shapes.get(name, known.start or 0.0))
     own = len(compiled.traced.states) - 2 * axes
     states = np.zeros((copies, count, own))
+    states[:, 0] = _first(effect, position)
     drive_own(
         compiled.rate_value, np.ascontiguousarray(np.hstack([position, velocity])),
         np.ascontiguousarray(np.hstack([middle, turning])), np.ascontiguousarray(inputs), values,
         dt, states,
     )  # fmt: skip
     return states
+
+
+def _first(effect: Effect, position: Array) -> list[float]:
+    """Where own states begin."""
+    found: list[float] = []
+    for state in effect.states:
+        place = position[0] if state.per_axis else position[0, :1]
+        found += list(place) if state.like else [0.0] * len(place)
+    return found
 
 
 def own_of(effect: Effect, axes: int, states: Array) -> Own:

@@ -11,7 +11,7 @@ from spiral.types.effect import Effect
 from spiral.types.parameter import Parameter
 from spiral.types.record import Array
 
-STEP = 1.1  # ratio of neighbouring frequencies of the spectrum
+_RESONANT, _RELAXING = 1.1, 1.5  # ratio of neighbouring frequencies
 _LOWEST, _HIGHEST = 4.0, 0.1  # band: periods in the record; share of the sample rate
 
 
@@ -20,11 +20,22 @@ def band(samples: int, dt: float) -> tuple[float, float]:
     return _LOWEST / (samples * dt), _HIGHEST / dt
 
 
-def frequencies(series: Series) -> Array:
-    """Frequencies of the spectrum, Hz, over the band that a record can show."""
+def frequencies(effect: Effect, series: Series) -> Array:
+    """Frequencies of an effect's spectrum, Hz, over the band that a record can show."""
     low, high = band(series.samples, series.dt)
-    count = max(int(np.ceil(np.log(high / low) / np.log(STEP))), 1) + 1
+    count = max(int(np.ceil(np.log(high / low) / np.log(step(effect)))), 1) + 1
     return np.geomspace(low, high, count)
+
+
+def step(effect: Effect) -> float:
+    """Ratio of neighbouring frequencies at which an effect is tried.
+
+    A mode is as narrow as its damping is small. What relaxes in a time T, 1 / (1 + i w T), is not:
+    two whose times differ by a factor of 1.2 are alike to 0.99 (their correlation over white noise,
+    2 sqrt(ab) / (a + b), is 0.996).
+    """
+    modes = any(p.spectrum and p.unit != "s" for p in _shapes(effect))
+    return _RESONANT if modes else _RELAXING
 
 
 def _shapes(effect: Effect) -> list[Parameter]:

@@ -248,8 +248,7 @@ def _begun_again(
     at = found.estimate
     if not at.finite:
         return found
-    starts, far = _beginnings(found, spread, stretch)
-    state = replace(found.state, starts=starts)
+    state, far = _beginnings(found, spread, stretch)
     if not far:
         trial = all_predicted([(subjects(assembly, state, at.prepared), at.noise)])[0]
         if not log_likelihood(trial) > found.height + _WORTH:
@@ -258,26 +257,27 @@ def _begun_again(
     return again if again.height > found.height else found
 
 
-def _beginnings(
-    found: LikelihoodFit, spread: float, stretch: float
-) -> tuple[tuple[Array, ...], bool]:
-    """Where every record begins, of first states that lie so far off.
+def _beginnings(found: LikelihoodFit, spread: float, stretch: float) -> tuple[FitState, bool]:
+    """The fit's state with every record begun where it says, of first states that lie so far off.
 
-    And whether that is beyond the doubt that the filter has of a state.
+    And whether that is beyond the doubt that the filter has of a state. What it follows (a phase's
+    origin) begins where the record has it as well: a filter that is linear about a first guess far
+    off misses the first samples, and an effect that is not there may make up for these.
 
     Along a valley where a parameter makes up for a beginning the smoother goes in small steps,
     which are ``stretch`` times as long here.
     """
-    starts, far = [], False
-    for task, settings in found.estimate.prepared:
+    starts, far, values = [], False, found.state.values.copy()
+    for row, (task, settings) in zip(values, found.estimate.prepared, strict=True):
         head = replace(task, series=_head(task.series), inputs=_head_inputs(task))
-        levels = force_levels(found.estimate.noise)
+        levels, n = force_levels(found.estimate.noise), len(task.states)
         known = doubts(settings.tracked)
-        start = smoothed(head, levels, settings.tracked, known, spread)[0][: len(task.states)]
+        first = smoothed(head, levels, settings.tracked, known, spread)[0]
         doubt = np.sqrt(np.diag(settings.covariance))
-        far = far or bool(np.any(np.abs(start - settings.start) > doubt))
-        starts.append(settings.start + stretch * (start - settings.start))
-    return tuple(starts), far
+        far = far or bool(np.any(np.abs(first[:n] - settings.start) > doubt))
+        starts.append(settings.start + stretch * (first[:n] - settings.start))
+        row[[task.keys.index(k) for k in settings.tracked]] = first[n:]
+    return replace(found.state, starts=tuple(starts), values=values), far
 
 
 def _head(series: Series) -> Series:

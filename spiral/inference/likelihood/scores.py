@@ -34,7 +34,7 @@ from spiral.inference.evidence.scoring import (
     rank,
     scored,
 )
-from spiral.inference.evidence.spectrum import STEP, frequencies, others_of, peaks, spectral
+from spiral.inference.evidence.spectrum import frequencies, others_of, peaks, spectral, step
 from spiral.inference.likelihood.fitting import LikelihoodFit, moving
 from spiral.inference.unknown.holding import variant_of
 from spiral.physics.signatures import Along, Own, amplitude_names, signatures
@@ -46,7 +46,7 @@ _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
 _HUGE = 1e60  # a slope from which one is no number: own states that run away
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
 _STEP = 1e-5  # of an input's largest value, for the slopes of the rates by it
-_FINE = (STEP ** np.linspace(-0.8, 0.8, 5), STEP ** np.linspace(-0.3, 0.3, 5))  # around a peak
+_FINE = (np.linspace(-0.8, 0.8, 5), np.linspace(-0.3, 0.3, 5))  # steps around a peak
 
 
 @dataclass(frozen=True)
@@ -132,16 +132,17 @@ def _pass(
 
 def resonances(passage: Passage, effect: Effect) -> list[Variant]:
     """Variants of an effect with own states at the peaks of what the misses resolve into."""
-    band = frequencies(max(passage.tasks, key=lambda t: t.series.samples).series)
+    band = frequencies(effect, max(passage.tasks, key=lambda t: t.series.samples).series)
+    near = [step(effect) ** some for some in _FINE]
     usual, others = others_of(effect)
     share = _shares(passage, effect, [{**usual, **spectral(effect, f)} for f in band])
     top = [float(band[k]) for k in peaks(share)[:_PEAKS]]
     coarse = _best_near(
-        passage, effect, [[(f * s, o) for s in _FINE[0] for o in others] for f in top]
+        passage, effect, [[(f * s, o) for s in near[0] for o in others] for f in top]
     )
     chosen = [
         {**o, **spectral(effect, f)}
-        for f, o in _best_near(passage, effect, [[(f * s, o) for s in _FINE[1]] for f, o in coarse])
+        for f, o in _best_near(passage, effect, [[(f * s, o) for s in near[1]] for f, o in coarse])
     ]
     searched = max(len(band) // max(len(chosen), 1), 1)
     return [variant_of(effect, str(i + 1), c, searched) for i, c in enumerate(chosen)]

@@ -31,7 +31,7 @@ from spiral.inference.evidence.assembly import Assembly, Variant, columns
 from spiral.inference.evidence.fit_state import FitState, Masks, grown, stage_lengths
 from spiral.inference.evidence.judge import held_out
 from spiral.inference.evidence.scoring import group_of, scored, tested_keys
-from spiral.inference.evidence.spectrum import STEP, frequencies, others_of, peaks, spectral
+from spiral.inference.evidence.spectrum import frequencies, others_of, peaks, spectral, step
 from spiral.inference.problem import Progress
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose
@@ -166,8 +166,10 @@ def scanned(
     assembly: Assembly, standing: FitState, stage: Stage, effects: Sequence[Effect]
 ) -> tuple[Scanned, ...]:
     """Lay the shapes of effects at the peaks of what a fit of the standing model leaves."""
-    band = frequencies(max(assembly.study.series, key=lambda s: s.samples))
-    return tuple(_scan(_Scan.of(assembly, standing, stage, e), band) for e in effects)
+    longest = max(assembly.study.series, key=lambda s: s.samples)
+    return tuple(
+        _scan(_Scan.of(assembly, standing, stage, e), frequencies(e, longest)) for e in effects
+    )
 
 
 @dataclass(frozen=True)
@@ -235,7 +237,7 @@ def _scan(scan: _Scan, band: Array) -> Scanned:
     share = scan.shares([{**usual, **spectral(effect, f)} for f in band])
     chosen = []
     for peak in peaks(share)[:VALUES]:
-        near = band[peak] * STEP**_FINE
+        near = band[peak] * step(effect) ** _FINE
         best = near[np.argmax(scan.shares([{**usual, **spectral(effect, f)} for f in near]))]
         trials = [{**o, **spectral(effect, best)} for o in others]
         chosen.append(trials[int(np.argmax(scan.shares(trials)))])
