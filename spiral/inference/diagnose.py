@@ -67,10 +67,12 @@ def _by_a_round(strategy: Strategy, problem: Problem, progress: Progress) -> Dia
     begun = strategy.begin(problem, progress)
     comparison, standing, settings = begun.comparison, begun.standing, problem.settings
     first = Round(0, (), {}, {}, (), comparison, 0.0)
-    if begun.refused:
+    step = None
+    if not begun.refused:
+        step = strategy.propose(begun.assembly, standing, comparison, 1, progress)
+    if step is None or (begun.doubtful and not step.admitted):
         stage = whole(begun.assembly, standing.labels, standing.values)
         return _tangled(begun.assembly, comparison, begun.groups, stage)
-    step = strategy.propose(begun.assembly, standing, comparison, 1, progress)
     if step.again is not None:
         standing, comparison = step.again.standing, step.again.comparison
         first = replace(first, comparison=comparison)

@@ -54,15 +54,16 @@ def discover(
     strategy = strategy_for(problem)
     clock = time.perf_counter()
     begun = strategy.begin(problem, progress)
-    if resume is not None:
-        for found in resume.rounds[:-1]:
-            tell(found)
-        return _loop(strategy, begun.assembly, resume, progress, tell, keep)
-    at = started(begun, time.perf_counter() - clock)
+    at = resume or started(begun, time.perf_counter() - clock)
     if begun.refused:
         tell(at.rounds[0])
         return refused(begun, at.rounds[0])
-    return _loop(strategy, begun.assembly, at, progress, tell, keep)
+    for found in at.rounds[:-1]:
+        tell(found)
+    run = _loop(strategy, begun.assembly, at, progress, tell, keep)
+    if begun.doubtful and not any(r.admitted for r in run.rounds):
+        return refused(begun, run.rounds[-1])
+    return run
 
 
 def _loop(

@@ -19,6 +19,7 @@ from typing import Any
 
 import sympy as sp
 
+from spiral.physics.effect_states import followers, own_states, suffixes
 from spiral.types.cache import kept
 from spiral.types.effect import (
     Effect,
@@ -161,7 +162,7 @@ def trace(
         output=tuple(output),
         acceleration=acceleration,
         forces=forces,
-        like=(*((s.name, s.like) for s in system.states if s.like), *_followers(system, effects)),
+        like=(*((s.name, s.like) for s in system.states if s.like), *followers(system, effects)),
         rates=_rate_names(system),
     )
 
@@ -193,37 +194,10 @@ def asked(owner: Effect | System, what: str, function: Callable[..., Any], *give
         ) from error
 
 
-def own_states(system: System, effects: tuple[Effect, ...]) -> dict[str, str]:
-    """States that effects bring, ``label.state`` with ``_axis`` where per axis, and their units."""
-    return {
-        f"{effect.label}.{state.name}{suffix}": system.place(effect).unit(state.unit)
-        for effect in effects
-        for state in effect.states
-        for suffix in _suffixes(state.per_axis, system.place(effect))
-    }
-
-
-def _followers(system: System, effects: tuple[Effect, ...]) -> list[tuple[str, str]]:
-    """Own states of effects that begin at what their sensor or input shows, and its name."""
-    found = []
-    for effect in effects:
-        port = system.place(effect)
-        for state in (s for s in effect.states if s.like):
-            suffixes = _suffixes(state.per_axis, port)
-            axes = port.axes if state.per_axis else port.axes[:1]
-            found += [(f"{effect.label}.{state.name}{s}", a)
-                      for s, a in zip(suffixes, axes, strict=True)]  # fmt: skip
-    return found
-
-
 def input_columns(system: System) -> tuple[str, ...]:
     """Columns of the input array: each input, ``NAME_rate`` where its rate is used, then time."""
     names = [i.name for i in system.inputs]
     return (*names, *(i.rate.name for i in system.inputs if i.derivative), TIME)
-
-
-def _suffixes(per_axis: bool, port: Port) -> list[str]:
-    return [f"_{axis}" for axis in port.axes] if per_axis and len(port.axes) > 1 else [""]
 
 
 def _place(
@@ -255,7 +229,7 @@ def _place(
         position = tuple(port.coordinates(x, p))
     own = SimpleNamespace()
     for state in effect.states:
-        found = [states[f"{effect.label}.{state.name}{s}"] for s in _suffixes(state.per_axis, port)]
+        found = [states[f"{effect.label}.{state.name}{s}"] for s in suffixes(state.per_axis, port)]
         setattr(own, state.name, tuple(found) if state.per_axis else found[0])
     values = SimpleNamespace()
     for parameter in effect.parameters:
@@ -350,7 +324,7 @@ def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
             )
         value = given[state.name]
         values = list(value) if state.per_axis else [value]
-        for suffix, one in zip(_suffixes(state.per_axis, item.port), values, strict=True):
+        for suffix, one in zip(suffixes(state.per_axis, item.port), values, strict=True):
             rates[f"{effect.label}.{state.name}{suffix}"] = one
     return rates
 

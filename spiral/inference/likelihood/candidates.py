@@ -29,6 +29,7 @@ from spiral.inference.likelihood.fitting import (
     price,
     refitted,
     reopened,
+    settled_values,
 )
 from spiral.inference.likelihood.shapes import with_own_shapes
 from spiral.inference.problem import Progress
@@ -299,10 +300,16 @@ def _reopened(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
 def _taken(
     own: Assembly, fit: LikelihoodFit, masks: Masks, steps: int, least: float = -np.inf
 ) -> LikelihoodFit:
-    """A rival's fit taken on by so many steps; ``least`` as in ``maximise``."""
+    """A rival's fit taken on by so many steps; ``least`` as in ``maximise``.
+
+    What the filter follows (a phase's origin) begins where this model, not the one without the
+    candidate, has it: a first guess far off costs more than a candidate may win.
+    """
     at = fit.estimate
+    followed = any(settings.tracked for _, settings in at.prepared)
+    state = settled_values(fit) if followed else fit.state
     return refitted(
-        own, fit.state, at.noise, masks, steps, rough=True, kept=at.kept, like=at.prepared,
+        own, state, at.noise, masks, steps, rough=True, kept=at.kept, like=at.prepared,
         least=least,
     )  # fmt: skip
 

@@ -28,7 +28,7 @@ from spiral.inference.reconstruction.consistency import (
 from spiral.inference.reconstruction.consistency import stable_samples as stable
 from spiral.inference.reconstruction.observability import Observability, observability
 from spiral.inference.reconstruction.uncertain import declared
-from spiral.physics.trace import own_states
+from spiral.physics.effect_states import own_states
 from spiral.types.errors import ConfigError
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model, pretty_unit

@@ -31,7 +31,8 @@ class Begun:
     """A study ready for its first round: compiled, its seed fitted and compared.
 
     ``groups`` are effects of the seed that the record cannot tell apart. Where that is ``refused``
-    the loop ends there; else ``details["tied"]`` says which parameters keep their given values.
+    the loop ends there, where it is ``doubtful`` (of a fit that explains too little to say) only if
+    no candidate passes; else ``details["tied"]`` says which parameters keep their given values.
     """
 
     assembly: Assembly
@@ -39,6 +40,7 @@ class Begun:
     comparison: Comparison
     details: Mapping[str, Any] = field(default_factory=dict)
     refused: bool = False
+    doubtful: bool = False
     groups: tuple[tuple[str, ...], ...] = ()
 
 

@@ -35,6 +35,7 @@ from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
     LikelihoodFit,
+    explains,
     refitted,
 )
 from spiral.inference.likelihood.identify import untold
@@ -71,7 +72,8 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
     """The model as it is, most likely with the noise that its record wants.
 
     Parameters that the record cannot tell from others are held at their given values: along a flat
-    combination the likelihood is the same, whatever value one of them has.
+    combination the likelihood is the same, whatever value one of them has. Where none is given the
+    study ends there, unless much acts at random beside the fit: then candidates are tried first.
     """
     groups: tuple[tuple[str, ...], ...] = ()
     held: tuple[str, ...] = ()
@@ -85,8 +87,12 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
         progress(f"holding {given}, which the record cannot tell from others")
         held = (*held, given)
         problem = replace(problem, model=replace(model, fixed=(*model.fixed, given)))
-    begun = replace(_begun(bare, found, progress), refused=bool(ties), groups=groups)
-    if begun.refused or not held:
+    sure = explains(found)  # what is tied in a fit gone astray need not be tied in the record
+    begun = replace(
+        _begun(bare, found, progress), refused=bool(ties) and sure,
+        doubtful=bool(ties) and not sure, groups=groups,
+    )  # fmt: skip
+    if ties or not held:
         return begun
     details = {**begun.details, "tied": {"parameters": list(held), "groups": list(groups)}}
     notes = (*begun.comparison.notes, held_said(details))

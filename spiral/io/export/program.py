@@ -18,8 +18,9 @@ from sympy.logic.boolalg import Boolean
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from spiral.io.export.names import plain, word
+from spiral.physics.effect_states import own_states
 from spiral.physics.outside.program import ProgramValue
-from spiral.physics.trace import Traced, own_states, trace
+from spiral.physics.trace import Traced, trace
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model
 from spiral.types.parameter import BETWEEN

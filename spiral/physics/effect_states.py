@@ -1,0 +1,34 @@
+"""The states that effects bring: their names and units, and those that begin at their port."""
+
+from __future__ import annotations
+
+from spiral.types.effect import Effect
+from spiral.types.port import Port
+from spiral.types.system import System
+
+
+def own_states(system: System, effects: tuple[Effect, ...]) -> dict[str, str]:
+    """States that effects bring, ``label.state`` with ``_axis`` where per axis, and their units."""
+    return {
+        f"{effect.label}.{state.name}{suffix}": system.place(effect).unit(state.unit)
+        for effect in effects
+        for state in effect.states
+        for suffix in suffixes(state.per_axis, system.place(effect))
+    }
+
+
+def followers(system: System, effects: tuple[Effect, ...]) -> list[tuple[str, str]]:
+    """Own states of effects that begin at what their sensor or input shows, and its name."""
+    found: list[tuple[str, str]] = []
+    for effect in effects:
+        port = system.place(effect)
+        for state in (s for s in effect.states if s.like):
+            axes = port.axes if state.per_axis else port.axes[:1]
+            names = [f"{effect.label}.{state.name}{s}" for s in suffixes(state.per_axis, port)]
+            found += zip(names, axes, strict=True)
+    return found
+
+
+def suffixes(per_axis: bool, port: Port) -> list[str]:
+    """What follows a name for each axis that it counts."""
+    return [f"_{axis}" for axis in port.axes] if per_axis and len(port.axes) > 1 else [""]
