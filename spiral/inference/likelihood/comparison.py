@@ -52,6 +52,7 @@ from spiral.inference.likelihood.fitting import (
     integrated,
     settled_values,
 )
+from spiral.inference.likelihood.free_fit import FREELY, by_free_runs
 from spiral.inference.problem import Problem, Progress
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
@@ -70,19 +71,27 @@ _SHORTEST = 16  # samples of a settling part
 def compared_by_likelihood(
     assembly: Assembly, found: LikelihoodFit, progress: Progress
 ) -> tuple[FitState, Comparison]:
-    """The state of a fit with what belongs to each record, and its comparison."""
-    estimate = found.estimate
+    """The state of a fit with what belongs to each record, and its comparison.
+
+    What is at random, and what is left, is told beside the most likely values; the model that is
+    shown predicts by those of ``by_free_runs``.
+    """
+    estimate, free = found.estimate, by_free_runs(assembly, found, progress)
     state = settled_values(found) if estimate.finite else found.state
-    model = to_model(assembly, state.labels, state.values, estimate.errors, state.freed, state.held)
+    shown = state if free is found else settled_values(free)
+    errors = free.estimate.errors
+    model = to_model(assembly, shown.labels, shown.values, errors, shown.freed, shown.held)
     assembly = integrated(assembly, state)
     progress("free run on the test record")
-    own, _ = _runs(assembly, state, model, None)
+    own, _ = _runs(assembly, shown, model, None)
     names, run, seen = model.system.observed, own, {}
-    other = with_test(assembly, state.values)
+    other = with_test(assembly, shown.values)
     if other is not None:
-        if state.settle is None:
-            state = replace(state, settle=_settling(other, estimate.prepared[0][0]))
-        run, seen = _judged(other, state, model, estimate)
+        settle = state.settle
+        if settle is None:
+            settle = _settling(other, free.estimate.prepared[0][0])
+        state, shown = replace(state, settle=settle), replace(shown, settle=settle)
+        run, seen = _judged(other, shown, model, free.estimate)
     errors, problem = run.errors(names), assembly.problem
     disturbed = _disturbed(estimate, run)
     sizes, times = acting(estimate, disturbed)
@@ -97,7 +106,7 @@ def compared_by_likelihood(
         **left,
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
-        **_remarks(problem, state),
+        **_remarks(problem, state, free is not found),
         noise_ratio=_stated(problem.records, state.noise),
         **seen,
         random=sizes,
@@ -120,10 +129,11 @@ def _judged(
     }
 
 
-def _remarks(problem: Problem, state: FitState) -> dict[str, Any]:
-    """What is to be said of the records, and how their inputs run."""
+def _remarks(problem: Problem, state: FitState, free: bool) -> dict[str, Any]:
+    """What is to be said of the records, of how their inputs run, and of the values."""
+    said = (*(n for r in problem.records for n in r.remarks), *inputs_said(state.between))
     return {
-        "notes": (*(n for r in problem.records for n in r.remarks), *inputs_said(state.between)),
+        "notes": (*said, FREELY) if free else said,
         "spoilt": tuple(n for r in problem.records for n in r.spoilt_words),
         "between": dict(state.between),
     }

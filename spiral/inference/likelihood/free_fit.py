@@ -1,0 +1,100 @@
+"""Values by which a model predicts best without correction, where much acts at random beside it.
+
+One-step predictions tell a machine's values best where what acts on it is random. Where it only
+looks so, because the model still lacks something, the filter is corrected at every sample by what
+is lacking, and values that fit one step may be far from those that fit a whole run. These minimise
+
+    sum_kj (y_kj - y^_kj(theta))^2 / r_j^2
+
+over the free run y^ from the record's own start (output error; Ljung, System Identification, 1999,
+section 7.3). They are taken where they predict stretches that did not choose them better, by more
+than a tenth: beside forces that are truly random the two differ by less, and one-step predictions
+are the more precise ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from spiral.engine.likelihood.fit import informed, maximise
+from spiral.engine.likelihood.noise import NoiseModel
+from spiral.engine.likelihood.predict import Masks, Prepared, all_predicted
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.fit_state import half_masks
+from spiral.inference.likelihood.fitting import (
+    LikelihoodFit,
+    explains,
+    refitted,
+    with_estimate,
+)
+from spiral.inference.likelihood.starts import sensors_alone
+from spiral.inference.problem import Progress
+
+FREELY = (
+    "the values are those that predict best without correction: much acts beside the model that "
+    "is not random, and one-step predictions, which are corrected for it, would choose others"
+)
+"""What is said where values are those of free runs."""
+
+_BETTER = 0.9  # share of the other's error below which values by free runs are taken
+
+
+def by_free_runs(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
+    """The fit with the values that predict best without correction, if these are far better.
+
+    Its noise is the most likely one beside them, its standard errors those of the free run
+    (widened by how much blocks of the record differ).
+    """
+    if not found.estimate.finite or explains(found) or not found.estimate.keys:
+        return found
+    progress("asking what predicts best without correction")
+    deaf = sensors_alone(found)
+    deaf = deaf.of(t for t in deaf.terms if t.kind == "white")
+    free = refitted(assembly, found.state, deaf, rough=True, like=found.estimate.prepared)
+    if not _clearly_better(free, found, deaf, None):
+        return found
+    select, judge = half_masks(assembly)
+    for fitted, told in ((select, judge), (judge, select)):
+        ours = refitted(assembly, found.state, masks=fitted, rough=True, kept=found.estimate.kept)
+        theirs = refitted(assembly, free.state, deaf, fitted, rough=True)
+        if not _clearly_better(theirs, ours, deaf, told):
+            return found
+    return _with_noise_of(assembly, free, found)
+
+
+def _clearly_better(
+    free: LikelihoodFit, found: LikelihoodFit, deaf: NoiseModel, masks: Masks
+) -> bool:
+    """Whether one fit's free runs miss less than the other's on some blocks."""
+    ours, theirs = (_missed(f.estimate.prepared, deaf, masks) for f in (found, free))
+    return theirs < _BETTER * ours
+
+
+def _missed(prepared: Prepared, deaf: NoiseModel, masks: Masks) -> float:
+    """Mean over channels of what free runs miss, over the channels' deviations."""
+    parts = all_predicted([(prepared, deaf)])[0]
+    if not all(p.whole for p in parts):
+        return np.inf
+    total, count = 0.0, 0
+    for r, ((task, _), part) in enumerate(zip(prepared, parts, strict=True)):
+        chosen = None if masks is None else masks[r]
+        misses = part.misses if chosen is None else part.misses[chosen]
+        total, count = (
+            total + np.sum((misses / task.series.deviations) ** 2, axis=0),
+            count + len(misses),
+        )
+    return float(np.mean(np.sqrt(total / max(count, 1))))
+
+
+def _with_noise_of(assembly: Assembly, free: LikelihoodFit, found: LikelihoodFit) -> LikelihoodFit:
+    """A free fit's values with the noise terms of another, at their most likely sizes."""
+    known, keys = informed(free.estimate), free.estimate.keys
+    noisy = maximise(free.estimate.prepared, (), found.estimate.noise, rough=True)
+    parts = all_predicted([(noisy.prepared, noisy.noise)], keys, keep=True)[0]
+    estimate = replace(
+        noisy, keys=keys, parts=parts, solved=known.solved, sizes=known.sizes,
+        widened=known.widened,
+    )  # fmt: skip
+    return LikelihoodFit(with_estimate(free.state, estimate), estimate)
