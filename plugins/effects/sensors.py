@@ -90,20 +90,10 @@ class Delay(SensorEffect):
 
     def remark(self, values, step):
         """A sensor cannot be early, and half a sample has a usual cause."""
-        times = _times(values)
-        return _early(times) or half_a_sample(min(times), step)
-
-
-def _times(values):
-    """Of all channels."""
-    return [v for k, v in values.items() if k.startswith("time")]
-
-
-def _early(times):
-    """What is said where no sensor is late."""
-    if max(times) >= 0:
-        return ""
-    return f"no sensor is early: the inputs are recorded {-max(times):.2g} s or more late"
+        times = [v for k, v in values.items() if k.startswith("time")]
+        if max(times) < 0:
+            return f"no sensor is early: the inputs are recorded {-max(times):.2g} s or more late"
+        return half_a_sample(min(times), step)
 
 
 def bent(given, level, slope):
@@ -133,7 +123,7 @@ class SensorLag(SensorEffect):
         State("behind", "position", per_axis=True),
     )
     twins = ("actuator_lag", "input_delay")
-    parameters = (Parameter("time", "s", per_axis=True), SCALE)
+    parameters = (Parameter("time", "s", per_axis=True, lower=0.0), SCALE)
 
     def reading(self, y, at, u, p):
         """y_i - r_i e_i - (r_i - r_i^2) f_i."""
@@ -150,10 +140,6 @@ class SensorLag(SensorEffect):
             "level": [e / p.scale for e, _ in passed],
             "behind": [f / p.scale for _, f in passed],
         }
-
-    def remark(self, values, step):
-        """A sensor cannot be early."""
-        return _early(_times(values))
 
 
 def _passed(at):

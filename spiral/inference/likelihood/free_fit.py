@@ -7,13 +7,16 @@ is lacking, and values that fit one step may be far from those that fit a whole 
     sum_kj (y_kj - y^_kj(theta))^2 / r_j^2
 
 over the free run y^ from the record's own start (output error; Ljung, System Identification, 1999,
-section 7.3). They are taken where they predict stretches that did not choose them better, by more
-than a tenth: beside forces that are truly random the two differ by less, and one-step predictions
-are the more precise ones.
+section 7.3). They are taken where they predict the records better by more than a tenth, and halves
+of them, each by values of the other, better as well: beside forces that are truly random the two
+differ by less, and one-step predictions are the more precise ones. What a free run misses is
+correlated over long times, so the halves are whole: blocks that alternate would be no witness of
+one another.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +25,6 @@ from spiral.engine.likelihood.fit import informed, maximise
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import Masks, Prepared, all_predicted
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.fit_state import half_masks
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     explains,
@@ -53,27 +55,32 @@ def by_free_runs(assembly: Assembly, found: LikelihoodFit, progress: Progress) -
     deaf = sensors_alone(found)
     deaf = deaf.of(t for t in deaf.terms if t.kind == "white")
     free = refitted(assembly, found.state, deaf, rough=True, like=found.estimate.prepared)
-    if not _clearly_better(free, found, deaf, None):
+    ours, theirs = (_missed(f, deaf, None) for f in (found, free))
+    if not theirs < _BETTER * ours:
         return found
-    select, judge = half_masks(assembly)
-    for fitted, told in ((select, judge), (judge, select)):
-        ours = refitted(assembly, found.state, masks=fitted, rough=True, kept=found.estimate.kept)
-        theirs = refitted(assembly, free.state, deaf, fitted, rough=True)
-        if not _clearly_better(theirs, ours, deaf, told):
-            return found
+    ours = theirs = 0.0
+    for fitted, other in itertools.permutations(_halves(found.estimate.prepared)):
+        stepwise = refitted(
+            assembly, found.state, masks=fitted, rough=True, kept=found.estimate.kept
+        )
+        freely = refitted(assembly, free.state, deaf, fitted, rough=True)
+        ours += _missed(stepwise, deaf, other) ** 2
+        theirs += _missed(freely, deaf, other) ** 2
+    if not theirs < ours:
+        return found
     return _with_noise_of(assembly, free, found)
 
 
-def _clearly_better(
-    free: LikelihoodFit, found: LikelihoodFit, deaf: NoiseModel, masks: Masks
-) -> bool:
-    """Whether one fit's free runs miss less than the other's on some blocks."""
-    ours, theirs = (_missed(f.estimate.prepared, deaf, masks) for f in (found, free))
-    return theirs < _BETTER * ours
+def _halves(prepared: Prepared) -> tuple[Masks, Masks]:
+    """The first half of every record, and the second."""
+    counts = [task.series.samples for task, _ in prepared]
+    first = tuple(np.arange(n) < n // 2 for n in counts)
+    return first, tuple(~m for m in first)
 
 
-def _missed(prepared: Prepared, deaf: NoiseModel, masks: Masks) -> float:
-    """Mean over channels of what free runs miss, over the channels' deviations."""
+def _missed(found: LikelihoodFit, deaf: NoiseModel, masks: Masks) -> float:
+    """Mean over channels of what free runs of a fit miss, over the channels' deviations."""
+    prepared = found.estimate.prepared
     parts = all_predicted([(prepared, deaf)])[0]
     if not all(p.whole for p in parts):
         return np.inf
