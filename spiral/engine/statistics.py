@@ -12,7 +12,7 @@ from spiral.types.record import Array
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Ljung-Box over channels: smallest p-value (Bonferroni), and Q/N as effect size."""
+    """Ljung-Box over channels: smallest p-value (Bonferroni), and (Q - m) / N as effect size."""
 
     p: float
     effect: float
@@ -21,8 +21,9 @@ class Whiteness:
 def whiteness(residuals: tuple[Array, ...], lags: int) -> Whiteness:
     """Ljung-Box Q = N (N + 2) sum_k rho_k^2 / (N - k) of every channel (paper, eq. ljungbox).
 
-    Q/N is about the summed squared autocorrelation: the size of what is left, whatever N. Of a
-    short record at most a fifth as many lags are taken as it has samples.
+    (Q - m) / N is about the summed squared autocorrelation over m lags: the size of what is left,
+    whatever N, less what white noise shows by chance. Of a short record at most a fifth as many
+    lags are taken as it has samples.
     """
     lags = min([lags, *(max(2, len(values) // 5) for values in residuals)])
     p_values, effects = [], []
@@ -33,7 +34,7 @@ def whiteness(residuals: tuple[Array, ...], lags: int) -> Whiteness:
                 return Whiteness(0.0, np.inf)
             statistic = ljung_box(kept, lags)
             p_values.append(float(special.chdtrc(lags, statistic)))
-            effects.append(statistic / len(kept))
+            effects.append(max(statistic - lags, 0.0) / len(kept))
     smallest = min(p_values) if p_values else 1.0
     return Whiteness(min(1.0, smallest * len(p_values)), max(effects, default=0.0))
 

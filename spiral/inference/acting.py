@@ -49,7 +49,9 @@ def random_sentence(found: Comparison) -> str:
                 f"the noise of sensor {where} is not white: {percent(share)} of its motion{lasting}"
             )
     if random_forces(found) and np.isfinite(found.disturbed):
-        said.append(f"random forces make {percent(found.disturbed)} of the motion")
+        much = found.disturbed >= 1.0
+        share = "all" if much else percent(found.disturbed)
+        said.append(f"random forces make {share} of {'a free run' if much else 'the motion'}")
     text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
 

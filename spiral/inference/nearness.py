@@ -3,15 +3,16 @@
 A model is *near its noise* where all of these hold:
 
     1 / L <= chi2 / dof <= L          on the samples that were fitted,
-    p >= level or Q / N <= s^2        what is left is white, or its colour harmless,
+    p >= level or (Q - m) / N <= s^2  what is left is white, or its colour harmless,
     (test error)^2 <= L (floor)^2 + 6.6 d^2   on samples that no fit has seen,
 
-with L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box, d what the fitted random forces
-are expected to make of a free run (``engine.likelihood.free_spread``; a record may be one stretch
-of what they move slowly, and chi2 of one degree of freedom is 6.6 once in a hundred). Q/N is about
-the share of what is left that its own past predicts: below s^2 it is smaller than the smallest
-effect that counts. Where a filter's likelihood is the evidence chi2 is that of the innovations;
-with ``strategy=innovation`` the test error is not asked: process noise moves what runs freely.
+with L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box over m lags, d what the fitted
+random forces are expected to make of a free run (``engine.likelihood.free_spread``; a record may be
+one stretch of what they move slowly, and chi2 of one degree of freedom is 6.6 once in a hundred).
+(Q - m) / N is about the share of what is left that its own past predicts: below s^2 it is smaller
+than the smallest effect that counts. Where a filter's likelihood is the evidence chi2 is that of
+the innovations; with ``strategy=innovation`` the test error is not asked: process noise moves what
+runs freely.
 """
 
 from __future__ import annotations
@@ -110,13 +111,27 @@ def _carried(found: Comparison) -> float:
 def errs(found: Comparison, settings: Settings) -> bool:
     """Whether the error on unseen data is larger than noise, and what it carries on, make it.
 
-    It is not asked where random forces were not modelled: they move what runs freely.
+    It is not asked where random forces were not modelled: they move what runs freely; nor of a
+    machine that ``runs_away``.
     """
-    if found.innovation_chi2 is not None and found.random is None:
+    if (found.innovation_chi2 is not None and found.random is None) or runs_away(found):
         return False
     floor = _floor(found, settings)
     allowed = settings.chi2_limit * floor**2 + _STRETCHES * _carried(found) ** 2
     return not found.test_error**2 <= allowed
+
+
+def runs_away(found: Comparison) -> bool:
+    """Whether what is at random, or uncertain, carries a free run as far as all that moves.
+
+    As of a machine that only its controller holds: a free run is no witness of any model there.
+    """
+    return found.random is not None and not _carried(found) < 1.0
+
+
+def next_sample(found: Comparison) -> float | None:
+    """The error on unseen data one sample ahead; nothing where there are none."""
+    return next((h.error for h in found.unseen if h.samples == 1), None)
 
 
 def _drifting(found: Comparison) -> float:

@@ -19,8 +19,10 @@ from spiral.inference.nearness import (
     errs,
     grown,
     near_noise,
+    next_sample,
     noise_factor,
     predicts_nothing,
+    runs_away,
     shortfalls,
     white,
 )
@@ -168,6 +170,11 @@ def _fits(found: Comparison, settings: Settings) -> bool:
 def _figures(found: Comparison, settings: Settings) -> str:
     floor = percent(found.noise_floor)
     error = f"the test error is {percent(found.test_error)} (noise floor {floor})"
+    if runs_away(found) and (ahead := next_sample(found)) is not None:
+        error = (
+            f"one sample ahead the error on unseen data is {percent(ahead)} (noise floor {floor}); "
+            "a free run is no witness, as what is at random or uncertain carries it away"
+        )
     if found.random is not None:
         kind = "white noise" if found.whiteness_p >= settings.whiteness_level else "noise"
         return f"what is left is {kind}, and {error}"
@@ -207,6 +214,12 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
         f"test error {percent(first.test_error)} -> {percent(last.test_error)} "
         f"(noise floor {percent(last.noise_floor)})"
     )
+    before, after = next_sample(first), next_sample(last)
+    if runs_away(last) and before is not None and after is not None:
+        change = (
+            f"error one sample ahead {percent(before)} -> {percent(after)} (noise floor "
+            f"{percent(last.noise_floor)}; a free run is carried away)"
+        )
     them = "it" if len(admitted) == 1 else "them"
     if _worse(rounds, settings):
         return (

@@ -85,7 +85,7 @@ class Effect(Plugin):
 class ForceEffect(Effect):
     """A force at a port, one component per axis, in the port's unit of force.
 
-    ``pairs`` : whether it also acts between any two coordinates of one unit (``System.pairs``),
+    ``pairs`` : whether it also acts between any two coordinates of one unit (``System.links``),
     which need not be the axes of a plane.
     """
 

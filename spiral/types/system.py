@@ -84,7 +84,7 @@ class System(Plugin):
         for port in self.ports:
             if port.name == name or not name:
                 return port
-        for port in self.pairs:
+        for port in self.links:
             if port.name == name:
                 return port
         names = [port.name for port in self.ports]
@@ -95,9 +95,9 @@ class System(Plugin):
         )
 
     @property
-    def pairs(self) -> tuple[Port, ...]:
+    def links(self) -> tuple[Port, ...]:
         """Two coordinates of one unit each, as ports ``NAME-NAME`` of two axes."""
-        return _pairs(self) if has_coordinates(self) else ()
+        return _links(self) if has_coordinates(self) else ()
 
     @property
     def sensed(self) -> tuple[Port, ...]:
@@ -281,7 +281,7 @@ def _filled(units: dict[str, str], *into: State) -> Port:
 
 
 @kept(32)
-def _pairs(system: MechanicalSystem) -> tuple[Port, ...]:
+def _links(system: MechanicalSystem) -> tuple[Port, ...]:
     """Pairs of the ports that are coordinates, one axis each."""
     import sympy
 

@@ -50,7 +50,7 @@ def extremes(system: System, records: Sequence[Record], along: Sequence[Array]) 
     traced = trace(system, ())
     states = np.concatenate(along)
     found = {}
-    for port in (*system.ports, *system.pairs):
+    for port in (*system.ports, *system.links):
         for kind, expressions in at_port(system, port, traced):
             values = sp.lambdify(traced.x, expressions, "numpy")(*states.T)
             found[f"{port.name}.{kind}"] = max(

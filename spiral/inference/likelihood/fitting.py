@@ -182,9 +182,9 @@ def reopened(
 
     Sizes are on a logarithmic scale, on which one near zero has no slope: noise of a sensor that a
     large random force has made superfluous never comes back by itself when the model no longer
-    needs that force. Nothing is tried where the model explains the records.
+    needs that force. Nothing is tried where the model explains the records and leaves white noise.
     """
-    if not found.estimate.finite or explains(found):
+    if not found.estimate.finite or (explains(found) and is_white(assembly, found)):
         return found
     sizes = _vanished(found.estimate)
     if not sizes:

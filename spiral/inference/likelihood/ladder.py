@@ -70,7 +70,8 @@ def _best(at: Maximum) -> Maximum | None:
     """The noise with one term more that is worth most beyond its price; none where none is.
 
     Terms are looked at on the part of the records that moves most; what keeps up there is judged on
-    all.
+    all. So is the best force with a memory in any case: it begins beside a white one that already
+    does its work, and a few steps do not tell what it is worth.
     """
     part = _part(at)
     now = maximise(part, (), at.noise, steps=_LOOK)
@@ -81,11 +82,11 @@ def _best(at: Maximum) -> Maximum | None:
         gain = look.log_likelihood - _price(noise, at.noise, part) - now.log_likelihood
         looks.append((gain, look.noise))
     most = max((gain for gain, _ in looks), default=0.0)
-    tuned = [
-        maximise(at.prepared, (), noise, steps=_TUNE, rough=True)
-        for gain, noise in looks
-        if gain > 0 and gain >= _KEEP * most
-    ]
+    kept = [noise for gain, noise in looks if gain > 0 and gain >= _KEEP * most]
+    if not at.noise.has("gust"):
+        _, gust = max((x for x in looks if x[1].has("gust")), key=lambda x: x[0])
+        kept += [gust] if gust not in kept else []
+    tuned = [maximise(at.prepared, (), noise, steps=_TUNE, rough=True) for noise in kept]
     worths = [
         (t.log_likelihood - at.log_likelihood - _price(t.noise, at.noise, at.prepared), t)
         for t in tuned
