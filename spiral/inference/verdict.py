@@ -28,8 +28,12 @@ from spiral.inference.nearness import (
 )
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import forgotten, memory_said
+from spiral.types.effect import ForceEffect
 from spiral.types.formatting import number, percent
+from spiral.types.model import Model
+from spiral.types.placement import at_every_place
 from spiral.types.run import Comparison, Round, Stopped, Verdict
+from spiral.types.system import place_name
 
 FROM_NONE = "standard_errors"
 """Of a round's details: by effect, how far it is from none by the likelihood without it."""
@@ -239,7 +243,18 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
     named = determined(rounds, settings)
     if not named:
         return f"The model now holds {', '.join(admitted)}: {change}."
-    return f"Missing {'was' if len(named) == 1 else 'were'} {', '.join(named)}: {change}."
+    words = ", ".join(placed(last.model, label) for label in named)
+    return f"Missing {'was' if len(named) == 1 else 'were'} {words}: {change}."
+
+
+def placed(model: Model, label: str) -> str:
+    """An effect of a model with its place, where its label leaves out that it is the first."""
+    effect = next((e for e in model.effects if e.label == label), None)
+    if effect is None or effect.port or len(at_every_place(model.system, effect)) < 2:
+        return label
+    port = model.system.place(effect)
+    name = port.name if isinstance(effect, ForceEffect) else place_name(port)
+    return f"{label} at {name}" if name else label
 
 
 def _in_place(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:

@@ -35,8 +35,8 @@ def with_likely_inputs(
     a hundred times as likely and the model explains the records with it: what a model lacks makes
     wrong ways likely too.
     """
-    for known in assembly.problem.model.system.inputs:
-        others = [f for f in _others(assembly, found, known, None, progress) if explains(f)]
+    for some in _together(assembly.problem):
+        others = [f for f in _others(assembly, found, some, None, progress) if explains(f)]
         best = max(others, key=lambda f: f.height, default=found)
         found = best if best.height > found.height + np.log(_ODDS) else found
     return found
@@ -47,8 +47,8 @@ def with_own_inputs(assembly: Assembly, found: LikelihoodFit, progress: Progress
     for known in assembly.problem.model.system.inputs:
         if known.name not in found.state.between:
             continue
-        progress(_asking(known))
-        state = replace(found.state, between=_with(found, known, known.interpolation))
+        progress(_asking((known,)))
+        state = replace(found.state, between=_with(found, (known,), known.interpolation))
         own = refitted(assembly, state, rough=True)
         found = own if own.height > found.height - np.log(_ODDS) else found
     return found
@@ -59,9 +59,9 @@ def run_otherwise(
 ) -> list[LikelihoodFit]:
     """Fits of another state than a fit's own (of one with an effect less), inputs run otherwise."""
     fits: list[LikelihoodFit] = []
-    for known in assembly.problem.model.system.inputs:
-        for ways in _other_ways(assembly, found, known):
-            progress(_asking(known))
+    for some in _together(assembly.problem):
+        for ways in _other_ways(found, some):
+            progress(_asking(some))
             fits.append(refitted(assembly, replace(state, between=ways), rough=True))
     return fits
 
@@ -69,14 +69,14 @@ def run_otherwise(
 def likelier_inputs(
     assembly: Assembly, base: LikelihoodFit, masks: Masks, least: float, progress: Progress
 ) -> LikelihoodFit | None:
-    """The fit with one input run in another way, where that makes most of the samples that count.
+    """The fit with inputs run in another way, where that makes most of the samples that count.
 
     ``least`` : log-likelihood that something else (a candidate) makes of them.
     """
     fits = [
         fit
-        for known in assembly.problem.model.system.inputs
-        for fit in _others(assembly, base, known, masks, progress)
+        for some in _together(assembly.problem)
+        for fit in _others(assembly, base, some, masks, progress)
     ]
     best = max(fits, key=lambda f: f.height, default=None)
     if best is None or best.height - base.height < max(least, float(np.log(_ODDS))):
@@ -84,33 +84,43 @@ def likelier_inputs(
     return best
 
 
-def _others(
-    assembly: Assembly, found: LikelihoodFit, known: Input, masks: Masks, progress: Progress
-) -> list[LikelihoodFit]:
-    """Fits with an input run in each other way that changes what is predicted.
+def _together(problem: Problem) -> list[tuple[Input, ...]]:
+    """Inputs whose way no record declares and that nothing follows from: each, then all at once.
 
-    Asked where no record declares the way and nothing else follows from the input; a way is fitted
-    where it changes the whitened misses, in squares and summed, by one.
+    What one controller gives runs in one way; beside another input that runs otherwise none of them
+    may look right alone.
+    """
+    known = problem.model.system.inputs
+    free = tuple(i for i in known if _open(problem, i))
+    return [*((i,) for i in free), *((free,) if len(free) > 1 else ())]
+
+
+def _others(
+    assembly: Assembly, found: LikelihoodFit, some: tuple[Input, ...], masks: Masks,
+    progress: Progress,
+) -> list[LikelihoodFit]:  # fmt: skip
+    """Fits with inputs run in each other way that changes what is predicted.
+
+    A way is fitted where it changes the whitened misses, in squares and summed, by one.
     """
     fits: list[LikelihoodFit] = []
-    for ways in _other_ways(assembly, found, known) if found.estimate.finite else ():
+    for ways in _other_ways(found, some) if found.estimate.finite else ():
         state = replace(found.state, between=ways)
         if _differs(assembly, found, state):
-            progress(_asking(known))
+            progress(_asking(some))
             fits.append(refitted(assembly, state, masks=masks, rough=True))
     return fits
 
 
-def _other_ways(assembly: Assembly, found: LikelihoodFit, known: Input) -> Iterator[Ways]:
-    """The ways of a fit with an input run in each other way; none where a record declares it."""
-    if _open(assembly.problem, known):
-        for way in get_args(Interpolation):
-            if way != _way(found, known):
-                yield _with(found, known, way)
+def _other_ways(found: LikelihoodFit, some: tuple[Input, ...]) -> Iterator[Ways]:
+    """The ways of a fit with these inputs run in each way that one of them has not."""
+    for way in get_args(Interpolation):
+        if any(way != _way(found, known) for known in some):
+            yield _with(found, some, way)
 
 
-def _asking(known: Input) -> str:
-    return f"asking how {known.name} runs between its samples"
+def _asking(some: tuple[Input, ...]) -> str:
+    return f"asking how {' and '.join(i.name for i in some)} run between samples"
 
 
 def _open(problem: Problem, known: Input) -> bool:
@@ -122,12 +132,14 @@ def _way(found: LikelihoodFit, known: Input) -> Interpolation:
     return found.state.between.get(known.name, known.interpolation)
 
 
-def _with(found: LikelihoodFit, known: Input, way: Interpolation) -> Ways:
-    """The ways of a fit with one more; the system's own need not be told."""
+def _with(found: LikelihoodFit, some: tuple[Input, ...], way: Interpolation) -> Ways:
+    """The ways of a fit with these; the system's own need not be told."""
+    gone = {i.name for i in some}
     others: dict[str, Interpolation] = {
-        k: w for k, w in found.state.between.items() if k != known.name
+        k: w for k, w in found.state.between.items() if k not in gone
     }
-    return others if way == known.interpolation else {**others, known.name: way}
+    others.update((i.name, way) for i in some if way != i.interpolation)
+    return others
 
 
 def _differs(assembly: Assembly, found: LikelihoodFit, other: FitState) -> bool:

@@ -16,23 +16,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from spiral.engine.likelihood.fit import informed
 from spiral.engine.likelihood.predict import Masks, Prepared
 from spiral.inference.acting import random_forces
-from spiral.inference.evidence.admission import let_go
-from spiral.inference.evidence.assembly import Assembly, Variant, offers
+from spiral.inference.evidence.assembly import Assembly, offers
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import Parts, Ranking, present_labels, tested_keys
-from spiral.inference.likelihood.between import run_otherwise, with_own_inputs
+from spiral.inference.evidence.scoring import Parts, Ranking, present_labels
+from spiral.inference.likelihood.between import with_own_inputs
 from spiral.inference.likelihood.candidates import Race, Rival, race
 from spiral.inference.likelihood.comparison import compared_by_likelihood
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     colour,
     is_white,
-    price,
     refitted,
     reopened,
     restarted,
@@ -53,10 +50,16 @@ from spiral.inference.likelihood.starts import (
 from spiral.inference.nearness import grown
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import Settled
+from spiral.inference.strategies.needed import (
+    admitted,
+    run_otherwise_instead,
+    told_by_likelihood,
+    without_superfluous,
+)
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.holding import carried, emptied, with_variants
 from spiral.inference.verdict import FROM_NONE
-from spiral.types.effect import Effect, InputEffect, SensorEffect
+from spiral.types.effect import Effect
 from spiral.types.formatting import number
 from spiral.types.horizon import changes
 from spiral.types.run import Comparison
@@ -73,7 +76,7 @@ def settled_on(
     found = replace(found, estimate=informed(found.estimate))
     state, comparison = compared_by_likelihood(assembly, found, progress)
     details: dict[str, Any] = {"noise": dict(found.estimate.noise.values)}
-    if told := _told_by_likelihood(assembly, found):
+    if told := told_by_likelihood(assembly, found):
         details[FROM_NONE] = told
     if found.estimate.finite:
         details["log_likelihood"] = found.height
@@ -188,6 +191,8 @@ def _senseless(whole: Whole, rival: Rival) -> Refusal | None:
         return Refusal("with it the fit to all samples runs away")
     if rival.label in whole.settled.retired:
         return Refusal("an input that runs otherwise between its samples explains as much")
+    if _vanished(whole, rival.label):
+        return Refusal("fitted to all samples it is nothing: zero, or within its error of it")
     model, variant = whole.settled.comparison.model, rival.ranked.variant
     tried = {k.rpartition(".")[2]: size for k, size in variant.shapes.items()}
     for key, parameter in model.pairs:
@@ -199,6 +204,21 @@ def _senseless(whole: Whole, rival: Rival) -> Refusal | None:
             if parameter.grid and abs(value) > _BEYOND * abs(tried.get(name) or np.inf):
                 return Refusal(f"its {name} runs off to {number(value)}, beyond these records")
     return None
+
+
+def _vanished(whole: Whole, label: str) -> bool:
+    """Whether no amplitude of an effect is told from zero, by its error or by the likelihood."""
+    model, settled = whole.settled.comparison.model, whole.settled
+    told = settled.details.get(FROM_NONE, {}).get(label, 0.0)
+    known, least = model.estimates().get(label, {}), whole.assembly.problem.settings.least_t
+    names = [
+        key.rsplit(".", 1)[1] for key, parameter in model.pairs
+        if key.rsplit(".", 1)[0] == label and parameter.role == "amplitude"
+    ]  # fmt: skip
+    zero = [known[n].estimate == 0.0 for n in names]
+    sizes = [abs(t) for n in names if (t := known[n].t) is not None]
+    faint = len(sizes) == len(names) and not max([*sizes, told], default=np.inf) >= least
+    return bool(names) and (all(zero) or faint)
 
 
 def _narrowed(own: Assembly, state: FitState) -> tuple[Assembly, FitState]:
@@ -296,8 +316,8 @@ def with_effect(
         found = max(found, best_fit(own, state, progress), key=lambda f: f.height)
     found = _with_shapes(own, pruned(own, found, progress), label)
     found = finished(own, with_own_inputs(own, found, progress), progress)
-    found, gone = _without_superfluous(own, found, label)
-    found, needless = _run_otherwise(own, found, progress)
+    found, gone = without_superfluous(own, found, label)
+    found, needless = run_otherwise_instead(own, found, progress)
     return whole_of(own, found, (*gone, *needless), progress)
 
 
@@ -307,7 +327,7 @@ def _with_shapes(own: Assembly, found: LikelihoodFit, label: str) -> LikelihoodF
     A width that was of no use while another friction was missing may be all that is still wrong;
     held, it would be made up for by whatever scales the motion.
     """
-    for effect in (*(v.effect for v in _admitted(own, found, label)), own.variant(label).effect):
+    for effect in (*(v.effect for v in admitted(own, found, label)), own.variant(label).effect):
         found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
     return found
 
@@ -319,78 +339,3 @@ def whole_of(
     settled = settled_on(own, found, progress, gone)
     _, standing = _narrowed(own, settled.standing)
     return Whole(own, found, replace(settled, standing=standing))
-
-
-def _without_superfluous(
-    assembly: Assembly, found: LikelihoodFit, latest: str
-) -> tuple[LikelihoodFit, tuple[str, ...]]:
-    """Effects admitted before that the record no longer wants, let go."""
-    gone: list[str] = []
-    for variant in _admitted(assembly, found, latest):
-        keys = tested_keys(assembly, variant)
-        if _far_from_zero(assembly, found, keys):
-            continue
-        trial = refitted(assembly, let_go(assembly, found.state, (variant.label,)))
-        if trial.height > found.height - price(len(keys), trial.estimate.prepared):
-            found = trial
-            gone.append(variant.original.label)
-    return found, tuple(gone)
-
-
-def _admitted(assembly: Assembly, found: LikelihoodFit, latest: str = "") -> list[Variant]:
-    """What a fit holds beside the seed, but for the latest."""
-    seed = assembly.problem.model.labels
-    return [assembly.variant(x) for x in found.state.labels if x not in seed and x != latest]
-
-
-def _run_otherwise(
-    assembly: Assembly, found: LikelihoodFit, progress: Progress
-) -> tuple[LikelihoodFit, tuple[str, ...]]:
-    """Effects of inputs and sensors that another way of the input between samples makes needless.
-
-    A force that a controller holds looks like an actuator that lags by half a sample; while another
-    effect is missing the lag may be the more likely of the two, as its time can make up for that.
-    """
-    gone: list[str] = []
-    for variant in _admitted(assembly, found):
-        if not isinstance(variant.original, InputEffect | SensorEffect):
-            continue
-        without = let_go(assembly, found.state, (variant.label,))
-        fits = run_otherwise(assembly, found, without, progress)
-        best = max(fits, key=lambda f: f.height, default=None)
-        worth = price(len(tested_keys(assembly, variant)), found.estimate.prepared)
-        if best is not None and best.height > found.height - worth:
-            found = best
-            gone.append(variant.original.label)
-    return found, tuple(gone)
-
-
-def _far_from_zero(assembly: Assembly, found: LikelihoodFit, keys: tuple[str, ...]) -> bool:
-    """Whether one of these values is further from zero than standard errors allow."""
-    values, errors = found.estimate.values, found.estimate.errors
-    least = assembly.problem.settings.least_t
-    return any(abs(values.get(k, 0.0)) > least * errors.get(k, np.inf) for k in keys)
-
-
-def _told_by_likelihood(assembly: Assembly, found: LikelihoodFit) -> dict[str, float]:
-    """How far effects within their standard errors of none are by the likelihood without them.
-
-    A slope where an amplitude stands says nothing of zero where it saturates (a rim that spills
-    all), or where a shape makes up for it. The ratio is told in standard errors of one estimate: z
-    with P(|x| > z) that of a chi-squared 2 (log L_1 - log L_0).
-    """
-    told: dict[str, float] = {}
-    for variant in _admitted(assembly, found) if found.estimate.finite else ():
-        if _far_from_zero(assembly, found, tested_keys(assembly, variant)):
-            continue
-        without = refitted(assembly, let_go(assembly, found.state, (variant.label,)), rough=True)
-        free = [k for k in found.estimate.keys if k.rpartition(".")[0] == variant.label]
-        gain = max(found.height - without.height, 0.0)
-        told[variant.original.label] = _as_one(2 * gain, len(free))
-    return told
-
-
-def _as_one(statistic: float, degrees: int) -> float:
-    """Standard errors of one estimate that are as unlikely as a chi-squared statistic."""
-    single = float(np.sqrt(chi2.isf(chi2.sf(statistic, max(degrees, 1)), 1)))
-    return min(single, float(np.sqrt(statistic)))
