@@ -48,7 +48,7 @@ def test_terms_add_up_to_what_is_integrated(system):
     traced = trace(system, model.effects)
     rng = np.random.default_rng(0)
     numbers = {n: float(v) for n, v in zip(
-        (*traced.states, *traced.inputs), rng.normal(size=20), strict=False)}  # fmt: skip
+        (*traced.states, *traced.inputs), rng.normal(size=60), strict=False)}  # fmt: skip
     at = dict(zip(traced.p, [model.values[k] for k in traced.keys], strict=True))
     at.update({s: numbers[n] for n, s in zip(traced.states, traced.x, strict=True)})
     at.update({s: numbers[n] for n, s in zip(traced.inputs, traced.u, strict=True)})
