@@ -26,7 +26,7 @@ def random_forces(found: Comparison) -> dict[str, float]:
 
 def coloured_noise(found: Comparison) -> dict[str, float]:
     """Noise of sensors that is not white, by name, as shares of what these show."""
-    return random_of(found, "coloured", "band")
+    return random_of(found, "coloured", "band", "vibration")
 
 
 def random_sentence(found: Comparison) -> str:
@@ -44,6 +44,9 @@ def random_sentence(found: Comparison) -> str:
             )
         elif kind == "drift":
             said.append(f"sensor {where} drifts by {percent(share)} of its motion over the record")
+        elif kind == "vibration" and time:
+            hertz = number(1 / (2 * np.pi * time), 3)
+            said.append(f"sensor {where} rings at {hertz} Hz: {percent(share)} of its motion")
         else:
             said.append(
                 f"the noise of sensor {where} is not white: {percent(share)} of its motion{lasting}"

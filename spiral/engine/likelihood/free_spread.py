@@ -30,7 +30,7 @@ def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel, samples
     """(channels,) rms over so many samples; infinite where the machine is not stable."""
     from scipy.linalg import expm
 
-    forces = noise.without("coloured", "band", "drift")
+    forces = noise.without("coloured", "band", "vibration", "drift")
     parts = matrices(task, settings, forces)
     n, k, dt = len(task.states), len(parts.phi), task.series.dt
     kept = np.r_[:n, len(parts.q) - k : len(parts.q)]  # without tracked parameters

@@ -5,6 +5,7 @@ Each term is a Gaussian process of its own, white or a state of the noise z (``k
     white     v_j ~ N(0, a^2)                        measurement noise of channel j
     coloured  z' = -z / T + w,  std a                measurement noise with correlation time T
     band      z'' = -2^(1/2) w0 z' - w0^2 z + w      noise behind a low-pass of corner w0 / 2 pi
+    vibration z'' = -2 d w0 z' - w0^2 z + w          a sensor's mount that rings at w0 / 2 pi
     drift     z' = w,  a per s^(1/2)                 a sensor's zero that wanders
     force     white acceleration                     level as ``spiral.engine.filter.noise`` says
     gust      z' = -z / T + w,  std a                acceleration with correlation time T
@@ -26,15 +27,17 @@ from spiral.engine.filter.noise import groups, intensity, sampled
 from spiral.engine.filter.task import Task
 from spiral.types.record import Array
 
-Kind = Literal["white", "coloured", "band", "drift", "force", "gust"]
+Kind = Literal["white", "coloured", "band", "vibration", "drift", "force", "gust"]
 
-EXTRA: tuple[Kind, ...] = ("coloured", "band", "drift", "gust")
+EXTRA: tuple[Kind, ...] = ("coloured", "band", "vibration", "drift", "gust")
 """Kinds beyond white noise and a white force."""
 
 _LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a level
 _LEVEL = 1e-5  # least level of a force
 OWN = 1.0  # its largest: beside a random force larger than the machine's own no term is told
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
+_FLAT = 0.5**0.5  # damping ratio of a Butterworth low-pass
+_RINGING, _DEAD = 0.005, 0.7  # damping ratio of a vibration
 
 
 @dataclass(frozen=True)
@@ -52,12 +55,18 @@ class NoiseTerm:
     @property
     def time(self) -> str:
         """Name of its correlation time (or corner's 1 / w0), which all of a kind share."""
-        return f"{self.kind}.time" if self.kind in ("coloured", "band", "gust") else ""
+        timed = ("coloured", "band", "vibration", "gust")
+        return f"{self.kind}.time" if self.kind in timed else ""
+
+    @property
+    def damping(self) -> str:
+        """Name of the damping ratio d of a vibration."""
+        return f"{self.kind}.damping" if self.kind == "vibration" else ""
 
     @property
     def states(self) -> int:
         """States that it brings to one channel or rate."""
-        return {"white": 0, "force": 0, "band": 2}.get(self.kind, 1)
+        return {"white": 0, "force": 0, "band": 2, "vibration": 2}.get(self.kind, 1)
 
 
 @dataclass(frozen=True)
@@ -69,8 +78,8 @@ class NoiseModel:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the sizes and times, each once."""
-        found = (n for t in self.terms for n in (t.size, t.time) if n)
+        """Names of the sizes, times and damping ratios, each once."""
+        found = (n for t in self.terms for n in (t.size, t.time, t.damping) if n)
         return tuple(dict.fromkeys(found))
 
     def has(self, kind: Kind) -> bool:
@@ -118,6 +127,8 @@ def limits(task: Task, name: str) -> tuple[float, float]:
     kind, _, where = name.partition(".")
     if where == "time":
         return _SHORTEST * task.series.dt, _LONGEST * task.series.dt * task.series.samples
+    if where == "damping":
+        return _RINGING, _DEAD
     if kind in ("force", "gust"):
         return _LEVEL, OWN
     channels = task.compiled.traced.channels
@@ -206,7 +217,10 @@ def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_B
         one = np.ones((1, 1))
         return [_Block(one, one * size**2 * dt, 0.0 * one, channel)]
     if term.kind == "band":
-        return [replace(_low_pass(dt, values[term.time], size), channel=channel)]
+        return [replace(_second_order(dt, values[term.time], _FLAT, size), channel=channel)]
+    if term.kind == "vibration":
+        ratio = values[term.damping]
+        return [replace(_second_order(dt, values[term.time], ratio, size), channel=channel)]
     return [replace(_relaxing(dt, values[term.time], size), channel=channel)]
 
 
@@ -217,11 +231,14 @@ def _relaxing(dt: float, time: float, size: float) -> _Block:
     return _Block(phi, whole * (1 - phi**2), whole)
 
 
-def _low_pass(dt: float, time: float, size: float) -> _Block:
-    """White noise behind a second-order Butterworth low-pass with w0 = 1 / time, stationary."""
+def _second_order(dt: float, time: float, ratio: float, size: float) -> _Block:
+    """White noise behind a second-order low-pass with w0 = 1 / time and this damping ratio.
+
+    Stationary, z with the standard deviation ``size``.
+    """
     from scipy.linalg import expm
 
-    rate = np.array([[0.0, 1.0], [-1.0 / time**2, -np.sqrt(2.0) / time]])
+    rate = np.array([[0.0, 1.0], [-1.0 / time**2, -2.0 * ratio / time]])
     phi = expm(rate * dt)
     first = np.diag([size**2, (size / time) ** 2])  # solves A P + P A^T + b b^T = 0
     return _Block(phi, first - phi @ first @ phi.T, first)

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import welch
 
 from spiral.engine.filter.noise import groups
 from spiral.engine.filter.setup import prepared as filter_prepared
@@ -38,6 +39,9 @@ _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those th
 _KEEP = 0.7  # share of the best gain at first look that keeps up
 _SHARED = 0.7  # of the size of white noise, that it and a coloured one start with (half of it)
 _ROUNDS = 2
+_SEGMENT, _SHORT = 512, 32  # samples of a piece of a spectrum, at most and at least
+_STANDS_OUT = 4.0  # times the median power from which a line may be one
+_NARROW = 0.1  # damping ratio that a line begins with
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ def _best(at: Maximum) -> Maximum | None:
     part = _part(at)
     now = maximise(part, (), at.noise, steps=_LOOK)
     looks = []
-    for rung in rungs(part[0][0], now.noise):
+    for rung in (*rungs(part[0][0], now.noise), *_ringing(now)):
         noise = now.noise.added(rung.terms, rung.values)
         look = maximise(part, (), noise, steps=_LOOK)
         gain = look.log_likelihood - _price(noise, at.noise, part) - now.log_likelihood
@@ -161,12 +165,33 @@ def rungs(task: Task, noise: NoiseModel) -> Iterator[Rung]:
             yield Rung(terms, {t.size: 0.05 for t in terms} | {"gust.time": time})
 
 
+def _ringing(now: Maximum) -> Iterator[Rung]:
+    """A narrow line of one sensor, where the spectrum of its misses stands out most."""
+    if now.noise.has("vibration"):
+        return
+    task, part = now.prepared[0][0], now.parts[0]
+    length = int(min(_SEGMENT, task.series.samples // 4))
+    if length < _SHORT:
+        return
+    for j, channel in enumerate(task.compiled.traced.channels):
+        hertz, power = welch(part.whitened[:, j], 1 / task.series.dt, nperseg=length)
+        inner = slice(2, len(power) - 1)
+        top = 2 + int(np.argmax(power[inner]))
+        if not power[top] > _STANDS_OUT * np.median(power[inner]):
+            continue
+        term = NoiseTerm("vibration", channel)
+        white = now.noise.values[f"white.{channel}"]
+        size = max(white, limits(task, f"white.{channel}")[0])
+        time = 1 / (2 * np.pi * float(hertz[top]))
+        yield Rung((term,), {term.size: size, term.time: time, term.damping: _NARROW})
+
+
 def pruned(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
     """The fit without the terms beyond white that it no longer wants."""
     noise = found.estimate.noise
     if not found.estimate.finite:
         return found
-    for kind in ("coloured", "band", "gust", "drift"):
+    for kind in ("coloured", "band", "vibration", "gust", "drift"):
         if not noise.has(kind):
             continue
         progress("asking whether less acts at random")

@@ -150,9 +150,10 @@ def _from(
     if passed is None:
         return None
     gone = tuple(assembly.variant(x).original.label for x in start.gone)
-    settled = passed.whole.settled
+    settled, effect = passed.whole.settled, passed.rival.ranked.variant.original
+    if effect.label in gone:  # it stands for itself
+        return None
     settled = replace(settled, retired=(*settled.retired, *gone))
-    effect = passed.rival.ranked.variant.original
     return NamedLaw(effect, passed.aliases, ranked, run.tried, settled)
 
 
