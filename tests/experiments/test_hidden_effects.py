@@ -3,14 +3,15 @@
 from dataclasses import replace
 
 import pytest
+import sympy as sp
 
 from experiments.hidden_effects.benchmark import Job, main, study
-from experiments.hidden_effects.cases import CASES, Case, problem
+from experiments.hidden_effects.cases import CASES
 from experiments.hidden_effects.cases import installed as registry_of_chains
 from experiments.hidden_effects.run import outcome
 from experiments.hidden_effects.strengths import SCENES, SHARES, strengths
 from experiments.studies.rates import wilson
-from spiral.inference.evidence.assembly import assemble
+from spiral.physics.trace import trace
 from spiral.types.effect import ForceEffect
 from tests.scenes import registry
 
@@ -82,23 +83,28 @@ def test_twins_are_aliases_whatever_their_fits_left_to_converge():
     assert {*found["admitted"], *found["aliases"]} == {"offset", "constant_load"}
 
 
-def test_every_candidate_of_the_tanks_is_traced_together():
-    """A saturation of what is late by the rates of flows with rims: cases must not nest."""
-    null = Case("", {}, SCENES["cascaded_tanks"])
-    assembly = assemble(problem(null, registry()))
-    labels = {v.original.label for v in assembly.variants}
-    assert {"delay", "overflow", "sensor_saturation"} <= labels
+def test_sensors_and_flows_with_cases_are_traced_together():
+    """A saturation of what is late by flows with rims: cases must not nest without end."""
+    names = ("delay", "sensor_lag", "overflow", "sensor_saturation")
+    system = SCENES["cascaded_tanks"].system
+    effects = (*(registry().effect_from_label(n) for n in names), *system.seed)
+    (reading,) = trace(system, effects).output
+    assert sp.count_ops(reading) < 1000
 
 
-@pytest.mark.parametrize(("scene", "label", "strength", "noise", "seed"), [
-    ("planar_rotor", "delay", "strong", 0.005, 2),  # begins slowly, beside noise of the seed's
-    ("chain_2", "bouc_wen@link1", "medium", 0.02, 1),  # several valleys, a shape tried at 0
-    ("chain_2", "offset", "medium", 0.02, 1),  # of both sensors: a load in one number
+@pytest.mark.parametrize(("scene", "label", "strength", "noise", "seed", "floors"), [
+    # begins slowly, beside noise of the seed's; the head of a test record tells less of its phase
+    # where what the late sensors hold is unknown too
+    ("planar_rotor", "delay", "strong", 0.005, 2, 1.4),
+    ("chain_2", "bouc_wen@link1", "medium", 0.02, 1, 1.2),  # several valleys, a shape tried at 0
+    ("chain_2", "offset", "medium", 0.02, 1, 1.2),  # of both sensors: a load in one number
 ])  # fmt: skip
-def test_the_default_names_what_is_hidden_first_and_alone(scene, label, strength, noise, seed):
+def test_the_default_names_what_is_hidden_first_and_alone(
+    scene, label, strength, noise, seed, floors
+):
     made = strengths(scene, label, registry_of_chains())
     (hidden,) = (h for h in made if h.strength == strength)
     found = study(Job(hidden, noise, seed))
     assert found["first"]
     assert not found["invented"]
-    assert found["after"] < 1.2 * found["floor"]
+    assert found["after"] < floors * found["floor"]

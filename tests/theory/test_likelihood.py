@@ -57,6 +57,10 @@ TERMS = {
     "white": (),
     "coloured": ((NoiseTerm("coloured", "x"),), {"coloured.x": 0.02, "coloured.time": 0.03}),
     "band": ((NoiseTerm("band", "x"),), {"band.x": 0.02, "band.time": 0.02}),
+    "vibration": (
+        (NoiseTerm("vibration", "x"),),
+        {"vibration.x": 0.02, "vibration.time": 0.01, "vibration.damping": 0.1},
+    ),
     "drift": ((NoiseTerm("drift", "x"),), {"drift.x": 0.05}),
     "gust": ((NoiseTerm("gust", "observed"),), {"gust.observed": 0.3, "gust.time": 0.1}),
 }
@@ -295,7 +299,7 @@ def test_random_forces_move_a_free_run_as_far_as_it_says():
     assert np.sqrt(np.mean(np.square(misses))) == pytest.approx(expected[0], rel=0.15)
 
 
-@pytest.mark.parametrize("kind", ["white", "coloured", "alone", "drift"])
+@pytest.mark.parametrize("kind", ["white", "coloured", "alone", "drift", "vibration"])
 def test_the_ladder_takes_up_the_noise_that_is_there(kind):
     """``alone``: no white noise beside the coloured one."""
     record = record_of(5, samples=3000, noise=0.02)
@@ -308,9 +312,27 @@ def test_the_ladder_takes_up_the_noise_that_is_there(kind):
         clean = clean + relaxed(rng, len(clean), 0.95) * 0.05 * spread
     if kind == "drift":
         clean = clean + np.cumsum(rng.normal(size=len(clean))) * 0.005 * spread
+    if kind == "vibration":  # at a tenth of the rate, damped by 0.05
+        clean = clean + ringing(rng, len(clean), 2 * np.pi * 0.1, 0.05) * 0.03 * spread
     found = laddered(replace(record, channels={"x": clean}, noise={}))
+    if kind == "vibration":
+        assert 2 * np.pi * 0.1 * found.values["vibration.time"] == pytest.approx(
+            record.dt, rel=0.05
+        )
+        assert found.values["vibration.damping"] == pytest.approx(0.05, rel=0.5)
     kinds = {t.kind for t in found.terms} - {"white", "force"}
     assert kinds == (set() if kind == "white" else {kind})
+
+
+def ringing(rng, count, turn, ratio):
+    """Noise of a mode sampled at ``turn`` rad a sample, of variance one."""
+    rate = np.array([[0.0, 1.0], [-(turn**2), -2 * ratio * turn]])
+    phi, first = expm(rate), np.diag([1.0, turn**2])
+    root = np.linalg.cholesky(first - phi @ first @ phi.T)
+    z, found = rng.normal(size=2) * np.sqrt(np.diag(first)), np.empty(count)
+    for k in range(count):
+        found[k], z = z[0], phi @ z + root @ rng.normal(size=2)
+    return found
 
 
 def relaxed(rng, count, keep):

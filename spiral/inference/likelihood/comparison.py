@@ -79,24 +79,20 @@ def compared_by_likelihood(
     estimate, free = found.estimate, by_free_runs(assembly, found, progress)
     state = settled_values(found) if estimate.finite else found.state
     shown = state if free is found else settled_values(free)
-    errors = free.estimate.errors
-    model = to_model(assembly, shown.labels, shown.values, errors, shown.freed, shown.held)
+    model = _model(assembly, shown, free.estimate)
     assembly = integrated(assembly, state)
     progress("free run on the test record")
     own, _ = _runs(assembly, shown, model, None)
-    names, run, seen = model.system.observed, own, {}
+    names, run, seen, tested = model.system.observed, own, {}, ()
     other = with_test(assembly, shown.values)
     if other is not None:
-        settle = state.settle
-        if settle is None:
-            settle = _settling(other, free.estimate.prepared[0][0])
+        settle = _settling(other, state.settle, free.estimate.prepared[0][0])
         state, shown = replace(state, settle=settle), replace(shown, settle=settle)
         run, seen = _judged(other, shown, model, free.estimate)
+        tested = run.predicted
     errors, problem = run.errors(names), assembly.problem
-    disturbed = _disturbed(estimate, run)
-    sizes, times = acting(estimate, disturbed)
+    sizes, times = acting(estimate, disturbed := _disturbed(estimate, run))
     left, white = _left(assembly, found)
-    tested = () if other is None else run.predicted
     return state, Comparison(
         model=model,
         fit_error=_mean(e.relative for e in own.errors(names).values()),
@@ -115,6 +111,12 @@ def compared_by_likelihood(
         departures=departures(model, estimate, white, sizes),
         traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
     )
+
+
+def _model(assembly: Assembly, state: FitState, estimate: Maximum) -> Model:
+    """The model of a state, with the standard errors of an estimate."""
+    errors = estimate.errors
+    return to_model(assembly, state.labels, state.values, errors, state.freed, state.held)
 
 
 def _judged(
@@ -181,12 +183,14 @@ def _left(assembly: Assembly, found: LikelihoodFit) -> tuple[dict[str, float], b
     return told, seen.p >= assembly.problem.settings.whiteness_level
 
 
-def _settling(other: Assembly, task: Task) -> float:
+def _settling(other: Assembly, known: float | None, task: Task) -> float:
     """Seconds of each test record that tell where it begins.
 
-    Those asked for, else a tenth of the shortest record, or three periods of the model's slowest
-    mode where that is more, up to a third.
+    Those known, or asked for, else a tenth of the shortest record, or three periods of the model's
+    slowest mode where that is more, up to a third.
     """
+    if known is not None:
+        return known
     asked = settling(other)
     if other.problem.settle is not None:
         return asked
