@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -135,7 +136,9 @@ def read_equations(order: Order, tell: Tell) -> None:
 
 
 def described_model(model: Model) -> dict[str, Any]:
-    """The effects of a system's seed with their meanings, and all parameters of a model."""
+    """The effects of a system's seed with their meanings, all parameters, and what couples."""
+    from spiral.physics.couplings import couplings_of
+
     told = model.estimates()
     active = set(model.active)
     rows = []
@@ -151,4 +154,4 @@ def described_model(model: Model) -> dict[str, Any]:
             "value": value, "free": key in active,
         })  # fmt: skip
     seed = [{"label": e.label, "meaning": e.meaning()} for e in model.system.seed]
-    return {"seed": seed, "parameters": rows}
+    return {"seed": seed, "parameters": rows, "sketch": asdict(couplings_of(model))}

@@ -160,6 +160,8 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
   margin-bottom:12px; }}
 .parameters {{ display:grid; align-items:center; gap:6px 14px; font-size:14px;
   grid-template-columns:minmax(140px,1fr) 130px auto auto auto; }}
+.sketched {{ margin:4px 0 6px; width:100%; overflow-x:auto; }}
+.sketched figure {{ margin:0; overflow:visible; }} .sketched svg {{ display:block; }}
 .caption {{ color:var(--soft); font-size:14px; line-height:1.45; max-width:86ch;
   margin:2px 0 14px; }}
 .figure-head {{ font-size:16px; line-height:1.4; font-weight:650; margin:10px 0 0; }}

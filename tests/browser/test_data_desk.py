@@ -171,3 +171,23 @@ observed: [x]
     tab.click("text=as a command and in Python")
     assert "system='" in tab.inner_text(".command >> nth=0")
     picture(tab, "equations-study")
+
+
+def test_the_model_is_drawn_before_it_is_fitted_and_as_it_has_become(tab, served, files, picture):
+    begun(tab, served, files / "run1.csv", "oscillator")
+    tab.wait_for_selector("svg.sketch")
+    assert "linear damping" in tab.text_content("svg.sketch")
+    tab.click(".seed .q-toggle >> nth=1")  # a machine without a damper
+    tab.wait_for_function(
+        "() => !document.querySelector('svg.sketch').textContent.includes('linear damping')"
+    )
+    tab.click("text=The sketch in words")
+    tab.wait_for_selector("li:has-text('The input force acts on x.')")
+    assert faults(tab) == []
+    picture(tab, "sketch-of-the-model")
+    tab.emulate_media(color_scheme="dark")
+    assert faults(tab) == []
+    picture(tab, "sketch-of-the-model-dark")
+    tab.set_viewport_size({"width": 390, "height": 900})
+    tab.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+    assert faults(tab, ".sketched") == []

@@ -206,6 +206,7 @@ def test_every_tab_of_figures_draws_and_is_accessible(tab, study, served, pictur
         picture(tab, f"tab-{number}-{title.lower().replace(' ', '-')}")
         panel = {"include": [[".q-tabs"], ["[role=tabpanel]"]]}
         assert _faults(tab, None if number == 0 else panel) == []
+    assert "+ cross stiffness" in tab.text_content("[role=tabpanel] svg.sketch")
     assert {"Measured and model", "Where it fails", "Spectra", "Hidden states"} <= set(titles)
     tab.click(".q-tab:has-text('Where it fails')")
     tab.wait_for_selector(".sentence:has-text('The model fails between')")

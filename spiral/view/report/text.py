@@ -14,6 +14,7 @@ from spiral.types.formatting import number, percent, plus_minus, probability
 from spiral.types.run import estimate_rows
 from spiral.view.report.evidence import rounds
 from spiral.view.report.markup import safe_mathml
+from spiral.view.report.sketch import figure
 from spiral.view.report.style import pretty, scaled, words
 from spiral.view.terminal.shell import option_lines
 
@@ -189,8 +190,11 @@ def suggested(saved: Saved) -> str:
 
 
 def model(saved: Saved, curves: Curves | None) -> str:
-    """The equation and the table of its parameters."""
-    return coefficients_table(saved["result"], () if curves is None else curves.meta["mathml"])
+    """A sketch of the model, its equation and the table of its parameters."""
+    if curves is None:
+        return coefficients_table(saved["result"])
+    drawn = figure(curves.meta.get("sketch"))
+    return drawn + coefficients_table(saved["result"], curves.meta["mathml"])
 
 
 def coefficients_table(result: Mapping[str, Any], mathml: Sequence[Mapping[str, Any]] = ()) -> str:
