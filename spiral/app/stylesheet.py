@@ -108,6 +108,8 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
   font-size:13.5px; color:var(--soft); margin-top:7px; font-variant-numeric:tabular-nums; }}
 .effect > .try {{ grid-column:1 / -1; justify-self:start; margin-top:4px; font-weight:500; }}
 .effect .q-expansion-item .q-item {{ padding:2px 0; min-height:32px; font-size:13.5px; }}
+.signs {{ margin:6px 0 0; padding:4px 10px 4px 24px; border-left:4px solid var(--orange);
+  background:var(--noted); font-size:14px; line-height:1.4; }} .sign {{ font-size:13px; }}
 .effect > .wide {{ grid-column:1 / -1; }}
 .effect .share {{ color:var(--ink); font-weight:600; }}
 .working {{ display:flex; align-items:center; gap:14px; padding:8px 0 10px; width:100%; }}

@@ -12,7 +12,7 @@ BEGIN = "button:has-text('Compare with the model'):enabled"
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """Three runs of one hardening spring; a rotor at one speed, long after its start."""
+    """Three runs of one hardening spring, a machine that feeds itself, a rotor at one speed."""
     from scipy.integrate import solve_ivp
 
     from tests.scenes import planar_record
@@ -33,6 +33,13 @@ def files(tmp_path_factory):
         x += rng.normal(size=SAMPLES) * 0.01 * x.std()
         np.savetxt(folder / f"run{seed}.csv", np.column_stack([time, x, force(time)]), "%.9g",
                    delimiter=",", header="t,x,force", comments="")  # fmt: skip
+    fed = solve_ivp(
+        lambda t, s: [s[1], force(t) / 2 + 4 * s[1] - 2e4 * s[0] ** 2 * s[1] - 4000 * s[0]],
+        (0, time[-1]), [0, 0], t_eval=time, rtol=1e-8, atol=1e-10,
+    ).y[0]  # fmt: skip
+    fed += rng.normal(size=SAMPLES) * 0.01 * fed.std()
+    np.savetxt(folder / "fed.csv", np.column_stack([time, fed, force(time) / 2]), "%.9g",
+               delimiter=",", header="t,x,force", comments="")  # fmt: skip
     steady = planar_record(3, noise=0.01, duration=10.0, hertz=(20.0, 20.0))
     rows = np.column_stack([steady.time, steady.channels["x"], steady.channels["y"],
                             steady.inputs["speed"]])[8000:]  # fmt: skip
@@ -191,3 +198,17 @@ def test_the_model_is_drawn_before_it_is_fitted_and_as_it_has_become(tab, served
     tab.set_viewport_size({"width": 390, "height": 900})
     tab.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
     assert faults(tab, ".sketched") == []
+
+
+def test_a_sign_that_a_passive_machine_does_not_have_is_told_beside_the_value(
+    tab, served, files, picture
+):
+    """x'' - 4 x' + 2e4 x^2 x' + 4000 x = force, as in a squealing brake."""
+    begun(tab, served, files / "fed.csv", "oscillator")
+    tab.click(BEGIN)
+    tab.click("button[aria-label='Add amplitude damping']:enabled")
+    tab.wait_for_selector("#caveats:has-text('Linear damping, damping: negative damping')")
+    tab.click(".q-tab >> nth=-1")
+    tab.wait_for_selector("td:has-text('feeds energy in, which a passive machine does not')")
+    assert faults(tab) == []
+    picture(tab, "signs")

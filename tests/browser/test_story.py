@@ -194,7 +194,8 @@ def test_every_tab_of_figures_draws_and_is_accessible(tab, study, served, pictur
     tab.wait_for_selector(".q-tab:has-text('Missing force')")
     assert tab.title() == f"{TITLE} - SPIRAL"
     assert tab.get_attribute("html", "lang") == "en-US"
-    for what, figure in (("Where it helps", "why"), ("Compare steps and branches", "beside")):
+    for what, figure in (("Where it helps", "why"), ("Its force over the missing one", "force"),
+                         ("Compare steps and branches", "beside")):  # fmt: skip
         tab.click(f"text={what}")
         tab.wait_for_selector(f"#plot-{figure} .main-svg")
     tab.click("text=Write an effect of your own")
