@@ -15,10 +15,12 @@ from spiral.io.writing import finite, write_whole
 from spiral.types.errors import InputError
 
 if TYPE_CHECKING:
+    from spiral.inference.problem import Problem
     from spiral.types.model import Model
     from spiral.types.system import System
 
 PICTURE = "columns.json"
+READING = "reading.json"
 _DRAWN = 6  # columns in the picture
 _FIRST = 3  # numbers that are shown of each
 _MOST = 200  # columns that are listed
@@ -133,6 +135,23 @@ def read_equations(order: Order, tell: Tell) -> None:
     found = _described(system, path)
     said = equations_of(system.text).definition.title
     tell("system", {"system": {**found, "meaning": said, "own": True}})
+
+
+def compare_reading(order: Order, source: Any, problem: Problem, tell: Tell) -> None:
+    """Draw what reading changes in a file's numbers, and tell which series and how, in words."""
+    from spiral.io.readers.as_written import as_written, changed, changes
+    from spiral.view.report.reading import read_so
+    from spiral.view.report.style import hovering
+
+    if not changes(source):
+        return
+    system = problem.model.system
+    before, record = as_written(source, system), source.load(system)[0]
+    names = changed(before, record)[:_DRAWN]
+    if names:
+        figure = read_so(before, record, names, {n: system.unit_of(n) for n in names})
+        write_whole(Path(order["folder"]) / READING, hovering(figure).to_json())
+    tell("reading", {"reading": {"series": names, "notes": list(record.notes)}})
 
 
 def described_model(model: Model) -> dict[str, Any]:

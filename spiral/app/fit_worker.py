@@ -95,10 +95,14 @@ class FitWorker:
 
     def check(self, order: Order) -> None:
         """What a mapping makes of a file; the records are kept for the study that may follow."""
-        from spiral.app.file_preview import described_model
+        from spiral.app.file_preview import compare_reading, described_model
+        from spiral.io.config import build_sources, compose
 
         self._open(order)
         assert self.problem is not None
+        assert self.registry is not None
+        config = compose(self.overrides, self.registry)
+        compare_reading(order, build_sources(config, self.registry)[0], self.problem, self.tell)
         self.tell("model", finite(described_model(self.problem.model)))
 
     @one_blas_thread

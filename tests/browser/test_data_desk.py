@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.browser.conftest import PATIENCE
-from tests.browser.steps import faults
+from tests.browser.steps import faults, legend
 
 RATE, SAMPLES = 500.0, 3000
 BEGIN = "button:has-text('Compare with the model'):enabled"
@@ -212,3 +212,23 @@ def test_a_sign_that_a_passive_machine_does_not_have_is_told_beside_the_value(
     tab.wait_for_selector("td:has-text('feeds energy in, which a passive machine does not')")
     assert faults(tab) == []
     picture(tab, "signs")
+
+
+def test_what_reading_changes_is_drawn_before_it_is_fitted(tab, served, files, picture, tmp_path):
+    lines = (files / "run1.csv").read_text().splitlines()
+    for row in (801, 802):  # two readings that the logger lost
+        time, _, force = lines[row].split(",")
+        lines[row] = f"{time},,{force}"
+    (tmp_path / "gap.csv").write_text("\n".join(lines) + "\n")
+    tab.goto(served.address)
+    tab.set_input_files("#drop-file", tmp_path / "gap.csv")
+    tab.wait_for_selector("#plot-columns .main-svg")
+    tab.click(".q-select >> nth=0")
+    tab.click(".q-menu .q-item:has-text('oscillator')")
+    tab.click("#advice button:has-text('record.fill_gaps=2')")
+    tab.wait_for_selector("#plot-reading .main-svg")
+    tab.wait_for_selector("li:has-text('gaps filled by interpolation in x: 2 values')")
+    assert legend(tab, "reading") == ["in the file", "as it is read"]
+    tab.wait_for_selector(BEGIN)
+    assert faults(tab) == []
+    picture(tab, "reading")
