@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
+from spiral.physics.trace import input_columns
 from spiral.types.effect import Effect, ForceEffect, values_for
 from spiral.types.model import Model
 from spiral.types.port import At, Port
@@ -58,9 +59,10 @@ def _alone(model: Model, effect: ForceEffect, port: Port, wanted: str) -> Any:
         value = model.values.get(key, parameter.start or 0.0)
         values[key] = value if key == wanted or parameter.role == "shape" else 0.0
     p = values_for(effect, port.axes, values)
+    quiet = SimpleNamespace(**dict.fromkeys(input_columns(model.system), 0.0))
 
     def force(q: tuple[float, ...], v: tuple[float, ...]) -> list[float]:
-        found = effect.force(At(q, v, SimpleNamespace()), SimpleNamespace(), p)
+        found = effect.force(At(q, v, SimpleNamespace()), quiet, p)
         return [float(value) for value in found]
 
     return force
@@ -81,7 +83,7 @@ def _sign(force: Any, port: Port) -> str:
         ]
         pulls = [(force(along(i, 1.0), along(i, 0.0))[i],
                   force(along(i, 2.0), along(i, 0.0))[i]) for i in axes]  # fmt: skip
-    except (ArithmeticError, ValueError, TypeError):
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
         return ""  # an effect that cannot be asked there
     if min(gains) >= 0 < max(gains):
         return DAMPING

@@ -14,7 +14,9 @@ from spiral_plugins.effects.restoring import CrossStiffness, CubicStiffness, Lin
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
+from spiral.physics.formulas.laws import laws_of
 from spiral.physics.passivity import DAMPING, STIFFNESS, implausible
+from spiral.types.effect import ForceEffect
 from spiral.types.model import Model
 
 
@@ -47,6 +49,19 @@ def test_of_two_axes_the_one_with_the_sign_is_named():
 def test_what_couples_axes_has_no_sign_of_its_own(kind, size):
     known = [k.rpartition(".")[2] for k, _ in kind().keys(PlanarRotor().ports[0])]
     assert signs(kind(), PlanarRotor(), **dict.fromkeys(known, size)) == {}
+
+
+def test_formulas_of_ones_own_are_asked_by_the_same_rule():
+    """Every law with a closed form, which may name the inputs too."""
+    found = {}
+    for law in laws_of(Oscillator()):
+        if isinstance(law, ForceEffect):
+            port = Oscillator().place(law)
+            values = {k: -1.0 if p.role == "amplitude" else p.start or 0.7
+                      for k, p in law.keys(port)}  # fmt: skip
+            found[law.label] = set(implausible(Model(Oscillator(), (law,), values)).values())
+    assert DAMPING in set().union(*found.values())
+    assert len(found) > 10
 
 
 def test_friction_against_the_motion_is_passive():
