@@ -47,8 +47,9 @@ def _sure(model: Model, effect: Effect, port: Port) -> Iterator[str]:
     """The amplitudes of an effect that have a value and are surely not zero."""
     for key, parameter in effect.keys(port):
         value, error = model.values.get(key), model.errors.get(key)
-        asked = parameter.role == "amplitude" and not parameter.loose and value
-        if asked and (error is None or abs(value) >= _SURE * error):
+        if parameter.role != "amplitude" or parameter.loose or not value:
+            continue
+        if error is None or abs(value) >= _SURE * error:
             yield key
 
 
