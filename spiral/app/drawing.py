@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 from spiral.inference.discover import Checkpoint
 from spiral.inference.problem import Settings
 from spiral.inference.rounds import concluded
 from spiral.io.curves import Curves
-from spiral.io.writing import finite, write_whole
+from spiral.io.writing import finite, to_json, write_whole
+from spiral.physics.couplings import couplings_of
 
+SKETCH = "sketch.json"
+"""What couples with what in the step's model, among its figures."""
 FIRST = ("free_run", "where", "amplitude")
 """Figures that are drawn before all others."""
 
@@ -29,6 +33,8 @@ def draw(
     from spiral.view.report.page import figures
 
     folder.mkdir(parents=True, exist_ok=True)
+    graph = asdict(couplings_of(at.rounds[-1].comparison.model))
+    write_whole(folder / SKETCH, to_json(graph))
     run = concluded(at, "max_rounds", Settings(), "")
     now_unknown = {"unknown": at.rounds[-1].details.get("unknown"), "noise_floor": None}
     saved = {"result": finite({**run.as_dict(), **now_unknown})}

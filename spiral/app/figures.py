@@ -14,6 +14,7 @@ from nicegui import run, ui
 
 from spiral.app import frame
 from spiral.app.address import View
+from spiral.app.drawing import SKETCH
 from spiral.app.session import Session
 from spiral.app.study import turn_place
 from spiral.types.errors import SpiralError
@@ -52,6 +53,14 @@ class Figures:
 
         self.put(data, name, f"{heading}. {caption}", closer)
         ui.html(f"<p class='caption'>{escape(caption)}</p>", sanitize=False)
+
+    def model(self, serial: int) -> None:
+        """The sketch of a step's model."""
+        file = turn_place(self.session.out, self.ident, serial) / "figures" / SKETCH
+        try:
+            frame.sketched(json.loads(file.read_text(encoding="utf-8")))
+        except (OSError, ValueError, RecursionError):
+            return  # of an earlier version
 
     def put(self, data: Mapping[str, Any], name: str, said: str, closer: Closer) -> None:
         """Draw a figure as it was looked at last; a zoom is kept, and filled with its samples."""

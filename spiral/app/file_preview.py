@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +15,12 @@ from spiral.io.writing import finite, write_whole
 from spiral.types.errors import InputError
 
 if TYPE_CHECKING:
+    from spiral.inference.problem import Problem
     from spiral.types.model import Model
     from spiral.types.system import System
 
 PICTURE = "columns.json"
+READING = "reading.json"
 _DRAWN = 6  # columns in the picture
 _FIRST = 3  # numbers that are shown of each
 _MOST = 200  # columns that are listed
@@ -134,8 +137,27 @@ def read_equations(order: Order, tell: Tell) -> None:
     tell("system", {"system": {**found, "meaning": said, "own": True}})
 
 
+def compare_reading(order: Order, source: Any, problem: Problem, tell: Tell) -> None:
+    """Draw what reading changes in a file's numbers, and tell which series and how, in words."""
+    from spiral.io.readers.as_written import as_written, changed, changes
+    from spiral.view.report.reading import read_so
+    from spiral.view.report.style import hovering
+
+    if not changes(source):
+        return
+    system = problem.model.system
+    before, record = as_written(source, system), source.load(system)[0]
+    names = changed(before, record)[:_DRAWN]
+    if names:
+        figure = read_so(before, record, names, {n: system.unit_of(n) for n in names})
+        write_whole(Path(order["folder"]) / READING, hovering(figure).to_json())
+    tell("reading", {"reading": {"series": names, "notes": list(record.notes)}})
+
+
 def described_model(model: Model) -> dict[str, Any]:
-    """The effects of a system's seed with their meanings, and all parameters of a model."""
+    """The effects of a system's seed with their meanings, all parameters, and what couples."""
+    from spiral.physics.couplings import couplings_of
+
     told = model.estimates()
     active = set(model.active)
     rows = []
@@ -151,4 +173,4 @@ def described_model(model: Model) -> dict[str, Any]:
             "value": value, "free": key in active,
         })  # fmt: skip
     seed = [{"label": e.label, "meaning": e.meaning()} for e in model.system.seed]
-    return {"seed": seed, "parameters": rows}
+    return {"seed": seed, "parameters": rows, "sketch": asdict(couplings_of(model))}

@@ -148,7 +148,7 @@ class FileSetup:
         """Have a changed setup looked at with the record's own eyes, where it is complete."""
         if opened.foreseeing:
             self._forgo(opened.setup.ident)
-        setup = replace(opened.setup, seen=(), trouble=None, foresight={})
+        setup = replace(opened.setup, seen=(), trouble=None, foresight={}, reading={})
         complete = not kept.lacking(setup)
         asked = opened.asked + 1
         self._put(replace(opened, setup=setup, asked=asked, foreseeing=False,
@@ -157,7 +157,7 @@ class FileSetup:
             self._give(self._asked(setup, "check", asked))
 
     def _asked(self, setup: RecordSetup, do: str, asked: int) -> dict[str, Any]:
-        order = self._order(setup, do)
+        order = {**self._order(setup, do), "folder": str(kept.place(self._out, setup.ident))}
         return {**order, "overrides": list(kept.overrides(setup)), "asked": asked}
 
     def write(self, ident: str, text: str) -> None:
@@ -208,6 +208,8 @@ class FileSetup:
                 return
             elif kind == "records":
                 setup = replace(setup, seen=tuple(data["records"]))
+            elif kind == "reading":
+                setup = replace(setup, reading={**data["reading"], "asked": opened.asked})
             elif kind == "model":
                 setup = replace(setup, model=dict(data))
             elif kind == "failed":

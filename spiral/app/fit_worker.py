@@ -15,16 +15,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from spiral.app.caveats import alike, caveats
 from spiral.app.drawing import FIRST, draw
 from spiral.app.own_effect import example
 from spiral.app.python_text import asked
-from spiral.app.side_steps import drawn_why, keep, planned
+from spiral.app.side_steps import drawn_why, keep, planned, tried
 from spiral.app.study import turn_place
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.discover import Checkpoint
 from spiral.inference.evidence.assembly import Assembly, first_row
 from spiral.inference.evidence.comparison import chi2_on
-from spiral.inference.problem import Problem, Settings
+from spiral.inference.problem import Problem
 from spiral.inference.rounds import (
     chosen,
     concluded,
@@ -37,14 +38,13 @@ from spiral.inference.rounds import (
 from spiral.inference.strategies.base import Begun, Step, Strategy
 from spiral.inference.unknown.holding import having, holding
 from spiral.inference.unknown.memory import memory_said
-from spiral.inference.verdict import doubts
 from spiral.io.checkpoint import read_checkpoint, write_checkpoint
 from spiral.io.curves import FINAL, Curves, beside, read_curves, write_curves
 from spiral.io.gather import free_curves
 from spiral.io.registry import Registry
 from spiral.io.writing import finite, to_json, write_whole
+from spiral.physics.passivity import implausible
 from spiral.types.run import Round, Run
-from spiral.view.report.style import words
 
 Tell = Callable[[str, Mapping[str, Any]], None]
 """Told what happened: a kind (``progress``, ``turn``, ``ranked``, ``preview``, ``contrast``,
@@ -71,6 +71,7 @@ class FitWorker:
     program: Mapping[str, Any] = field(default_factory=dict)
     standing: dict[int, tuple[Checkpoint, Step]] = field(default_factory=dict)
     tried: dict[tuple[int, str], Checkpoint] = field(default_factory=dict)
+    lacking: dict[int, Any] = field(default_factory=dict)
 
     def describe_file(self, order: Order) -> None:
         """What is in a file: its columns, their first numbers, and a picture of them."""
@@ -94,10 +95,14 @@ class FitWorker:
 
     def check(self, order: Order) -> None:
         """What a mapping makes of a file; the records are kept for the study that may follow."""
-        from spiral.app.file_preview import described_model
+        from spiral.app.file_preview import compare_reading, described_model
+        from spiral.io.config import build_sources, compose
 
         self._open(order)
         assert self.problem is not None
+        assert self.registry is not None
+        config = compose(self.overrides, self.registry)
+        compare_reading(order, build_sources(config, self.registry)[0], self.problem, self.tell)
         self.tell("model", finite(described_model(self.problem.model)))
 
     @one_blas_thread
@@ -152,8 +157,12 @@ class FitWorker:
             after = free_curves(held, FINAL, at.standing, last.comparison)
             before = read_curves(folder / FREE)
             drawn = drawn_why(folder / FIGURES, order["effect"], before, after)
+        assert self.problem is not None
+        base = at.rounds[-2].comparison.model
+        more = tried(folder / FIGURES, order["effect"], base, last.comparison.model,
+                     self.problem.records[0], order["base"], self.lacking)  # fmt: skip
         said = {"effect": order["effect"], "test_error": last.comparison.test_error,
-                "changes": [c.as_dict() for c in last.changes], "drawn": drawn}  # fmt: skip
+                "changes": [c.as_dict() for c in last.changes], "drawn": drawn, **more}  # fmt: skip
         self.tell("preview", {"preview": finite(said)})
 
     @one_blas_thread
@@ -212,6 +221,7 @@ class FitWorker:
             self._tell_records()
             return
         self.ident, self.overrides, self.begun, self.standing, self.tried = "", (), None, {}, {}
+        self.lacking = {}
         self._progress("reading the record")
         self.registry = self._loaded(order)
         config = compose(overrides, self.registry)
@@ -338,35 +348,12 @@ def _placed(at: Checkpoint, folder: Path, assembly: Assembly) -> Checkpoint:
     return Checkpoint(at.rounds, replace(at.standing, values=values))
 
 
-def alike(at: Checkpoint) -> list[tuple[str, ...]]:
-    """Each effect of a turn's model that others cannot be told from, before those others."""
-    held = at.rounds[-1].comparison.model.labels
-    found = {k: v for one in at.rounds for k, v in one.aliases.items() if k in held and v}
-    return [(label, *others) for label, others in found.items()]
-
-
-def caveats(at: Checkpoint, settings: Settings) -> list[str]:
-    """What is to be held against a turn's verdict, in sentences, the model's own doubts first."""
-    from spiral.view.report.text import doubted
-
-    model = at.rounds[-1].comparison.model
-    found = [
-        f"This record does not determine {words(label)}: {doubt}."
-        for label in model.labels
-        if (doubt := doubts(at.rounds[-1], label, settings))
-    ]
-    for number, one in enumerate(at.rounds):
-        kept = {k: v for k, v in one.aliases.items() if k in model.labels}
-        lost = one.details.get("not_separable", {}) if number == len(at.rounds) - 1 else {}
-        found += doubted({"aliases": kept, "details": {"not_separable": lost},
-                          "admitted": one.admitted, "second_order": one.second_order})  # fmt: skip
-    return list(dict.fromkeys(found))
-
-
 def _result(found: Round) -> dict[str, Any]:
     data = {k: v for k, v in found.as_dict().items() if k not in ("suggestions", "details")}
     channels = {k: v.as_dict() for k, v in found.comparison.channels.items()}
-    return finite({**data, "channels": channels, "converged": found.comparison.converged})
+    signs = implausible(found.comparison.model)
+    told = {"channels": channels, "converged": found.comparison.converged, "signs": signs}
+    return finite({**data, **told})
 
 
 def _figures_of(found: Round) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from spiral.app.study import Study
 from spiral.app.stylesheet import STYLE
 from spiral.io.export.kinds import KINDS
 from spiral.types.errors import SpiralError
+from spiral.view.report import sketch
 from spiral.view.report.mathfont import math_style
 from spiral.view.report.pictures import browser
 from spiral.view.report.style import BLUE
@@ -80,6 +81,19 @@ def figure_of(file: Path) -> Mapping[str, Any] | None:
         return data if float(data["layout"]["height"]) and data["data"] is not None else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
+
+
+def sketched(graph: Any) -> None:
+    """The sketch of a model, and the same in words; it scrolls where the window is narrow."""
+    drawn = sketch.figure(graph)
+    if not drawn:
+        return
+    with ui.element("div").classes("sketched") as place:
+        ui.html(drawn, sanitize=False).style("width:100%")
+    place.props('tabindex="0" role="group" aria-label="Sketch of the model"')
+    with ui.expansion("The sketch in words").classes("w-full"):
+        items = "".join(f"<li>{escape(one)}</li>" for one in sketch.told(graph))
+        ui.html(f"<ul class='soft'>{items}</ul>", sanitize=False)
 
 
 def code(text: str) -> None:

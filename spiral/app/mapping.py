@@ -14,7 +14,7 @@ from spiral.app import equations, frame, model_setup, panels
 from spiral.app import record_setup as kept
 from spiral.app.data_desk import Desk, foresight
 from spiral.app.drop_zone import drop_script
-from spiral.app.file_preview import PICTURE
+from spiral.app.file_preview import PICTURE, READING
 from spiral.app.file_setup import OpenFile
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.app.session import Session
@@ -69,6 +69,7 @@ class Form:
             ("form", self._form, (columns, setup.choice.system, setup.choice.time,
                                   setup.trouble if equations.wrong(setup) else None)),
             ("model", self._model, (named, setup.choice.without)),
+            ("reading", self._reading, setup.reading),
             ("records", self._records, (bool(columns), setup.others)),
             ("seen", self._seen, (setup.seen, setup.choice, opened.busy, setup.trouble,
                                   setup.foresight, opened.foreseeing)),
@@ -134,6 +135,22 @@ class Form:
             data = frame.figure_of(kept.place(self.session.out, self.ident) / PICTURE)
             if data is not None:
                 self.desk.picture(data)
+
+    def _reading(self, opened: OpenFile) -> None:
+        """What reading makes of the file's numbers, before and after."""
+        found = opened.setup.reading
+        if not found:
+            return
+        ui.html("<h2 class='head'>What reading changes</h2>", sanitize=False)
+        said = "".join(f"<li>{escape(note)}</li>" for note in found["notes"])
+        ui.html(f"<ul class='soft'>{said}</ul>", sanitize=False)
+        data = frame.figure_of(kept.place(self.session.out, self.ident) / READING)
+        if data is None or not found["series"]:
+            ui.html("<p class='soft'>No number changes.</p>", sanitize=False)
+            return
+        frame.plot(data, "reading", f"Before and after reading: {', '.join(found['series'])}")
+        said = "Orange as the file has it, blue as it is read; at the right where it changes most."
+        ui.html(f"<p class='caption'>{said}</p>", sanitize=False)
 
     def _records(self, opened: OpenFile) -> None:
         if opened.setup.columns:
@@ -316,6 +333,7 @@ def file_page(session: Session, ident: str) -> None:
                 form.regions["seen"] = ui.element("section").classes("card")
             with ui.element("div").style("display:flex;flex-direction:column;gap:18px;min-width:0"):
                 form.regions["columns"] = ui.element("section").classes("card")
+                form.regions["reading"] = ui.element("section").classes("card")
                 form.regions["model"] = ui.element("section").classes("card")
     form.look()
     ui.timer(_TICK, form.look)

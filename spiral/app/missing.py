@@ -26,6 +26,15 @@ _WHY = (
     "Error of the free run on the test record, moment by moment: green where it helps, red where "
     "it costs. Dotted: the sensor's noise."
 )
+_FORCE = (
+    "What the model lacks on the fitted record, with its 95 % band, and what this effect pushes "
+    "with at the same states: alone (dotted), and with what its refit changes elsewhere. Below, "
+    "the mean of each over the state that the missing force follows best."
+)
+_SHOWS = {
+    "why": ("Where it helps", _WHY),
+    "force": ("Its force over the missing one", _FORCE),
+}
 OWN = "invent"  # the order that an effect of one's own gives
 
 
@@ -43,7 +52,7 @@ class Missing:
     every: bool = False
     typed: dict[str, str] = field(default_factory=dict)
     wrong: Mapping[str, str] | None = None
-    why: set[tuple[int, str]] = field(default_factory=set)
+    why: set[tuple[int, str, str]] = field(default_factory=set)
 
     def build(self, scene: Scene) -> None:
         """Draw the list of the turn that is looked at."""
@@ -169,28 +178,30 @@ class Missing:
             button.props["aria-label"] = f"Try {panels.words(effect)} on the test record"
             return
         ui.html(unseen.tried(found["changes"]), sanitize=False).classes("wide")
-        if not found.get("drawn"):
-            return
-        key = (turn.serial, effect)
-        with ui.expansion("Where it helps", value=key in self.why).classes("wide") as box:
-            if key in self.why:
-                self._where(turn, effect)
-        box.on_value_change(functools.partial(self._why, key))
+        ui.html(panels.doubtful(found.get("signs") or {}), sanitize=False).classes("wide")
+        for what, (title, said) in _SHOWS.items():
+            if not found.get("drawn" if what == "why" else "pushes"):
+                continue
+            key = (turn.serial, effect, what)
+            with ui.expansion(title, value=key in self.why).classes("wide") as box:
+                if key in self.why:
+                    self._figure(turn, effect, what, f"{title}: {panels.words(effect)}. {said}")
+                    ui.html(f"<p class='soft'>{said}</p>", sanitize=False)
+            box.on_value_change(functools.partial(self._why, key))
 
-    def _why(self, key: tuple[int, str], event: Any) -> None:
+    def _why(self, key: tuple[int, str, str], event: Any) -> None:
         if bool(event.value) != (key in self.why):
             self.why ^= {key}
             self.again()
 
-    def _where(self, turn: Turn, effect: str) -> None:
-        """The error over time without an effect and with it."""
+    def _figure(self, turn: Turn, effect: str, what: str, said: str) -> None:
+        """A figure of an effect's trial."""
         figures = turn_place(self.session.out, self.ident, turn.serial) / "figures"
-        data = frame.figure_of(why_file(figures, effect))
+        data = frame.figure_of(why_file(figures, effect, what))
         if data is None:
             ui.html("<p class='soft'>This figure is not there any more.</p>", sanitize=False)
             return
-        frame.plot(data, "why", f"Where {panels.words(effect)} helps. {_WHY}")
-        ui.html(f"<p class='soft'>{_WHY}</p>", sanitize=False)
+        frame.plot(data, what, said)
 
     def _plan(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
         """The test to run next that tells effects apart; a button where none was asked for."""

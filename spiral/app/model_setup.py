@@ -12,7 +12,7 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import panels
+from spiral.app import frame, panels
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.types.formatting import number
 from spiral.view.report.style import pretty
@@ -34,6 +34,7 @@ def draw(setup: RecordSetup, now: Callable[[], Choice], change: Change) -> None:
         change(without=tuple(e["label"] for e in setup.model["seed"] if e["label"] in left))
 
     ui.html("<h2 class='head'>The model as it begins</h2>", sanitize=False)
+    frame.sketched(setup.model["sketch"])
     with ui.element("div").classes("seed"):
         for effect in setup.model["seed"]:
             label = effect["label"]

@@ -257,6 +257,7 @@ class StudyView:
                 calm = "level of the noise everywhere" in turn.sentence
                 ui.label(turn.sentence).classes("good" if calm else "sentence")
             if title == MODEL:
+                self.figures.model(turn.serial)
                 ui.html(panels.model(turn), sanitize=False).style("width:100%")
             for name, heading, caption in turn.figures:
                 if name in dict(TABS)[title]:

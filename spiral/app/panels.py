@@ -273,7 +273,16 @@ def contrast(rows: Sequence[Mapping[str, Any]], windows: int) -> str:
 
 def model(turn: Turn) -> str:
     """The equation and its coefficients with their standard errors."""
-    return plain(text.coefficients_table(turn.result, turn.equation))
+    signs = turn.result.get("signs") or {}
+    return plain(text.coefficients_table(turn.result, turn.equation, signs))
+
+
+def doubtful(signs: Mapping[str, str]) -> str:
+    """Coefficients whose sign a passive machine does not have; nothing where there is none."""
+    rows = [
+        f"<li>{escape(words(k.rpartition('.')[2]))}: {escape(v)}</li>" for k, v in signs.items()
+    ]
+    return f"<ul class='signs'>{''.join(rows)}</ul>" if rows else ""
 
 
 def apart(records: Sequence[Mapping[str, Any]]) -> str:

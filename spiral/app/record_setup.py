@@ -69,7 +69,8 @@ class RecordSetup:
     a text file writes columns and fractions, where that had to be said; ``others`` are further
     files of the same machine (path, name, use: fit or test); ``equations`` the text of a system of
     one's own, which then stands last among the systems as ``own``; ``foresight`` is whether the
-    record can tell effects apart (``foresight.foreseen``), empty until that is known.
+    record can tell effects apart (``foresight.foreseen``), empty until that is known; ``reading``
+    is what reading changes in the first file's numbers (series, notes), empty where nothing.
     """
 
     ident: str
@@ -88,6 +89,7 @@ class RecordSetup:
     others: tuple[Mapping[str, str], ...] = ()
     equations: str = ""
     foresight: Mapping[str, Any] = field(default_factory=dict)
+    reading: Mapping[str, Any] = field(default_factory=dict)
 
     def files(self, use: str) -> list[str]:
         """Paths of the files to fit, or of those to test."""

@@ -9,10 +9,15 @@ from typing import Any
 
 from spiral.app.study import why_file
 from spiral.inference.problem import Problem, Progress
+from spiral.inference.where.latent import MissingForce, missing_force
+from spiral.inference.where.own_force import own_force
 from spiral.io.curves import Curves
 from spiral.io.registry import Registry
 from spiral.io.writing import finite, write_whole
+from spiral.physics.passivity import implausible
+from spiral.types.errors import SpiralError
 from spiral.types.model import Model
+from spiral.types.record import Record
 
 _SHOWN = 4  # planned tests that are told, beside the record at hand
 _KEPT = 8  # steps, and tried effects, that stay in memory: some 10 MB each
@@ -28,6 +33,56 @@ def drawn_why(figures: Path, effect: str, before: Curves | None, after: Curves) 
         return False
     figures.mkdir(parents=True, exist_ok=True)
     write_whole(why_file(figures, effect), hovering(figure).to_json())
+    return True
+
+
+def tried(
+    figures: Path, effect: str, before: Model, after: Model, record: Record, serial: int,
+    known: dict[int, MissingForce | None],
+) -> dict[str, Any]:  # fmt: skip
+    """What else a trial of an effect shows: its force over the missing one, signs to doubt.
+
+    ``known`` keeps the missing force of the last step that was asked, by its ``serial``.
+    """
+    if serial not in known:
+        known.clear()
+        known[serial] = _lacking(before, record)
+    signs = {k: v for k, v in implausible(after).items() if k.rsplit(".", 1)[0] == effect}
+    return {"pushes": _drawn_force(figures, effect, known[serial], after, record), "signs": signs}
+
+
+def _lacking(model: Model, record: Record) -> MissingForce | None:
+    try:
+        return missing_force(model, record)
+    except (SpiralError, ArithmeticError, ValueError):  # LinAlgError is a ValueError
+        return None
+
+
+def _drawn_force(
+    figures: Path, effect: str, missing: MissingForce | None, after: Model, record: Record
+) -> bool:
+    """Draw an effect's own force over the missing one; whether it has one."""
+    from spiral.view.report.style import hovering
+    from spiral.view.report.trial import over_missing
+
+    try:
+        own = None if missing is None else own_force(missing, after, effect)
+    except (SpiralError, ArithmeticError, ValueError):
+        own = None
+    if own is None or missing is None:
+        return False
+    time = record.time[missing.start : missing.stop][own.rows]
+    system = after.system
+    states = {
+        s.name: (s.unit, missing.states[own.rows, missing.task.states.index(s.name)])
+        for s in system.states
+    }
+    figure = over_missing(
+        time, missing.force[own.rows], missing.deviation[own.rows], own.alone, own.refitted,
+        missing.axes, missing.unit, states,
+    )  # fmt: skip
+    figures.mkdir(parents=True, exist_ok=True)
+    write_whole(why_file(figures, effect, "force"), hovering(figure).to_json())
     return True
 
 

@@ -215,9 +215,9 @@ def turn_place(out: Path, ident: str, serial: int) -> Path:
     return place(out, ident) / f"turn-{serial}"
 
 
-def why_file(figures: Path, effect: str) -> Path:
-    """Where the figure of an effect's trial lies."""
-    return figures / f"why-{re.sub(r'[^a-z0-9_]', '-', effect)}.json"
+def why_file(figures: Path, effect: str, what: str = "why") -> Path:
+    """Where a figure of an effect's trial lies: ``why`` it helps, or its own ``force``."""
+    return figures / f"{what}-{re.sub(r'[^a-z0-9_]', '-', effect)}.json"
 
 
 def save(out: Path, study: Study) -> None:

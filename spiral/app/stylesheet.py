@@ -108,6 +108,8 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
   font-size:13.5px; color:var(--soft); margin-top:7px; font-variant-numeric:tabular-nums; }}
 .effect > .try {{ grid-column:1 / -1; justify-self:start; margin-top:4px; font-weight:500; }}
 .effect .q-expansion-item .q-item {{ padding:2px 0; min-height:32px; font-size:13.5px; }}
+.signs {{ margin:6px 0 0; padding:4px 10px 4px 24px; border-left:4px solid var(--orange);
+  background:var(--noted); font-size:14px; line-height:1.4; }} .sign {{ font-size:13px; }}
 .effect > .wide {{ grid-column:1 / -1; }}
 .effect .share {{ color:var(--ink); font-weight:600; }}
 .working {{ display:flex; align-items:center; gap:14px; padding:8px 0 10px; width:100%; }}
@@ -160,6 +162,8 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
   margin-bottom:12px; }}
 .parameters {{ display:grid; align-items:center; gap:6px 14px; font-size:14px;
   grid-template-columns:minmax(140px,1fr) 130px auto auto auto; }}
+.sketched {{ margin:4px 0 6px; width:100%; overflow-x:auto; }}
+.sketched figure {{ margin:0; overflow:visible; }} .sketched svg {{ display:block; }}
 .caption {{ color:var(--soft); font-size:14px; line-height:1.45; max-width:86ch;
   margin:2px 0 14px; }}
 .figure-head {{ font-size:16px; line-height:1.4; font-weight:650; margin:10px 0 0; }}

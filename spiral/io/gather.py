@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,8 @@ from spiral.inference.where.latent import LatentForce, smoothed_states, with_lat
 from spiral.inference.where.regions import Seen, seen, where
 from spiral.inference.where.surface import shapes
 from spiral.io.curves import FINAL, Curves
+from spiral.physics.couplings import couplings_of
+from spiral.physics.passivity import implausible
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
@@ -276,5 +278,7 @@ def _meta(
         "models": about,
         "equation": written(final) if equation else "",
         "mathml": mathml(final) if equation else [],
+        "signs": implausible(final) if equation else {},
+        "sketch": asdict(couplings_of(final)) if equation else {},
         "latent": LatentForce.meaning(),
     }

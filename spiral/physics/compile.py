@@ -10,8 +10,10 @@ that nothing is kept on disk, where it would be a program that anyone could have
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numba as nb
@@ -49,7 +51,7 @@ class ModelFunction(types.WrapperAddressProtocol):
 
     def __init__(self, kind: types.FunctionType, engine: Any, name: str) -> None:
         self.kind, self._engine = kind, engine  # the code lives as long as its engine
-        self._address = engine.get_function_address(name)
+        self._address = engine[name]
 
     def __wrapper_address__(self) -> int:
         return self._address
@@ -200,25 +202,37 @@ def _entry(builder: ir.IRBuilder, matrix: Any, row: int, column: int) -> Any:
     return builder.gep(builder.extract_value(matrix, 4), [place])
 
 
-def _machine() -> Any:
-    """The machine at hand; every engine takes one over."""
+@cache
+def _machine() -> tuple[Any, Any]:
+    """The machine at hand, and what links code for it: one for the process.
+
+    An engine for each model would hold the model's intermediate form and a machine of its own, five
+    times the memory of the code.
+    """
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
-    return binding.Target.from_default_triple().create_target_machine(
+    machine = binding.Target.from_default_triple().create_target_machine(
         cpu=binding.get_host_cpu_name(),
         features=binding.get_host_cpu_features().flatten(),
         opt=2,
         jit=True,
     )
+    return machine, binding.create_lljit_compiler(machine)
+
+
+_numbers = itertools.count()  # libraries of code: no name is used twice
 
 
 def engine_of(module: ir.Module) -> Any:
-    """The module's machine code."""
-    machine = _machine()
-    parsed = binding.parse_assembly(str(module))
+    """The module's machine code: addresses of its functions by name, valid while this is kept."""
+    machine, linker = _machine()
+    parsed = binding.parse_assembly(str(module), binding.create_context())
     options = binding.create_pipeline_tuning_options(speed_level=2)
     passes = binding.create_pass_builder(machine, options)
     passes.getModulePassManager().run(parsed, passes)
-    engine = binding.create_mcjit_compiler(parsed, machine)
-    engine.finalize_object()
-    return engine
+    library = binding.JITLibraryBuilder().add_object_img(machine.emit_object(parsed))
+    library.add_current_process()
+    for function in module.functions:
+        if not function.is_declaration:
+            library.export_symbol(function.name)
+    return library.link(linker, f"spiral{next(_numbers)}")

@@ -6,9 +6,11 @@ They are the figures of the report and the page, drawn from the same numbers.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from spiral.types.model import Model
 from spiral.types.run import Run, estimate_rows
 
 if TYPE_CHECKING:
@@ -50,6 +52,24 @@ def memory(run: Run) -> go.Figure | None:
     from spiral.view.report import unknown as shape
 
     return shape.loops(_result(run))
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A picture as SVG, which a notebook shows."""
+
+    svg: str
+
+    def _repr_svg_(self) -> str:
+        return self.svg
+
+
+def sketch(of: Run | Model) -> Drawing:
+    """What couples with what in a model, or in a run's last one, and where effects act."""
+    from spiral.physics.couplings import couplings_of
+    from spiral.view.report.sketch import sketch as drawn
+
+    return Drawing(drawn(asdict(couplings_of(of.model if isinstance(of, Run) else of))))
 
 
 def measured(run: Run) -> go.Figure | None:

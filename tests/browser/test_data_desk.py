@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.browser.conftest import PATIENCE
-from tests.browser.steps import faults
+from tests.browser.steps import faults, legend
 
 RATE, SAMPLES = 500.0, 3000
 BEGIN = "button:has-text('Compare with the model'):enabled"
@@ -12,7 +12,7 @@ BEGIN = "button:has-text('Compare with the model'):enabled"
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """Three runs of one hardening spring; a rotor at one speed, long after its start."""
+    """Three runs of one hardening spring, a machine that feeds itself, a rotor at one speed."""
     from scipy.integrate import solve_ivp
 
     from tests.scenes import planar_record
@@ -33,6 +33,13 @@ def files(tmp_path_factory):
         x += rng.normal(size=SAMPLES) * 0.01 * x.std()
         np.savetxt(folder / f"run{seed}.csv", np.column_stack([time, x, force(time)]), "%.9g",
                    delimiter=",", header="t,x,force", comments="")  # fmt: skip
+    fed = solve_ivp(
+        lambda t, s: [s[1], force(t) / 2 + 4 * s[1] - 2e4 * s[0] ** 2 * s[1] - 4000 * s[0]],
+        (0, time[-1]), [0, 0], t_eval=time, rtol=1e-8, atol=1e-10,
+    ).y[0]  # fmt: skip
+    fed += rng.normal(size=SAMPLES) * 0.01 * fed.std()
+    np.savetxt(folder / "fed.csv", np.column_stack([time, fed, force(time) / 2]), "%.9g",
+               delimiter=",", header="t,x,force", comments="")  # fmt: skip
     steady = planar_record(3, noise=0.01, duration=10.0, hertz=(20.0, 20.0))
     rows = np.column_stack([steady.time, steady.channels["x"], steady.channels["y"],
                             steady.inputs["speed"]])[8000:]  # fmt: skip
@@ -171,3 +178,57 @@ observed: [x]
     tab.click("text=as a command and in Python")
     assert "system='" in tab.inner_text(".command >> nth=0")
     picture(tab, "equations-study")
+
+
+def test_the_model_is_drawn_before_it_is_fitted_and_as_it_has_become(tab, served, files, picture):
+    begun(tab, served, files / "run1.csv", "oscillator")
+    tab.wait_for_selector("svg.sketch")
+    assert "linear damping" in tab.text_content("svg.sketch")
+    tab.click(".seed .q-toggle >> nth=1")  # a machine without a damper
+    tab.wait_for_function(
+        "() => !document.querySelector('svg.sketch').textContent.includes('linear damping')"
+    )
+    tab.click("text=The sketch in words")
+    tab.wait_for_selector("li:has-text('The input force acts on x.')")
+    assert faults(tab) == []
+    picture(tab, "sketch-of-the-model")
+    tab.emulate_media(color_scheme="dark")
+    assert faults(tab) == []
+    picture(tab, "sketch-of-the-model-dark")
+    tab.set_viewport_size({"width": 390, "height": 900})
+    tab.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+    assert faults(tab, ".sketched") == []
+
+
+def test_a_sign_that_a_passive_machine_does_not_have_is_told_beside_the_value(
+    tab, served, files, picture
+):
+    """x'' - 4 x' + 2e4 x^2 x' + 4000 x = force, as in a squealing brake."""
+    begun(tab, served, files / "fed.csv", "oscillator")
+    tab.click(BEGIN)
+    tab.click("button[aria-label='Add amplitude damping']:enabled")
+    tab.wait_for_selector("#caveats:has-text('Linear damping, damping: negative damping')")
+    tab.click(".q-tab >> nth=-1")
+    tab.wait_for_selector("td:has-text('feeds energy in, which a passive machine does not')")
+    assert faults(tab) == []
+    picture(tab, "signs")
+
+
+def test_what_reading_changes_is_drawn_before_it_is_fitted(tab, served, files, picture, tmp_path):
+    lines = (files / "run1.csv").read_text().splitlines()
+    for row in (801, 802):  # two readings that the logger lost
+        time, _, force = lines[row].split(",")
+        lines[row] = f"{time},,{force}"
+    (tmp_path / "gap.csv").write_text("\n".join(lines) + "\n")
+    tab.goto(served.address)
+    tab.set_input_files("#drop-file", tmp_path / "gap.csv")
+    tab.wait_for_selector("#plot-columns .main-svg")
+    tab.click(".q-select >> nth=0")
+    tab.click(".q-menu .q-item:has-text('oscillator')")
+    tab.click("#advice button:has-text('record.fill_gaps=2')")
+    tab.wait_for_selector("#plot-reading .main-svg")
+    tab.wait_for_selector("li:has-text('gaps filled by interpolation in x: 2 values')")
+    assert legend(tab, "reading") == ["in the file", "as it is read"]
+    tab.wait_for_selector(BEGIN)
+    assert faults(tab) == []
+    picture(tab, "reading")

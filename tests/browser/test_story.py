@@ -194,7 +194,8 @@ def test_every_tab_of_figures_draws_and_is_accessible(tab, study, served, pictur
     tab.wait_for_selector(".q-tab:has-text('Missing force')")
     assert tab.title() == f"{TITLE} - SPIRAL"
     assert tab.get_attribute("html", "lang") == "en-US"
-    for what, figure in (("Where it helps", "why"), ("Compare steps and branches", "beside")):
+    for what, figure in (("Where it helps", "why"), ("Its force over the missing one", "force"),
+                         ("Compare steps and branches", "beside")):  # fmt: skip
         tab.click(f"text={what}")
         tab.wait_for_selector(f"#plot-{figure} .main-svg")
     tab.click("text=Write an effect of your own")
@@ -206,6 +207,7 @@ def test_every_tab_of_figures_draws_and_is_accessible(tab, study, served, pictur
         picture(tab, f"tab-{number}-{title.lower().replace(' ', '-')}")
         panel = {"include": [[".q-tabs"], ["[role=tabpanel]"]]}
         assert _faults(tab, None if number == 0 else panel) == []
+    assert "+ cross stiffness" in tab.text_content("[role=tabpanel] svg.sketch")
     assert {"Measured and model", "Where it fails", "Spectra", "Hidden states"} <= set(titles)
     tab.click(".q-tab:has-text('Where it fails')")
     tab.wait_for_selector(".sentence:has-text('The model fails between')")

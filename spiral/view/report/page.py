@@ -182,6 +182,7 @@ _STYLE = (
     "h1{font-size:30px;line-height:1.2;margin:8px 0 6px}h2{font-size:23px;margin:54px 0 12px;"
     "padding-top:14px;border-top:2px solid #0072B2}h3{font-size:18px;margin:34px 0 6px}"
     ".caption{color:#555;font-size:14.5px;margin:4px 0 22px;max-width:80ch}"
+    "figure{margin:14px 0}"
     ".lead{font-size:19px;max-width:70ch}.kind{color:#0072B2;font-weight:600;margin:0}"
     ".sentence{border-left:4px solid #D55E00;padding:6px 14px;background:#FBF4EF;font-size:18px}"
     ".note{border-left:4px solid #E69F00;padding:4px 14px;background:#FDF8EC;margin:8px 0}"

@@ -158,8 +158,9 @@ def line(
     thin_x = thin_x.astype(np.float32) if span is None else thin_x  # neighbours stay apart
     style = {"color": colour, "width": more.pop("width", 1.4), "dash": more.pop("dash", None)}
     shown = more.pop("showlegend", name not in {t.name for t in figure.data})
+    mode = more.pop("mode", "lines")
     trace = go.Scatter(
-        x=thin_x, y=thin_y.astype(np.float32), name=name, mode="lines",
+        x=thin_x, y=thin_y.astype(np.float32), name=name, mode=mode,
         line=style, legendgroup=name, showlegend=shown, **more,
     )  # fmt: skip
     figure.add_trace(trace, row=row, col=column)

@@ -14,6 +14,7 @@ from spiral.types.formatting import number, percent, plus_minus, probability
 from spiral.types.run import estimate_rows
 from spiral.view.report.evidence import rounds
 from spiral.view.report.markup import safe_mathml
+from spiral.view.report.sketch import figure
 from spiral.view.report.style import pretty, scaled, words
 from spiral.view.terminal.shell import option_lines
 
@@ -189,20 +190,39 @@ def suggested(saved: Saved) -> str:
 
 
 def model(saved: Saved, curves: Curves | None) -> str:
-    """The equation and the table of its parameters."""
-    return coefficients_table(saved["result"], () if curves is None else curves.meta["mathml"])
+    """A sketch of the model, its equation and the table of its parameters."""
+    if curves is None:
+        return coefficients_table(saved["result"])
+    drawn = figure(curves.meta.get("sketch"))
+    signs = curves.meta.get("signs")
+    return drawn + coefficients_table(
+        saved["result"], curves.meta["mathml"], signs if isinstance(signs, dict) else None
+    )
 
 
-def coefficients_table(result: Mapping[str, Any], mathml: Sequence[Mapping[str, Any]] = ()) -> str:
-    """Every parameter with its standard error, under the equation where there is one."""
+def coefficients_table(
+    result: Mapping[str, Any],
+    mathml: Sequence[Mapping[str, Any]] = (),
+    signs: Mapping[str, str] | None = None,
+) -> str:
+    """Every parameter with its standard error, under the equation where there is one.
+
+    ``signs`` says of coefficients by full name what is doubtful about their sign.
+    """
     rows = [
-        (words(r["effect"]), words(r["parameter"]), plus_minus(r["estimate"], r.get("se")),
+        (words(r["effect"]), _named(r, signs or {}), plus_minus(r["estimate"], r.get("se")),
          _ratio(r.get("t")), pretty(r["unit"] or "1") or "1")
         for r in estimate_rows(result)
     ]  # fmt: skip
     columns = ("effect", "parameter", "estimate ± se", "t", "unit")
     shown = _equation(mathml) if mathml else ""
     return shown + (table(columns, rows, columns[2:4]) if rows else "")
+
+
+def _named(row: Mapping[str, Any], signs: Mapping[str, str]) -> str:
+    """A parameter's name, and what is doubtful about its sign."""
+    said = signs.get(f"{row['effect']}.{row['parameter']}")
+    return words(row["parameter"]) + (f" ({said})" if said else "")
 
 
 def _ratio(t: float | None) -> str:

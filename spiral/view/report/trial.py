@@ -1,18 +1,32 @@
-"""Where an effect helps: the error of two free runs over time, without it and with it."""
+"""What a trial of an effect shows: where it helps, and its own force over the missing one."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from spiral.io.curves import FINAL, Curves
-from spiral.view.report.style import AFTER, BEFORE, GREEN, VERMILION, blank, faint, scaled, titled
+from spiral.view.report.style import (
+    AFTER,
+    BEFORE,
+    BLACK,
+    GREEN,
+    VERMILION,
+    band,
+    blank,
+    faint,
+    line,
+    scaled,
+    titled,
+)
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 _PARTS = 120  # of the test record, each with one rms
+_BINS, _FEW = 40, 5  # of a state, and samples under which a bin is left out
 _NAMES = ("without it", "with it")
 
 
@@ -49,6 +63,68 @@ def helped(before: Curves, after: Curves) -> go.Figure | None:
     figure.update_xaxes(title_text="time (s)", title_font_size=12, row=len(channels), col=1)
     figure.update_layout(font_size=12, margin={"l": 50, "r": 8, "t": 30, "b": 40})
     return figure
+
+
+def over_missing(
+    time: np.ndarray,
+    missing: np.ndarray,
+    deviation: np.ndarray,
+    alone: np.ndarray,
+    refitted: np.ndarray,
+    axes: Sequence[str],
+    unit: str,
+    states: Mapping[str, tuple[str, np.ndarray]],
+) -> go.Figure:
+    """The force that a model lacks, (samples, axes), and what an effect pushes with instead.
+
+    Over time, and below over the state (name -> unit, values) that the missing force follows best.
+    """
+    factor, said = scaled(unit, missing)
+    figure = blank(2 * len(axes), 1, 60 + 380 * len(axes), vertical_spacing=0.2 / len(axes))
+    curves = ((alone, "alone", GREEN, "dot"), (refitted, "with its refit", AFTER, None))
+    for j, axis in enumerate(axes):
+        row = 2 * j + 1
+        band(figure, time, factor * missing[:, j], factor * deviation[:, j], "missing", BLACK, row)
+        name = max(states, key=lambda n, j=j: _follows(states[n][1], missing[:, j]))
+        size, word = scaled(*states[name])
+        at, mean = _binned(states[name][1], missing[:, j])
+        line(figure, size * at, factor * mean, "missing", BLACK, row + 1, width=2.4)
+        for force, title, colour, dash in curves:
+            line(figure, time, factor * force[:, j], title, colour, row, dash=dash)
+            at, mean = _binned(states[name][1], force[:, j])
+            line(figure, size * at, factor * mean, title, colour, row + 1, dash=dash, width=2)
+        figure.update_yaxes(
+            title_text=titled(f"force on {axis}", said), title_font_size=12, row=row
+        )
+        figure.update_yaxes(title_text=titled("mean", said), title_font_size=12, row=row + 1)
+        figure.update_xaxes(title_text="time (s)", title_font_size=12, row=row)
+        figure.update_xaxes(title_text=titled(name.replace("_rate", "'"), word),
+                            title_font_size=12, row=row + 1)  # fmt: skip
+    figure.update_layout(font_size=12, margin={"l": 50, "r": 8, "t": 44, "b": 40})
+    return figure
+
+
+def _binned(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middles of bins of a state and the mean of the values in each, of bins with some samples."""
+    low, high = np.quantile(x, (0.002, 0.998))
+    edges = np.linspace(low, high, _BINS + 1)
+    place = np.digitize(x, edges) - 1
+    inside = (place >= 0) & (place < _BINS)
+    count = np.bincount(place[inside], minlength=_BINS)
+    total = np.bincount(place[inside], values[inside], minlength=_BINS)
+    shown = count >= _FEW
+    return (0.5 * (edges[:-1] + edges[1:]))[shown], total[shown] / count[shown]
+
+
+def _follows(x: np.ndarray, force: np.ndarray) -> float:
+    """The share of a force that its mean over a state explains."""
+    if not np.ptp(x) > 0:
+        return 0.0
+    at, mean = _binned(x, force)
+    if len(at) < 2:
+        return 0.0
+    left = force - np.interp(x, at, mean)
+    return 1.0 - float(left.var() / (force.var() or 1.0))
 
 
 def _rms(left: np.ndarray, edges: np.ndarray) -> np.ndarray:

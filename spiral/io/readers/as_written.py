@@ -1,0 +1,56 @@
+"""A file's numbers as they are written, in the system's units, beside what is read of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from spiral.io.readers.columns import Columns
+from spiral.io.readers.sampling import FileSeries
+from spiral.types.record import Array, Record
+from spiral.types.system import System
+
+_SAME = 1e-9  # of a series' range; nearer than which nothing has changed
+_DOES = ("offset", "fill_gaps", "resample", "slow_roll", "probe_angles")
+
+
+def changes(source: object) -> bool:
+    """Whether a source is told to change numbers: offsets, gaps, rates, run-out, probes' angles."""
+    asked = [getattr(source, name, None) for name in _DOES]
+    return isinstance(source, Columns) and any(value is not None for value in asked)
+
+
+def as_written(source: Columns, system: System) -> FileSeries:
+    """The first file's rows in the system's units, before anything is done to them; gaps stay."""
+    path = source.path if isinstance(source.path, str) else (source.path or ("",))[0]
+    plain = replace(source, offset=None)
+    table = source.read(path)
+    one = plain._numbered(table)[0]
+    layout = one._layout(system, table)
+    rows = len(table.values[next(iter(layout.channels.values()))])
+    start, stop = source.rows or (0, rows)
+
+    def values(option: str, given: dict[str, str]) -> dict[str, Array]:
+        return {
+            k: layout.scale.get(k, 1.0) * table.column(c, f"record.{option} {k}", start, stop, True)
+            for k, c in given.items()
+        }
+
+    time = one._time(table, layout.clock, start, stop) * layout.scale.get("time", 1.0)
+    channels = values("channels", dict(layout.channels))
+    return FileSeries(Path(path).name, time, channels, values("inputs", dict(layout.inputs)))
+
+
+def changed(before: FileSeries, record: Record) -> list[str]:
+    """Names of the series that reading has changed, channels first."""
+    pairs = {**before.channels, **before.inputs}
+    read = {**record.channels, **record.inputs}
+    return [n for n, old in pairs.items() if n in read and _differ(old, record, read[n])]
+
+
+def _differ(old: Array, record: Record, new: Array) -> bool:
+    if len(old) != record.samples or not np.isfinite(old).all():
+        return True
+    return bool(np.max(np.abs(old - new)) > _SAME * (np.ptp(old) or 1.0))
