@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import pytest
 import sympy as sp
+from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 from experiments.hidden_effects.benchmark import Job, main, study
 from experiments.hidden_effects.cases import CASES
 from experiments.hidden_effects.cases import installed as registry_of_chains
 from experiments.hidden_effects.run import outcome
-from experiments.hidden_effects.strengths import SCENES, SHARES, strengths
+from experiments.hidden_effects.strengths import SHARES, strengths
 from experiments.studies.rates import wilson
 from spiral.physics.trace import trace
 from spiral.types.effect import ForceEffect
@@ -86,7 +87,7 @@ def test_twins_are_aliases_whatever_their_fits_left_to_converge():
 def test_sensors_and_flows_with_cases_are_traced_together():
     """A saturation of what is late by flows with rims: cases must not nest without end."""
     names = ("delay", "sensor_lag", "overflow", "sensor_saturation")
-    system = SCENES["cascaded_tanks"].system
+    system = CascadedTanks()
     effects = (*(registry().effect_from_label(n) for n in names), *system.seed)
     (reading,) = trace(system, effects).output
     assert sp.count_ops(reading) < 1000
