@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+from spiral.types.label import name_of
 from spiral.view.report.style import FONT, pretty, words
 
 _WIDTH, _MARGIN, _GAP = 940.0, 8.0, 12.0
@@ -134,7 +135,7 @@ def _place_told(place: Mapping[str, Any]) -> str:
 
 def _short(effect: Mapping[str, Any]) -> str:
     """An effect's name without its place."""
-    return words(effect["label"].partition("@")[0])
+    return words(name_of(effect["label"]))
 
 
 _PLACES = {"port": "At the port", "flow": "Flow of", "input": "On the", "sensor": "On the"}
