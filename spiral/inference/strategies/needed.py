@@ -9,7 +9,7 @@ from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.scoring import tested_keys
 from spiral.inference.likelihood.between import run_otherwise
-from spiral.inference.likelihood.fitting import LikelihoodFit, price, refitted
+from spiral.inference.likelihood.fitting import LikelihoodFit, price, refitted, restarted
 from spiral.inference.problem import Progress
 from spiral.types.effect import InputEffect, SensorEffect
 
@@ -23,11 +23,22 @@ def without_superfluous(
         keys = tested_keys(assembly, variant)
         if _far_from_zero(assembly, found, keys):
             continue
-        trial = refitted(assembly, let_go(assembly, found.state, (variant.label,)))
+        trial = _without(assembly, found, variant)
         if trial.height > found.height - price(len(keys), trial.estimate.prepared):
             found = trial
             gone.append(variant.original.label)
     return found, tuple(gone)
+
+
+def _without(
+    assembly: Assembly, found: LikelihoodFit, variant: Variant, rough: bool = False
+) -> LikelihoodFit:
+    """The fit without one effect, each record begun where this model says.
+
+    The states of an effect on a sensor may have made up for where another's begin.
+    """
+    trial = refitted(assembly, let_go(assembly, found.state, (variant.label,)), rough=rough)
+    return restarted(assembly, trial) if trial.estimate.finite else trial
 
 
 def admitted(assembly: Assembly, found: LikelihoodFit, latest: str = "") -> list[Variant]:
@@ -76,7 +87,7 @@ def told_by_likelihood(assembly: Assembly, found: LikelihoodFit) -> dict[str, fl
     for variant in admitted(assembly, found) if found.estimate.finite else ():
         if _far_from_zero(assembly, found, tested_keys(assembly, variant)):
             continue
-        without = refitted(assembly, let_go(assembly, found.state, (variant.label,)), rough=True)
+        without = _without(assembly, found, variant, rough=True)
         free = [k for k in found.estimate.keys if k.rpartition(".")[0] == variant.label]
         gain = max(found.height - without.height, 0.0)
         told[variant.original.label] = _as_one(2 * gain, len(free))
