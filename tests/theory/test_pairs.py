@@ -34,7 +34,7 @@ def _system():
 
 def test_pairs_are_of_coordinates_and_not_of_differences():
     names = [port.name for port in _system().ports]
-    (pair,) = _system().pairs
+    (pair,) = _system().links
     assert names == ["a", "b", "a_b"]
     assert (pair.name, pair.axes, pair.position_unit, pair.force_unit) == (
         "a-b", ("a", "b"), "m", "N"
@@ -48,12 +48,12 @@ def test_coordinates_of_two_units_are_no_pair():
         observed=["q", "a"],
         parameters={"m": (1, "kg"), "k": (2, "N/m"), "J": (1, "kg*m^2"), "g": (2, "N*m")},
     )
-    assert angle.pairs == ()
+    assert angle.links == ()
 
 
 def test_a_plane_is_no_pair_and_keeps_its_effects():
     rotor = registry().make("system", "planar_rotor")
-    assert rotor.pairs == ()
+    assert rotor.links == ()
     labels = [e.label for e in registry().candidates(rotor, everywhere=True)]
     assert {"antisymmetric_damping", "cross_coupled_stiffness", "rub"} <= {*labels}
     assert not any("-" in x for x in labels)

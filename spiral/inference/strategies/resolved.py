@@ -126,8 +126,8 @@ def called_for(
         return ()
     if proposal.admitted is None:
         return () if white else waiting
-    label, table = proposal.admitted.variant.label, proposal.evidence.table
-    lead = next(r for r in proposal.evidence.ranked if r.variant.label == label)
+    label, table = proposal.admitted.variant.original.label, proposal.evidence.table
+    lead = next(r for r in proposal.evidence.ranked if r.variant.original.label == label)
     if isinstance(lead.variant.original, SensorEffect):
         return () if _leaves_noise(assembly, proposal.admitted) else waiting
     return waiting if lead.score.gain < options.memory_share * (table.rest - table.dof) else ()
