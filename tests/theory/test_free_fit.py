@@ -1,0 +1,57 @@
+"""Values by free runs: left alone beside forces that are random, taken where they are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from spiral_plugins.effects.dissipative import CoulombFriction
+from spiral_plugins.strategies.likelihood import Likelihood
+
+from spiral.inference.likelihood import free_fit
+from spiral.inference.likelihood.comparison import compared_by_likelihood
+from spiral.inference.likelihood.fitting import explains, refitted
+from spiral.inference.likelihood.free_fit import FREELY, by_free_runs
+from spiral.inference.problem import silent
+from spiral.io.question import put
+from spiral.io.registry import load_registry
+from spiral.types.model import seed_model
+from tests.theory.test_likelihood import TRUTH, Oscillator, record_of, shaken
+
+
+def fitted(record, test=None):
+    seed = seed_model(Oscillator(), values=TRUTH)
+    tests = None if test is None else (test,)
+    begun = Likelihood().begin(put(load_registry(), seed, (record,), tests), silent)
+    return begun.assembly, refitted(begun.assembly, begun.standing)
+
+
+def test_beside_random_forces_the_more_precise_values_stay():
+    """Forces of a quarter of the machine's own, in 12 records: efficient values are left alone."""
+    kept = []
+    for seed in range(12):
+        assembly, found = fitted(shaken(seed, 0.25))
+        assert not explains(found)
+        kept.append(by_free_runs(assembly, found, silent) is found)
+    assert np.mean(kept) >= 11 / 12
+
+
+def test_where_friction_is_missing_a_run_is_predicted_better():
+    """A strong dry friction that the model lacks: one-step values are corrected for it."""
+    values = {"coulomb_friction.level": 12.0, "coulomb_friction.width": 0.02}
+    records = [
+        record_of(s, samples=3000, noise=0.01, effects=(CoulombFriction(),), values=values)
+        for s in (1, 2)
+    ]
+    assembly, found = fitted(*records)
+    assert not explains(found)
+    free = by_free_runs(assembly, found, silent)
+    assert free is not found
+    state, told = compared_by_likelihood(assembly, found, silent)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(free_fit, "_BETTER", 0.0)
+        _, stepwise = compared_by_likelihood(assembly, found, silent)
+    assert told.test_error < 0.9 * stepwise.test_error
+    assert FREELY in told.notes
+    assert FREELY not in stepwise.notes
+    assert told.random == stepwise.random  # what is at random is told beside the likeliest values
+    assert replace(state, settle=None).values == pytest.approx(found.state.values)
