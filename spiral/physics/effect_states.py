@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from spiral.types.effect import Effect
+from spiral.types.effect import Effect, InputEffect, SensorEffect, StateFlow
+from spiral.types.errors import PluginError
 from spiral.types.port import Port
 from spiral.types.system import System
+
+_SHOWN = SensorEffect | InputEffect | StateFlow  # whose port is one of channels, inputs or states
 
 
 def own_states(system: System, effects: tuple[Effect, ...]) -> dict[str, str]:
@@ -23,6 +26,12 @@ def followers(system: System, effects: tuple[Effect, ...]) -> list[tuple[str, st
     for effect in effects:
         port = system.place(effect)
         for state in (s for s in effect.states if s.like):
+            if state.like != "position" or not isinstance(effect, _SHOWN):
+                raise PluginError(
+                    f"state {state.name!r} of effect {effect.label!r} with like={state.like!r}",
+                    "like='position', of an effect on a sensor, an input or a state",
+                    "leave it out: the state begins at zero",
+                )
             axes = port.axes if state.per_axis else port.axes[:1]
             names = [f"{effect.label}.{state.name}{s}" for s in suffixes(state.per_axis, port)]
             found += zip(names, axes, strict=True)

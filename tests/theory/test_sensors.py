@@ -19,8 +19,10 @@ from spiral.inference.evidence.lines import strongest_line
 from spiral.inference.simulate import integrate
 from spiral.math import ramp
 from spiral.physics.trace import trace
-from spiral.types.errors import ConfigError
+from spiral.types.effect import ForceEffect
+from spiral.types.errors import ConfigError, PluginError
 from spiral.types.model import seed_model
+from spiral.types.parameter import Parameter, State
 from spiral.types.placement import check_effect
 from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record, registry
 
@@ -91,6 +93,23 @@ def test_a_slow_sensor_begins_at_what_is_there():
     late = effect("sensor_lag")
     traced = trace(system, (late, *seed_model(system).effects))
     assert dict(traced.like)["sensor_lag.level"] == "lower"
+
+
+def test_a_force_has_no_state_that_begins_at_its_port():
+    class Slow(ForceEffect):
+        """A force that says so."""
+
+        states = (State("slow", "position", per_axis=True, like="position"),)
+        parameters = (Parameter("stiffness", "force/position"),)
+
+        def force(self, at, u, p):
+            return [-p.stiffness * s for s in at.own.slow]
+
+        def rate(self, at, u, p):
+            return {"slow": list(at.velocity)}
+
+    with pytest.raises(PluginError, match="leave it out"):
+        trace(Oscillator(), (Slow(),))
 
 
 def test_a_hum_follows_the_time_of_the_record():
