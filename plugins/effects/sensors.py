@@ -107,45 +107,30 @@ def earlier(given, level, slope, ratio):
 
 
 class SensorLag(SensorEffect):
-    """A sensor that follows slowly, 1 / (1 + T_i s): reading = y_i - r e_i - (r - r^2) f_i.
+    """A sensor that follows slowly, 1 / (1 + T_i s): reading = y_i - T_i / z (q_i - a_i).
 
-    A first-order low-pass (a thermocouple, a probe, a filter in an amplifier). e and f are the true
-    value behind one and two high-passes of a time z near T,
+    A first-order low-pass (a thermocouple, a probe, a filter in an amplifier). Its state follows
+    the true value in a time z near T,
 
-        z a' = e = q - a,    z b' = f = e - b,    r = T / z,
+        z a' = q - a,
 
-    right to the second order in T whatever z is, and exact with z = T, where the reading is a. It
-    differs from a ``delay`` in the second order alone, which slow motion does not show.
+    so that with z = T the reading is a, exactly; with another z it is right to the first order in
+    T. It differs from a ``delay`` in the second order alone, which slow motion does not show.
     """
 
-    states = (
-        State("level", "position", per_axis=True, like="position"),
-        State("behind", "position", per_axis=True),
-    )
+    states = (State("level", "position", per_axis=True, like="position"),)
     twins = ("actuator_lag", "input_delay")
     parameters = (Parameter("time", "s", per_axis=True, lower=0.0), SCALE)
 
     def reading(self, y, at, u, p):
-        """y_i - r_i e_i - (r_i - r_i^2) f_i."""
-        found = []
-        for value, late, (e, f) in zip(y, p.time, _passed(at), strict=True):
-            ratio = late / p.scale
-            found.append(value - ratio * e - (ratio - ratio * ratio) * f)
-        return found
+        """y_i - T_i / z (q_i - a_i)."""
+        rows = zip(y, at.position, at.own.level, p.time, strict=True)
+        return [value - late / p.scale * (q - a) for value, q, a, late in rows]
 
     def rate(self, at, u, p):
-        """e_i / z and f_i / z."""
-        passed = _passed(at)
-        return {
-            "level": [e / p.scale for e, _ in passed],
-            "behind": [f / p.scale for _, f in passed],
-        }
-
-
-def _passed(at):
-    """e and f of every channel."""
-    rows = zip(at.position, at.own.level, at.own.behind, strict=True)
-    return [(q - a, q - a - b) for q, a, b in rows]
+        """(q_i - a_i) / z."""
+        rows = zip(at.position, at.own.level, strict=True)
+        return {"level": [(q - a) / p.scale for q, a in rows]}
 
 
 def half_a_sample(late, step):
