@@ -11,7 +11,7 @@ is taken first, until none is worth its price. Later, terms that are no longer w
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,8 +74,8 @@ def _best(at: Maximum) -> Maximum | None:
     """The noise with one term more that is worth most beyond its price; none where none is.
 
     Terms are looked at on the part of the records that moves most; what keeps up there is judged on
-    all. So is the best force with a memory in any case: it begins beside a white one that already
-    does its work, and a few steps do not tell what it is worth.
+    all. Where none of it is worth its price the best force with a memory is, too: it begins beside
+    a white one that already does its work, and a few steps do not tell what it is worth.
     """
     part = _part(at)
     now = maximise(part, (), at.noise, steps=_LOOK)
@@ -87,10 +87,15 @@ def _best(at: Maximum) -> Maximum | None:
         looks.append((gain, look.noise))
     most = max((gain for gain, _ in looks), default=0.0)
     kept = [noise for gain, noise in looks if gain > 0 and gain >= _KEEP * most]
-    if not at.noise.has("gust"):
-        _, gust = max((x for x in looks if x[1].has("gust")), key=lambda x: x[0])
-        kept += [gust] if gust not in kept else []
-    tuned = [maximise(at.prepared, (), noise, steps=_TUNE, rough=True) for noise in kept]
+    if (chosen := _worthy(at, kept)) is not None or at.noise.has("gust"):
+        return chosen
+    _, gust = max((x for x in looks if x[1].has("gust")), key=lambda x: x[0])
+    return None if gust in kept else _worthy(at, [gust])
+
+
+def _worthy(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | None:
+    """Of several models of the noise, tuned on all records, the one that is worth most."""
+    tuned = [maximise(at.prepared, (), noise, steps=_TUNE, rough=True) for noise in noises]
     worths = [
         (t.log_likelihood - at.log_likelihood - _price(t.noise, at.noise, at.prepared), t)
         for t in tuned
