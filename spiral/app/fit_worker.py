@@ -72,6 +72,7 @@ class FitWorker:
     standing: dict[int, tuple[Checkpoint, Step]] = field(default_factory=dict)
     tried: dict[tuple[int, str], Checkpoint] = field(default_factory=dict)
     lacking: dict[int, Any] = field(default_factory=dict)
+    config: Any = None
 
     def describe_file(self, order: Order) -> None:
         """What is in a file: its columns, their first numbers, and a picture of them."""
@@ -96,13 +97,13 @@ class FitWorker:
     def check(self, order: Order) -> None:
         """What a mapping makes of a file; the records are kept for the study that may follow."""
         from spiral.app.file_preview import compare_reading, described_model
-        from spiral.io.config import build_sources, compose
+        from spiral.io.config import build_sources
 
         self._open(order)
         assert self.problem is not None
         assert self.registry is not None
-        config = compose(self.overrides, self.registry)
-        compare_reading(order, build_sources(config, self.registry)[0], self.problem, self.tell)
+        source = build_sources(self.config, self.registry)[0]
+        compare_reading(order, source, self.problem, self.tell)
         self.tell("model", finite(described_model(self.problem.model)))
 
     @one_blas_thread
@@ -226,7 +227,7 @@ class FitWorker:
         self.registry = self._loaded(order)
         config = compose(overrides, self.registry)
         self.registry = bound(config, self.registry)
-        self.problem = build_problem(config, self.registry)
+        self.config, self.problem = config, build_problem(config, self.registry)
         self.program = asked(config, self.registry)
         self.strategy = strategy_for(self.problem)
         if not self.strategy.by_hand:

@@ -48,13 +48,17 @@ def motion(study: CompiledStudy, series: Series, window: int) -> Motion:
         if traced.rate_name(name) in traced.states:
             states[:, traced.states.index(traced.rate_name(name))] = smooth[1][:, channel]
             acceleration[:, traced.states.index(name)] = smooth[2][:, channel]
-    for name, shown in traced.like:
-        if shown in traced.inputs:
-            given = series.inputs[:: 2 * series.substeps, traced.inputs.index(shown)]
-        else:
-            given = states[:, traced.states.index(shown)]
-        states[:, traced.states.index(name)] = given
+    follow(traced, states, series.inputs[:: 2 * series.substeps])
     return Motion(states, acceleration)
+
+
+def follow(traced: Traced, states: Array, inputs: Array) -> None:
+    """Set states (..., n) to the measured ones, or inputs (..., columns), that they are like."""
+    for name, shown in traced.like:
+        given, names = (
+            (inputs, traced.inputs) if shown in traced.inputs else (states, traced.states)
+        )
+        states[..., traced.states.index(name)] = given[..., names.index(shown)]
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model
+from spiral.types.noise import COLOURED
 from spiral.types.parameter import BETWEEN, Interpolation
 from spiral.types.run import Comparison
 
@@ -26,7 +27,7 @@ def random_forces(found: Comparison) -> dict[str, float]:
 
 def coloured_noise(found: Comparison) -> dict[str, float]:
     """Noise of sensors that is not white, by name, as shares of what these show."""
-    return random_of(found, "coloured", "band", "vibration")
+    return random_of(found, *COLOURED)
 
 
 def random_sentence(found: Comparison) -> str:

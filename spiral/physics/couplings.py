@@ -22,7 +22,7 @@ from spiral.types.system import System, has_coordinates
 
 
 @dataclass(frozen=True)
-class Node:
+class StateNode:
     """A coordinate with its rate, or a state of first order; one that no sensor sees is hidden."""
 
     name: str
@@ -60,7 +60,7 @@ class Acting:
 
 
 @dataclass(frozen=True)
-class Place:
+class EffectPlace:
     """Where effects act: a ``port``, ``flow``, ``input`` or ``sensor``; ``touches`` names nodes.
 
     Of an input it names the input.
@@ -77,10 +77,10 @@ class Couplings:
     """A model as a graph; the order of all parts is the system's."""
 
     title: str
-    nodes: tuple[Node, ...]
+    nodes: tuple[StateNode, ...]
     links: tuple[Link, ...]
     inputs: tuple[Feed, ...]
-    places: tuple[Place, ...]
+    places: tuple[EffectPlace, ...]
 
 
 def couplings_of(model: Model) -> Couplings:
@@ -95,19 +95,19 @@ def couplings_of(model: Model) -> Couplings:
     once = [p for p in pairs if frozenset(p) not in mutual or known.index(p[0]) < known.index(p[1])]
     links = tuple(Link(a, b, frozenset((a, b)) in mutual) for a, b in once)
     feeds = tuple(
-        Feed(i.name, i.unit, tuple(n for n in known if {i.name, f"{i.name}_rate"} & rows[n]))
+        Feed(i.name, i.unit, tuple(n for n in known if {i.name, i.rate.name} & rows[n]))
         for i in system.inputs
     )
     return Couplings(system.plugin_name(), nodes, links, feeds, _places(model, known))
 
 
-def _nodes(system: System) -> tuple[Node, ...]:
+def _nodes(system: System) -> tuple[StateNode, ...]:
     """Coordinates, then states of first order; a rate is part of its coordinate."""
     seen = set(system.observed)
     own = system.coordinates if has_coordinates(system) else ()
     rates = {c.name: system.rate_name(c.name) for c in own}
     return tuple(
-        Node(s.name, s.unit, s.name in rates, bool({s.name, rates.get(s.name)} & seen))
+        StateNode(s.name, s.unit, s.name in rates, bool({s.name, rates.get(s.name)} & seen))
         for s in system.states
         if s.name not in rates.values()
     )
@@ -129,7 +129,7 @@ def _rate(traced: Traced, name: str) -> Any:
     return traced.rate[traced.states.index(name)]
 
 
-def _places(model: Model, known: Sequence[str]) -> tuple[Place, ...]:
+def _places(model: Model, known: Sequence[str]) -> tuple[EffectPlace, ...]:
     """The system's ports, free ones too; then where else an effect of the model acts."""
     system, seed = model.system, {e.label for e in model.system.seed}
     found = {("port", p.name): (_touched(system, p, known), []) for p in _open(system)}
@@ -140,7 +140,7 @@ def _places(model: Model, known: Sequence[str]) -> tuple[Place, ...]:
             tuple(s.name for s in effect.states),
         )  # fmt: skip
         found.setdefault((kind, name), (touched, []))[1].append(acting)
-    return tuple(Place(n, k, touched, tuple(e)) for (k, n), (touched, e) in found.items())
+    return tuple(EffectPlace(n, k, touched, tuple(e)) for (k, n), (touched, e) in found.items())
 
 
 def _open(system: System) -> tuple[Port, ...]:

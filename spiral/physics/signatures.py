@@ -134,10 +134,9 @@ def _told(
 ) -> Array:
     """(samples, channels) readings with a sensor's effect."""
     channels = check_effect(along.system, effect).axes
-    seen = [_index(along.system, c) for c in channels]
     places = [along.system.observed.index(c) for c in channels]
-    position, velocity = (tuple(x[:, i] for i in seen) for x in (along.states, along.rates))
-    at, found = At(position, velocity, own), np.array(along.readings)
+    position, velocity = at_port_along(along, effect)
+    at, found = At(tuple(position.T), tuple(velocity.T), own), np.array(along.readings)
     told = asked(effect, "reading", effect.reading, list(found.T[places]), at, u, p)
     found[:, places] = _columns(told, len(along.states))
     return found

@@ -98,6 +98,12 @@ class Model:
         """Labels of the effects."""
         return tuple(e.label for e in self.effects)
 
+    def amplitudes(self, label: str) -> tuple[str, ...]:
+        """Full names of the amplitudes of one effect."""
+        return tuple(
+            k for k, p in self.pairs if k.rsplit(".", 1)[0] == label and p.role == "amplitude"
+        )
+
     @property
     def active(self) -> tuple[str, ...]:
         """Names of the parameters that a fit moves."""

@@ -18,7 +18,7 @@ from spiral.engine.filter.prior import Prior
 from spiral.engine.filter.static import StaticMap, static_map
 from spiral.engine.kernel import trajectories
 from spiral.engine.series import Series, prepare
-from spiral.engine.start import motion
+from spiral.engine.start import follow, motion
 from spiral.engine.study import CompiledStudy
 from spiral.physics.compile import Compiled, compile_model
 from spiral.physics.trace import trace
@@ -280,9 +280,5 @@ def _first_state(compiled: Compiled, series: Series, mapping: StaticMap | None) 
         hidden = mapping.matrix @ [start[names.index(n)] for n in mapping.observed]
         for name, value in zip(mapping.hidden, hidden, strict=True):
             start[names.index(name)] = value
-    for name, shown in compiled.traced.like:
-        if shown in compiled.traced.inputs:
-            start[names.index(name)] = series.inputs[0, compiled.traced.inputs.index(shown)]
-        else:
-            start[names.index(name)] = start[names.index(shown)]
+    follow(compiled.traced, start, series.inputs[0])
     return start

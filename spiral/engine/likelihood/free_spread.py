@@ -21,6 +21,7 @@ import numpy as np
 from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.task import Task, linearised
 from spiral.engine.likelihood.noise import NoiseModel, matrices
+from spiral.types.noise import COLOURED
 from spiral.types.record import Array
 
 _MOST = 20_000  # samples after which it does not grow any more
@@ -30,7 +31,7 @@ def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel, samples
     """(channels,) rms over so many samples; infinite where the machine is not stable."""
     from scipy.linalg import expm
 
-    forces = noise.without("coloured", "band", "vibration", "drift")
+    forces = noise.without(*COLOURED, "drift")
     parts = matrices(task, settings, forces)
     n, k, dt = len(task.states), len(parts.phi), task.series.dt
     kept = np.r_[:n, len(parts.q) - k : len(parts.q)]  # without tracked parameters

@@ -18,18 +18,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, block_diagonal
 from spiral.engine.filter.noise import groups, intensity, sampled
 from spiral.engine.filter.task import Task
+from spiral.types.noise import COLOURED, Kind
 from spiral.types.record import Array
 
-Kind = Literal["white", "coloured", "band", "vibration", "drift", "force", "gust"]
-
-EXTRA: tuple[Kind, ...] = ("coloured", "band", "vibration", "drift", "gust")
+EXTRA: tuple[Kind, ...] = (*COLOURED, "drift", "gust")
 """Kinds beyond white noise and a white force."""
 
 _LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a level
@@ -55,8 +53,7 @@ class NoiseTerm:
     @property
     def time(self) -> str:
         """Name of its correlation time (or corner's 1 / w0), which all of a kind share."""
-        timed = ("coloured", "band", "vibration", "gust")
-        return f"{self.kind}.time" if self.kind in timed else ""
+        return f"{self.kind}.time" if self.kind in (*COLOURED, "gust") else ""
 
     @property
     def damping(self) -> str:
@@ -216,10 +213,8 @@ def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_B
     if term.kind == "drift":
         one = np.ones((1, 1))
         return [_Block(one, one * size**2 * dt, 0.0 * one, channel)]
-    if term.kind == "band":
-        return [replace(_second_order(dt, values[term.time], _FLAT, size), channel=channel)]
-    if term.kind == "vibration":
-        ratio = values[term.damping]
+    if term.kind in ("band", "vibration"):
+        ratio = values[term.damping] if term.damping else _FLAT
         return [replace(_second_order(dt, values[term.time], ratio, size), channel=channel)]
     return [replace(_relaxing(dt, values[term.time], size), channel=channel)]
 

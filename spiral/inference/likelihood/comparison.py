@@ -55,6 +55,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.free_fit import FREELY, by_free_runs
 from spiral.inference.problem import Problem, Progress
 from spiral.types.model import Model
+from spiral.types.noise import COLOURED
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
 
@@ -62,7 +63,7 @@ _STEPS = 8  # of least squares that refine a start
 _PERIODS = 3  # of the slowest mode that tell where a record begins
 _STILL = 1e-6  # share of the fastest rate under which a mode does not move
 _AGREE = 1.25  # ratio within which two estimates of the noise agree
-_SENSORS = ("white", "coloured", "band", "vibration")  # noise that a sensor has all the time
+_SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
 _TOLD = 0.5  # standard error of the logarithm of a size up to which it is told
 _COUNTS = 0.005  # share from which what acts at random counts
 _SHORTEST = 16  # samples of a settling part

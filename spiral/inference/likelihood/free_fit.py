@@ -24,6 +24,7 @@ import numpy as np
 from spiral.engine.likelihood.fit import informed, maximise
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import Masks, Prepared, all_predicted
+from spiral.engine.windows import halves
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
@@ -74,8 +75,8 @@ def by_free_runs(assembly: Assembly, found: LikelihoodFit, progress: Progress) -
 def _halves(prepared: Prepared) -> tuple[Masks, Masks]:
     """The first half of every record, and the second."""
     counts = [task.series.samples for task, _ in prepared]
-    first = tuple(np.arange(n) < n // 2 for n in counts)
-    return first, tuple(~m for m in first)
+    first, second = zip(*(halves(n, (n + 1) // 2) for n in counts), strict=True)
+    return first, second
 
 
 def _missed(found: LikelihoodFit, deaf: NoiseModel, masks: Masks) -> float:
@@ -87,11 +88,8 @@ def _missed(found: LikelihoodFit, deaf: NoiseModel, masks: Masks) -> float:
     total, count = 0.0, 0
     for r, ((task, _), part) in enumerate(zip(prepared, parts, strict=True)):
         chosen = None if masks is None else masks[r]
-        misses = part.misses if chosen is None else part.misses[chosen]
-        total, count = (
-            total + np.sum((misses / task.series.deviations) ** 2, axis=0),
-            count + len(misses),
-        )
+        misses = (part.misses if chosen is None else part.misses[chosen]) / task.series.deviations
+        total, count = total + np.sum(misses**2, axis=0), count + len(misses)
     return float(np.mean(np.sqrt(total / max(count, 1))))
 
 

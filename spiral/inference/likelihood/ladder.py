@@ -15,13 +15,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import welch
 
 from spiral.engine.filter.noise import groups
 from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.task import Task, task_with
 from spiral.engine.likelihood.fit import Maximum, maximise
-from spiral.engine.likelihood.noise import Kind, NoiseModel, NoiseTerm, limits
+from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, limits
 from spiral.engine.likelihood.predict import Prepared
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import doubts, liveliest
@@ -33,6 +32,7 @@ from spiral.inference.likelihood.fitting import (
     taken_on,
 )
 from spiral.inference.problem import Progress
+from spiral.types.noise import COLOURED, Kind
 
 _ODDS = 100.0  # to one, for which a term is kept
 _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those that keep up
@@ -172,6 +172,8 @@ def rungs(task: Task, noise: NoiseModel) -> Iterator[Rung]:
 
 def _ringing(now: Maximum) -> Iterator[Rung]:
     """A narrow line of one sensor, where the spectrum of its misses stands out most."""
+    from scipy.signal import welch
+
     if now.noise.has("vibration"):
         return
     task, part = now.prepared[0][0], now.parts[0]
@@ -196,7 +198,7 @@ def pruned(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Like
     noise = found.estimate.noise
     if not found.estimate.finite:
         return found
-    for kind in ("coloured", "band", "vibration", "gust", "drift"):
+    for kind in (*COLOURED, "gust", "drift"):
         if not noise.has(kind):
             continue
         progress("asking whether less acts at random")

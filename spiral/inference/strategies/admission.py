@@ -211,10 +211,7 @@ def _vanished(whole: Whole, label: str) -> bool:
     model, settled = whole.settled.comparison.model, whole.settled
     told = settled.details.get(FROM_NONE, {}).get(label, 0.0)
     known, least = model.estimates().get(label, {}), whole.assembly.problem.settings.least_t
-    names = [
-        key.rsplit(".", 1)[1] for key, parameter in model.pairs
-        if key.rsplit(".", 1)[0] == label and parameter.role == "amplitude"
-    ]  # fmt: skip
+    names = [key.rsplit(".", 1)[1] for key in model.amplitudes(label)]
     zero = [known[n].estimate == 0.0 for n in names]
     sizes = [abs(t) for n in names if (t := known[n].t) is not None]
     faint = len(sizes) == len(names) and not max([*sizes, told], default=np.inf) >= least

@@ -9,7 +9,6 @@ effect alone is the same with its amplitudes at zero in place of the model befor
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -53,7 +52,7 @@ def own_force(missing: MissingForce, after: Model, label: str) -> OwnForce | Non
     own = np.ascontiguousarray(x[:, [known.index(n) for n in traced.states]])
     compiled = compile_model(traced)
     with_it = _rates(compiled, own, u, _values(traced, after))
-    absent = {k: 0.0 for k, p in after.pairs if k.startswith(f"{label}.") and p.role == "amplitude"}
+    absent = dict.fromkeys(after.amplitudes(label), 0.0)
     none = _values(traced, replace(after, values={**after.values, **absent}))
     gains = _gains(missing, x, u)
     alone = _pushed(gains, _placed(with_it - _rates(compiled, own, u, none), traced, known))
@@ -85,10 +84,10 @@ def _gains(missing: MissingForce, x: Array, u: Array) -> Array:
 
 def _rates(compiled: Compiled, x: Array, u: Array, p: Array) -> Array:
     """Rates (samples, states) at every row of x and u."""
-    found = np.zeros_like(x)
-    function: Any = compiled.rate_value
-    for row, (state, given) in enumerate(zip(x, u, strict=True)):
-        function(state, given, p, found[row])
+    from spiral.engine.likelihood.signatures_kernel import evaluate_along
+
+    found, readings = np.empty_like(x), np.empty((len(x), len(compiled.traced.channels)))
+    evaluate_along(compiled.rate_value, compiled.output_value, x, u, p, found, readings)
     return found
 
 
