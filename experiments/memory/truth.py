@@ -102,6 +102,20 @@ def relaxation(s: float, d: float) -> Machine:
     return Machine(lambda q, v, z, t: (-1.5 * s * d * z[0], [(tanh(q / d) - z[0]) / 0.08]), 1)
 
 
+# --- both ----------------------------------------------------------------------------------------
+
+
+def hardening(s: float, d: float) -> Machine:
+    """Bouc-Wen, half as stiff, beside a spring that is twice as stiff at 1.6 times the motion."""
+    yielding = bouc_wen(0.5 * s, d).force
+
+    def force(q, v, z, t):
+        given, rates = yielding(q, v, z, t)
+        return given - SPRING * q**3 / (1.6 * MOTION) ** 2, rates
+
+    return Machine(force, 1)
+
+
 # --- without -------------------------------------------------------------------------------------
 
 
@@ -171,6 +185,7 @@ NO_MEMORY = {
     for f in (nothing, sine, asymmetric, dry, stribeck, place_friction, gusts, rattle, drifting,
               averaged, coloured)
 }  # fmt: skip
+BOTH = {"hardening": hardening}
 
 
 @dataclass(frozen=True)
@@ -184,7 +199,7 @@ class Simulated:
 
 def simulated(kind: str, noise: float, seed: int) -> Simulated:
     """A record of 25 s and a test of 10 s, ``noise`` a share of the motion's deviation."""
-    makers = {**MEMORY, **NO_MEMORY}
+    makers = {**MEMORY, **NO_MEMORY, **BOTH}
     draws = np.random.default_rng([seed, list(makers).index(kind), round(1e4 * noise)])
     size, length = SPRING * draws.uniform(0.2, 0.6), MOTION * draws.uniform(0.2, 0.6)
     machine = makers[kind](size, length)

@@ -7,7 +7,7 @@ from typing import Any
 
 from spiral.inference.nearness import near_noise
 from spiral.inference.problem import Settings
-from spiral.inference.unknown.memory import forgotten
+from spiral.inference.unknown.memory import memory_said
 from spiral.inference.verdict import noise_sentence
 from spiral.types.run import Comparison, Round, Stopped, Verdict
 
@@ -37,7 +37,7 @@ def advice_for(
     shape = next((r.details["unknown"] for r in reversed(rounds) if "unknown" in r.details), None)
     if shape is not None and stopped != "max_rounds" and "unknown" in rounds[-1].details:
         return _shape_said(shape)
-    if forgotten(rounds):
+    if memory_said(rounds):
         return (
             "Offer effects with states of their own (bouc_wen, jenkins, lag), or write one "
             "(spiral new effect NAME)."

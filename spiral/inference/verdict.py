@@ -27,7 +27,7 @@ from spiral.inference.nearness import (
     white,
 )
 from spiral.inference.problem import Settings
-from spiral.inference.unknown.memory import forgotten, memory_said
+from spiral.inference.unknown.memory import memory_said, stand_ins
 from spiral.types.effect import ForceEffect
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model
@@ -78,13 +78,14 @@ def determined(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
 def missing(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
     """The effects that were missing: determined ones, where they lower the error on unseen data.
 
-    Where what is left has memory, effects without any may only have stood in for it; so have those
-    in whose place one curve makes the record more likely. A model that predicts nothing of an
-    unseen record names nothing.
+    Where what is left has memory, effects that give way to it have only stood in for it; so have
+    those in whose place one curve makes the record more likely. A model that predicts nothing of
+    an unseen record names nothing.
     """
-    doubted = _worse(rounds, settings) or forgotten(rounds) or _replaced(rounds)
-    doubted = doubted or predicts_nothing(rounds[-1].comparison, settings)
-    return () if doubted else determined(rounds, settings)
+    doubted = _worse(rounds, settings) or _replaced(rounds)
+    if doubted or predicts_nothing(rounds[-1].comparison, settings):
+        return ()
+    return tuple(x for x in determined(rounds, settings) if x not in stand_ins(rounds))
 
 
 def _replaced(rounds: Sequence[Round]) -> bool:
@@ -118,7 +119,7 @@ def study_verdict(rounds: Sequence[Round], stopped: Stopped, settings: Settings)
     """The verdict on the seed after a study: ``effect_missing`` where it found one.
 
     Where it admitted effects of which none is determined, or which raise the error on unseen data,
-    something is missing and nothing explains it; likewise where the rest has memory and they none.
+    something is missing and nothing explains it; likewise where they only stand in for memory.
     """
     if stopped != "not_identifiable" and len(rounds) > 1 and "unknown" not in rounds[0].details:
         return "effect_missing" if missing(rounds, settings) else "unknown_structure"
@@ -235,16 +236,19 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
             f"The model now holds {', '.join(admitted)}, and predicts nothing of data that no fit "
             f"has seen: {change}. Do not take {them} for what is missing."
         )
-    if forgotten(rounds):
+    named, doubtful = missing(rounds, settings), stand_ins(rounds)
+    if doubtful and not named:
         return (
             f"{_VERDICTS['unknown_structure']}. The model now holds {', '.join(admitted)}, which "
             f"may only stand in for it: {change}."
         )
-    named = determined(rounds, settings)
     if not named:
         return f"The model now holds {', '.join(admitted)}: {change}."
     words = ", ".join(placed(last.model, label) for label in named)
-    return f"Missing {'was' if len(named) == 1 else 'were'} {words}: {change}."
+    said = f"Missing {'was' if len(named) == 1 else 'were'} {words}: {change}."
+    if doubtful:
+        said += f" The model also holds {', '.join(doubtful)}: what stands in for memory."
+    return said
 
 
 def placed(model: Model, label: str) -> str:

@@ -28,6 +28,14 @@ def test_hysteresis_is_told_and_a_curve_is_not(kind):
         assert run.as_dict()["memory"] == run.memory
 
 
+def test_a_spring_that_hardens_is_named_beside_hysteresis():
+    """Its cubic force is there whatever the memory; k3 = 400 N/m / (0.016 m)^2 = 1.56e6 N/m^3."""
+    run = asked("hardening", 0.01, 2, CANDIDATES)
+    assert run.memory is not None
+    assert "cubic_stiffness" in run.missing
+    assert "cubic_stiffness" not in run.memory["stand_ins"]
+
+
 def _driven(speed):
     """States of the force with memory over ten cycles of one path, run through at some speed."""
     effect, p = RememberedForce(), SimpleNamespace(middle=0.0, reach=1.0, drift=0.0, pace=1.0)

@@ -198,16 +198,35 @@ def test_no_words_of_success_beside_figures_of_failure(stopped, chi2, error):
 
 
 MEMORY = {"memory": {"sentence": "What is missing has memory: at mass."}}
+STANDS_IN = {"memory": {**MEMORY["memory"], "stand_ins": ["cubic_stiffness"]}}
 
 
 def test_what_is_left_with_memory_is_not_told_in_names_of_effects_without():
     first, last = rounds(replace(GOOD, whiteness_p=0.0, whiteness_effect=0.5))
-    verdict, words, advice = said((first, replace(last, details=MEMORY)))
+    verdict, words, advice = said((first, replace(last, details=STANDS_IN)))
     assert verdict == "unknown_structure"
-    assert missing((first, replace(last, details=MEMORY)), SETTINGS) == ()
+    assert missing((first, replace(last, details=STANDS_IN)), SETTINGS) == ()
     assert "has memory" in words
     assert not any(w in words for w in WORDS_OF_SUCCESS)
     assert "states of their own" in advice
+
+
+def test_an_effect_that_stays_beside_memory_is_named_and_what_gives_way_to_it_is_told():
+    first, last = rounds(replace(GOOD, whiteness_p=0.0, whiteness_effect=0.5))
+    verdict, words, _ = said((first, replace(last, details=MEMORY)))
+    assert verdict == "effect_missing"
+    assert "Missing was cubic_stiffness" in words
+    assert "has memory" in words
+    more = effect("quadratic_damping")
+    both = replace(
+        last.comparison, model=model(effect("cubic_stiffness"), more,
+                                     cubic_stiffness__stiffness=(3.0, 0.1),
+                                     quadratic_damping__damping=(3.0, 0.1)),
+    )  # fmt: skip
+    details = {"memory": {**MEMORY["memory"], "stand_ins": [more.label]}}
+    later = Round(2, (more.label,), {}, {}, (), both, 1.0, details=details)
+    assert missing((first, last, later), SETTINGS) == ("cubic_stiffness",)
+    assert "also holds quadratic_damping" in said((first, last, later))[1]
 
 
 def test_an_effect_with_memory_is_named_whatever_memory_is_left():

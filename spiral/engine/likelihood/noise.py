@@ -4,13 +4,14 @@ Each term is a Gaussian process of its own, white or a state of the noise z (``k
 
     white     v_j ~ N(0, a^2)                        measurement noise of channel j
     coloured  z' = -z / T + w,  std a                measurement noise with correlation time T
-    band      z'' = -2^(1/2) w0 z' - w0^2 z + w      noise behind a low-pass of corner w0 / 2 pi
+    band      B_n(d/dt / w0) z = w                   noise behind a low-pass of corner w0 / 2 pi
     vibration z'' = -2 d w0 z' - w0^2 z + w          a sensor's mount that rings at w0 / 2 pi
     drift     z' = w,  a per s^(1/2)                 a sensor's zero that wanders
     force     white acceleration                     level as ``spiral.engine.filter.noise`` says
     gust      z' = -z / T + w,  std a                acceleration with correlation time T
 
-Sizes are what a likelihood decides (``fit``), on a logarithmic scale. A gust's a is a share of the
+B_n is the Butterworth polynomial of the term's order n (2: s^2 + 2^(1/2) s + 1), as an anti-alias
+filter has it. Sizes are what a likelihood decides (``fit``), on a logarithmic scale. A gust's a is a share of the
 standard deviation of the rate it acts on.
 """
 
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -34,16 +36,21 @@ _LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a
 _LEVEL = 1e-5  # least level of a force
 OWN = 1.0  # its largest: beside a random force larger than the machine's own no term is told
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
-_FLAT = 0.5**0.5  # damping ratio of a Butterworth low-pass
-_RINGING, _DEAD = 0.005, 0.7  # damping ratio of a vibration
+STEEPEST = 8
+"""Highest order of the low-pass of a ``band``."""
+_RINGING, _DEAD = 0.005, 0.2  # damping ratio of a vibration: beyond it is noise behind a low-pass
 
 
 @dataclass(frozen=True)
 class NoiseTerm:
-    """One kind of randomness; ``where`` is a channel or a group of states."""
+    """One kind of randomness; ``where`` is a channel or a group of states.
+
+    ``order`` is that of the low-pass of a ``band``.
+    """
 
     kind: Kind
     where: str
+    order: int = 2
 
     @property
     def size(self) -> str:
@@ -63,7 +70,7 @@ class NoiseTerm:
     @property
     def states(self) -> int:
         """States that it brings to one channel or rate."""
-        return {"white": 0, "force": 0, "band": 2, "vibration": 2}.get(self.kind, 1)
+        return {"white": 0, "force": 0, "band": self.order, "vibration": 2}.get(self.kind, 1)
 
 
 @dataclass(frozen=True)
@@ -214,8 +221,7 @@ def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_B
         one = np.ones((1, 1))
         return [_Block(one, one * size**2 * dt, 0.0 * one, channel)]
     if term.kind in ("band", "vibration"):
-        ratio = values[term.damping] if term.damping else _FLAT
-        return [replace(_second_order(dt, values[term.time], ratio, size), channel=channel)]
+        return [replace(_filtered(dt, term, values), channel=channel)]
     return [replace(_relaxing(dt, values[term.time], size), channel=channel)]
 
 
@@ -226,14 +232,33 @@ def _relaxing(dt: float, time: float, size: float) -> _Block:
     return _Block(phi, whole * (1 - phi**2), whole)
 
 
-def _second_order(dt: float, time: float, ratio: float, size: float) -> _Block:
-    """White noise behind a second-order low-pass with w0 = 1 / time and this damping ratio.
+def _filtered(dt: float, term: NoiseTerm, values: Mapping[str, float]) -> _Block:
+    """White noise behind a low-pass or a resonance with w0 = 1 / time.
 
-    Stationary, z with the standard deviation ``size``.
+    The states are z and its derivatives over the powers of w0. Stationary, z with the standard
+    deviation ``size``.
     """
     from scipy.linalg import expm
 
-    rate = np.array([[0.0, 1.0], [-1.0 / time**2, -2.0 * ratio / time]])
-    phi = expm(rate * dt)
-    first = np.diag([size**2, (size / time) ** 2])  # solves A P + P A^T + b b^T = 0
+    ratio = values[term.damping] if term.damping else None
+    rate, first = _low_pass(term.order, ratio)
+    phi = expm(rate * dt / values[term.time])
+    first = first * values[term.size] ** 2
     return _Block(phi, first - phi @ first @ phi.T, first)
+
+
+@lru_cache(maxsize=64)
+def _low_pass(order: int, ratio: float | None) -> tuple[Array, Array]:
+    """Rates of z, z', ... of an all-pole low-pass with w0 = 1, and their covariance, of z one.
+
+    Butterworth's of this order, or of second order with a damping ratio.
+    """
+    from scipy.linalg import companion, solve_continuous_lyapunov
+    from scipy.signal import butter
+
+    poles = butter(order, 1.0, analog=True)[1] if ratio is None else [1.0, 2.0 * ratio, 1.0]
+    rate = companion(poles)[::-1, ::-1]  # z, z', ...: the last row holds the coefficients
+    drive = np.zeros((order, order))
+    drive[-1, -1] = 1.0
+    covariance = solve_continuous_lyapunov(rate, -drive)
+    return rate, covariance / covariance[0, 0]

@@ -20,7 +20,7 @@ from spiral.engine.filter.noise import groups
 from spiral.engine.filter.setup import prepared as filter_prepared
 from spiral.engine.filter.task import Task, task_with
 from spiral.engine.likelihood.fit import Maximum, maximise
-from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, limits
+from spiral.engine.likelihood.noise import STEEPEST, NoiseModel, NoiseTerm, limits
 from spiral.engine.likelihood.predict import Prepared
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import doubts, liveliest
@@ -95,7 +95,7 @@ def _best(at: Maximum) -> Maximum | None:
 
 def _worthy(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | None:
     """Of several models of the noise, tuned on all records, the one that is worth most."""
-    tuned = [maximise(at.prepared, (), noise, steps=_TUNE, rough=True) for noise in noises]
+    tuned = [_steepened(_tuned(at.prepared, noise)) for noise in noises]
     worths = [
         (t.log_likelihood - at.log_likelihood - _price(t.noise, at.noise, at.prepared), t)
         for t in tuned
@@ -103,6 +103,29 @@ def _worthy(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | None:
     ]
     worth, chosen = max(worths, key=lambda x: x[0], default=(0.0, None))
     return chosen if worth > np.log(_ODDS) else None
+
+
+def _tuned(prepared: Prepared, noise: NoiseModel) -> Maximum:
+    """The noise alone, a few steps on the whole records."""
+    return maximise(prepared, (), noise, steps=_TUNE, rough=True)
+
+
+def _steepened(at: Maximum) -> Maximum:
+    """The noise with a low-pass of as high an order as the record wants; the same without one.
+
+    Anti-alias filters are of fourth to eighth order. Behind one every further order makes the next
+    sample much more certain, which a random force would explain otherwise.
+    """
+    while at.finite and (band := [t for t in at.noise.terms if t.kind == "band"]):
+        order = band[0].order + 2
+        if order > STEEPEST:
+            break
+        terms = tuple(replace(t, order=order) if t in band else t for t in at.noise.terms)
+        more = _tuned(at.prepared, replace(at.noise, terms=terms))
+        if not (more.finite and more.log_likelihood > at.log_likelihood + np.log(_ODDS)):
+            break
+        at = more
+    return at
 
 
 def _part(at: Maximum) -> Prepared:

@@ -26,6 +26,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
@@ -58,6 +59,7 @@ from spiral.types.record import Array
 from spiral.types.system import has_coordinates, place_name
 
 _LEAST = 0.05  # share of the missing force's mean square from which memory counts
+_KEPT = 0.5  # of what an effect does alone: left beside a force with memory if it is no stand-in
 _STEPS = 40  # scoring steps, at most, with the filter's gains held
 _CLEARLY = 3.0  # times the other's Wald statistic from which one kind of memory is told
 _CYCLES, _POINTS = 2.0, 200  # periods of a loop that is kept, and its points
@@ -71,13 +73,20 @@ class _Trial:
     fit: LikelihoodFit
 
 
+class Remembered(NamedTuple):
+    """What is told of a force with memory, and the ``force`` that stood for it in the fits."""
+
+    memory: Memory
+    force: Variant
+
+
 def memory_of(
     assembly: Assembly,
     base: LikelihoodFit,
     masks: tuple[Masks, Masks],
     progress: Progress,
     rival: LikelihoodFit | None = None,
-) -> Memory | None:
+) -> Remembered | None:
     """The memory of what a model lacks; nothing where none is told, and of a system without forces.
 
     Parameters
@@ -108,7 +117,35 @@ def memory_of(
     if size < assembly.problem.settings.smallest:
         return None
     found = _described(wide, past, p_value, told)
-    return found if found.share >= _LEAST else None
+    return Remembered(found, past) if found.share >= _LEAST else None
+
+
+def stand_ins(
+    assembly: Assembly, base: LikelihoodFit, before: LikelihoodFit, past: Variant,
+    labels: Sequence[str], select: Masks,
+) -> tuple[str, ...]:  # fmt: skip
+    """Which of these effects, held without memory, give way to a force that has it.
+
+    The model is fitted with that force beside them, and so is the model ``before`` them. All of
+    them may have stood in for the memory where it alone is more likely than they are, or where
+    they add less than half as much log-likelihood beside it as without it; else those of which
+    less than half of every amplitude is left.
+    """
+    with_them, without = (_wider(_Trial(assembly, f), (past,), select) for f in (base, before))
+    if not (with_them.fit.estimate.finite and without.fit.estimate.finite):
+        return tuple(labels)
+    beside, alone = with_them.fit.height - without.fit.height, base.height - before.height
+    if not (beside >= _KEPT * alone and base.height >= without.fit.height):
+        return tuple(labels)
+    return tuple(x for x in labels if not _kept(assembly, base, with_them, x))
+
+
+def _kept(assembly: Assembly, base: LikelihoodFit, wide: _Trial, label: str) -> bool:
+    """Whether half of one of an effect's amplitudes is left in a wider model."""
+    keys = tested_keys(assembly, assembly.variant(label))
+    before = base.state.values[0, [assembly.study.index(k) for k in keys]]
+    after = wide.fit.state.values[0, [wide.assembly.study.index(k) for k in keys]]
+    return bool(np.any((before != 0.0) & (after * np.sign(before) >= _KEPT * np.abs(before))))
 
 
 def _readings(fit: LikelihoodFit, masks: Masks) -> int:

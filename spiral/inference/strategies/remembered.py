@@ -9,7 +9,7 @@ from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, refitted
 from spiral.inference.likelihood.ladder import climbed_ladder
-from spiral.inference.likelihood.memory import memory_of
+from spiral.inference.likelihood.memory import memory_of, stand_ins
 from spiral.inference.nearness import near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.memory import Memory
@@ -29,14 +29,32 @@ def missing_memory(
     """
     if near_noise(comparison, assembly.problem.settings) and not comparison.random:
         return None  # nothing is left that it could explain
+    held = {v.label: v for v in assembly.variants if v.label in base.state.labels}
+    remembers = any(v.effect.states for v in held.values())
+    plain = tuple(
+        x for x, v in held.items() if not (v.effect.states or isinstance(v.effect, InputEffect))
+    )
     found = memory_of(assembly, base, masks, progress)
-    held = {v.label: v.effect for v in assembly.variants if v.label in base.state.labels}
-    gone = tuple(x for x, e in held.items() if not (e.states or isinstance(e, InputEffect)))
-    if found is not None or not gone:
-        return found
-    before = refitted(assembly, replace(let_go(assembly, base.state, gone), noise=None), rough=True)
-    before = climbed_ladder(assembly, before, progress)
+    if not plain or (found is not None and remembers):
+        return None if found is None else found.memory
+    before = _without(assembly, base, plain, masks[0], progress)
+    if found is None and before is not None:
+        found = memory_of(assembly, before, masks, progress, base)
+    if found is None or remembers:
+        return None if found is None else found.memory
+    given = plain if before is None else stand_ins(
+        assembly, base, before, found.force, plain, masks[0]
+    )  # fmt: skip
+    return replace(found.memory, stand_ins=tuple(held[x].original.label for x in given))
+
+
+def _without(
+    assembly: Assembly, base: LikelihoodFit, labels: tuple[str, ...], select: Masks,
+    progress: Progress,
+) -> LikelihoodFit | None:  # fmt: skip
+    """The model without these effects, on the blocks that select; none where it diverges."""
+    state = replace(let_go(assembly, base.state, labels), noise=None)
+    before = climbed_ladder(assembly, refitted(assembly, state, rough=True), progress)
     if not before.estimate.finite:
         return None
-    before = refitted(assembly, before.state, masks=masks[0], steps=WARM, rough=True)
-    return memory_of(assembly, before, masks, progress, base)
+    return refitted(assembly, before.state, masks=select, steps=WARM, rough=True)

@@ -37,6 +37,7 @@ class Memory:
     size : rms of what no function of the present position and velocity explains, in ``unit``.
     share : of the mean square of all that is missing beside a spring and a damper.
     p_value : on the blocks that select; ``log_ratio`` of likelihoods on those that judge.
+    stand_ins : effects without memory that the model holds, and that give way to it.
     loops : one for each axis of the port; positions in ``position_unit``.
     """
 
@@ -49,6 +50,7 @@ class Memory:
     p_value: float
     log_ratio: float
     loops: tuple[Loop, ...]
+    stand_ins: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -73,8 +75,6 @@ def memory_said(rounds: Sequence[Round]) -> str:
     return rounds[-1].details.get("memory", {}).get("sentence", "")
 
 
-def forgotten(rounds: Sequence[Round]) -> bool:
-    """Whether what is left has memory, and no effect has any that was admitted and is held."""
-    admitted = {x for r in rounds for x in r.admitted}
-    held = rounds[-1].comparison.model.effects
-    return bool(memory_said(rounds)) and not any(e.states for e in held if e.label in admitted)
+def stand_ins(rounds: Sequence[Round]) -> tuple[str, ...]:
+    """Effects admitted in a study that may only stand in for the memory of what is left."""
+    return tuple(rounds[-1].details.get("memory", {}).get("stand_ins", ()))
