@@ -69,12 +69,12 @@ def spoilt_readings(
     """
     if missing is not None and missing.any():
         return (Spoilt("missing", missing),)
-    found = []
+    found: list[Spoilt] = []
     same = np.diff(values) == 0
     runs = _in_runs(same)
-    steady = float(np.mean(same & ~runs)) > _REPEATS or not _noisy(values[1:][~same])
-    if not steady:
-        clipped = _clipped(values)
+    clipped = _clipped(values)  # which repeats its extreme, and nothing else
+    repeats = same & ~runs & ~clipped[1:]
+    if float(np.mean(repeats)) <= _REPEATS and _noisy(values[1:][~same]):
         held = np.concatenate([[False], runs]) & ~clipped
         found = [s for s in (Spoilt("clipped", clipped), Spoilt("held", held))
                  if s.where.mean() <= _MOST_STILL]  # fmt: skip

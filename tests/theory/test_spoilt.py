@@ -60,6 +60,18 @@ def test_runs_of_one_value_are_held_and_extremes_are_clipped():
     np.testing.assert_array_equal(kinds(clipped)["clipped"], np.abs(clipped) == most)
 
 
+def test_a_stop_that_is_met_two_readings_at_a_time_is_no_signal_that_repeats_itself():
+    """Of 400 swings each is cut at its top, for two readings."""
+    values = np.cos(2 * np.pi * (np.arange(N) - 0.5) / 10) + 0.002 * np.random.default_rng(
+        0
+    ).normal(size=N)
+    clipped = np.minimum(values, 0.94)
+    at = clipped == 0.94
+    assert np.mean(np.diff(clipped) == 0) > 0.05
+    assert max(len(run) for run in "".join("x" if a else " " for a in at).split()) == 2
+    np.testing.assert_array_equal(kinds(clipped)["clipped"], at)
+
+
 def _harmless():
     rng = np.random.default_rng(5)
     square, step = np.sign(np.sin(TIME)), np.ptp(MOTION)

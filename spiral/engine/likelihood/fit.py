@@ -38,7 +38,7 @@ from spiral.engine.likelihood.predict import (
     side_by_side,
     varied,
 )
-from spiral.engine.likelihood.steps import next_step
+from spiral.engine.likelihood.steps import next_step, within
 from spiral.engine.score import block_for
 from spiral.types.record import Array
 
@@ -332,9 +332,11 @@ class _Search:
         names = (*self.keys, *self.sizes(at))
         upper, count = triangle(itertools.chain(*self.rows(at)))
         solved = solve_triangle(upper, count)
+        values = at.values
+        limit = np.array([self.bounds.get(k, (-np.inf, np.inf)) for k in self.keys])
+        upper, best = within(upper, solved, np.array([values[k] for k in self.keys]), limit)
         norms = np.linalg.norm(upper[:, :-1], axis=0)
         before = float(np.sum(upper[:, -1] ** 2))
-        best = 0.5 * (before - solved.rss)
         promised, step = 0.0, None
         for _ in range(_TRIES):
             step, damping = next_step(upper, norms, damping, _STRAIN, step)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from spiral.engine.leastsquares import Fit, solve_triangle
 from spiral.types.record import Array
 
 _STRONGEST = 1e6  # damping from which no step is another one
@@ -31,6 +32,25 @@ def next_step(
         damping *= strain
         step = damped(upper, sizes, damping)
     return step, damping
+
+
+def within(upper: Array, solved: Fit, values: Array, limits: Array) -> tuple[Array, float]:
+    """A triangle without columns of values that press on a bound; what the step then gains.
+
+    Parameters
+    ----------
+    solved : of ``upper``. values : (m,) of the first m columns. limits : (m, 2) of them.
+    """
+    low, high = limits.reshape(-1, 2).T
+    while len(values):
+        step = solved.b[: len(values)]
+        out = ((values <= low) & (step < 0)) | ((values >= high) & (step > 0))
+        if not out.any():
+            break
+        upper = upper.copy()
+        upper[:, np.flatnonzero(out)] = 0.0
+        solved = solve_triangle(upper, solved.rows)
+    return upper, 0.5 * (float(np.sum(upper[:, -1] ** 2)) - solved.rss)
 
 
 def damped(upper: Array, sizes: Array, damping: float) -> Array:

@@ -24,6 +24,7 @@ from spiral.inference.evidence.assembly import Assembly, columns, with_steps
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import doubts
 from spiral.inference.evidence.scales import spread_out
+from spiral.inference.evidence.spectrum import band
 from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
@@ -79,9 +80,17 @@ def moving(assembly: Assembly, state: FitState) -> tuple[str, ...]:
 
 
 def bounds_of(assembly: Assembly, keys: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    """Lowest and highest values by name."""
+    """Lowest and highest values by name; a time of an effect's own states ends where records do.
+
+    One far below a sample is none that they could show, and its states would be stiff.
+    """
     _, (low, high) = columns(assembly, keys)
-    return {k: (float(a), float(b)) for k, a, b in zip(keys, low, high, strict=True)}
+    traced = assembly.study.compiled.traced
+    known = dict(zip(traced.keys, traced.parameters, strict=True))
+    shortest = 1 / (2 * np.pi * max(band(s.samples, s.dt)[1] for s in assembly.study.series))
+    least = [shortest if known[k].spectrum and known[k].unit == "s" else a
+             for k, a in zip(keys, low, strict=True)]  # fmt: skip
+    return {k: (float(a), float(b)) for k, a, b in zip(keys, least, high, strict=True)}
 
 
 def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) -> Prepared:

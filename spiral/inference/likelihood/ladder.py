@@ -41,6 +41,7 @@ _SHARED = 0.7  # of the size of white noise, that it and a coloured one start wi
 _ROUNDS = 2
 _SEGMENT, _SHORT = 512, 32  # samples of a piece of a spectrum, at most and at least
 _STANDS_OUT = 4.0  # times the median power from which a line may be one
+_OWN_LINE = 0.25  # share of a reading's power at a line, half of its amplitude, that is missed there
 _NARROW = 0.1  # damping ratio that a line begins with
 
 
@@ -194,7 +195,11 @@ def rungs(task: Task, noise: NoiseModel) -> Iterator[Rung]:
 
 
 def _ringing(now: Maximum) -> Iterator[Rung]:
-    """A narrow line of one sensor, where the spectrum of its misses stands out most."""
+    """A narrow line of one sensor, where the spectrum of its misses stands out most.
+
+    At a frequency at which the machine moves, misses are of the model: only a line that is mostly
+    missed is the sensor's own.
+    """
     from scipy.signal import welch
 
     if now.noise.has("vibration"):
@@ -208,6 +213,12 @@ def _ringing(now: Maximum) -> Iterator[Rung]:
         inner = slice(2, len(power) - 1)
         top = 2 + int(np.argmax(power[inner]))
         if not power[top] > _STANDS_OUT * np.median(power[inner]):
+            continue
+        missed, read = (
+            welch(signal[:, j], 1 / task.series.dt, nperseg=length)[1][top]
+            for signal in (part.misses, task.series.y)
+        )
+        if not missed >= _OWN_LINE * read:
             continue
         term = NoiseTerm("vibration", channel)
         white = now.noise.values[f"white.{channel}"]
