@@ -159,11 +159,18 @@ def grown(before: Comparison, after: Comparison, settings: Settings) -> Change |
 
     Random forces move what runs freely, whatever the model: where they, and noise, make as much of
     it as is seen, and the model predicts better over shorter times, the free run is no witness.
+    The other way round, what wanders at random follows readings more closely than what is constant
+    does: where the free run is better and explained by noise, so is a next reading that is missed
+    by no more than the sensors' noise.
     """
     judged = changes(before.unseen, after.unseen)
+    told = not errs(after, settings)
     shorter = {c.judged for c in judged if c.samples is not None}
-    chance = "better" in shorter and "worse" not in shorter and not errs(after, settings)
+    free = {c.judged for c in judged if c.samples is None}
+    chance = told and "better" in shorter and "worse" not in shorter
+    noise = settings.chi2_limit * _floor(after, settings) ** 2 if told and "better" in free else 0.0
     for change in judged:
-        if change.judged == "worse" and not (chance and change.samples is None):
+        explained = chance if change.samples is None else change.after**2 <= noise
+        if change.judged == "worse" and not explained:
             return change
     return None

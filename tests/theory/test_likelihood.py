@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 from spiral_plugins.effects.dissipative import CoulombFriction
@@ -57,6 +57,7 @@ TERMS = {
     "white": (),
     "coloured": ((NoiseTerm("coloured", "x"),), {"coloured.x": 0.02, "coloured.time": 0.03}),
     "band": ((NoiseTerm("band", "x"),), {"band.x": 0.02, "band.time": 0.02}),
+    "steep": ((NoiseTerm("band", "x", 6),), {"band.x": 0.02, "band.time": 0.02}),
     "vibration": (
         (NoiseTerm("vibration", "x"),),
         {"vibration.x": 0.02, "vibration.time": 0.01, "vibration.damping": 0.1},
@@ -94,6 +95,26 @@ def test_it_is_that_of_the_joint_gaussian_of_all_readings(kind):
     expected = multivariate_normal(mean, joint).logpdf(task.series.y[:, 0])
     found = log_likelihood((predicted(task, settings, noise),))
     assert found == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize("order", [2, 4, 6, 8])
+def test_noise_behind_a_low_pass_has_its_spectrum(order):
+    """Covariances over k samples are those of the power 1 / (1 + (w / w0)^2n), by quadrature."""
+    task, settings = task_of(record_of(0, samples=64))
+    time, size, dt = 0.02, 0.3, task.series.dt
+    noise = first_noise(task, 0.0).added(
+        (NoiseTerm("band", "x", order),), {"band.x": size, "band.time": time}
+    )
+    parts, n = matrices(task, settings, noise), len(task.states)
+    first, step = parts.p[n:, n:], parts.phi
+    np.testing.assert_allclose(step @ first @ step.T + parts.q[n:, n:], first, atol=1e-12)
+    for k in range(12):
+        found = (np.linalg.matrix_power(step, k) @ first)[0, 0]
+        power, whole = (
+            quad(lambda w, t=t: np.cos(w * t) / (1 + w ** (2 * order)), 0, 60, limit=500)[0]
+            for t in (k * dt / time, 0.0)
+        )
+        assert found == pytest.approx(size**2 * power / whole, abs=2e-6)
 
 
 def states_alone(task, settings):

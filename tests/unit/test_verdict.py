@@ -8,7 +8,7 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.inference.advice import advice_for
-from spiral.inference.nearness import near_noise, noise_factor, shortfalls
+from spiral.inference.nearness import grown, near_noise, noise_factor, shortfalls
 from spiral.inference.problem import Settings
 from spiral.inference.verdict import (
     FROM_NONE,
@@ -18,6 +18,7 @@ from spiral.inference.verdict import (
     study_verdict,
     summary,
 )
+from spiral.types.horizon import Horizon
 from spiral.types.model import Model, seed_model
 from spiral.types.run import Comparison, Round
 from tests.scenes import effect
@@ -195,6 +196,29 @@ def test_no_words_of_success_beside_figures_of_failure(stopped, chi2, error):
             assert not success
         if not error <= POOR.test_error:
             assert not success
+
+
+def predicting(next_reading, freely):
+    """A model with these errors on unseen data, one sample ahead and running freely."""
+    errors = (("one_sample", 1, next_reading), ("free_run", None, freely))
+    unseen = tuple(Horizon(n, s, None, {"x": (e**2,) * 20}) for n, s, e in errors)
+    return replace(GOOD, unseen=unseen, test_error=freely)
+
+
+@pytest.mark.parametrize(
+    ("after", "where"),
+    [
+        (predicting(0.0206, 0.0216), None),  # within noise: what wandered had followed readings
+        (predicting(0.030, 0.0216), "one_sample"),  # beyond noise (2 %)
+        (predicting(0.0206, 0.10), "one_sample"),  # no free run for it
+        (predicting(0.0206, 0.11), "one_sample"),
+    ],
+)
+def test_a_next_reading_missed_by_no_more_than_noise_is_worth_a_free_run_that_noise_explains(
+    after, where
+):
+    worse = grown(predicting(0.0200, 0.10), after, SETTINGS)
+    assert (None if worse is None else worse.horizon) == where
 
 
 MEMORY = {"memory": {"sentence": "What is missing has memory: at mass."}}

@@ -11,8 +11,8 @@ Each term is a Gaussian process of its own, white or a state of the noise z (``k
     gust      z' = -z / T + w,  std a                acceleration with correlation time T
 
 B_n is the Butterworth polynomial of the term's order n (2: s^2 + 2^(1/2) s + 1), as an anti-alias
-filter has it. Sizes are what a likelihood decides (``fit``), on a logarithmic scale. A gust's a is a share of the
-standard deviation of the rate it acts on.
+filter has it. Sizes are what a likelihood decides (``fit``), on a logarithmic scale. A gust's a is
+a share of the standard deviation of the rate it acts on.
 """
 
 from __future__ import annotations
@@ -254,9 +254,11 @@ def _low_pass(order: int, ratio: float | None) -> tuple[Array, Array]:
     Butterworth's of this order, or of second order with a damping ratio.
     """
     from scipy.linalg import companion, solve_continuous_lyapunov
-    from scipy.signal import butter
+    from scipy.signal import buttap
 
-    poles = butter(order, 1.0, analog=True)[1] if ratio is None else [1.0, 2.0 * ratio, 1.0]
+    poles = np.array([1.0, 2.0 * (ratio or 0.0), 1.0])
+    if ratio is None:
+        poles = np.real(np.poly(buttap(order)[1]))
     rate = companion(poles)[::-1, ::-1]  # z, z', ...: the last row holds the coefficients
     drive = np.zeros((order, order))
     drive[-1, -1] = 1.0

@@ -41,7 +41,9 @@ _SHARED = 0.7  # of the size of white noise, that it and a coloured one start wi
 _ROUNDS = 2
 _SEGMENT, _SHORT = 512, 32  # samples of a piece of a spectrum, at most and at least
 _STANDS_OUT = 4.0  # times the median power from which a line may be one
-_OWN_LINE = 0.25  # share of a reading's power at a line, half of its amplitude, that is missed there
+_OWN_LINE = (
+    0.25  # share of a reading's power at a line, half of its amplitude, that is missed there
+)
 _NARROW = 0.1  # damping ratio that a line begins with
 
 
