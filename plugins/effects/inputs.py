@@ -81,6 +81,7 @@ class ActuatorLag(InputEffect):
     special = ("input_delay",)
     states = (State("followed", "position", like="position"),)
     twins = ("sensor_lag", "delay")
+    whole = {"share": 1.0}
     parameters = (
         Parameter("share", "", lower=0.0),
         Parameter("time_constant", "s", lower=0.0, role="shape", start=0.01, spectrum=True),
@@ -113,6 +114,7 @@ class RateLimit(InputEffect):
     """
 
     special = ("actuator_lag",)
+    whole = {"share": 1.0}
     states = (State("followed", "position", like="position"),)
     parameters = (
         Parameter("share", "", lower=0.0),
@@ -145,6 +147,7 @@ class InputDelay(InputEffect):
 
     states = (State("level", "position", like="position"), State("slope", "position"))
     twins = ("delay", "sensor_lag")
+    whole = {"time": "scale"}
     parameters = (Parameter("time", "s", lower=0.0), SCALE)
 
     def drive(self, at, u, p):

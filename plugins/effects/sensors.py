@@ -73,6 +73,7 @@ class Delay(SensorEffect):
         State("slope", "position", per_axis=True),
     )
     twins = ("input_delay", "actuator_lag")
+    whole = {"time": "scale"}
     parameters = (Parameter("time", "s", per_axis=True), SCALE)
 
     def reading(self, y, at, u, p):
@@ -120,6 +121,7 @@ class SensorLag(SensorEffect):
 
     states = (State("level", "position", per_axis=True, like="position"),)
     twins = ("actuator_lag", "input_delay")
+    whole = {"time": "scale"}
     parameters = (Parameter("time", "s", per_axis=True, lower=0.0), SCALE)
 
     def reading(self, y, at, u, p):

@@ -183,10 +183,11 @@ def _in_order(runners: Sequence[Rival]) -> list[Rival]:
 
 
 def promising(found: list[Ranked], most: int) -> list[Ranked]:
-    """The promising ones that come first, what scores like the best, and special cases of these.
+    """The promising ones that come first, what scores like the best, special cases and twins.
 
     What needs more numbers for the same score (an offset of each of several sensors, beside a load)
-    is not worth their price, yet the records may not tell the two apart.
+    is not worth their price, yet the records may not tell the two apart. Neither may they tell the
+    best from what does the same elsewhere, whose score beside a large random force may be nothing.
     """
     chosen = [r for r in found if r.rank < 0 and not r.whole][:most]
     best = max((r.score.gain for r in chosen), default=np.inf)
@@ -195,8 +196,11 @@ def promising(found: list[Ranked], most: int) -> list[Ranked]:
     known = {r.variant.original.label: r for r in reversed(found)}
     effects = [r.variant.original for r in chosen]
     labels = [make_label(name, e.port) for e in effects for name in e.special]
-    special = (known[label] for label in dict.fromkeys(labels) if label in known)
-    return chosen + [r for r in special if r not in chosen]
+    special = [known[label] for label in dict.fromkeys(labels) if label in known]
+    names = effects[0].twins if effects else ()
+    twins = [r for r in known.values() if r.variant.original.plugin_name() in names][:_ALIKE_ONES]
+    also = dict.fromkeys(r.variant.original.label for r in (*special, *twins))
+    return chosen + [known[x] for x in also if known[x] not in chosen]
 
 
 def refit_alone(assembly: Assembly, base: LikelihoodFit, ranked: Ranked) -> Rival:
@@ -237,24 +241,43 @@ def first_steps(
     ``far``: from a share of its bounds; else from zero, where the first step finds its size.
     ``start``: where it begins, of other values than ``base``, against which it is held.
     Where much acts at random beside both models the noise is begun afresh as well: what the model
-    as it is has found to be at random may leave the candidate no way to where little is.
+    as it is has found to be at random may leave the candidate no way to where little is. There a
+    lag or a delay begins whole, too: such a force follows readings of a sensor that is late, and
+    near zero nothing is gained by its time.
     """
     begun = start or base
     own = with_variants(assembly, [ranked.variant])
     wider = added(own, carried_to(begun.state, assembly, own), ranked, far)
     at = begun.estimate
 
-    def taken(noise: NoiseModel, steps: int, kept: Kept | None = None) -> Rival:
+    def taken(state: FitState, noise: NoiseModel, steps: int, kept: Kept | None = None) -> Rival:
         fit = refitted(
-            own, wider, noise, masks, steps, True, kept, differences=False, like=at.prepared
+            own, state, noise, masks, steps, True, kept, differences=False, like=at.prepared
         )
         return _rival(own, base, ranked, fit)
 
-    one = taken(at.noise, _HEAT, at.kept)
+    one = taken(wider, at.noise, _HEAT, at.kept)
     if start is not None or explains(base) or explains(one.fit):
         return one
-    fresh = taken(first_noise(at.prepared[0][0], LEVEL), _FRESH)
-    return max(one, fresh, key=lambda r: r.worth)
+    wide = first_noise(at.prepared[0][0], LEVEL)
+    begins = [wider, *([_whole(own, wider, ranked.variant)] if ranked.variant.effect.whole else ())]
+    return max([one, *(taken(b, wide, _FRESH) for b in begins)], key=_standing)
+
+
+def _standing(rival: Rival) -> float:
+    """Worth, of what is finite."""
+    return rival.worth if rival.fit.estimate.finite else -np.inf
+
+
+def _whole(assembly: Assembly, state: FitState, variant: Variant) -> FitState:
+    """A state with an effect as its name says."""
+    traced, values = assembly.study.compiled.traced, state.values.copy()
+    for key, parameter in zip(traced.keys, traced.parameters, strict=True):
+        owner, given = key.rsplit(".", 1)[0], variant.effect.whole.get(parameter.name)
+        if owner == variant.label and given is not None:
+            size = variant.shapes[f"{owner}.{given}"] if isinstance(given, str) else given
+            values[:, assembly.study.index(key)] = size
+    return replace(state, values=values)
 
 
 def added(assembly: Assembly, state: FitState, ranked: Ranked, far: bool = False) -> FitState:
