@@ -29,8 +29,8 @@ class Effect(Plugin):
         is, because the simpler one is the answer where both explain a record.
     twins : names of effects elsewhere (an input that acts late, beside a sensor that does) which do
         the same to what is measured; two formulas for it may differ by more than the noise.
-    whole : by amplitude: what it is where the effect is all that its name says, a number, or the name
-        of a shape that it equals (a lag whose time is that of its own state).
+    whole : by amplitude: what it is where the effect is all that its name says, a number or the
+        name of a shape that it equals (a lag whose time is that of its own state).
     bare : a monomial of a library without a physical name; no candidate unless it is asked for.
 
     Fields

@@ -36,7 +36,9 @@ def with_likely_inputs(
     wrong ways likely too.
     """
     for some in _together(assembly.problem):
-        others = [f for f in _others(assembly, found, some, None, progress) if explains(f)]
+        least = found.height + float(np.log(_ODDS))
+        others = _others(assembly, found, some, None, least, progress)
+        others = [f for f in others if explains(f)]
         best = max(others, key=lambda f: f.height, default=found)
         found = best if best.height > found.height + np.log(_ODDS) else found
     return found
@@ -49,20 +51,25 @@ def with_own_inputs(assembly: Assembly, found: LikelihoodFit, progress: Progress
             continue
         progress(_asking((known,)))
         state = replace(found.state, between=_with(found, (known,), known.interpolation))
-        own = refitted(assembly, state, rough=True)
-        found = own if own.height > found.height - np.log(_ODDS) else found
+        least = found.height - float(np.log(_ODDS))
+        own = refitted(assembly, state, rough=True, least=least)
+        found = own if own.height > least else found
     return found
 
 
 def run_otherwise(
-    assembly: Assembly, found: LikelihoodFit, state: FitState, progress: Progress
+    assembly: Assembly, found: LikelihoodFit, state: FitState, least: float, progress: Progress
 ) -> list[LikelihoodFit]:
-    """Fits of another state than a fit's own (of one with an effect less), inputs run otherwise."""
+    """Fits of another state than a fit's own (of one with an effect less), inputs run otherwise.
+
+    ``least`` : log-likelihood from which they are of use.
+    """
     fits: list[LikelihoodFit] = []
     for some in _together(assembly.problem):
         for ways in _other_ways(found, some):
             progress(_asking(some))
-            fits.append(refitted(assembly, replace(state, between=ways), rough=True))
+            other = replace(state, between=ways)
+            fits.append(refitted(assembly, other, rough=True, least=least))
     return fits
 
 
@@ -73,15 +80,14 @@ def likelier_inputs(
 
     ``least`` : log-likelihood that something else (a candidate) makes of them.
     """
+    needed = base.height + max(least, float(np.log(_ODDS)))
     fits = [
         fit
         for some in _together(assembly.problem)
-        for fit in _others(assembly, base, some, masks, progress)
+        for fit in _others(assembly, base, some, masks, needed, progress)
     ]
     best = max(fits, key=lambda f: f.height, default=None)
-    if best is None or best.height - base.height < max(least, float(np.log(_ODDS))):
-        return None
-    return best
+    return None if best is None or best.height < needed else best
 
 
 def _together(problem: Problem) -> list[tuple[Input, ...]]:
@@ -97,18 +103,19 @@ def _together(problem: Problem) -> list[tuple[Input, ...]]:
 
 def _others(
     assembly: Assembly, found: LikelihoodFit, some: tuple[Input, ...], masks: Masks,
-    progress: Progress,
+    least: float, progress: Progress,
 ) -> list[LikelihoodFit]:  # fmt: skip
     """Fits with inputs run in each other way that changes what is predicted.
 
-    A way is fitted where it changes the whitened misses, in squares and summed, by one.
+    A way is fitted where it changes the whitened misses, in squares and summed, by one; ``least``
+    is the log-likelihood from which it is of use.
     """
     fits: list[LikelihoodFit] = []
     for ways in _other_ways(found, some) if found.estimate.finite else ():
         state = replace(found.state, between=ways)
         if _differs(assembly, found, state):
             progress(_asking(some))
-            fits.append(refitted(assembly, state, masks=masks, rough=True))
+            fits.append(refitted(assembly, state, masks=masks, rough=True, least=least))
     return fits
 
 

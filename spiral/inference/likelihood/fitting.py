@@ -54,15 +54,16 @@ class LikelihoodFit:
 
 
 def taken_on(
-    assembly: Assembly, found: LikelihoodFit, noise: NoiseModel | None = None, rough: bool = False
-) -> LikelihoodFit:
+    assembly: Assembly, found: LikelihoodFit, noise: NoiseModel | None = None, rough: bool = False,
+    least: float = -np.inf,
+) -> LikelihoodFit:  # fmt: skip
     """A fit taken on from where it is, with its own noise or another, to its very maximum.
 
-    ``rough`` as in ``maximise``.
+    ``rough`` and ``least`` as in ``maximise``.
     """
     at = found.estimate
-    bounds = bounds_of(assembly, at.keys)
-    estimate = maximise(at.prepared, at.keys, noise or at.noise, bounds, rough=rough, kept=at.kept)
+    bounds, noise = bounds_of(assembly, at.keys), noise or at.noise
+    estimate = maximise(at.prepared, at.keys, noise, bounds, rough=rough, kept=at.kept, least=least)
     return LikelihoodFit(with_estimate(found.state, estimate), estimate)
 
 

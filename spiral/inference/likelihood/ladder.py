@@ -162,9 +162,9 @@ def quieted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
     }
     if not found.estimate.finite or not least:
         return found
-    trial = taken_on(assembly, found, noise.with_values(least), rough=True)
-    worth = price(len(least), trial.estimate.prepared)
-    return trial if trial.height > found.height - worth else found
+    enough = found.height - price(len(least), found.estimate.prepared)
+    trial = taken_on(assembly, found, noise.with_values(least), rough=True, least=enough)
+    return trial if trial.height > enough else found
 
 
 def _price(noise: NoiseModel, before: NoiseModel, prepared: Prepared) -> float:
@@ -239,8 +239,9 @@ def pruned(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Like
             continue
         progress("asking whether less acts at random")
         less = noise.without(kind)
-        trial = taken_on(assembly, found, less, rough=True)
-        worth = _price(noise, less, trial.estimate.prepared)
-        if trial.height > found.height - worth - np.log(_ODDS):
+        worth = _price(noise, less, found.estimate.prepared)
+        enough = found.height - worth - float(np.log(_ODDS))
+        trial = taken_on(assembly, found, less, rough=True, least=enough)
+        if trial.height > enough:
             found, noise = trial, less
     return found

@@ -60,9 +60,9 @@ def run_otherwise_instead(
         if not isinstance(variant.original, InputEffect | SensorEffect):
             continue
         without = let_go(assembly, found.state, (variant.label,))
-        fits = run_otherwise(assembly, found, without, progress)
-        best = max(fits, key=lambda f: f.height, default=None)
         worth = price(len(tested_keys(assembly, variant)), found.estimate.prepared)
+        fits = run_otherwise(assembly, found, without, found.height - worth, progress)
+        best = max(fits, key=lambda f: f.height, default=None)
         if best is not None and best.height > found.height - worth:
             found = best
             gone.append(variant.original.label)
