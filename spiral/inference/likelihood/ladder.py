@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,6 +56,14 @@ class Rung:
     values: dict[str, float]
 
 
+class _Look(NamedTuple):
+    """A term after its first steps: what it gains beyond its price, the noise with it, its kind."""
+
+    gain: float
+    noise: NoiseModel
+    kind: Kind
+
+
 def climbed_ladder(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
     """The fit with the noise that its record wants, parameters and sizes refitted together.
 
@@ -77,7 +86,8 @@ def _best(at: Maximum) -> Maximum | None:
     """The noise with one term more that is worth most beyond its price; none where none is.
 
     Terms are looked at on the part of the records that moves most; what keeps up there is judged on
-    all. Where none of it is worth its price the best force with a memory is, too: it begins beside
+    all, and where noise of a sensor leads its other kinds are, too: few steps do not tell a line
+    from a steep low-pass. Where none of it is worth its price the best force with a memory is, too: it begins beside
     a white one that already does its work, and a few steps do not tell what it is worth.
     """
     part = _part(at)
@@ -87,12 +97,17 @@ def _best(at: Maximum) -> Maximum | None:
         noise = now.noise.added(rung.terms, rung.values)
         look = maximise(part, (), noise, steps=_LOOK)
         gain = look.log_likelihood - _price(noise, at.noise, part) - now.log_likelihood
-        looks.append((gain, look.noise))
-    most = max((gain for gain, _ in looks), default=0.0)
-    kept = [noise for gain, noise in looks if gain > 0 and gain >= _KEEP * most]
+        looks.append(_Look(gain, look.noise, rung.terms[0].kind))
+    best = max(looks, key=lambda x: x.gain, default=None)
+    if best is None:
+        return None
+    kept = [
+        x.noise for x in looks
+        if x.gain > 0 and (x.gain >= _KEEP * best.gain or {x.kind, best.kind} <= {*COLOURED})
+    ]  # fmt: skip
     if (chosen := _worthy(at, kept)) is not None or at.noise.has("gust"):
         return chosen
-    _, gust = max((x for x in looks if x[1].has("gust")), key=lambda x: x[0])
+    gust = max((x for x in looks if x.kind == "gust"), key=lambda x: x.gain).noise
     return None if gust in kept else _worthy(at, [gust])
 
 
