@@ -62,7 +62,7 @@ def taken_on(
     ``rough`` and ``least`` as in ``maximise``.
     """
     at = found.estimate
-    bounds, noise = bounds_of(assembly, at.keys), noise or at.noise
+    bounds, noise = bounds_of(assembly, at.keys, found.state.substeps), noise or at.noise
     estimate = maximise(at.prepared, at.keys, noise, bounds, rough=rough, kept=at.kept, least=least)
     return LikelihoodFit(with_estimate(found.state, estimate), estimate)
 
@@ -80,15 +80,19 @@ def moving(assembly: Assembly, state: FitState) -> tuple[str, ...]:
     return tuple(k for k in state.keys(assembly) if k not in followed)
 
 
-def bounds_of(assembly: Assembly, keys: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    """Lowest and highest values by name; a time of an effect's own states ends where records do.
+def bounds_of(
+    assembly: Assembly, keys: tuple[str, ...], substeps: int = 1
+) -> dict[str, tuple[float, float]]:
+    """Lowest and highest values by name.
 
-    One far below a sample is none that they could show, and its states would be stiff.
+    A time of an effect's own states ends where the integration ``substeps`` per sample carry it:
+    states that are stiff would stop every step of the fit.
     """
     _, (low, high) = columns(assembly, keys)
     traced = assembly.study.compiled.traced
     known = dict(zip(traced.keys, traced.parameters, strict=True))
-    shortest = 1 / (2 * np.pi * max(band(s.samples, s.dt)[1] for s in assembly.study.series))
+    steps = [(s.samples, s.dt / max(s.substeps, substeps)) for s in assembly.study.series]
+    shortest = 1 / (2 * np.pi * max(band(*s)[1] for s in steps))
     least = [shortest if known[k].spectrum and known[k].unit == "s" else a
              for k, a in zip(keys, low, strict=True)]  # fmt: skip
     return {k: (float(a), float(b)) for k, a, b in zip(keys, least, high, strict=True)}
@@ -162,7 +166,7 @@ def refitted(
     prepared = subjects(assembly, state, like)
     noise = acting_on(prepared[0][0], noise or state.noise or first_noise(prepared[0][0], LEVEL))
     keys = moving(assembly, state)
-    bounds = bounds_of(assembly, keys)
+    bounds = bounds_of(assembly, keys, state.substeps)
     estimate = maximise(
         prepared, keys, noise, bounds, masks, steps,
         rough=rough, kept=kept, differences=differences, least=least,

@@ -61,7 +61,7 @@ class Unselected:
 def unselected(fit: LikelihoodFit, assembly: Assembly, masks: Masks) -> Unselected:
     """A fit on other blocks than its own; ``assembly`` is the study in whose terms it is."""
     carried = most_likely(fit.estimate, masks, {})
-    bounds = bounds_of(assembly, fit.estimate.keys)
+    bounds = bounds_of(assembly, fit.estimate.keys, fit.state.substeps)
     return Unselected(carried, most_likely(carried, masks, bounds))
 
 
