@@ -87,8 +87,9 @@ def _best(at: Maximum) -> Maximum | None:
 
     Terms are looked at on the part of the records that moves most; what keeps up there is judged on
     all, and where noise of a sensor leads its other kinds are, too: few steps do not tell a line
-    from a steep low-pass. Where none of it is worth its price the best force with a memory is, too: it begins beside
-    a white one that already does its work, and a few steps do not tell what it is worth.
+    from a steep low-pass. Where none of it is worth its price the best force with a memory is, too:
+    it begins beside a white one that already does its work, and a few steps do not tell what it is
+    worth.
     """
     part = _part(at)
     now = maximise(part, (), at.noise, steps=_LOOK)
