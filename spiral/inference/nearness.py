@@ -10,9 +10,11 @@ with L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box over m lags,
 random forces are expected to make of a free run (``engine.likelihood.free_spread``; a record may be
 one stretch of what they move slowly, and chi2 of one degree of freedom is 6.6 once in a hundred).
 (Q - m) / N is about the share of what is left that its own past predicts: below s^2 it is smaller
-than the smallest effect that counts. Where a filter's likelihood is the evidence chi2 is that of
-the innovations; with ``strategy=innovation`` the test error is not asked: process noise moves what
-runs freely.
+than the smallest effect that counts. Colour is harmless, too, where up to a quarter of what is left
+is told by its own past and less than s^2 by motion and inputs beside that
+(``likelihood.independence``): it is the noise that is not quite as it was modelled. Where a
+filter's likelihood is the evidence chi2 is that of the innovations; with ``strategy=innovation``
+the test error is not asked: process noise moves what runs freely.
 """
 
 from __future__ import annotations
@@ -27,19 +29,28 @@ from spiral.types.run import Comparison
 
 _STRETCHES = 6.6  # times the variance that random forces are expected to make of one free run
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
+_COLOUR = 0.25  # share of what is left, half its deviation, up to which its own past may tell it
 
 
 def white(found: Comparison, settings: Settings) -> bool:
     """Whether what is left is white, or its colour harmless.
 
-    It is where it is smaller than any effect, or where it belongs to a sensor whose noise is not
-    white: no random force acts, and the free run is as near to the record as that noise lets it.
+    It is where it is smaller than any effect, or its own past alone tells it, neither motion nor
+    inputs; or where it belongs to a sensor whose noise is not white: no random force acts, and the
+    free run is as near to the record as that noise lets it.
     """
     small = found.whiteness_effect <= settings.smallest**2
-    if found.whiteness_p >= settings.whiteness_level or small:
+    if found.whiteness_p >= settings.whiteness_level or small or own_colour(found, settings):
         return True
     at_floor = found.test_error <= _AT_FLOOR * found.noise_floor
     return bool(coloured_noise(found)) and at_floor and not random_forces(found)
+
+
+def own_colour(found: Comparison, settings: Settings) -> bool:
+    """Whether what is left has a colour of its own, which neither motion nor inputs explain."""
+    alone = found.followed is not None and found.followed <= settings.smallest**2
+    coloured_ = found.whiteness_p < settings.whiteness_level
+    return alone and coloured_ and found.whiteness_effect <= _COLOUR
 
 
 def chi2_of(found: Comparison) -> float:

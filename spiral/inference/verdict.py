@@ -21,6 +21,7 @@ from spiral.inference.nearness import (
     near_noise,
     next_sample,
     noise_factor,
+    own_colour,
     predicts_nothing,
     runs_away,
     shortfalls,
@@ -182,6 +183,9 @@ def _figures(found: Comparison, settings: Settings) -> str:
         )
     if found.random is not None:
         kind = "white noise" if found.whiteness_p >= settings.whiteness_level else "noise"
+        if own_colour(found, settings) and found.whiteness_effect > settings.smallest**2:
+            share = percent(found.whiteness_effect)
+            kind += f" (its own past predicts about {share} of it, motion and inputs do not)"
         return f"what is left is {kind}, and {error}"
     return (
         f"chi2 per degree of freedom is {number(chi2_of(found), 3)}, what is left is white, "

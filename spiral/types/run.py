@@ -66,9 +66,8 @@ class Comparison(Readable):
     has one; ``spoilt`` says in words which readings are no measurement, ``departures`` what neither
     the model nor its noise can hold (a parameter that drifts, noise that grows with its reading);
     ``disturbed`` and ``uncertain`` are expected errors of the test's free run by random forces, and
-    by values and a start known only so well; ``between`` how inputs were found to run.
-    ``traces`` are what the errors were computed from, while the program that did is running; no
-    file keeps them.
+    by values and a start known only so well; ``between`` how inputs were found to run; ``followed``
+    the share of what is left that follows motion and inputs. No file keeps the ``traces``.
     """
 
     model: Model
@@ -91,6 +90,7 @@ class Comparison(Readable):
     departures: tuple[str, ...] = ()
     disturbed: float = 0.0
     uncertain: float = 0.0
+    followed: float | None = None
     between: Mapping[str, Interpolation] = field(default_factory=dict)
     traces: Traces | None = field(default=None, compare=False, repr=False)
 
@@ -117,6 +117,7 @@ class Comparison(Readable):
             "departures": list(self.departures),
             "disturbed": self.disturbed,
             "uncertain": self.uncertain,
+            "followed": self.followed,
             "between": dict(self.between),
             "channels": {k: v.as_dict() for k, v in self.channels.items()},
             "chi2_per_dof": self.chi2_per_dof,

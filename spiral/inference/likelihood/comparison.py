@@ -53,6 +53,7 @@ from spiral.inference.likelihood.fitting import (
     settled_values,
 )
 from spiral.inference.likelihood.free_fit import FREELY, by_free_runs
+from spiral.inference.likelihood.independence import followed_share
 from spiral.inference.problem import Problem, Progress
 from spiral.types.model import Model
 from spiral.types.noise import COLOURED
@@ -181,6 +182,7 @@ def _left(assembly: Assembly, found: LikelihoodFit) -> tuple[dict[str, float], b
         return told | {"whiteness_p": 0.0, "whiteness_effect": np.inf}, False
     seen = colour(assembly, found)
     told |= {"whiteness_p": seen.p, "whiteness_effect": seen.effect * _weight(estimate)}
+    told["followed"] = followed_share(found)
     return told, seen.p >= assembly.problem.settings.whiteness_level
 
 

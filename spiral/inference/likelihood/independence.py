@@ -1,0 +1,73 @@
+"""Whether what is left follows the motion and the inputs, or its own past alone.
+
+Noise that is not quite as it was modelled is told by its own past and by nothing else; what a model
+lacks follows what moves (residuals held against themselves and against inputs: Ljung, System
+Identification, 1999, 16.6). With e the whitened misses of a channel and s the predicted readings
+and the inputs, each in standard deviations from its mean,
+
+    e_t = sum_k a_k e_(t-k) + r_t                               of all channels, k to ``_PAST``
+    e_t = sum_k a_k e_(t-k) + sum_j b_j f_j(s_t, s_(t-1), ...) + r'_t
+
+f being s at a few lags, its square, cube and a rounded sign. The share of e that f explains beside
+the past is 1 - |r'|^2 / |r|^2, less what as many columns explain by chance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spiral.engine.filter.task import Task
+from spiral.engine.leastsquares import least_squares
+from spiral.engine.likelihood.predict import Prediction
+from spiral.inference.likelihood.fitting import LikelihoodFit
+from spiral.types.record import Array
+
+_PAST = 20  # samples of the misses' own past
+_LAGS = (0, 1, 2, 4, 8)
+_SHARP = 5.0  # of the rounded sign tanh(5 s)
+_READINGS = 20  # for each column, at least
+
+
+def followed_share(found: LikelihoodFit) -> float:
+    """Share of the whitened misses that predicted readings and inputs explain beside their past.
+
+    The largest over channels; infinite where records are too short to tell.
+    """
+    at = found.estimate
+    rows = [_rows(task, part) for (task, _), part in zip(at.prepared, at.parts, strict=True)]
+    misses, past, moved = (np.concatenate(x) for x in zip(*rows, strict=True))
+    if not len(misses) > _READINGS * (past.shape[1] + moved.shape[1]):
+        return np.inf
+    return max(_share(column, past, moved) for column in misses.T)
+
+
+def _share(miss: Array, past: Array, moved: Array) -> float:
+    seen = miss != 0.0  # readings that are missing have none
+    if not seen.any():
+        return 0.0
+    x, y = np.column_stack([past, moved])[seen], miss[seen]
+    before, after = (least_squares(a, y) for a in (past[seen], x))
+    chance = (after.parameters - before.parameters) / len(y)
+    return max(1.0 - after.rss / before.rss - chance, 0.0) if before.rss > 0 else 0.0
+
+
+def _rows(task: Task, part: Prediction) -> tuple[Array, Array, Array]:
+    """(samples, ...) misses, their past and what moves, from the sample that has all of it on."""
+    first, last = max(_PAST, *_LAGS), len(part.misses)
+    names = task.compiled.traced.inputs
+    inputs = task.inputs[:: 2 * task.series.substeps][:last]
+    inputs = inputs[:, [i for i, n in enumerate(names) if n != "time"]]
+    seen = np.isfinite(task.series.y[:last])
+    read = np.where(seen, task.series.y[:last] - part.misses, 0.0)
+    s = np.column_stack([read, inputs])
+    s = s[:, np.ptp(s, axis=0) > 0]
+    s = (s - s.mean(axis=0)) / s.std(axis=0)
+    e = part.whitened
+
+    def ago(values: Array, lag: int) -> Array:
+        return values[first - lag : last - lag]
+
+    bent = (s**2, s**3, np.tanh(_SHARP * s))
+    moved = [*(ago(s, k) for k in _LAGS), *(ago(b, 0) for b in bent)]
+    past = [np.ones((last - first, 1)), *(ago(e, k) for k in range(1, _PAST + 1))]
+    return e[first:last], np.column_stack(past), np.column_stack(moved)

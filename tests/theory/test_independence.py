@@ -1,0 +1,68 @@
+"""Whether what is left follows the motion, or is noise with a colour of its own."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter, sosfilt
+from spiral_plugins.systems.oscillator import Oscillator
+
+import spiral
+from spiral.inference.likelihood.independence import _PAST, _share
+from spiral.types.record import make_record
+
+N, RATE = 4000, 100.0
+
+
+def _columns(e, s):
+    """Past of misses and what moves, as for one channel and one signal."""
+    past = np.column_stack([np.ones(N - _PAST), *(e[_PAST - k : N - k] for k in range(1, _PAST))])
+    return past, np.column_stack([s, s**2, s**3])[_PAST:]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_that_its_past_predicts_follows_nothing_else(seed):
+    """Autoregressive noise beside a motion: of 3 columns chance explains 3 / N, which is taken."""
+    rng = np.random.default_rng(seed)
+    e, s = lfilter([1.0], [1.0, -0.6, 0.3], rng.normal(size=N)), rng.normal(size=N)
+    past, moved = _columns(e, s)
+    assert _share(e[_PAST:], past, moved) < 0.003
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_share_that_follows_the_motion_is_told(seed):
+    """e = w + a s^3 with var(a s^3) a twentieth of var(w): 1 / 21 of e."""
+    rng = np.random.default_rng(seed)
+    s = rng.normal(size=N)
+    cubes = s**3 / np.sqrt(15.0)  # of unit variance
+    e = rng.normal(size=N) + np.sqrt(0.05) * cubes
+    past, moved = _columns(e, s)
+    assert _share(e[_PAST:], past, moved) == pytest.approx(1 / 21, abs=0.015)
+
+
+def _record(seed, cubic):
+    """m x'' + c x' + k x + k3 x^3 = u + random force, read through a steep low-pass's noise."""
+    rng = np.random.default_rng(seed)
+    band = butter(4, [0.5, 8.0], "band", fs=RATE, output="sos")
+    u = sosfilt(band, rng.normal(size=N))
+    u *= 30.0 / u.std()
+    q, v, x, h = 0.0, 0.0, np.empty(N), 1 / RATE / 10
+    pushes = 1.5 * rng.normal(size=N)
+    for k in range(N):
+        x[k] = q
+        for i in range(10):
+            f = u[k] + (u[min(k + 1, N - 1)] - u[k]) * i / 10 + pushes[k]
+            v += h * (f - 2.0 * v - 400.0 * q - cubic * q**3)
+            q += h * v
+    low = butter(6, 0.3, fs=1.0, output="sos")
+    noise = sosfilt(low, rng.normal(size=N + 200))[200:]
+    y = x + 0.01 * x.std() * noise / noise.std()
+    return make_record(Oscillator(), f"{seed}", np.arange(N) / RATE, {"x": y}, {"force": u})
+
+
+@pytest.mark.parametrize(("cubic", "verdict"), [(0.0, "nothing_missing"), (8e3, "effect_missing")])
+def test_a_random_force_behind_an_anti_alias_filter_is_nothing_missing(cubic, verdict):
+    candidates = ["cubic_stiffness", "quadratic_damping", "delay", "gain"]
+    run = spiral.discover(
+        _record(3, cubic), Oscillator(), test=_record(4, cubic), candidates=candidates
+    )
+    assert run.verdict == verdict
+    assert run.missing == (("cubic_stiffness",) if cubic else ())
