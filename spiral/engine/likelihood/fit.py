@@ -43,6 +43,7 @@ from spiral.engine.score import block_for
 from spiral.types.record import Array
 
 _DIFFERENCE = 0.05  # of the logarithm of a size, for its slopes
+_GROWTH = 4.0  # factor by which a value that cannot be negative grows in one step, at most
 _LARGEST = 2.0  # most that the logarithm of a size moves in one step
 _ENOUGH = 0.02  # log-likelihood that is not worth another step
 ROUGH = 5e-4  # log-likelihood for each reading
@@ -362,7 +363,8 @@ class _Search:
             if name in self.keys:
                 low, high = self.bounds.get(name, (-np.inf, np.inf))
                 now = task.values[task.keys.index(name)]
-                values[name] = float(np.clip(now + (delta if told else 0.0), low, high))
+                most = max(high if now <= 0 or low < 0 else _GROWTH * now, low)
+                values[name] = float(np.clip(now + (delta if told else 0.0), low, min(high, most)))
             elif told:
                 low, high = limits(task, name)
                 grown = at.noise.values[name] * np.exp(np.clip(delta, -_LARGEST, _LARGEST))

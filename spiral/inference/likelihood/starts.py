@@ -5,7 +5,8 @@
 2. a fit on windows of 64 and 256 samples, which bears values that are far off where the motion is
    measured;
 3. the first again with process noise ten times smaller and ten times larger to begin with;
-4. where what is left is not white, the best so far with all of that taken for sensor noise.
+4. where values of the best have run away, those held as they were given, and then let go;
+5. where what is left is not white, the best so far with all of that taken for sensor noise.
 
 Each is taken a few steps, and the most likely one to its maximum. The next is tried only while the
 best so far does not explain the records (its fit did not converge, or it needs a random force that
@@ -32,6 +33,7 @@ from spiral.inference.likelihood.fitting import (
     explains,
     finer,
     is_white,
+    moving,
     refitted,
     restarted,
     samples_of,
@@ -44,6 +46,7 @@ _HEAT = 8  # scoring steps of each start
 _SAME = 0.02  # log-likelihood a reading up to which two starts have led to one place
 _WINDOWS = 2  # window lengths of a start from windows
 _SHOWN = 0.1  # standard errors by which steps of half the length may move an estimate
+_AWAY = 100.0  # factor by which a fitted value differs from the one given that has run away
 _QUIET = 1e-3  # level of a random force that does next to nothing
 
 
@@ -61,9 +64,34 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
         if agrees or (best.estimate.converged and explains(best)):
             break
     assert best is not None
+    best = max(best, *_reined(assembly, state, best, progress), key=lambda f: f.height)
     progress("most likely values of the model as it is")
     found = on_finer_steps(assembly, refitted(assembly, best.state, rough=True))
     return restarted(assembly, found)
+
+
+def _reined(
+    assembly: Assembly, state: FitState, found: LikelihoodFit, progress: Progress
+) -> list[LikelihoodFit]:
+    """The fit of a start in which no value runs away; none where none has.
+
+    A value far beyond what was given (a heat capacity without end) has no slope left there, and
+    others make up for it. It is held as given while the others find theirs, and then let go.
+    """
+    known, index = assembly.problem.model.values, assembly.study.index
+    keys = [k for k in moving(assembly, found.state) if known.get(k)]
+    shares = {k: float(found.state.values[0, index(k)]) / known[k] for k in keys}
+    lost = tuple(k for k, x in shares.items() if not 1 / _AWAY <= x <= _AWAY)
+    if not lost:
+        return []
+    progress("starting again with values held that have run away")
+    reined = replace(state, held=(*state.held, *lost))
+    noise = first_noise(subjects(assembly, reined)[0][0], LEVEL)
+    first = refitted(assembly, reined, noise, rough=True)
+    if not first.estimate.finite:
+        return []
+    free = replace(first.state, held=state.held)
+    return [refitted(assembly, free, noise, rough=True)]
 
 
 def rebalanced(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
