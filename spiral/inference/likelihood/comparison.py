@@ -14,24 +14,17 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.setup import smoothed
 from spiral.engine.filter.task import Task, linearised
-from spiral.engine.fit import fit
-from spiral.engine.growth import Stage, layouts_for
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.free_doubt import free_doubt
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.hidden_force import hidden_force_spread
 from spiral.engine.likelihood.noise import NoiseModel, places
 from spiral.engine.likelihood.predict import predicted
-from spiral.engine.study import Point
 from spiral.inference.acting import inputs_said
 from spiral.inference.evidence.assembly import (
     Assembly,
-    columns,
-    nuisance_keys,
     to_model,
-    with_records,
 )
 from spiral.inference.evidence.comparison import settling, with_test
 from spiral.inference.evidence.fit_state import FitState
@@ -42,17 +35,17 @@ from spiral.inference.evidence.horizons import (
     doubts,
     task_for,
 )
-from spiral.inference.evidence.judge import FreeRun, run_free
+from spiral.inference.evidence.judge import FreeRun
 from spiral.inference.likelihood.departures import departures
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     colour,
-    force_levels,
     innovations,
     integrated,
     settled_values,
 )
 from spiral.inference.likelihood.free_fit import FREELY, by_free_runs
+from spiral.inference.likelihood.free_starts import free_runs, nuisances, usual_states
 from spiral.inference.likelihood.independence import followed_share
 from spiral.inference.problem import Problem, Progress
 from spiral.types.model import Model
@@ -60,14 +53,12 @@ from spiral.types.noise import COLOURED
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
 
-_STEPS = 8  # of least squares that refine a start
 _PERIODS = 3  # of the slowest mode that tell where a record begins
 _STILL = 1e-6  # share of the fastest rate under which a mode does not move
 _AGREE = 1.25  # ratio within which two estimates of the noise agree
 _SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
 _TOLD = 0.5  # standard error of the logarithm of a size up to which it is told
 _COUNTS = 0.005  # share from which what acts at random counts
-_SHORTEST = 16  # samples of a settling part
 
 
 def compared_by_likelihood(
@@ -84,7 +75,7 @@ def compared_by_likelihood(
     model = _model(assembly, shown, free.estimate)
     assembly = integrated(assembly, state)
     progress("free run on the test record")
-    own, _ = _runs(assembly, shown, model, None)
+    own, _ = free_runs(assembly, shown, model, None, None)
     names, run, seen, tested = model.system.observed, own, {}, ()
     other = with_test(assembly, shown.values)
     if other is not None:
@@ -125,7 +116,7 @@ def _judged(
     other: Assembly, state: FitState, model: Model, estimate: Maximum
 ) -> tuple[FreeRun, dict[str, Any]]:
     """The free run on the test records, errors at all horizons, and what is to be expected."""
-    run, starts = _runs(other, state, model, state.settle)
+    run, starts = free_runs(other, state, model, state.settle, usual_states(estimate))
     forecaster = _forecaster(state, nuisances(other, state, model), starts, estimate)
     return run, {
         "unseen": at_horizons(other, model, run, forecaster),
@@ -244,68 +235,6 @@ def _drifted(estimate: Maximum) -> dict[str, float]:
                 gone = np.abs(run.means[: run.done, first + place]).max(initial=0.0)
                 found[size] = max(found[size], float(gone))
     return found
-
-
-def nuisances(assembly: Assembly, state: FitState, model: Model) -> tuple[str, ...]:
-    """Parameters that belong to a record and that a filter follows."""
-    known = dict(model.pairs)
-    return tuple(k for k in nuisance_keys(assembly, state.labels) if k in known)
-
-
-def _runs(
-    assembly: Assembly, state: FitState, model: Model, settle: float | None
-) -> tuple[FreeRun, tuple[Array, ...]]:
-    """Free runs over the records of a study, and the states (1, n) that they begin with.
-
-    ``settle`` seconds tell where each begins.
-    """
-    series = assembly.study.series
-    settled = tuple(
-        0 if settle is None else min(max(round(settle / s.dt), _SHORTEST), s.samples // 2)
-        for s in series
-    )
-    heads = assembly
-    if settle is not None:
-        parts = tuple(
-            replace(s.record.part(0, n, s.record.name), noise=s.record.sigma())
-            for s, n in zip(series, settled, strict=True)
-        )
-        heads = with_records(assembly, parts, series[0].substeps)
-    rows = state.values if settle is None else np.repeat(state.values[:1], len(series), axis=0)
-    starts, values = [], rows.copy()
-    followed = nuisances(assembly, state, model)
-    for r, head in enumerate(heads.study.series):
-        task = task_for(heads, model, rows[r], head.record, head.substeps)
-        means = _smoothed(task, state.noise, followed, settle is not None)
-        starts.append(means[0][None, : len(task.states)].copy())
-        for place, key in enumerate(followed):
-            values[r, task.keys.index(key)] = means[-1, len(task.states) + place]
-    stage = _refined(heads, state, Point(values, tuple(starts)))
-    return run_free(assembly, stage, settled), stage.fitted.point.starts
-
-
-def _smoothed(
-    task: Task, noise: NoiseModel | None, tracked: tuple[str, ...], anywhere: bool
-) -> Array:
-    """(samples, states and tracked parameters) by all of the record.
-
-    Where nothing is known of the record yet its phase origin is looked for all around.
-    """
-    levels = None if noise is None else force_levels(noise)
-    given = {} if anywhere else doubts(tracked)
-    return smoothed(task, levels, tracked, given)
-
-
-def _refined(heads: Assembly, state: FitState, point: Point) -> Stage:
-    """Starts and nuisances by least squares over whole heads, where that lowers the error."""
-    study = heads.study
-    whole = max(s.samples for s in study.series)
-    layouts = layouts_for(study, whole, (None,) * len(study.series))
-    moving, bounds = columns(heads, nuisance_keys(heads, state.labels))
-    with np.errstate(all="ignore"):
-        begun = fit(study, layouts, point, moving, bounds, iterations=0)
-        found = fit(study, layouts, point, moving, bounds, iterations=_STEPS)
-    return Stage(whole, layouts, found if found.cost <= begun.cost else begun)
 
 
 def _forecaster(

@@ -64,7 +64,8 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
         if agrees or (best.estimate.converged and explains(best)):
             break
     assert best is not None
-    best = max(best, *_reined(assembly, state, best, progress), key=lambda f: f.height)
+    fits = [best, *_reined(assembly, state, best, progress)]
+    best = max(fits, key=lambda f: f.height)
     progress("most likely values of the model as it is")
     found = on_finer_steps(assembly, refitted(assembly, best.state, rough=True))
     return restarted(assembly, found)
