@@ -153,9 +153,10 @@ def discover(record: Records, system: Physics, **choices: Any) -> Run:
     system : name, object, or a model or run to go on from.
     choices :
         ``effects`` beside the seed's, ``without`` effects of the seed, ``values`` by full name,
-        ``free`` and ``fixed`` parameters; ``test`` records, or the share ``holdout`` (0.2) that is
-        kept apart, of each of ``holdout_blocks`` stretches (1); ``settle`` seconds of the test that
-        fix its nuisances; ``candidates`` (labels or effects; left out, all that fit);
+        ``free`` and ``fixed`` parameters (``fixed`` by name, or with values); ``test`` records, or
+        the share ``holdout`` (0.2) that is kept apart, of each of ``holdout_blocks`` stretches (1);
+        ``settle`` seconds of the test that fix its nuisances; ``candidates`` (labels or effects;
+        left out, all that fit);
         ``strategy`` (a name, a name with options, or an object); ``settings`` (fields of
         ``Settings``); ``plugins`` (a folder, or a registry); ``progress`` (a function that is told
         in words).
@@ -353,7 +354,7 @@ def _model(
     values: Mapping[str, float] | None = None,
     without: Sequence[str] = (),
     free: Sequence[str] = (),
-    fixed: Sequence[str] = (),
+    fixed: Sequence[str] | Mapping[str, float] = (),
 ) -> Model:
     """A model: a system's seed, or one that there is, with effects and values of the caller's."""
     from spiral.inference.simulate import with_defaults
@@ -369,12 +370,11 @@ def _model(
         model = model.without(label)
     for effect in effects:
         model = model.add(registry.effect_from_label(effect) if isinstance(effect, str) else effect)
+    held = fixed if isinstance(fixed, Mapping) else {}
     model = replace(
-        model,
-        values={**model.values, **(values or {})},
-        freed=(*model.freed, *free),
-        fixed=(*model.fixed, *fixed),
-    )
+        model, values={**model.values, **(values or {}), **held},
+        freed=(*model.freed, *free), fixed=(*model.fixed, *fixed),
+    )  # fmt: skip
     return with_defaults(model)
 
 

@@ -26,6 +26,14 @@ def run(record):
     return spiral.discover(record, "oscillator", candidates=CANDIDATES)
 
 
+def test_what_is_fixed_may_be_given_with_its_value(record):
+    mass = {"system.mass": 1.25}
+    held = spiral.compare(record, "oscillator", fixed=mass).model
+    same = spiral.compare(record, "oscillator", fixed=["system.mass"], values=mass).model
+    assert held.values["system.mass"] == 1.25
+    assert held.estimates() == same.estimates()
+
+
 def test_the_main_job_takes_one_import(run):
     assert run.verdict == "effect_missing"
     assert run.missing == ("cubic_stiffness",)
