@@ -119,8 +119,7 @@ def _noisy(values: Array) -> bool:
 
 def clipping(key: str, values: Array) -> str:
     """A note where a channel rests at its extremes for many samples in a row."""
-    at = _clipped(values)
-    share = float(np.mean(at[1:] & at[:-1]))
+    share = sum(float(np.mean(at[1:] & at[:-1])) for at in _at_extremes(values))
     if share > 1e-3:
         return f"channel {key!r} looks clipped: {share:.1%} of its samples rest at an extreme"
     return ""
