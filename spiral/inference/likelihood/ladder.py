@@ -19,7 +19,7 @@ import numpy as np
 
 from spiral.engine.filter.noise import groups
 from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.task import Task, task_with
+from spiral.engine.filter.task import task_with
 from spiral.engine.likelihood.fit import Maximum, maximise
 from spiral.engine.likelihood.noise import STEEPEST, NoiseModel, NoiseTerm, limits
 from spiral.engine.likelihood.predict import Prepared
@@ -94,7 +94,7 @@ def _best(at: Maximum) -> Maximum | None:
     part = _part(at)
     now = maximise(part, (), at.noise, steps=_LOOK)
     looks = []
-    for rung in (*rungs(part[0][0], now.noise), *_ringing(now)):
+    for rung in (*rungs(now), *_ringing(now)):
         noise = now.noise.added(rung.terms, rung.values)
         look = maximise(part, (), noise, steps=_LOOK)
         gain = look.log_likelihood - _price(noise, at.noise, part) - now.log_likelihood
@@ -187,10 +187,18 @@ def _price(noise: NoiseModel, before: NoiseModel, prepared: Prepared) -> float:
     return price(len(noise.names) - len(before.names), prepared)
 
 
-def rungs(task: Task, noise: NoiseModel) -> Iterator[Rung]:
-    """What may come next."""
+def rungs(now: Maximum) -> Iterator[Rung]:
+    """What may come next.
+
+    Noise of a sensor that a random force has made superfluous begins with half of what is missed.
+    """
+    task, noise = now.prepared[0][0], now.noise
     channels, dt = task.compiled.traced.channels, task.series.dt
-    white = {c: max(noise.values[f"white.{c}"], limits(task, f"white.{c}")[0]) for c in channels}
+    missed = np.sqrt(np.mean(now.parts[0].misses ** 2, axis=0))
+    white = {
+        c: max(noise.values[f"white.{c}"], limits(task, f"white.{c}")[0], 0.5 * float(m))
+        for c, m in zip(channels, missed, strict=True)
+    }
     spread = dict(zip(channels, np.std(task.series.y, axis=0), strict=True))
     if not noise.has("coloured") and not noise.has("band"):
         kinds: tuple[tuple[Kind, float], ...] = (("coloured", 4.0), ("band", 1.0))
