@@ -56,18 +56,18 @@ class Comparison(Readable):
     ``chi2_per_dof`` and ``whiteness_p`` are of the fitted records at window length ``horizon``;
     ``noise_floor`` is the test error that a perfect model would have; ``noise_ratio`` the noise
     that the fitted records show without a model (high-order differences) over what they declare,
-    rms over channels, and nothing where they declare none; ``unseen`` are errors on the
-    test records at several horizons (``inference.evidence.horizons``), none without a test.
+    rms over channels, and nothing where they declare none; ``unseen`` are errors on the test
+    records at several horizons (``inference.evidence.horizons``), none without a test.
     ``innovation_chi2`` is the mean squared whitened innovation, where a filter's likelihood is the
     evidence: process noise then explains what a free run misses. ``random`` names what acts at
     random beside white noise of the sensors (``engine.likelihood.noise``), with its size: of a
     force its share of the rate that it acts on, of a reading its share of the channel's deviation;
-    nothing where no such model was fitted; ``random_times`` its correlation time in s, where it
-    has one; ``spoilt`` says in words which readings are no measurement, ``departures`` what neither
-    the model nor its noise can hold (a parameter that drifts, noise that grows with its reading);
+    nothing where no such model was fitted; ``random_times`` its correlation time in s, where it has
+    one; ``spoilt`` says in words which readings are no measurement, ``departures`` what neither the
+    model nor its noise can hold (a parameter that drifts, noise that grows with its reading);
     ``disturbed`` and ``uncertain`` are expected errors of the test's free run by random forces, and
-    by values and a start known only so well; ``between`` how inputs were found to run; ``followed``
-    the share of what is left that follows motion and inputs. No file keeps the ``traces``.
+    by values and a start known only so well; ``between`` says how inputs run; ``followed`` what
+    share of what is left motion and inputs explain. No file keeps the ``traces``.
     """
 
     model: Model
@@ -99,9 +99,8 @@ class Comparison(Readable):
         return Summary(
             f"Comparison of {self.model.name}",
             ("fit error", "test error", "noise floor", "chi2/dof"),
-            ((*map(percent, errors), number(self.chi2_per_dof)),),
-            "; ".join(self.notes),
-        )
+            ((*map(percent, errors), number(self.chi2_per_dof)),), "; ".join(self.notes),
+        )  # fmt: skip
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""

@@ -9,7 +9,7 @@ import spiral
 from spiral.inference.likelihood.independence import _PAST, _share
 from spiral.types.record import make_record
 
-N, RATE = 4000, 100.0
+N, RATE = 2000, 100.0
 
 
 def _columns(e, s):
@@ -24,7 +24,7 @@ def test_noise_that_its_past_predicts_follows_nothing_else(seed):
     rng = np.random.default_rng(seed)
     e, s = lfilter([1.0], [1.0, -0.6, 0.3], rng.normal(size=N)), rng.normal(size=N)
     past, moved = _columns(e, s)
-    assert _share(e[_PAST:], past, moved) < 0.003
+    assert _share(e[_PAST:], past, moved) < 0.006
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -35,11 +35,11 @@ def test_the_share_that_follows_the_motion_is_told(seed):
     cubes = s**3 / np.sqrt(15.0)  # of unit variance
     e = rng.normal(size=N) + np.sqrt(0.05) * cubes
     past, moved = _columns(e, s)
-    assert _share(e[_PAST:], past, moved) == pytest.approx(1 / 21, abs=0.015)
+    assert _share(e[_PAST:], past, moved) == pytest.approx(1 / 21, abs=0.02)
 
 
-def _record(seed, cubic):
-    """m x'' + c x' + k x + k3 x^3 = u + random force, read through a steep low-pass's noise."""
+def _record(seed):
+    """m x'' + c x' + k x = u + random force, its reading beside noise of a steep low-pass."""
     rng = np.random.default_rng(seed)
     band = butter(4, [0.5, 8.0], "band", fs=RATE, output="sos")
     u = sosfilt(band, rng.normal(size=N))
@@ -50,7 +50,7 @@ def _record(seed, cubic):
         x[k] = q
         for i in range(10):
             f = u[k] + (u[min(k + 1, N - 1)] - u[k]) * i / 10 + pushes[k]
-            v += h * (f - 2.0 * v - 400.0 * q - cubic * q**3)
+            v += h * (f - 2.0 * v - 400.0 * q)
             q += h * v
     low = butter(6, 0.3, fs=1.0, output="sos")
     noise = sosfilt(low, rng.normal(size=N + 200))[200:]
@@ -58,11 +58,8 @@ def _record(seed, cubic):
     return make_record(Oscillator(), f"{seed}", np.arange(N) / RATE, {"x": y}, {"force": u})
 
 
-@pytest.mark.parametrize(("cubic", "verdict"), [(0.0, "nothing_missing"), (8e3, "effect_missing")])
-def test_a_random_force_behind_an_anti_alias_filter_is_nothing_missing(cubic, verdict):
-    candidates = ["cubic_stiffness", "quadratic_damping", "delay", "gain"]
-    run = spiral.discover(
-        _record(3, cubic), Oscillator(), test=_record(4, cubic), candidates=candidates
-    )
-    assert run.verdict == verdict
-    assert run.missing == (("cubic_stiffness",) if cubic else ())
+def test_a_random_force_beside_an_anti_alias_filter_is_nothing_missing():
+    candidates = ["cubic_stiffness", "quadratic_damping"]
+    run = spiral.discover(_record(3), Oscillator(), test=_record(4), candidates=candidates)
+    assert (run.verdict, run.missing) == ("nothing_missing", ())
+    assert run.rounds[-1].comparison.followed < 0.01

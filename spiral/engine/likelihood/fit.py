@@ -56,7 +56,6 @@ _FRESH = 0.2  # of the same, up to which they count as made here
 _DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
 _VAIN = 0.05  # share of what is worth a step that one must promise to be tried
 
-
 Beside = Mapping[str, tuple[tuple[Array, Array], ...]]
 """By size of the noise, for every record: slopes of e and of log s by its logarithm."""
 
@@ -333,9 +332,8 @@ class _Search:
         names = (*self.keys, *self.sizes(at))
         upper, count = triangle(itertools.chain(*self.rows(at)))
         solved = solve_triangle(upper, count)
-        values = at.values
         limit = np.array([self.bounds.get(k, (-np.inf, np.inf)) for k in self.keys])
-        upper, best = within(upper, solved, np.array([values[k] for k in self.keys]), limit)
+        upper, best = within(upper, solved, np.array(list(at.values.values())), limit)
         norms = np.linalg.norm(upper[:, :-1], axis=0)
         before = float(np.sum(upper[:, -1] ** 2))
         promised, step = 0.0, None
