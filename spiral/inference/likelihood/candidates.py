@@ -261,10 +261,10 @@ def first_steps(
         return one
     wide = first_noise(at.prepared[0][0], LEVEL)
     begins = [wider, *([_whole(own, wider, ranked.variant)] if ranked.variant.effect.whole else ())]
-    return max([one, *(taken(b, wide, _FRESH) for b in begins)], key=_standing)
+    return max([one, *(taken(b, wide, _FRESH) for b in begins)], key=_worth)
 
 
-def _standing(rival: Rival) -> float:
+def _worth(rival: Rival) -> float:
     """Worth, of what is finite."""
     return rival.worth if rival.fit.estimate.finite else -np.inf
 

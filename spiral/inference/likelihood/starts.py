@@ -64,14 +64,14 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
         if agrees or (best.estimate.converged and explains(best)):
             break
     assert best is not None
-    fits = [best, *_reined(assembly, state, best, progress)]
+    fits = [best, *_with_runaways_held(assembly, state, best, progress)]
     best = max(fits, key=lambda f: f.height)
     progress("most likely values of the model as it is")
     found = on_finer_steps(assembly, refitted(assembly, best.state, rough=True))
     return restarted(assembly, found)
 
 
-def _reined(
+def _with_runaways_held(
     assembly: Assembly, state: FitState, found: LikelihoodFit, progress: Progress
 ) -> list[LikelihoodFit]:
     """The fit of a start in which no value runs away; none where none has.
@@ -86,9 +86,9 @@ def _reined(
     if not lost:
         return []
     progress("starting again with values held that have run away")
-    reined = replace(state, held=(*state.held, *lost))
-    noise = first_noise(subjects(assembly, reined)[0][0], LEVEL)
-    first = refitted(assembly, reined, noise, rough=True)
+    holding = replace(state, held=(*state.held, *lost))
+    noise = first_noise(subjects(assembly, holding)[0][0], LEVEL)
+    first = refitted(assembly, holding, noise, rough=True)
     if not first.estimate.finite:
         return []
     free = replace(first.state, held=state.held)
