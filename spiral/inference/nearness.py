@@ -48,10 +48,11 @@ def white(found: Comparison, settings: Settings) -> bool:
 
 
 def own_colour(found: Comparison, settings: Settings) -> bool:
-    """Whether what is left has a colour of its own, which neither motion nor inputs explain."""
-    alone = found.followed is not None and found.followed <= settings.smallest**2
-    coloured_ = found.whiteness_p < settings.whiteness_level
-    return alone and coloured_ and found.whiteness_effect <= _COLOUR
+    """Whether what is left has a colour that counts, and neither motion nor inputs explain it."""
+    least = settings.smallest**2
+    counts = found.whiteness_p < settings.whiteness_level and found.whiteness_effect > least
+    alone = found.followed is not None and found.followed <= least
+    return counts and alone and found.whiteness_effect <= _COLOUR
 
 
 def chi2_of(found: Comparison) -> float:
@@ -100,12 +101,12 @@ def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
         if share > settings.noise_limit:
             where = name.partition(".")[2]
             reasons.append(f"the noise of {where} would be {percent(share)} of what it shows")
-    if errs(found, settings):
+    if errs(found, settings) and runs_away(found):
+        ahead = percent(next_sample(found) or 0.0)
+        reasons.append(f"one sample ahead the error on unseen data is {ahead}")
+    elif errs(found, settings):
         made = percent(float(np.hypot(_floor(found, settings), _carried(found))))
         reasons.append(f"the test error is {percent(found.test_error)} where noise makes {made}")
-        if runs_away(found):
-            ahead = percent(next_sample(found) or 0.0)
-            reasons[-1] = f"one sample ahead the error on unseen data is {ahead}"
     return tuple(reasons)
 
 

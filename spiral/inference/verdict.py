@@ -183,7 +183,7 @@ def _figures(found: Comparison, settings: Settings) -> str:
         )
     if found.random is not None:
         kind = "white noise" if found.whiteness_p >= settings.whiteness_level else "noise"
-        if own_colour(found, settings) and found.whiteness_effect > settings.smallest**2:
+        if own_colour(found, settings):
             share = percent(found.whiteness_effect)
             kind += f" (its own past predicts about {share} of it, motion and inputs do not)"
         return f"what is left is {kind}, and {error}"

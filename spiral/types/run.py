@@ -67,7 +67,7 @@ class Comparison(Readable):
     model nor its noise can hold (a parameter that drifts, noise that grows with its reading);
     ``disturbed`` and ``uncertain`` are expected errors of the test's free run by random forces, and
     by values and a start known only so well; ``between`` says how inputs run; ``followed`` what
-    share of what is left motion and inputs explain. No file keeps the ``traces``.
+    share of what is left, if coloured, motion and inputs explain. No file keeps the ``traces``.
     """
 
     model: Model

@@ -1,12 +1,19 @@
 """Whether what is left follows the motion, or is noise with a colour of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter, sosfilt
 from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
-from spiral.inference.likelihood.independence import _PAST, _share
+from spiral.engine.filter.setup import prepared
+from spiral.engine.filter.task import prepare_task
+from spiral.engine.likelihood.noise import first_noise
+from spiral.engine.likelihood.predict import predicted
+from spiral.inference.likelihood.independence import _PAST, _rows, _share
+from spiral.types.model import seed_model
 from spiral.types.record import make_record
 
 N, RATE = 2000, 100.0
@@ -56,6 +63,24 @@ def _record(seed):
     noise = sosfilt(low, rng.normal(size=N + 200))[200:]
     y = x + 0.01 * x.std() * noise / noise.std()
     return make_record(Oscillator(), f"{seed}", np.arange(N) / RATE, {"x": y}, {"force": u})
+
+
+def test_records_of_one_study_have_the_same_columns_whatever_stands_still_in_one():
+    """A forced record and a free decay, some readings missing in it: nothing of either is lost."""
+    values = {"system.mass": 1.0, "linear_stiffness.stiffness": 4e2, "linear_damping.damping": 2.0}
+    model, rng = seed_model(Oscillator(), values=values), np.random.default_rng(0)
+    time, y = np.arange(600) / RATE, rng.normal(size=(2, 600))
+    y[1, 300:310] = np.nan
+    columns = []
+    for readings, force in zip(y, (np.sin(time), 0 * time), strict=True):
+        whole = np.nan_to_num(readings)
+        record = make_record(Oscillator(), "r", time, {"x": whole}, {"force": force})
+        task, settings = prepared(prepare_task(model, record, substeps=2, every=True), ())
+        task = replace(task, series=replace(task.series, y=readings[:, None].copy()))
+        rows = _rows(task, predicted(task, settings, first_noise(task, 0.1)))
+        assert all(np.isfinite(part).all() for part in rows)
+        columns.append([part.shape[1] for part in rows])
+    assert columns[0] == columns[1]
 
 
 def test_a_random_force_beside_an_anti_alias_filter_is_nothing_missing():

@@ -20,6 +20,11 @@ def band(samples: int, dt: float) -> tuple[float, float]:
     return _LOWEST / (samples * dt), _HIGHEST / dt
 
 
+def shortest_time(dt: float) -> float:
+    """s, of what relaxes at the highest frequency that steps of ``dt`` can show."""
+    return float(dt / (2 * np.pi * _HIGHEST))
+
+
 def frequencies(effect: Effect, series: Series) -> Array:
     """Frequencies of an effect's spectrum, Hz, over the band that a record can show."""
     low, high = band(series.samples, series.dt)

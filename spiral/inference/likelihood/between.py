@@ -38,9 +38,8 @@ def with_likely_inputs(
     for some in _together(assembly.problem):
         least = found.height + float(np.log(_ODDS))
         others = _others(assembly, found, some, None, least, progress)
-        others = [f for f in others if explains(f)]
-        best = max(others, key=lambda f: f.height, default=found)
-        found = best if best.height > found.height + np.log(_ODDS) else found
+        best = max(filter(explains, others), key=lambda f: f.height, default=found)
+        found = best if best.height > least else found
     return found
 
 

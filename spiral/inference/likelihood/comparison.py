@@ -22,10 +22,7 @@ from spiral.engine.likelihood.hidden_force import hidden_force_spread
 from spiral.engine.likelihood.noise import NoiseModel, places
 from spiral.engine.likelihood.predict import predicted
 from spiral.inference.acting import inputs_said
-from spiral.inference.evidence.assembly import (
-    Assembly,
-    to_model,
-)
+from spiral.inference.evidence.assembly import Assembly, to_model
 from spiral.inference.evidence.comparison import settling, with_test
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import (
@@ -173,8 +170,9 @@ def _left(assembly: Assembly, found: LikelihoodFit) -> tuple[dict[str, float], b
         return told | {"whiteness_p": 0.0, "whiteness_effect": np.inf}, False
     seen = colour(assembly, found)
     told |= {"whiteness_p": seen.p, "whiteness_effect": seen.effect * _weight(estimate)}
-    told["followed"] = followed_share(found)
-    return told, seen.p >= assembly.problem.settings.whiteness_level
+    if white := seen.p >= assembly.problem.settings.whiteness_level:
+        return told, white
+    return told | {"followed": followed_share(found)}, white
 
 
 def _settling(other: Assembly, known: float | None, task: Task) -> float:

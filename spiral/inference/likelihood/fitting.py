@@ -24,7 +24,7 @@ from spiral.inference.evidence.assembly import Assembly, columns, with_steps
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import doubts
 from spiral.inference.evidence.scales import spread_out
-from spiral.inference.evidence.spectrum import band
+from spiral.inference.evidence.spectrum import shortest_time
 from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
@@ -91,8 +91,8 @@ def bounds_of(
     _, (low, high) = columns(assembly, keys)
     traced = assembly.study.compiled.traced
     known = dict(zip(traced.keys, traced.parameters, strict=True))
-    steps = [(s.samples, s.dt / max(s.substeps, substeps)) for s in assembly.study.series]
-    shortest = 1 / (2 * np.pi * max(band(*s)[1] for s in steps))
+    steps = (s.dt / max(s.substeps, substeps) for s in assembly.study.series)
+    shortest = shortest_time(min(steps))
     least = [shortest if known[k].spectrum and known[k].unit == "s" else a
              for k, a in zip(keys, low, strict=True)]  # fmt: skip
     return {k: (float(a), float(b)) for k, a, b in zip(keys, least, high, strict=True)}

@@ -1,4 +1,4 @@
-"""Where free runs begin: by the head of a record, around where the fitted records were."""
+"""Where free runs begin: by the head of a record, around where the first fitted record was."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def free_runs(
 
 
 def usual_states(estimate: Maximum) -> Array | None:
-    """(n,) where hidden states are on average over the fitted records; nan for measured ones.
+    """(n,) where hidden states are on average over the first fitted record; nan for measured ones.
 
     A filter that begins at zero (a substrate that is not there) may be led to where the model has
     no future.

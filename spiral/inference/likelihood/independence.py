@@ -20,7 +20,9 @@ from spiral.engine.filter.task import Task
 from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.predict import Prediction
 from spiral.inference.likelihood.fitting import LikelihoodFit
+from spiral.types.placement import TIME
 from spiral.types.record import Array
+from spiral.types.spoilt import bridged
 
 _PAST = 20  # samples of the misses' own past
 _LAGS = (0, 1, 2, 4, 8)
@@ -56,12 +58,12 @@ def _rows(task: Task, part: Prediction) -> tuple[Array, Array, Array]:
     first, last = max(_PAST, *_LAGS), len(part.misses)
     names = task.compiled.traced.inputs
     inputs = task.inputs[:: 2 * task.series.substeps][:last]
-    inputs = inputs[:, [i for i, n in enumerate(names) if n != "time"]]
-    seen = np.isfinite(task.series.y[:last])
-    read = np.where(seen, task.series.y[:last] - part.misses, 0.0)
-    s = np.column_stack([read, inputs])
-    s = s[:, np.ptp(s, axis=0) > 0]
-    s = (s - s.mean(axis=0)) / s.std(axis=0)
+    inputs = inputs[:, [i for i, n in enumerate(names) if n != TIME]]
+    gone = part.spreads == 0
+    read = [bridged(y, g) for y, g in zip((task.series.y - part.misses).T, gone.T, strict=True)]
+    s = np.column_stack([*read, inputs])
+    sizes = s.std(axis=0)  # what does not change in this record is nothing in it
+    s = (s - s.mean(axis=0)) / np.where(sizes > 0, sizes, 1.0)
     e = part.whitened
 
     def ago(values: Array, lag: int) -> Array:

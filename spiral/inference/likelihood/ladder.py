@@ -34,6 +34,7 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.problem import Progress
 from spiral.types.noise import COLOURED, Kind
+from spiral.types.spoilt import bridged
 
 _ODDS = 100.0  # to one, for which a term is kept
 _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those that keep up
@@ -240,11 +241,12 @@ def _ringing(now: Maximum) -> Iterator[Rung]:
         top = 2 + int(np.argmax(power[inner]))
         if not power[top] > _STANDS_OUT * np.median(power[inner]):
             continue
-        missed, read = (
-            welch(signal[:, j], 1 / task.series.dt, nperseg=length)[1][top]
-            for signal in (part.misses, task.series.y)
+        read = bridged(task.series.y[:, j], part.spreads[:, j] == 0)
+        missed, shown = (
+            welch(signal, 1 / task.series.dt, nperseg=length)[1][top]
+            for signal in (part.misses[:, j], read)
         )
-        if not missed >= _OWN_LINE * read:
+        if not missed >= _OWN_LINE * shown:
             continue
         term = NoiseTerm("vibration", channel)
         white = now.noise.values[f"white.{channel}"]

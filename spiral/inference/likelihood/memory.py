@@ -120,7 +120,7 @@ def memory_of(
     return Remembered(found, past) if found.share >= _LEAST else None
 
 
-def stand_ins(
+def replaced_by_memory(
     assembly: Assembly, base: LikelihoodFit, before: LikelihoodFit, past: Variant,
     labels: Sequence[str], select: Masks,
 ) -> tuple[str, ...]:  # fmt: skip

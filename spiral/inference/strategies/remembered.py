@@ -9,7 +9,7 @@ from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, refitted
 from spiral.inference.likelihood.ladder import climbed_ladder
-from spiral.inference.likelihood.memory import memory_of, stand_ins
+from spiral.inference.likelihood.memory import memory_of, replaced_by_memory
 from spiral.inference.nearness import near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.memory import Memory
@@ -35,16 +35,20 @@ def missing_memory(
         x for x, v in held.items() if not (v.effect.states or isinstance(v.effect, InputEffect))
     )
     found = memory_of(assembly, base, masks, progress)
-    if not plain or (found is not None and remembers):
-        return None if found is None else found.memory
+    if found is not None and (remembers or not plain):
+        return found.memory
+    if not plain:
+        return None
     before = _without(assembly, base, plain, masks[0], progress)
     if found is None and before is not None:
         found = memory_of(assembly, before, masks, progress, base)
-    if found is None or remembers:
-        return None if found is None else found.memory
-    given = plain if before is None else stand_ins(
-        assembly, base, before, found.force, plain, masks[0]
-    )  # fmt: skip
+    if found is None:
+        return None
+    if remembers:
+        return found.memory
+    given = plain
+    if before is not None:
+        given = replaced_by_memory(assembly, base, before, found.force, plain, masks[0])
     return replace(found.memory, stand_ins=tuple(held[x].original.label for x in given))
 
 
