@@ -73,8 +73,25 @@ class Equations(MechanicalSystem):
 
     @property
     def observed(self):
-        """The states that are measured."""
+        """What is measured."""
         return self.form.definition.observed
+
+    @property
+    def readings(self):
+        """Channels that are a formula."""
+        return tuple(state for state, _ in self.form.readings)
+
+    def reading(self, x, rates, u, p):
+        """h(x, x', u, p) of each."""
+        from spiral.physics.formulas.rows import FIRST, SECOND
+
+        values = self._values(*self.split(x), u, p)
+        values |= {name + FIRST: rate for name, rate in vars(rates).items()}
+        for c in self.coordinates:
+            values[c.name + SECOND] = getattr(rates, self.rate_name(c.name))
+        texts = [text for _, text in self.form.readings]
+        names = (state.name for state, _ in self.form.readings)
+        return dict(zip(names, _computed(texts, values), strict=True))
 
     @property
     def inputs(self):

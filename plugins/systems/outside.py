@@ -48,8 +48,17 @@ class Outside(MechanicalSystem):
 
     @property
     def observed(self):
-        """The states that are measured."""
+        """What is measured."""
         return self.form.observed
+
+    @property
+    def readings(self):
+        """Channels that are a formula."""
+        return self.form.readings
+
+    def reading(self, x, rates, u, p):
+        """h(x, x', u, p) of each."""
+        return self.form.reading(x, rates, self._seen(x, u, p, {}), p)
 
     @property
     def inputs(self):

@@ -6,6 +6,7 @@ from typing import Any
 
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.port import Port
+from spiral.types.rates import per_second
 from spiral.types.system import MechanicalSystem
 
 
@@ -18,7 +19,7 @@ class Structure(MechanicalSystem):
     Fields
     ------
     path : NPZ or MAT file with M and K, where there are also C, G and parts K_NAME.
-    nodes : CSV file with the columns name, dof, use (of sensor, input, port) and unit.
+    nodes : CSV file with the columns name, dof, use (of sensor, accelerometer, input, port), unit.
     size : coordinates that are left, nodes and modes.
     band : low and high frequency, Hz, of the comparison with the full structure.
     pairs : port between two nodes -> their names.
@@ -72,8 +73,20 @@ class Structure(MechanicalSystem):
 
     @property
     def observed(self):
-        """Nodes with a sensor."""
-        return self._nodes("sensor")
+        """Nodes with a sensor, and NODE_acceleration of those with an accelerometer."""
+        return (*self._nodes("sensor"), *(state.name for state in self.readings))
+
+    @property
+    def readings(self):
+        """What accelerometers report."""
+        units = dict(zip(self.form.names, self.form.units, strict=True))
+        nodes = self._nodes("accelerometer")
+        return tuple(State(f"{n}_acceleration", per_second(units[n], 2)) for n in nodes)
+
+    def reading(self, x, rates, u, p):
+        """q'' of each such node."""
+        nodes = self._nodes("accelerometer")
+        return {f"{n}_acceleration": getattr(rates, self.rate_name(n)) for n in nodes}
 
     @property
     def inputs(self):
@@ -94,13 +107,14 @@ class Structure(MechanicalSystem):
 
     @property
     def ports(self):
-        """Pairs of nodes, then nodes of use port; without any, those with a sensor."""
+        """Pairs of nodes, then nodes of use port; without any, those that are measured."""
         units = dict(zip(self.form.names, self.form.units, strict=True))
         pairs = tuple(
             Port(name, (name,), _between(a, b), units[a], _force(units[a]))
             for name, a, b in self.form.pairs
         )
-        single = self._nodes("port") or (() if pairs else self._nodes("sensor"))
+        seen = self._nodes("sensor") or self._nodes("accelerometer")
+        single = self._nodes("port") or (() if pairs else seen)
         at = tuple(Port(n, (n,), _at(n), units[n], _force(units[n])) for n in single)
         return (*at, *pairs)
 

@@ -36,25 +36,42 @@ class Motion:
 def motion(study: CompiledStudy, series: Series, window: int) -> Motion:
     """Local polynomials of degree 3 (Savitzky-Golay) through the measured coordinates.
 
-    A state that is not measured, nor the rate of one that is, is taken as zero, or as the measured
-    one, or the input, that it is said to be like.
+    A coordinate whose acceleration is measured is that, integrated twice, less cubics in time. A
+    state of which nothing is measured is taken as zero, or as the measured one, or the input, that
+    it is said to be like.
     """
     traced = study.compiled.traced
     states = np.zeros((series.samples, len(traced.states)))
     acceleration = np.zeros((series.samples, len(traced.acceleration)))
     smooth = series.smoothed(window)
-    for channel, name in enumerate(traced.channels):
+    for name, channel in traced.shown.items():
         states[:, traced.states.index(name)] = smooth[0][:, channel]
         if traced.rate_name(name) in traced.states:
             states[:, traced.states.index(traced.rate_name(name))] = smooth[1][:, channel]
             acceleration[:, traced.states.index(name)] = smooth[2][:, channel]
+    for name, channel in traced.accelerated.items():
+        rate = _integrated(smooth[0][:, channel], series)
+        states[:, traced.states.index(traced.rate_name(name))] = rate
+        states[:, traced.states.index(name)] = _integrated(rate, series)
+        acceleration[:, traced.states.index(name)] = smooth[0][:, channel]
     follow(traced, states, series.inputs[:: 2 * series.substeps])
     return Motion(states, acceleration)
+
+
+def _integrated(rate: Array, series: Series) -> Array:
+    """A rate integrated by trapezes, less the cubic in time that what is unknown of it leaves."""
+    from scipy.integrate import cumulative_trapezoid
+
+    found = cumulative_trapezoid(rate, dx=series.dt, initial=0.0)
+    time = np.linspace(-1.0, 1.0, len(found))
+    return found - np.polynomial.Polynomial.fit(time, found, 3)(time)
 
 
 def follow(traced: Traced, states: Array, inputs: Array) -> None:
     """Set states (..., n) to the measured ones, or inputs (..., columns), that they are like."""
     for name, shown in traced.like:
+        if shown not in (*traced.inputs, *traced.states):  # a reading that is no state
+            continue
         given, names = (
             (inputs, traced.inputs) if shown in traced.inputs else (states, traced.states)
         )
@@ -83,11 +100,11 @@ class Balance:
 def balances(traced: Traced) -> bool:
     """Whether forces can be balanced: a mechanical model all of whose coordinates are measured.
 
-    A program tells accelerations at given values alone.
+    Their accelerations will do as well. A program tells accelerations at given values alone.
     """
     coordinates = {n for n in traced.states if traced.rate_name(n) in traced.states}
     known = not any(sp.sympify(row).has(ProgramValue) for row in traced.balance)
-    return bool(traced.balance) and known and coordinates <= set(traced.channels)
+    return bool(traced.balance) and known and coordinates <= {*traced.shown, *traced.accelerated}
 
 
 def balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> Balance:

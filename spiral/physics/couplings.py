@@ -103,7 +103,7 @@ def couplings_of(model: Model) -> Couplings:
 
 def _nodes(system: System) -> tuple[StateNode, ...]:
     """Coordinates, then states of first order; a rate is part of its coordinate."""
-    seen = set(system.observed)
+    seen = trace(system, ()).told_of
     own = system.coordinates if has_coordinates(system) else ()
     rates = {c.name: system.rate_name(c.name) for c in own}
     return tuple(

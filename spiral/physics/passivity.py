@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
-from spiral.physics.trace import input_columns
 from spiral.types.effect import Effect, ForceEffect, values_for
 from spiral.types.model import Model
+from spiral.types.placement import input_columns
 from spiral.types.port import At, Port
 
 DAMPING = "negative damping: it feeds energy in, which a passive machine does not"

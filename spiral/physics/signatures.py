@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.physics.trace import asked, input_columns, trace
+from spiral.physics.asking import asked
+from spiral.physics.readings import reading_slopes
+from spiral.physics.trace import trace
 from spiral.types.cache import kept
 from spiral.types.effect import (
     Effect,
@@ -28,7 +30,7 @@ from spiral.types.effect import (
     SensorEffect,
     StateFlow,
 )
-from spiral.types.placement import check_effect
+from spiral.types.placement import check_effect, input_columns
 from spiral.types.port import At, Port
 from spiral.types.record import Array
 from spiral.types.system import System, has_coordinates
@@ -45,8 +47,9 @@ class Along:
 
     ``states`` (samples, n) of the system alone, ``inputs`` (samples, input columns), ``rates``
     (samples, n) and ``readings`` (samples, channels) of the model as it is, ``values`` of the
-    system's parameters by name, ``by_input`` (samples, n) slopes of the rates by each input that an
-    actuator may change; ``known`` keeps what all effects of a place share.
+    system's parameters by name, ``by_input`` slopes of the rates (samples, n) and the readings
+    (samples, channels) by each input that an actuator may change; ``dt`` in s between samples;
+    ``known`` keeps what all effects of a place share.
     """
 
     system: System
@@ -55,7 +58,8 @@ class Along:
     rates: Array
     readings: Array
     values: Mapping[str, float]
-    by_input: Mapping[str, Array] = field(default_factory=dict)
+    by_input: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    dt: float = 1.0
     known: dict[str, Any] = field(default_factory=dict, compare=False)
 
     def part(self, where: slice) -> Along:
@@ -63,7 +67,7 @@ class Along:
         return replace(
             self, states=self.states[where], inputs=self.inputs[where], rates=self.rates[where],
             readings=self.readings[where], known={},
-            by_input={k: v[where] for k, v in self.by_input.items()},
+            by_input={k: (a[where], b[where]) for k, (a, b) in self.by_input.items()},
         )  # fmt: skip
 
     def once(self, name: str, made: Callable[[], Any]) -> Any:
@@ -111,17 +115,23 @@ def signatures(
             readings[:, :, j] = _told(along, effect, u, p, hidden) - along.readings
         return rates, readings
     if isinstance(effect, InputEffect):
-        recorded, slope = _input(along, port), along.by_input[port.axes[0]]
+        recorded, slopes = _input(along, port), along.by_input[port.axes[0]]
         at = At((recorded,), (), hidden)
         small = _unit_amplitudes(effect, port, shapes, _SMALL)  # the leading order alone
         driven = [asked(effect, "drive", effect.drive, at, u, p) for p in small]
         change = (np.stack(driven, axis=1) - recorded[:, None]) / _SMALL
-        return slope[:, :, None] * change[:, None], readings
+        return slopes[0][:, :, None] * change[:, None], slopes[1][:, :, None] * change[:, None]
     gain = along.once("pushed", lambda: _steady(_matrix(
         _pushed(system)(*along.states.T, *along.inputs.T, *along.parameters), count
     )))  # fmt: skip
     for j, p in enumerate(units):
         rates[:, :, j] = _applied(gain, _injected(along, effect, port, u, p, hidden))
+    felt = along.once("felt", lambda: reading_slopes(
+        system, along.states, along.rates, along.inputs, along.parameters
+    ))  # fmt: skip
+    if felt is not None:
+        for j in range(len(units)):
+            readings[:, :, j] = _applied(felt, rates[:, :, j])
     return rates, readings
 
 
@@ -159,8 +169,7 @@ def at_port_along(along: Along, effect: Effect) -> tuple[Array, Array]:
     """
     port = along.system.place(effect)
     if isinstance(effect, SensorEffect):
-        seen = [_index(along.system, c) for c in port.axes]
-        return along.states[:, seen], along.rates[:, seen]
+        return _shown(along, port)
     if isinstance(effect, InputEffect | StateFlow):
         flows = isinstance(effect, StateFlow)
         position = _levels(along, port) if flows else _input(along, port)[:, None]
@@ -171,6 +180,20 @@ def at_port_along(along: Along, effect: Effect) -> tuple[Array, Array]:
     place = _place(along.system, port.name)(*along.states.T, *along.parameters)
     position = _columns(place, len(along.states))
     return position, np.gradient(position, axis=0)
+
+
+def _shown(along: Along, port: Port) -> tuple[Array, Array]:
+    """(samples, axes) what sensors see and its rates: of states, or of readings that are none."""
+    system, names = along.system, [s.name for s in along.system.states]
+    pairs = []
+    for channel in port.axes:
+        if channel in names:
+            at = names.index(channel)
+            pairs.append((along.states[:, at], along.rates[:, at]))
+        else:
+            told = along.readings[:, system.observed.index(channel)]
+            pairs.append((told, np.gradient(told, along.dt)))
+    return np.stack([a for a, _ in pairs], axis=1), np.stack([b for _, b in pairs], axis=1)
 
 
 def _levels(along: Along, port: Port) -> Array:

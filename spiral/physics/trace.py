@@ -8,18 +8,16 @@ columns, exported code) is made from a ``Traced``.
 
 from __future__ import annotations
 
-import inspect
-import traceback
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import sympy as sp
 
+from spiral.physics.asking import asked
 from spiral.physics.effect_states import followers, own_states, suffixes
+from spiral.physics.readings import own_readings
 from spiral.types.cache import kept
 from spiral.types.effect import (
     Effect,
@@ -30,13 +28,11 @@ from spiral.types.effect import (
     StateFlow,
     expand,
 )
-from spiral.types.errors import PluginError, SpiralError, did_you_mean
+from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.parameter import Parameter
-from spiral.types.placement import TIME, check_effect, model_keys
+from spiral.types.placement import check_effect, input_columns, model_keys
 from spiral.types.port import At, Port
 from spiral.types.system import System, has_coordinates
-
-"""The record's time in s, which every effect may read."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +54,25 @@ class Traced:
     like: tuple[tuple[str, str], ...] = ()
     rates: tuple[tuple[str, str], ...] = ()
     """Coordinates of the system whose rates have a name of their own, and that name."""
+    told: tuple[tuple[str, str, bool], ...] = ()
+    """What readings that are no state tell of (``readings.own_readings``)."""
+
+    @cached_property
+    def shown(self) -> dict[str, int]:
+        """States that a channel reports as they are, and that channel's number."""
+        return {c: j for j, c in enumerate(self.channels) if c in self.states}
+
+    @cached_property
+    def told_of(self) -> frozenset[str]:
+        """States that are measured, or that readings which are no state are made of."""
+        return frozenset((*self.shown, *(state for _, state, _ in self.told)))
+
+    @cached_property
+    def accelerated(self) -> dict[str, int]:
+        """Coordinates that are not measured but their accelerations, and the channel of these."""
+        plain = {state: channel for channel, state, is_rate in self.told if is_rate}
+        names = {n: plain.get(self.rate_name(n)) for n in self.states if n not in self.shown}
+        return {n: self.channels.index(c) for n, c in names.items() if c is not None}
 
     def rate_name(self, state: str) -> str:
         """What the state that is the rate of another is called, where there is one."""
@@ -144,10 +159,11 @@ def trace(
     seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
     injected = _inject(system, placed, seen, x)
     rates = asked(system, "rate", system.rate, x, u, p, injected)
-    placed = [_with_rates(item, rates, x) for item in placed]
+    shown, told = own_readings(system, x, rates, u, p)
+    placed = [_sensed(item, shown, rates, states) for item in placed]
     for item, view in zip(placed, seen, strict=True):
         rates.update(_own_rates(item, view))
-    output = _readings(system, placed, seen, x)
+    output = _readings(system, placed, seen, shown)
     acceleration, forces = _forces(system, x, u, p, injected, rates)
     return Traced(
         states=names,
@@ -164,6 +180,7 @@ def trace(
         forces=forces,
         like=(*((s.name, s.like) for s in system.states if s.like), *followers(system, effects)),
         rates=_rate_names(system),
+        told=told,
     )
 
 
@@ -171,33 +188,6 @@ def _rate_names(system: System) -> tuple[tuple[str, str], ...]:
     """States whose rates have a name of their own, and that name."""
     pairs = ((s.name, system.rate_name(s.name)) for s in system.states)
     return tuple((name, rate) for name, rate in pairs if rate != f"{name}_rate")
-
-
-def asked(owner: Effect | System, what: str, function: Callable[..., Any], *given: Any) -> Any:
-    """What a plugin's equation gives for symbols or arrays; its failure names it and the line."""
-    try:
-        return function(*given)
-    except SpiralError:
-        raise
-    except Exception as error:
-        place, frames = "", traceback.extract_tb(error.__traceback__)
-        own = inspect.getsourcefile(type(owner))
-        for frame in (f for f in frames if f.filename == own):
-            place = f" ({Path(frame.filename).name}, line {frame.lineno})"
-        name = owner.plugin_name()
-        raise PluginError(
-            f"{what}() of {owner.kind} {name!r}{place}: {type(error).__name__}: "
-            f"{(str(error).splitlines() or [''])[0]}",
-            "one expression for all states, numbers and symbols alike",
-            "spiral.math has where(condition, a, b) in place of if, and sin, cos, tanh, exp, sqrt, "
-            f"maximum; then spiral check {name}",
-        ) from error
-
-
-def input_columns(system: System) -> tuple[str, ...]:
-    """Columns of the input array: each input, ``NAME_rate`` where its rate is used, then time."""
-    names = [i.name for i in system.inputs]
-    return (*names, *(i.rate.name for i in system.inputs if i.derivative), TIME)
 
 
 def _place(
@@ -214,7 +204,7 @@ def _place(
     position: tuple[Any, ...] = ()
     velocity: tuple[Any, ...] = ()
     if isinstance(effect, SensorEffect):
-        position = tuple(getattr(x, name) for name in port.axes)
+        pass  # what it sees follows from the rates
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
     elif isinstance(effect, StateFlow):
@@ -249,14 +239,27 @@ def _driven(placed: list[_Placed], inputs: dict[str, sp.Symbol]) -> SimpleNamesp
     return u
 
 
-def _with_rates(item: _Placed, rates: dict[str, Any], x: SimpleNamespace) -> _Placed:
-    """A sensor sees the rates of its channels as velocities, in a system of any order."""
+def _sensed(
+    item: _Placed, shown: dict[str, Any], rates: dict[str, Any], states: dict[str, sp.Symbol]
+) -> _Placed:
+    """A sensor sees its channels and their rates, in a system of any order.
+
+    The rate of a reading that is no state is that of its formula, with the inputs held.
+    """
     if not isinstance(item.effect, SensorEffect):
         return item
-    velocity = tuple(sp.sympify(rates[name]) for name in item.port.axes)
-    second = {getattr(x, name): sp.sympify(rate) for name, rate in rates.items()}
+    second = {states[name]: sp.sympify(rate) for name, rate in rates.items()}
+    position: tuple[Any, ...] = tuple(sp.sympify(shown[name]) for name in item.port.axes)
+    velocity = tuple(_rate_of(value, second) for value in position)
     acceleration = tuple(second.get(v, sp.Integer(0)) for v in velocity)
-    return replace(item, at=replace(item.at, velocity=velocity, acceleration=acceleration))
+    return replace(item, at=At(position, velocity, item.at.own, acceleration))
+
+
+def _rate_of(value: Any, rates: dict[sp.Symbol, sp.Expr]) -> Any:
+    """d/dt of an expression in the states."""
+    if value in rates:
+        return rates[value]
+    return sum((value.diff(x) * r for x, r in rates.items() if value.has(x)), sp.Integer(0))
 
 
 def _shifted(u: SimpleNamespace, shift: float) -> SimpleNamespace:
@@ -330,7 +333,7 @@ def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
 
 
 def _readings(
-    system: System, placed: list[_Placed], seen: list[SimpleNamespace], x: SimpleNamespace
+    system: System, placed: list[_Placed], seen: list[SimpleNamespace], shown: dict[str, Any]
 ) -> list[sp.Expr]:
     """Sensor effects one after the other; variants of one, of which one acts, side by side.
 
@@ -341,7 +344,7 @@ def _readings(
         zip(placed, seen, strict=True),
         key=lambda pair: not any(p.role == "shape" for p in pair[0].effect.parameters),
     )
-    y: list[Any] = [getattr(x, name) for name in system.observed]
+    y: list[Any] = [shown[name] for name in system.observed]
     before, last = y, ""
     for item, u in order:
         if isinstance(item.effect, SensorEffect):

@@ -14,6 +14,12 @@ TIME = "time"
 """The column of time among a model's inputs."""
 
 
+def input_columns(system: System) -> tuple[str, ...]:
+    """Columns of the input array: each input, ``NAME_rate`` where its rate is used, then time."""
+    names = [i.name for i in system.inputs]
+    return (*names, *(i.rate.name for i in system.inputs if i.derivative), TIME)
+
+
 def model_keys(system: System, effects: tuple[Effect, ...]) -> tuple[tuple[str, Parameter], ...]:
     """Full names and parameters of a model: the system's first, then each effect's."""
     pairs = list(expand("system", system.parameters, ()))

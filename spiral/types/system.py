@@ -20,7 +20,8 @@ class System(Plugin):
     """Known physics in state space: x' = rate(x, u, p) plus what effects add.
 
     A system names its states (those in ``observed`` are measured, the others hidden), inputs,
-    ports and parameters. ``seed`` are the effects that belong to it from the start.
+    ports and parameters. What sensors report that is no state, y = h(x, x', u, p), it names in
+    ``readings``. ``seed`` are the effects that belong to it from the start.
     """
 
     kind: ClassVar[str] = "system"
@@ -33,7 +34,7 @@ class System(Plugin):
     @property
     @abstractmethod
     def observed(self) -> tuple[str, ...]:
-        """Names of the states that sensors report, one channel each."""
+        """Names of the states and ``readings`` that sensors report, one channel each."""
 
     @property
     @abstractmethod
@@ -65,6 +66,17 @@ class System(Plugin):
         self, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace, injected: dict[str, Any]
     ) -> dict[str, Any]:
         """Time derivative of every state, given the sums that effects inject."""
+
+    @property
+    def readings(self) -> tuple[State, ...]:
+        """Channels that are no state, with units: an acceleration, a force in a mount."""
+        return ()
+
+    def reading(
+        self, x: SimpleNamespace, rates: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace
+    ) -> dict[str, Any]:
+        """h(x, x', u, p) of each of ``readings``; ``rates`` are x' by the states' names."""
+        return {}
 
     @property
     def defaults(self) -> dict[str, float]:
@@ -181,14 +193,15 @@ class System(Plugin):
         )
 
     def unit_of(self, channel: str) -> str:
-        """Unit of a state or input by name."""
-        for item in (*self.states, *self.inputs):
+        """Unit of a state, an input or a reading by name."""
+        known = (*self.states, *self.inputs, *self.readings)
+        for item in known:
             if item.name == channel:
                 return item.unit
-        names = [item.name for item in (*self.states, *self.inputs)]
+        names = [item.name for item in known]
         raise ConfigError(
             f"channel {channel!r}",
-            f"a state or input of {self.plugin_name()!r}: {', '.join(names)}",
+            f"a state, input or reading of {self.plugin_name()!r}: {', '.join(names)}",
             did_you_mean(channel, names),
         )
 
@@ -261,6 +274,23 @@ class MechanicalSystem(System):
         rates.update({self.rate_name(n): a for n, a in zip(names, acceleration, strict=True)})
         rates.update({n: f + injected[n] for n, f in self.flows(q, v, u, p).items()})
         return rates
+
+
+def check_states(system: System, what: str) -> None:
+    """Channels that are states, each of them.
+
+    Raises
+    ------
+    ConfigError : one that is a reading (an acceleration, a force).
+    """
+    states = {s.name for s in system.states}
+    for name in system.observed:
+        if name not in states:
+            raise ConfigError(
+                f"{what} with the channel {name!r}, which is no state of {system.plugin_name()!r}",
+                f"channels that are states: {', '.join(sorted(states))}",
+                "strategy=likelihood, which predicts what such a sensor reads",
+            )
 
 
 def place_name(port: Port) -> str:

@@ -172,6 +172,27 @@ def check_system_units(system: MechanicalSystem) -> None:
             _must_fit(f"{what} of system {name!r}", value, entry.unit)
 
 
+def check_reading_units(system: System) -> None:
+    """Evaluate what sensors report that is no state on quantities with units.
+
+    Raises
+    ------
+    PluginError : a reading whose formula is of another unit.
+    """
+    import pint
+
+    name = system.plugin_name()
+    x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states})
+    rates = SimpleNamespace(**{s.name: _quantity(per_second(s.unit)) for s in system.states})
+    p = SimpleNamespace(**{k.name: _quantity(k.unit) for k in system.parameters})
+    try:
+        given = system.reading(x, rates, _inputs(system), p)
+    except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
+        raise PluginError(f"system {name!r}: {error}", "a reading whose units fit") from error
+    for entry in system.readings:
+        _must_fit(f"reading {entry.name!r} of system {name!r}", given[entry.name], entry.unit)
+
+
 def _is_zero(value: Any) -> bool:
     return isinstance(value, int | float) and value == 0
 

@@ -30,7 +30,7 @@ def groups(task: Task) -> dict[str, tuple[int, ...]]:
         if traced.rate_name(name) in names:
             continue
         base = traced.base_name(name)
-        found[OBSERVED if base in traced.channels else HIDDEN].append(i)
+        found[HIDDEN if traced.told_of.isdisjoint((base, name)) else OBSERVED].append(i)
     return {k: tuple(v) for k, v in found.items() if v}
 
 

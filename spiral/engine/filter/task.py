@@ -21,6 +21,7 @@ from spiral.engine.series import Series, prepare
 from spiral.engine.start import follow, motion
 from spiral.engine.study import CompiledStudy
 from spiral.physics.compile import Compiled, compile_model
+from spiral.physics.readings import reading_slopes
 from spiral.physics.trace import trace
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
@@ -224,6 +225,32 @@ def linearised(compiled: Compiled, values: Array, inputs: Array, at: Array | Non
     return a if np.all(np.isfinite(a)) else np.zeros((n, n))
 
 
+def reading_rows(task: Task) -> Array:
+    """h_x (channels, n) at the mean of the settled states and inputs."""
+    m, n = len(task.compiled.traced.channels), len(task.states)
+    rows, by_values = np.zeros((m, n)), np.zeros((m, len(task.values)))
+    u = np.ascontiguousarray(task.mean_inputs)
+    task.compiled.output(
+        task.centre.copy(), u, np.ascontiguousarray(task.values), np.empty(m), rows, by_values
+    )
+    return rows
+
+
+def felt(task: Task) -> Array:
+    """(channels, n) what rates add to readings at once, there (``physics.readings``)."""
+    system, own = task.model.system, len(task.model.system.states)
+    found = np.zeros((len(task.compiled.traced.channels), len(task.states)))
+    if not system.readings:
+        return found
+    values = [task.values[task.keys.index(f"system.{p.name}")] for p in system.parameters]
+    slopes = reading_slopes(
+        system, task.centre[None, :own], np.zeros((1, own)), task.mean_inputs[None], values
+    )
+    if slopes is not None:
+        found[:, :own] = slopes[0]
+    return found
+
+
 def _settled(
     compiled: Compiled, series: Series, grid: Array, values: Array, mapping: StaticMap | None
 ) -> tuple[Array, Array, Array]:
@@ -232,8 +259,9 @@ def _settled(
     They are those of the free run, or guessed from what was seen.
     """
     states = free_run(compiled, series, grid, values)
-    seen = [compiled.traced.states.index(c) for c in compiled.traced.channels]
-    measured = series.y.std(axis=0)
+    shown = compiled.traced.shown
+    seen = [compiled.traced.states.index(c) for c in shown]
+    measured = series.y.std(axis=0)[list(shown.values())]
     if states is None or np.any(states.std(axis=0)[seen] < _QUIET * measured):
         states = _guessed(compiled, series, mapping)
     rates = np.gradient(states, series.dt, axis=0).std(axis=0)
@@ -274,7 +302,7 @@ def _guessed(compiled: Compiled, series: Series, mapping: StaticMap | None) -> A
 def _first_state(compiled: Compiled, series: Series, mapping: StaticMap | None) -> Array:
     names = compiled.traced.states
     start = np.zeros(len(names))
-    for j, channel in enumerate(compiled.traced.channels):
+    for channel, j in compiled.traced.shown.items():
         start[names.index(channel)] = series.y[0, j]
     if mapping is not None:
         hidden = mapping.matrix @ [start[names.index(n)] for n in mapping.observed]

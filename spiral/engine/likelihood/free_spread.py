@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
-from spiral.engine.filter.task import Task, linearised
+from spiral.engine.filter.task import Task, felt, linearised, reading_rows
 from spiral.engine.likelihood.noise import NoiseModel, matrices
 from spiral.types.noise import COLOURED
 from spiral.types.record import Array
@@ -41,10 +41,10 @@ def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel, samples
     f[:n, n:] = 0.5 * dt * (flow @ parts.driven + parts.driven)
     q, p = parts.q[np.ix_(kept, kept)], np.zeros((n + k, n + k))
     p[n:, n:] = parts.p[-k:, -k:] if k else 0.0
-    seen = [task.states.index(c) for c in task.compiled.traced.channels]
+    seen = np.hstack([reading_rows(task), felt(task) @ parts.driven])
     count = min(samples, _MOST)
     with np.errstate(all="ignore"):
-        run = _stretch(f, q, np.array(seen), count)
+        run = _stretch(f, q, seen, count)
         found = np.sqrt((np.einsum("jab,ab->j", run.slopes, p) + run.sums) / count)
     return np.where(np.isfinite(found), found, np.inf)
 
@@ -69,9 +69,12 @@ class _Stretch:
 
 
 def _stretch(f: Array, q: Array, seen: Array, samples: int) -> _Stretch:
-    """So many samples of P <- F P F^T + Q, at least one, by doubling."""
-    rows = f[seen]
-    double = _Stretch(f, q, np.einsum("ja,jb->jab", rows, rows), np.diag(q)[seen])
+    """So many samples of P <- F P F^T + Q, at least one, by doubling.
+
+    ``seen`` (channels, n) are the rows c_j of the readings.
+    """
+    rows, added = seen @ f, np.einsum("ja,ab,jb->j", seen, q, seen)
+    double = _Stretch(f, q, np.einsum("ja,jb->jab", rows, rows), added)
     whole = double if samples % 2 else None
     while samples := samples // 2:
         double = double.then(double)

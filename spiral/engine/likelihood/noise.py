@@ -10,6 +10,9 @@ Each term is a Gaussian process of its own, white or a state of the noise z (``k
     force     white acceleration                     level as ``spiral.engine.filter.noise`` says
     gust      z' = -z / T + w,  std a                acceleration with correlation time T
 
+A reading that is no state (an acceleration) has what forces add to the rates that it is made of,
+at once; a white force is then a value that is held for a sample.
+
 B_n is the Butterworth polynomial of the term's order n (2: s^2 + 2^(1/2) s + 1), as an anti-alias
 filter has it. Sizes are what a likelihood decides (``fit``), on a logarithmic scale. A gust's a is
 a share of the standard deviation of the rate it acts on.
@@ -25,7 +28,7 @@ import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, block_diagonal
 from spiral.engine.filter.noise import groups, intensity, sampled
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import Task, felt
 from spiral.types.noise import COLOURED, Kind
 from spiral.types.record import Array
 
@@ -169,7 +172,9 @@ def matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> Matrice
     n, channels = len(task.states), task.compiled.traced.channels
     white = [noise.values.get(f"white.{c}", 0.0) for c in channels]
     levels = {t.where: noise.values[t.size] for t in noise.terms if t.kind == "force"}
-    q = block_diagonal(sampled(task, intensity(task, levels)), settings.wander)
+    reached = felt(task)
+    steady = np.where(reached.any(axis=0), 0.0, intensity(task, levels))
+    q = block_diagonal(sampled(task, steady), settings.wander)
     p = block_diagonal(settings.covariance, settings.doubt**2)
     blocks = [b for t in noise.terms for b in _blocks(task, t, noise.values)]
     k = sum(len(b.phi) for b in blocks)
@@ -183,6 +188,7 @@ def matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> Matrice
             seen[block.channel, part.start] = 1.0
         else:
             driven[block.state, part.start] = 1.0
+    seen += reached @ driven
     size = len(q) + k
     whole, start = np.zeros((size, size)), np.zeros((size, size))
     whole[: len(q), : len(q)], whole[len(q) :, len(q) :] = q, added
@@ -208,9 +214,13 @@ class _Block:
 
 
 def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_Block]:
+    dt, size = task.series.dt, values[term.size]
+    if term.kind == "force":
+        spread = np.sqrt(intensity(task, {term.where: size}) / dt)
+        at_once = np.flatnonzero(felt(task).any(axis=0))
+        return [replace(_held(spread[i]), state=int(i)) for i in at_once if spread[i] > 0]
     if not term.states:
         return []
-    dt, size = task.series.dt, values[term.size]
     if term.kind == "gust":
         return [
             replace(_relaxing(dt, values[term.time], size * float(task.rates[i])), state=i)
@@ -223,6 +233,12 @@ def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_B
     if term.kind in ("band", "vibration"):
         return [replace(_filtered(dt, term, values), channel=channel)]
     return [replace(_relaxing(dt, values[term.time], size), channel=channel)]
+
+
+def _held(size: float) -> _Block:
+    """A value of standard deviation ``size`` that is another at every sample."""
+    whole = np.full((1, 1), size**2)
+    return _Block(np.zeros((1, 1)), whole, whole)
 
 
 def _relaxing(dt: float, time: float, size: float) -> _Block:

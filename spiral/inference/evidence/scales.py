@@ -148,8 +148,8 @@ def visited(model: Model, records: tuple[Record, ...]) -> tuple[Array, ...]:
 
 def _shown(traced: Traced) -> set[str]:
     """States that ``motion`` takes from channels: measured, rates of such, and those like one."""
-    channels = set(traced.channels)
-    return channels | {traced.rate_name(c) for c in channels} | {name for name, _ in traced.like}
+    known = {*traced.shown, *traced.accelerated}
+    return known | {traced.rate_name(c) for c in known} | {name for name, _ in traced.like}
 
 
 def _inferred(model: Model, series: Series) -> Array:

@@ -19,7 +19,7 @@ from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
-from spiral.types.system import System
+from spiral.types.system import System, check_states
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,14 @@ def owner_of(key: str) -> str:
 
 
 def equation_rows(system: System) -> tuple[str, ...]:
-    """States whose rates are measured: of each channel its velocity, or itself in first order."""
+    """States whose rates are measured: of each channel its velocity, or itself in first order.
+
+    Raises
+    ------
+    ConfigError : a channel that is no state.
+    """
     names = [s.name for s in system.states]
+    check_states(system, "equations along measured states")
     return tuple(
         system.rate_name(c) if system.rate_name(c) in names else c for c in system.observed
     )

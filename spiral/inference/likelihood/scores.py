@@ -38,8 +38,8 @@ from spiral.inference.evidence.spectrum import frequencies, others_of, peaks, sp
 from spiral.inference.likelihood.fitting import LikelihoodFit, moving
 from spiral.inference.unknown.holding import variant_of
 from spiral.physics.signatures import Along, Own, amplitude_names, signatures
-from spiral.physics.trace import input_columns
 from spiral.types.effect import Effect
+from spiral.types.placement import input_columns
 from spiral.types.record import Array
 
 _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
@@ -266,11 +266,13 @@ def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
         place = input_columns(system).index(port.axes[0])
         step = np.zeros(inputs.shape[1])
         step[place] = _STEP * (float(np.abs(inputs[:, place]).max()) or 1.0)
-        more, less = evaluated(inputs + step)[0], evaluated(inputs - step)[0]
-        by_input[port.axes[0]] = (more - less) / (2 * step[place])
+        pairs = zip(evaluated(inputs + step), evaluated(inputs - step), strict=True)
+        more, told = ((a - b) / (2 * step[place]) for a, b in pairs)
+        by_input[port.axes[0]] = (more, told)
     known = dict(zip(task.keys, map(float, task.values), strict=True))
     values = {p.name: known[f"system.{p.name}"] for p in system.parameters}
-    return Along(system, rows[:, :n], inputs, rates, readings, values, by_input)
+    dt = task.series.dt
+    return Along(system, rows[:, :n], inputs, rates, readings, values, by_input, dt)
 
 
 def _columns(

@@ -16,6 +16,7 @@ from spiral.inference.evidence.assembly import ORIGIN, Assembly
 from spiral.types.derivative import Derivative, differentiate
 from spiral.types.errors import ConfigError
 from spiral.types.record import Array
+from spiral.types.system import check_states
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ def differentiated(assembly: Assembly, derivative: Derivative) -> Samples:
     InputError : the estimator cannot serve a record. ConfigError : coordinates that no channel
         shows, as many as channels.
     """
+    check_states(assembly.problem.model.system, "the paper's regression")
     traced = assembly.study.compiled.traced
     group = angle_groups(assembly.study)
     parts: list[list[Array]] = [[] for _ in range(5)]

@@ -270,7 +270,8 @@ def absent(effect: Effect, physics: Physics, bare: Physics) -> str:
 def names(system: System) -> str:
     """States, channels, inputs, ports and parameters: each name once, and known where used."""
     states, inputs = [s.name for s in system.states], [i.name for i in system.inputs]
-    _once("state or input", [*states, *inputs])
+    readings = [r.name for r in system.readings]
+    _once("state, input or reading", [*states, *inputs, *readings])
     _once("parameter", [q.name for q in system.parameters])
     _once("channel", list(system.observed))
     _once("port", [port.name for port in system.ports])
@@ -280,7 +281,7 @@ def names(system: System) -> str:
             raise PluginError(f"no {what}", "at least one")
     for port in system.ports:
         _once(f"axis of port {port.name!r}", list(port.axes))
-    _known("observed", system.observed, states)
+    _known("observed", system.observed, [*states, *readings])
     sources = [i.derived_from for i in system.inputs if i.derived_from]
     _known("derived_from", sources, inputs)
     keys = [k for k, _ in model_keys(system, system.seed)]
@@ -339,9 +340,10 @@ def mass(system: System) -> str:
 
 
 def mechanical_units(system: System) -> str:
-    """M q'' and the system's own force have the units of the injections."""
-    from spiral.types.units import check_system_units
+    """M q'' and the system's own force have the units of the injections; readings have theirs."""
+    from spiral.types.units import check_reading_units, check_system_units
 
+    check_reading_units(system)
     if not has_coordinates(system):
         return "no coordinates: not a mechanical system"
     if not system.balanced:

@@ -85,7 +85,7 @@ def _parameter(variable: Variable) -> dict[str, Any]:
 
 
 def _measured(about: Description, opened: Opened, observed: Sequence[str]) -> list[str]:
-    """States that sensors report, named as states or by the outputs that are them."""
+    """What sensors report: states, named as such or by outputs that are them, and formulas."""
     states, readings = [v.name for v in about.states], dict(opened.readings)
     told = {v.told: v.name for v in about.states} | {n: n for n in states} | readings
     names = {v.name: readings[v.told] for v in about.outputs if v.told in readings}
@@ -97,6 +97,9 @@ def _measured(about: Description, opened: Opened, observed: Sequence[str]) -> li
         )
     found = []
     for name in observed or readings:
+        if "'" in name or "=" in name:  # a formula of states
+            found.append(name)
+            continue
         known = {**names, **told}
         if name not in known:
             outputs = {v.told for v in about.outputs}

@@ -13,12 +13,12 @@ from scipy import sparse
 from spiral.io.readers.containers import Allowance, npz_arrays
 from spiral.io.readers.limits import seconds_for, within_seconds
 from spiral.io.readers.matlab import mat_variables
-from spiral.physics.structures.description import KeptNode, described
+from spiral.physics.structures.description import SENSORS, KeptNode, described
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 
 NAMES = ("M", "K", "C", "G")
 """Mass, stiffness, damping, gyroscopic matrix per rad/s; ``K_NAME`` are parts of the stiffness."""
-USES = ("sensor", "input", "port")
+USES = (*SENSORS, "input", "port")
 _COLUMNS = ("name", "dof", "use", "unit")
 _ROWS = 10**7  # of a matrix; a sparse one may declare any number
 _ENTRY, _FLOAT = 16, 8  # bytes of an entry of a sparse matrix, and of a full one
@@ -160,8 +160,9 @@ def nodes_of(source: str | Path | Mapping[str, Any], size: int) -> tuple[KeptNod
         twice = [v for v in values if values.count(v) > 1]
         if twice:
             raise ConfigError(f"nodes with {what} {twice[0]} twice", f"each {what} once")
-    if not any("sensor" in n.uses for n in nodes):
-        raise ConfigError("nodes without a sensor", "use 'sensor' at one of them at least")
+    if not any(use in n.uses for n in nodes for use in SENSORS):
+        expected = f"use {' or '.join(SENSORS)} at one of them at least"
+        raise ConfigError("nodes without a sensor", expected)
     return nodes
 
 

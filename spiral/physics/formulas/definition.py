@@ -18,6 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args
 
+from spiral.physics.formulas.observed import split_observed
 from spiral.types.errors import ConfigError, InputError, PluginError, did_you_mean
 from spiral.types.fields import unknown_field
 from spiral.types.parameter import Input, Interpolation, Parameter, State
@@ -41,7 +42,8 @@ class SystemDefinition:
         ``{value: 2.0, unit: kg, lower: 0, upper: 5}``.
     constants : name -> ``VALUE UNIT``: numbers of the equations that have a unit.
     free : parameters with a value that the fit moves all the same.
-    observed : states, or rates ``x'``, that are measured; the others are hidden.
+    observed : states that are measured, rates ``x'``, accelerations ``x''`` and formulas
+        ``load = k*(x - z)``; states that are not named are hidden.
     ports : name -> position as a formula of the states, or a list with one for each axis; left
         out, one for each coordinate.
     mass : coordinate -> its inertia, or a list of rows, where the equations are solved for the
@@ -56,6 +58,7 @@ class SystemDefinition:
     constants: tuple[tuple[str, float, str], ...]
     values: tuple[tuple[str, float], ...]
     observed: tuple[str, ...]
+    readings: tuple[tuple[str, str], ...]
     ports: tuple[tuple[str, tuple[str, ...]], ...]
     mass: tuple[tuple[str, ...], ...] | tuple[tuple[str, str], ...]
     title: str = ""
@@ -68,7 +71,8 @@ class SystemDefinition:
         return {**{i.name: i.unit for i in named}, **{n: u for n, _, u in self.constants}}
 
 
-SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name != "values"), "free")
+_DERIVED = ("values", "readings")  # of what other sections say
+SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name not in _DERIVED), "free")
 
 
 @lru_cache(maxsize=64)
@@ -85,9 +89,13 @@ def definition_of(text: str) -> SystemDefinition:
             raise unknown_field("system", str(name), SECTIONS)
     free = tuple(map(str, given.get("free") or ()))
     constants = tuple((n, *_number(n, v)) for n, v in _section(given, "constants").items())
+    equations = _texts(given, "equations")
+    states = _section(given, "states", needed=True)
+    twice = [n for n in states if any(f"{n}''" in e for e in equations)]
+    observed, readings = split_observed(_texts(given, "observed"), twice)
     found = SystemDefinition(
-        equations=_texts(given, "equations"),
-        states=tuple(_state(n, v) for n, v in _section(given, "states", needed=True).items()),
+        equations=equations,
+        states=tuple(_state(n, v) for n, v in states.items()),
         inputs=tuple(_input(n, v) for n, v in _section(given, "inputs").items()),
         parameters=tuple(
             _parameter(n, v, n in free) for n, v in _section(given, "parameters").items()
@@ -98,12 +106,13 @@ def definition_of(text: str) -> SystemDefinition:
             for n, v in _section(given, "parameters").items()
             if n in free and (value := _quantity(n, v)[0]) is not None
         ),
-        observed=tuple(t.replace("'", "_rate") for t in _texts(given, "observed")),
+        observed=observed,
+        readings=readings,
         ports=_ports(_section(given, "ports")),
         mass=_mass(given.get("mass")),
         title=str(given.get("title") or ""),
     )
-    _check(found, free)
+    _check(found, free, [f"{name}_rate" for name in twice])
     return _with_input_rates(found)
 
 
@@ -113,7 +122,8 @@ def _with_input_rates(found: SystemDefinition) -> SystemDefinition:
     def named(item: Input) -> bool:
         rate = item.rate.name
         either = re.compile(rf"\b{item.name}'|\b{rate}\b")
-        return rate not in found.units and any(map(either.search, found.equations))
+        texts = (*found.equations, *(text for _, text in found.readings))
+        return rate not in found.units and any(map(either.search, texts))
 
     return replace(found, inputs=tuple(replace(i, derivative=named(i)) for i in found.inputs))
 
@@ -307,17 +317,15 @@ def _mass(given: Any) -> Any:
     return tuple(tuple(map(str, r)) for r in rows)
 
 
-def _check(found: SystemDefinition, free: tuple[str, ...]) -> None:
+def _check(found: SystemDefinition, free: tuple[str, ...], rates: list[str]) -> None:
     named = [i.name for i in (*found.states, *found.inputs, *found.parameters)]
-    named += [n for n, _, _ in found.constants]
+    named += [n for n, _, _ in found.constants] + [n for n, _ in found.readings]
     for name in named:
         if named.count(name) > 1 or name in ("t", "time", "pi") or name.endswith("_prime"):
             what = "twice" if named.count(name) > 1 else "for a state, an input or a parameter"
             raise ConfigError(f"the name {name!r} {what}", "a name of its own", f"{name}_1")
-    rates = [
-        f"{s.name}_rate" for s in found.states if any(f"{s.name}''" in e for e in found.equations)
-    ]
-    _known("observed", found.observed, [*(s.name for s in found.states), *rates])
+    own = (n for n, _ in found.readings)
+    _known("observed", found.observed, [*(s.name for s in found.states), *rates, *own])
     _known("free", free, [p.name for p in found.parameters])
     _known("like", [s.like for s in found.states if s.like], list(found.observed))
 

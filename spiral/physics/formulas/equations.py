@@ -20,6 +20,7 @@ from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import SystemDefinition, definition_of
 from spiral.physics.formulas.dimensions import Demands, Walk, dimension
 from spiral.physics.formulas.inertia import inertia_of
+from spiral.physics.formulas.measured import readings_of
 from spiral.physics.formulas.rows import (
     FIRST,
     SECOND,
@@ -43,7 +44,8 @@ _PERMUTED = 6  # coordinates up to which every order of their equations is tried
 class StandardForm:
     """The form that a system takes its physics from; formulas are text.
 
-    ``rates`` are the names of the coordinates' rates, ``force_units`` the units of the rows.
+    ``rates`` are the names of the coordinates' rates, ``force_units`` the units of the rows,
+    ``readings`` what is measured that is no state.
     """
 
     definition: SystemDefinition
@@ -54,6 +56,7 @@ class StandardForm:
     force: tuple[str, ...]
     flow: tuple[str, ...]
     force_units: tuple[str, ...]
+    readings: tuple[tuple[State, str], ...]
 
     @property
     def units(self) -> dict[str, str]:
@@ -113,6 +116,7 @@ def _arranged(given: SystemDefinition, rows: Sequence[EquationRow]) -> StandardF
         given, tuple(coordinates), tuple(velocity.values()), tuple(others),
         tuple(tuple(text_of(inertia[i, j]) for j in range(count)) for i in range(count)),
         tuple(map(text_of, force)), tuple(map(text_of, flow)), force_units,
+        readings_of(given, velocity),
     )  # fmt: skip
 
 

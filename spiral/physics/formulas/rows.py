@@ -105,6 +105,15 @@ def symbol(name: str) -> sp.Symbol:
     return sp.Symbol("time" if name == "t" else name, real=True)
 
 
+def row_units(given: SystemDefinition) -> dict[str, str]:
+    """Name -> unit of all that equations may name, ``x'`` and ``x''`` by their own names."""
+    units = {**given.units, **dict.fromkeys(TIME, "s")}
+    for s in given.states:
+        units[s.name + FIRST] = per_second(s.unit)
+        units[s.name + SECOND] = per_second(s.unit, 2)
+    return units
+
+
 def checked_units(
     given: SystemDefinition, rows: Sequence[EquationRow], velocity: Mapping[str, str]
 ) -> dict[str, str]:
@@ -113,10 +122,7 @@ def checked_units(
     for name, rate in velocity.items():
         if rate in states:
             _agree(rate, states[rate], per_second(states[name]))
-    units = {**given.units, **dict.fromkeys(TIME, "s")}
-    for s in given.states:
-        units[s.name + FIRST] = per_second(s.unit)
-        units[s.name + SECOND] = per_second(s.unit, 2)
+    units = row_units(given)
     walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
     sizes = {n: size_of(u) for n, u in units.items()}
     coherent = all(size == 1.0 for size in sizes.values())

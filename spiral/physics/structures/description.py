@@ -14,6 +14,10 @@ from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.record import Array
 
 
+SENSORS = ("sensor", "accelerometer")
+"""What of a node is measured: its displacement, or its acceleration."""
+
+
 @dataclass(frozen=True)
 class KeptNode:
     """A degree of freedom that is kept: its row in the matrices, its unit, what it is used for."""
@@ -62,7 +66,7 @@ def described(
     """
     from spiral.physics.structures.reduction import reduced
 
-    sensors = [i for i, n in enumerate(table) if "sensor" in n.uses]
+    sensors = [i for i, n in enumerate(table) if {*SENSORS} & {*n.uses}]
     forces = [i for i, n in enumerate(table) if {"input", "port"} & {*n.uses}] or sensors
     kept = [n.dof for n in table]
     size = min(size, matrices["M"].shape[0])

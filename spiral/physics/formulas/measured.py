@@ -1,0 +1,72 @@
+"""What is measured that is no state: its unit, and its formula in own names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import sympy as sp
+
+from spiral.physics.formulas import syntax
+from spiral.physics.formulas.definition import SystemDefinition
+from spiral.physics.formulas.dimensions import Demands, Walk, dimension
+from spiral.physics.formulas.rows import (
+    SECOND,
+    evaluated,
+    primed,
+    row_units,
+    size_of,
+    symbol,
+    unprimed,
+)
+from spiral.types.errors import ConfigError
+from spiral.types.parameter import State
+
+
+def readings_of(
+    given: SystemDefinition, velocity: Mapping[str, str]
+) -> tuple[tuple[State, str], ...]:
+    """Each reading that is no state with its unit, and its formula in own names.
+
+    Parameters
+    ----------
+    velocity : coordinate -> the name of its rate.
+
+    Raises
+    ------
+    ConfigError : what is no formula, a name or a rate that is not there, units that do not fit.
+    """
+    found = []
+    for name, text in given.readings:
+        place = f"observed: {name} = {text}"
+        formula = unprimed(text, {i.name: i.rate.name for i in given.inputs})
+        try:
+            value = evaluated(given, formula)
+            for state in (s.name for s in given.states if s.name not in velocity):
+                if symbol(state + SECOND) in value.free_symbols:
+                    expected = f"of a coordinate: {', '.join(velocity) or 'there is none'}"
+                    raise ConfigError(f"{state}''", expected)
+            unit = _unit(given, value, row_units(given), formula)
+        except ConfigError as error:
+            said = primed(error.given)
+            raise ConfigError(f"{place}: {said}", error.expected, error.try_) from error
+        found.append((State(name, unit), formula))
+    return tuple(found)
+
+
+def _unit(given: SystemDefinition, value: sp.Expr, units: Mapping[str, str], text: str) -> str:
+    """The unit of a formula: one that is used already where it is of its size, else a product."""
+    walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
+    wanted = walk.of(syntax.read(text), text)
+    if not wanted.known:
+        return ""
+    term = sp.Add.make_args(sp.expand(value))[0]
+    powers = [(str(s), e) for s, e in term.as_powers_dict().items() if s.is_Symbol]
+    unit = "*".join(f"({units[n] or '1'})^({e})" for n, e in powers)
+    if [e for _, e in powers] == [1]:
+        unit = units[powers[0][0]]
+    if not unit or dimension(unit) != wanted:
+        raise ConfigError(f"{text!r}, whose unit is not plain", "a product, or a sum of products")
+    for usual in ("N", "N*m", *(u for u in given.units.values() if u)):
+        if dimension(usual) == wanted and abs(size_of(usual) / size_of(unit) - 1) < 1e-9:
+            return usual
+    return unit
