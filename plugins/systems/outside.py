@@ -57,8 +57,9 @@ class Outside(MechanicalSystem):
         return self.form.readings
 
     def reading(self, x, rates, u, p):
-        """h(x, x', u, p) of each."""
-        return self.form.reading(x, rates, self._seen(x, u, p, {}), p)
+        """h(x, x', u, p) of each; the rates that the program gives are x' already."""
+        given = {name: 0 for i in self.form.inputs for name in (i.name, i.rate.name)}
+        return self.form.reading(x, rates, SimpleNamespace(**{**given, **vars(u)}), p)
 
     @property
     def inputs(self):

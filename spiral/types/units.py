@@ -181,6 +181,8 @@ def check_reading_units(system: System) -> None:
     """
     import pint
 
+    if not system.readings:
+        return
     name = system.plugin_name()
     x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states})
     rates = SimpleNamespace(**{s.name: _quantity(per_second(s.unit)) for s in system.states})

@@ -19,7 +19,9 @@ from spiral.io.programs import programs_named
 from spiral.io.registry import NO_FOLDER, load_registry
 from spiral.io.storage import model_data, model_from
 from spiral.io.testing import check_system, failed
+from spiral.physics.compile import compile_model
 from spiral.physics.outside import fmi
+from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError, SpiralError
 from spiral.types.model import seed_model
 from tests.scenes import evaluated
@@ -213,3 +215,23 @@ def test_what_is_hidden_behind_an_fmu_is_named(opened, name):
     case, kind = OF[name], KINDS[OF[name].kind]
     run, _ = asked(record(case, kind), opened[name][1], kind)
     assert run.missing == (case.effect,)
+
+
+def test_an_acceleration_of_an_fmu_is_a_channel(opened):
+    """The rate of a state as the program tells it, a force through an input within it."""
+    file, model, _ = opened["quarter_car_3"]
+    velocity, given = model.rate_name("b"), {"ports": {"b": model.wrapped.pushed[0][1]}}
+    told = spiral.system(str(file), observed=["b", f"body = {velocity}'"], **given)
+    assert told.observed == ("b", "body")
+    assert told.unit_of("body") == told.readings[0].unit
+    assert not failed(check_system(told))
+    effect = load_registry(NO_FOLDER).effect_from_label("cubic_stiffness@b")
+    x, u = np.array([0.02, -0.01, 0.3, 0.1]), [0.02, 0.3]
+    rates = evaluated(told, (effect,), {"cubic_stiffness@b.stiffness": 4e6}, (x, u))[0]
+    traced = trace(told, (effect,))
+    compiled = compile_model(traced)
+    values = [4e6 if k.startswith("cubic") else p.start for k, p in
+              zip(traced.keys, traced.parameters, strict=True)]  # fmt: skip
+    readings = np.empty(2)
+    compiled.output_value(x, np.array(u), np.array(values), readings)
+    assert readings[1] == pytest.approx(rates[traced.states.index(velocity)], rel=1e-12)

@@ -257,3 +257,16 @@ def test_a_node_of_a_structure_may_have_an_accelerometer():
     traced = trace(system, ())
     assert traced.output[0] == traced.rate[traced.states.index("tip_rate")]
     assert not failed(check_system(system))
+
+
+def test_a_function_may_have_an_accelerometer():
+    """Of a function the acceleration is the rate of its velocity."""
+    system = spiral.system(
+        lambda t, x, u, p: [x.v, (u.F - p.k * x.x) / p.m],
+        states={"x": "m", "v": "m/s"}, inputs={"F": "N"}, observed=["a = v'"],
+        parameters={"m": (2.0, "kg"), "k": (800.0, "N/m")},
+    )  # fmt: skip
+    assert system.unit_of("a") == "(m/s)/s"
+    traced = trace(system, ())
+    assert traced.output[0] == traced.rate[traced.states.index("v")]
+    assert traced.accelerated == {"x": 0}
