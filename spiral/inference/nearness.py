@@ -178,6 +178,7 @@ def grown(before: Comparison, after: Comparison, settings: Settings) -> Change |
 
     Random forces move what runs freely, whatever the model: where they, and noise, make as much of
     it as is seen, and the model predicts better over shorter times, the free run is no witness.
+    Forces above ``settings.random_limit`` are no explanation, of this neither.
     The other way round, what wanders at random follows readings more closely than what is constant
     does: where the free run is better and explained by noise, so is a next reading that is missed
     by no more than the sensors' noise.
@@ -186,7 +187,9 @@ def grown(before: Comparison, after: Comparison, settings: Settings) -> Change |
     told = not errs(after, settings)
     shorter = {c.judged for c in judged if c.samples is not None}
     free = {c.judged for c in judged if c.samples is None}
-    chance = told and "better" in shorter and "worse" not in shorter
+    forces = max(random_forces(after).values(), default=0.0)
+    chance = told and forces <= settings.random_limit
+    chance = chance and "better" in shorter and "worse" not in shorter
     noise = settings.chi2_limit * _floor(after, settings) ** 2 if told and "better" in free else 0.0
     for change in judged:
         explained = chance if change.samples is None else change.after**2 <= noise

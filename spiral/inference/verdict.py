@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from spiral.inference.acting import (
+    random_forces,
     random_sentence,
     record_sentence,
 )
@@ -170,7 +171,8 @@ def verdict_sentence(verdict: Verdict, found: Comparison, settings: Settings) ->
 
 def _fits(found: Comparison, settings: Settings) -> bool:
     """Whether what was fitted is explained, whatever the test record says."""
-    return chi2_of(found) <= settings.chi2_limit and white(found, settings)
+    explained = max(random_forces(found).values(), default=0.0) <= settings.random_limit
+    return explained and chi2_of(found) <= settings.chi2_limit and white(found, settings)
 
 
 def _figures(found: Comparison, settings: Settings) -> str:

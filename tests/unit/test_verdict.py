@@ -221,6 +221,24 @@ def test_a_next_reading_missed_by_no_more_than_noise_is_worth_a_free_run_that_no
     assert (None if worse is None else worse.horizon) == where
 
 
+@pytest.mark.parametrize(("force", "where"), [(0.15, None), (0.8, "free_run")])
+def test_random_forces_that_explain_nothing_excuse_no_error(force, where):
+    """They carry the free run as far as it errs, one sample ahead the model is better."""
+    before, after = predicting(0.030, 0.30), predicting(0.020, 0.40)
+    after = replace(after, random={"force.hidden": force}, innovation_chi2=1.0, disturbed=0.35)
+    worse = grown(before, after, SETTINGS)
+    assert (None if worse is None else worse.horizon) == where
+
+
+def test_a_model_that_needs_a_large_random_force_is_no_other_machine():
+    pushed = replace(GOOD, model=seed_model(Oscillator()), fit_error=0.3, test_error=0.4,
+                     random={"force.hidden": 1.0}, innovation_chi2=1.0, disturbed=0.5)  # fmt: skip
+    verdict, words, _ = said((Round(0, (), {}, {}, (), pushed, 1.0),))
+    assert verdict == "unknown_structure"
+    assert "random force of 100 %" in words
+    assert "Another machine" not in words
+
+
 MEMORY = {"memory": {"sentence": "What is missing has memory: at mass."}}
 STANDS_IN = {"memory": {**MEMORY["memory"], "stand_ins": ["cubic_stiffness"]}}
 

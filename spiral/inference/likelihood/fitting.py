@@ -184,9 +184,14 @@ def with_estimate(state: FitState, estimate: Maximum) -> FitState:
 
 def explains(found: LikelihoodFit) -> bool:
     """Whether no more than a small random force acts beside the model."""
+    return largest_force(found) <= LITTLE
+
+
+def largest_force(found: LikelihoodFit) -> float:
+    """The largest random force beside the model, as a share of its own; none is zero."""
     noise = found.estimate.noise
     kinds = ("force", "gust")
-    return all(noise.values[t.size] <= LITTLE for t in noise.terms if t.kind in kinds)
+    return max((noise.values[t.size] for t in noise.terms if t.kind in kinds), default=0.0)
 
 
 def reopened(

@@ -11,7 +11,8 @@ section 7.3). They are taken where they predict the records better by more than 
 of them, each by values of the other, better as well: beside forces that are truly random the two
 differ by less, and one-step predictions are the more precise ones. What a free run misses is
 correlated over long times, so the halves are whole: blocks that alternate would be no witness of
-one another.
+one another. Halves are not asked where a random force would have to be larger than any that
+explains (``settings.random_limit``): then what acts is known not to be random.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     explains,
+    largest_force,
     refitted,
     with_estimate,
 )
@@ -59,6 +61,8 @@ def by_free_runs(assembly: Assembly, found: LikelihoodFit, progress: Progress) -
     ours, theirs = (_missed(f, deaf, None) for f in (found, free))
     if not theirs < _BETTER * ours:
         return found
+    if largest_force(found) > assembly.problem.settings.random_limit:
+        return _with_noise_of(assembly, free, found)
     ours = theirs = 0.0
     for fitted, other in itertools.permutations(_halves(found.estimate.prepared)):
         stepwise = refitted(
