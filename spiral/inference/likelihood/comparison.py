@@ -59,14 +59,14 @@ _COUNTS = 0.005  # share from which what acts at random counts
 
 
 def compared_by_likelihood(
-    assembly: Assembly, found: LikelihoodFit, progress: Progress
+    assembly: Assembly, found: LikelihoodFit, progress: Progress, halves_agree: bool = True
 ) -> tuple[FitState, Comparison]:
     """The state of a fit with what belongs to each record, and its comparison.
 
     What is at random, and what is left, is told beside the most likely values; the model that is
-    shown predicts by those of ``by_free_runs``.
+    shown predicts by those of ``by_free_runs``, to which ``halves_agree`` goes.
     """
-    estimate, free = found.estimate, by_free_runs(assembly, found, progress)
+    estimate, free = found.estimate, by_free_runs(assembly, found, progress, halves_agree)
     state = settled_values(found) if estimate.finite else found.state
     shown = state if free is found else settled_values(free)
     model = _model(assembly, shown, free.estimate)

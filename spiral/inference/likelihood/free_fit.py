@@ -11,8 +11,7 @@ section 7.3). They are taken where they predict the records better by more than 
 of them, each by values of the other, better as well: beside forces that are truly random the two
 differ by less, and one-step predictions are the more precise ones. What a free run misses is
 correlated over long times, so the halves are whole: blocks that alternate would be no witness of
-one another. Halves are not asked where a random force would have to be larger than any that
-explains (``settings.random_limit``): then what acts is known not to be random.
+one another.
 """
 
 from __future__ import annotations
@@ -30,7 +29,6 @@ from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     explains,
-    largest_force,
     refitted,
     with_estimate,
 )
@@ -46,11 +44,14 @@ FREELY = (
 _BETTER = 0.9  # share of the other's error below which values by free runs are taken
 
 
-def by_free_runs(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
+def by_free_runs(
+    assembly: Assembly, found: LikelihoodFit, progress: Progress, halves_agree: bool = True
+) -> LikelihoodFit:
     """The fit with the values that predict best without correction, if these are far better.
 
     Its noise is the most likely one beside them, its standard errors those of the free run
-    (widened by how much blocks of the record differ).
+    (widened by how much blocks of the record differ). Without ``halves_agree`` halves are not
+    asked: data that neither has seen are to decide then.
     """
     if not found.estimate.finite or explains(found) or not found.estimate.keys:
         return found
@@ -61,7 +62,7 @@ def by_free_runs(assembly: Assembly, found: LikelihoodFit, progress: Progress) -
     ours, theirs = (_missed(f, deaf, None) for f in (found, free))
     if not theirs < _BETTER * ours:
         return found
-    if largest_force(found) > assembly.problem.settings.random_limit:
+    if not halves_agree:
         return _with_noise_of(assembly, free, found)
     ours = theirs = 0.0
     for fitted, other in itertools.permutations(_halves(found.estimate.prepared)):

@@ -30,6 +30,7 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     colour,
     is_white,
+    largest_force,
     refitted,
     reopened,
     restarted,
@@ -70,11 +71,12 @@ _BOUND = 0.99  # share of the largest random force from which one stands at its 
 
 
 def settled_on(
-    assembly: Assembly, found: LikelihoodFit, progress: Progress, retired: tuple[str, ...] = ()
-) -> Settled:
+    assembly: Assembly, found: LikelihoodFit, progress: Progress, retired: tuple[str, ...] = (),
+    halves_agree: bool = True,
+) -> Settled:  # fmt: skip
     """A fit on all samples as the state of the study, compared with the test records."""
     found = replace(found, estimate=informed(found.estimate))
-    state, comparison = compared_by_likelihood(assembly, found, progress)
+    state, comparison = compared_by_likelihood(assembly, found, progress, halves_agree)
     details: dict[str, Any] = {"noise": dict(found.estimate.noise.values)}
     if told := told_by_likelihood(assembly, found):
         details[FROM_NONE] = told
@@ -174,11 +176,29 @@ def first_to_pass(
         like, label = chosen.fit.estimate.prepared, chosen.ranked.variant.label
         passed = Passed(chosen, aliases, with_effect(own, state, label, progress, like))
         refusal = _senseless(passed.whole, chosen) or objection(passed.whole)
+        if refusal is not None and refusal.alone:
+            freely = _by_free_runs(passed, progress)
+            if freely is not None and objection(freely.whole) is None:
+                passed, refusal = freely, None
         if refusal is None:
             return RaceOutcome(passed, rejected, likely)
         rejected[chosen.label] = refusal.reason
         likely = likely or (passed if refusal.alone else None)
     return RaceOutcome(None, rejected, likely)
+
+
+def _by_free_runs(passed: Passed, progress: Progress) -> Passed | None:
+    """The same with values that predict best without correction; nothing where it has them.
+
+    Only beside a random force that is no explanation: then one-step predictions are corrected for
+    what is missing, and unseen data decide which values are better.
+    """
+    whole = passed.whole
+    if largest_force(whole.fit) <= whole.assembly.problem.settings.random_limit:
+        return None
+    gone = whole.settled.retired
+    freely = whole_of(whole.assembly, whole.fit, gone, progress, halves_agree=False)
+    return replace(passed, whole=freely)
 
 
 def _senseless(whole: Whole, rival: Rival) -> Refusal | None:
@@ -330,9 +350,10 @@ def _with_shapes(own: Assembly, found: LikelihoodFit, label: str) -> LikelihoodF
 
 
 def whole_of(
-    own: Assembly, found: LikelihoodFit, gone: tuple[str, ...], progress: Progress
-) -> Whole:
+    own: Assembly, found: LikelihoodFit, gone: tuple[str, ...], progress: Progress,
+    halves_agree: bool = True,
+) -> Whole:  # fmt: skip
     """A fit to all samples compared, as the state of a study that has what it holds alone."""
-    settled = settled_on(own, found, progress, gone)
+    settled = settled_on(own, found, progress, gone, halves_agree)
     _, standing = _narrowed(own, settled.standing)
     return Whole(own, found, replace(settled, standing=standing))

@@ -13,7 +13,6 @@ import numpy as np
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.record import Array
 
-
 SENSORS = ("sensor", "accelerometer")
 """What of a node is measured: its displacement, or its acceleration."""
 
