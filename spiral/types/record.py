@@ -157,7 +157,10 @@ def make_record(
     missing = {k: _missing(v) for k, v in given.items()}
     given = {k: bridged(v, missing[k]) for k, v in given.items()}
     _check_series(name, given, known, len(time))
-    spoilt = {k: spoilt_readings(v, known.values(), missing[k]) for k, v in given.items()}
+    jumps = {r.name for r in system.readings}  # an acceleration does, where a force does
+    spoilt = {
+        k: spoilt_readings(v, known.values(), missing[k], k not in jumps) for k, v in given.items()
+    }
     whole = [k for k, some in spoilt.items() if "clipped" not in [s.kind for s in some]]
     extra = [clipping(k, given[k]) for k in whole]
     measured = tuple(known)

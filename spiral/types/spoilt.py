@@ -58,14 +58,15 @@ class Spoilt:
 
 
 def spoilt_readings(
-    values: Array, inputs: Iterable[Array] = (), missing: Array | None = None
+    values: Array, inputs: Iterable[Array] = (), missing: Array | None = None, smooth: bool = True
 ) -> tuple[Spoilt, ...]:
     """What of a channel is no measurement.
 
     Parameters
     ----------
     values : (samples,), bridged where they are ``missing``; nothing else is told of such a channel.
-        inputs : (samples,) each, which may move a reading as a spike does.
+        inputs : (samples,) each, which may move a reading as a spike does. smooth : whether the
+        motion is; a reading that jumps with a force has spikes of its own.
     """
     if missing is not None and missing.any():
         return (Spoilt("missing", missing),)
@@ -79,7 +80,7 @@ def spoilt_readings(
         found = [s for s in (Spoilt("clipped", clipped), Spoilt("held", held))
                  if s.where.mean() <= _MOST_STILL]  # fmt: skip
     gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in found)])
-    spikes = _spikes(bridged(values, gone))
+    spikes = _spikes(bridged(values, gone)) if smooth else np.zeros(len(values), dtype=bool)
     for given in inputs:
         moved = _moves(given)
         spikes &= ~np.convolve(moved, np.ones(5), "same").astype(bool)

@@ -6,7 +6,7 @@ Each term is a Gaussian process of its own, white or a state of the noise z (``k
     coloured  z' = -z / T + w,  std a                measurement noise with correlation time T
     band      B_n(d/dt / w0) z = w                   noise behind a low-pass of corner w0 / 2 pi
     vibration z'' = -2 d w0 z' - w0^2 z + w          a sensor's mount that rings at w0 / 2 pi
-    drift     z' = w,  a per s^(1/2)                 a sensor's zero that wanders
+    drift     z' = w,  a per s^(1/2)                 a sensor's zero that wanders (``accelerates``)
     force     white acceleration                     level as ``spiral.engine.filter.noise`` says
     gust      z' = -z / T + w,  std a                acceleration with correlation time T
 
@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spiral.engine.filter.extended import FilterSettings, block_diagonal
 from spiral.engine.filter.noise import groups, intensity, sampled
@@ -105,6 +106,20 @@ class NoiseModel:
         """Without the terms of these kinds."""
         return self.of(t for t in self.terms if t.kind not in kinds)
 
+    def whitened(self, *kinds: Kind) -> NoiseModel:
+        """Without the terms of these kinds, what is white in their place as large as both.
+
+        White noise that had vanished beside them would not come back: on the logarithmic scale of
+        sizes it has no slope.
+        """
+        less = self.without(*kinds)
+        sizes = dict(less.values)
+        for term in (t for t in self.terms if t.kind in kinds and t.kind != "drift"):
+            white = f"{'force' if term.kind == 'gust' else 'white'}.{term.where}"
+            if white in sizes:
+                sizes[white] = float(np.hypot(sizes[white], self.values[term.size]))
+        return less.with_values(sizes)
+
     def of(self, terms: Iterable[NoiseTerm]) -> NoiseModel:
         """Some of its terms alone."""
         kept = tuple(terms)
@@ -144,6 +159,16 @@ def limits(task: Task, name: str) -> tuple[float, float]:
         length = np.sqrt(task.series.dt * task.series.samples)
         return _LEAST * spread / length, _MOST * spread / length
     return _LEAST * spread, _MOST * spread
+
+
+def accelerates(task: Task) -> NDArray[np.bool_]:
+    """(channels,) whether a reading tells of rates, so that its mean says nothing of the machine.
+
+    A machine that stays where it is has no mean acceleration: what is left of one is the sensor's
+    own, and its drift begins anywhere. Of other sensors it begins at zero; a zero that is off may
+    be a load there.
+    """
+    return felt(task).any(axis=1)
 
 
 def acting_on(task: Task, noise: NoiseModel) -> NoiseModel:
@@ -229,7 +254,8 @@ def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_B
     channel = task.compiled.traced.channels.index(term.where)
     if term.kind == "drift":
         one = np.ones((1, 1))
-        return [_Block(one, one * size**2 * dt, 0.0 * one, channel)]
+        begun = float(task.series.deviations[channel]) if accelerates(task)[channel] else 0.0
+        return [_Block(one, one * size**2 * dt, one * begun**2, channel)]
     if term.kind in ("band", "vibration"):
         return [replace(_filtered(dt, term, values), channel=channel)]
     return [replace(_relaxing(dt, values[term.time], size), channel=channel)]

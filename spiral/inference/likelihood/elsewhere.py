@@ -61,7 +61,7 @@ def from_less_noise(
 
     None where nothing but little acts at random.
     """
-    noise, less = base.estimate.noise, base.estimate.noise.without(*EXTRA)
+    noise, less = base.estimate.noise, base.estimate.noise.whitened(*EXTRA)
     rivals = []
     if len(less.terms) < len(noise.terms):
         progress("trying candidates beside white noise alone")

@@ -264,7 +264,7 @@ def pruned(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Like
         if not noise.has(kind):
             continue
         progress("asking whether less acts at random")
-        less = noise.without(kind)
+        less = noise.whitened(kind)
         worth = _price(noise, less, found.estimate.prepared)
         enough = found.height - worth - float(np.log(_ODDS))
         trial = taken_on(assembly, found, less, rough=True, least=enough)

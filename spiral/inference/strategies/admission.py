@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.likelihood.fit import informed
+from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import Masks, Prepared
 from spiral.inference.acting import random_forces
 from spiral.inference.evidence.assembly import Assembly, offers
@@ -336,6 +337,14 @@ def with_effect(
     found, gone = without_superfluous(own, found, label)
     found, needless = run_otherwise_instead(own, found, progress)
     return whole_of(own, found, (*gone, *needless), progress)
+
+
+def beside_noise(rival: Rival, noise: NoiseModel, progress: Progress) -> Whole:
+    """The model with a candidate, fitted to all samples beside noise whose terms are known."""
+    own, state = _narrowed(rival.assembly, rival.fit.state)
+    found = refitted(own, state, noise, rough=True)
+    found = _with_shapes(own, found, rival.ranked.variant.label)
+    return whole_of(own, taken_on(own, found), (), progress)
 
 
 def _with_shapes(own: Assembly, found: LikelihoodFit, label: str) -> LikelihoodFit:

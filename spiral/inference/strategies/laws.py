@@ -6,28 +6,43 @@ one, then beside it. They go through the scores, the race and the gates of any c
 of a law's free numbers (Schwarz) is its description length. A law is admitted where it leaves
 nothing but noise, and, in place of others, only where the record is more likely with it by
 ``options.odds`` once all numbers are paid for.
+
+A law may be found only because the model's other values were still far off when candidates were
+tried. So the candidates of its place are tried again beside the values that were found with it, and
+one that does as well takes its name.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spiral.engine.likelihood.fit import maximise
 from spiral.engine.likelihood.predict import likelihood_of
 from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.scoring import Ranking
 from spiral.inference.likelihood.candidates import Rival
-from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, price, refitted, subjects
+from spiral.inference.likelihood.fitting import (
+    WARM,
+    LikelihoodFit,
+    price,
+    refitted,
+    subjects,
+    with_estimate,
+)
 from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.nearness import near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import (
+    Passed,
     Refusal,
     Whole,
+    beside_noise,
     first_to_pass,
     offering,
     raced,
@@ -153,8 +168,43 @@ def _from(
     settled, effect = passed.whole.settled, passed.rival.ranked.variant.original
     if effect.label in gone:  # it stands for itself
         return None
+    known = _by_a_candidate(options, assembly, passed, settled, masks, progress)
+    if known is not None:
+        same = (*known.aliases, effect.label, *passed.aliases)
+        passed = replace(known, aliases=tuple(dict.fromkeys(same)))
+        settled, effect = known.whole.settled, known.rival.ranked.variant.original
+    gone = tuple(x for x in gone if x != effect.label)
     settled = replace(settled, retired=(*settled.retired, *gone))
     return NamedLaw(effect, passed.aliases, ranked, run.tried, settled)
+
+
+def _by_a_candidate(
+    options: LikelihoodOptions, assembly: Assembly, law: Passed, settled: Settled,
+    masks: tuple[Masks, Masks], progress: Progress,
+) -> Passed | None:  # fmt: skip
+    """A candidate at a law's place that does as well beside the values found with the law."""
+    own, effect, state = law.whole.assembly, law.rival.ranked.variant.original, settled.standing
+    system = assembly.problem.model.system
+    at = system.place(effect)
+    known = tuple(
+        e for e in assembly.problem.candidates
+        if isinstance(e, ForceEffect | StateFlow) and not e.states and system.place(e) == at
+    )  # fmt: skip
+    if not known or state.noise is None:
+        return None
+    progress(f"asking which candidates do as well as {effect.label}")
+    bare = let_go(own, law.whole.fit.state, (law.rival.ranked.variant.label,))
+    estimate = maximise(subjects(own, bare), (), state.noise, {}, masks[0], tune=False)
+    start = LikelihoodFit(with_estimate(bare, estimate), estimate)
+    found = raced(offering(own, known), start, masks[0], progress, options.rivals)
+    least = settled.details["log_likelihood"] - np.log(options.odds)
+    winners = () if found is None else found[0].winners()
+    for rival, _ in itertools.islice(winners, options.judged):
+        whole = beside_noise(rival, state.noise, progress)
+        white = near_noise(whole.settled.comparison, assembly.problem.settings)
+        if white and whole.settled.details.get("log_likelihood", -np.inf) >= least:
+            return Passed(rival, (), whole)
+    return None
 
 
 def _stands(
