@@ -102,9 +102,10 @@ def system(
     ConfigError : a line that cannot be followed, units that do not fit, a name that is not known.
     InputError : a file that cannot be read.
     """
+    observed = [observed] if isinstance(observed, str) else list(observed)
     given = {
         "title": title or None, "states": states or {}, "inputs": inputs, "parameters": parameters,
-        "observed": list(observed), "free": list(free) or None, "ports": ports, "mass": mass,
+        "observed": observed, "free": list(free) or None, "ports": ports, "mass": mass,
     }  # fmt: skip
     given = {k: v for k, v in given.items() if v is not None}
     return _of_function(source, given) if callable(source) else _of_file(str(source), given)

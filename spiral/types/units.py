@@ -6,6 +6,7 @@ Speed is converted explicitly: pint would take 1 Hz as 1 rad/s.
 from __future__ import annotations
 
 import math
+import re
 from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
@@ -24,6 +25,8 @@ from spiral.types.port import At, Port
 from spiral.types.rates import per_second
 from spiral.types.system import MechanicalSystem, System
 
+_POWER = re.compile(r"([A-Za-zµΩ])(-?\d)\b")
+_GRAVITY = {"g": 9.80665, "mg": 9.80665e-3}  # of an acceleration, where pint reads grams
 _PER_TURN = {"rpm": 2 * math.pi / 60, "hz": 2 * math.pi, "rps": 2 * math.pi, "1/s": 2 * math.pi}
 
 
@@ -71,15 +74,20 @@ def base_form(unit: str) -> tuple[float, dict[str, int]] | None:
     return step, {k: int(v) for k, v in powers.items()}
 
 
+def spelled(unit: str) -> str:
+    """A unit as pint reads it, of what people write: ``m/s^2``, ``m/s2``, ``m s-2``."""
+    return _POWER.sub(r"\1**\2", unit.replace("^", "**"))
+
+
 def _parse(unit: str) -> Any:
     """A unit; where a port has none, its place in a relative unit is empty: ``()/()``."""
     import pint
 
     unit = unit.replace("()", "(dimensionless)")
     try:
-        return registry().Unit(unit.replace("^", "**").replace("1*", "") or "")
+        return registry().Unit(spelled(unit).replace("1*", "") or "")
     except (pint.UndefinedUnitError, pint.errors.DefinitionSyntaxError, ValueError, TypeError):
-        return registry().parse_expression(unit.replace("^", "**")).units
+        return registry().parse_expression(spelled(unit)).units
 
 
 def factor(given: str, wanted: str, what: str) -> float:
@@ -94,12 +102,14 @@ def factor(given: str, wanted: str, what: str) -> float:
     if wanted == "rad/s" and given.strip().lower() in _PER_TURN:
         return _PER_TURN[given.strip().lower()]
     try:
-        return float(registry().Quantity(1.0, given.replace("^", "**")).to(wanted).magnitude)
+        if given.strip() in _GRAVITY and _parse(wanted).is_compatible_with("m/s**2"):
+            return _GRAVITY[given.strip()] * factor("m/s^2", wanted, what)
+        return float(registry().Quantity(1.0, spelled(given)).to(spelled(wanted)).magnitude)
     except pint.UndefinedUnitError as error:
         raise InputError(
             f"unit {given!r} of {what}",
             f"a unit of {wanted!r}",
-            "write it as in 'um', 'mm/s', 'rpm', 'Hz', 'V'",
+            "write it as in 'um', 'mm/s', 'm/s^2', 'rpm', 'Hz', 'V'",
         ) from error
     except (pint.DimensionalityError, pint.OffsetUnitCalculusError) as error:
         raise InputError(

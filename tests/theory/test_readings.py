@@ -22,6 +22,7 @@ from spiral.engine.series import prepare
 from spiral.engine.start import motion
 from spiral.engine.study import CompiledStudy
 from spiral.inference.likelihood.scores import motion_of
+from spiral.io.readers.dialect import is_unit
 from spiral.io.registry import NO_FOLDER, load_registry
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
@@ -30,6 +31,7 @@ from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError, SpiralError
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
+from spiral.types.units import factor
 
 TWO = {
     "equations": [
@@ -63,7 +65,7 @@ def equations(given, **changed):
 def test_channels_may_be_accelerations_and_formulas_with_units_of_their_own():
     system = equations(TWO)
     assert system.observed == ("z", "x_acceleration", "mount")
-    assert [system.unit_of(c) for c in system.observed] == ["m", "(m)/s^2", "N"]
+    assert [system.unit_of(c) for c in system.observed] == ["m", "m/s^2", "N"]
     traced = trace(system, ())
     x = {"x": 0.01, "z": -0.02, "x_rate": 0.3, "z_rate": 0.5}
     symbols = {**dict(zip(traced.x, (x[n] for n in traced.states), strict=True)), traced.u[0]: 7.0}
@@ -96,7 +98,7 @@ def test_a_rate_of_first_order_is_a_reading():
         "parameters": {"C": "50 J/K", "h": "0.5 W/K"}, "observed": ["T'"],
     })  # fmt: skip
     assert system.observed == ("T_rate",)
-    assert system.unit_of("T_rate") == "(K)/s"
+    assert system.unit_of("T_rate") == "K/s"
     with pytest.raises(ConfigError, match="of a coordinate"):
         equations({
             "equations": ["C*T' = P - h*T"], "states": {"T": "K"}, "inputs": {"P": "W"},
@@ -266,7 +268,21 @@ def test_a_function_may_have_an_accelerometer():
         states={"x": "m", "v": "m/s"}, inputs={"F": "N"}, observed=["a = v'"],
         parameters={"m": (2.0, "kg"), "k": (800.0, "N/m")},
     )  # fmt: skip
-    assert system.unit_of("a") == "(m/s)/s"
+    assert system.unit_of("a") == "m/s^2"
     traced = trace(system, ())
     assert traced.output[0] == traced.rate[traced.states.index("v")]
     assert traced.accelerated == {"x": 0}
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted", "due"),
+    [("g", "m/s^2", 9.80665), ("mg", "mm/s^2", 9.80665), ("m/s2", "m/s^2", 1.0),
+     ("m s-2", "m/s^2", 1.0), ("cm/s2", "m/s^2", 0.01), ("g", "kg", 1e-3)],
+)  # fmt: skip
+def test_units_of_accelerations_are_read_as_people_write_them(given, wanted, due):
+    assert factor(given, wanted, "a") == pytest.approx(due)
+    assert is_unit(given)
+
+
+def test_a_distance_without_sign_has_a_unit():
+    assert equations(TWO, observed=["gap = abs(x - z)"]).unit_of("gap") == "m"

@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spiral.engine.filter.extended import FilterSettings, block_diagonal
 from spiral.engine.filter.noise import groups, intensity, sampled
@@ -161,14 +160,14 @@ def limits(task: Task, name: str) -> tuple[float, float]:
     return _LEAST * spread, _MOST * spread
 
 
-def accelerates(task: Task) -> NDArray[np.bool_]:
+def accelerates(task: Task) -> Array:
     """(channels,) whether a reading tells of rates, so that its mean says nothing of the machine.
 
     A machine that stays where it is has no mean acceleration: what is left of one is the sensor's
     own, and its drift begins anywhere. Of other sensors it begins at zero; a zero that is off may
     be a load there.
     """
-    return felt(task).any(axis=1)
+    return np.any(felt(task) != 0, axis=1)
 
 
 def acting_on(task: Task, noise: NoiseModel) -> NoiseModel:

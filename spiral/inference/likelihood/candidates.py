@@ -254,7 +254,7 @@ def first_steps(
         fit = refitted(
             own, state, noise, masks, steps, True, kept, differences=False, like=at.prepared
         )
-        return _rival(own, base, ranked, fit)
+        return rival_of(own, base, ranked, fit)
 
     one = taken(wider, at.noise, _HEAT, at.kept)
     if start is not None or explains(base) or explains(one.fit):
@@ -306,10 +306,10 @@ def _further(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Riv
             plain = replace(fit, estimate=replace(fit.estimate, noise=less))
         plain = _taken(own, plain, masks, steps, fit.height)
         if plain.height >= fit.height:
-            return _rival(own, base, rival.ranked, plain, rival.shapes)
+            return rival_of(own, base, rival.ranked, plain, rival.shapes)
     found = _taken(own, fit, masks, steps)
     fit = found if found.height >= fit.height else fit
-    return replace(_rival(own, base, rival.ranked, fit, rival.shapes), plain=plain)
+    return replace(rival_of(own, base, rival.ranked, fit, rival.shapes), plain=plain)
 
 
 def _reopened(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
@@ -317,7 +317,7 @@ def _reopened(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
     fit = reopened(rival.assembly, rival.fit, masks, _RACE)
     if fit is rival.fit:
         return rival
-    return _rival(rival.assembly, base, rival.ranked, fit, rival.shapes)
+    return rival_of(rival.assembly, base, rival.ranked, fit, rival.shapes)
 
 
 def _taken(
@@ -348,7 +348,7 @@ def _freed(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
     fit = with_own_shapes(own, rival.fit, variant.effect, variant.tuned, masks, _RACE)
     if fit is rival.fit:
         return rival
-    return _rival(own, base, rival.ranked, fit, len(variant.tuned))
+    return rival_of(own, base, rival.ranked, fit, len(variant.tuned))
 
 
 def _of_other_shapes(assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
@@ -364,9 +364,10 @@ def _of_other_shapes(assembly: Assembly, base: LikelihoodFit, rival: Rival, mask
     return _in_order([rival, *(_further(base, r, masks, _RACE) for r in heated)])[0]
 
 
-def _rival(
+def rival_of(
     assembly: Assembly, base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit, shapes: int = 0
 ) -> Rival:
+    """A fit with a candidate held against the model as it is; ``shapes`` of it were searched."""
     gain = fit.height - base.height
     worth = gain - price(len(ranked.columns) + shapes, fit.estimate.prepared)
     return Rival(assembly, ranked, fit, gain, worth, shapes)

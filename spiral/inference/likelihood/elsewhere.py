@@ -6,7 +6,9 @@ missing effect makes nothing more likely, although from another both come right 
 - *values*: it may explain much by values far from those given, an exchange that runs one way only
   in place of a loss that is not in proportion. So candidates are tried from the values given;
 - *noise*: coloured noise or a drift may take a sensor's offset, and a random force whatever a force
-  leaves. So candidates are tried from white noise alone, and from sensor noise alone.
+  leaves. So candidates are tried from white noise alone, and from sensor noise alone. Where noise
+  is slow, the likeliest of them has the noise that the record wants beside it, as the model as it
+  is has its own: beside white noise alone a constant is worth less than noise that has its colour.
 
 Schwarz's price and the other half of the blocks judge them like any other, against the model as it
 is.
@@ -19,11 +21,11 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.likelihood.fit import maximise
-from spiral.engine.likelihood.noise import EXTRA, first_noise
+from spiral.engine.likelihood.noise import EXTRA, first_noise, limits
 from spiral.engine.likelihood.predict import Masks
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.likelihood.candidates import Rival, first_steps, promising
+from spiral.inference.likelihood.candidates import Rival, first_steps, promising, rival_of
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     WARM,
@@ -34,11 +36,14 @@ from spiral.inference.likelihood.fitting import (
     subjects,
     with_estimate,
 )
+from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.likelihood.scores import ranking
 from spiral.inference.likelihood.starts import sensors_alone
 from spiral.inference.problem import Progress
+from spiral.types.noise import COLOURED
 
 _BEHIND = 2.0  # factor by which a fitted value differs from the one given that is left behind
+_LASTING = 0.5  # share of the longest correlation time from which noise is as good as constant
 _MOST = 4  # candidates refitted from each of these fits
 
 
@@ -65,14 +70,35 @@ def from_less_noise(
     rivals = []
     if len(less.terms) < len(noise.terms):
         progress("trying candidates beside white noise alone")
-        rivals += _from(
+        white = _from(
             assembly, base, refitted(assembly, base.state, less, masks, WARM, True), masks
         )
+        if white and _slow(base):
+            best = max(white, key=lambda r: r.worth)
+            white.append(_with_own_noise(base, best, masks, progress))
+        rivals += white
     if not explains(base):
         progress("trying candidates beside sensor noise alone")
         deaf = refitted(assembly, base.state, sensors_alone(base), masks, WARM, True)
         rivals += _from(assembly, base, deaf, masks)
     return rivals
+
+
+def _slow(found: LikelihoodFit) -> bool:
+    """Whether noise of a sensor hardly moves within the record, as its zero does."""
+    noise, task = found.estimate.noise, found.estimate.prepared[0][0]
+    times = {t.time for t in noise.terms if t.kind in COLOURED}
+    lasting = any(noise.values[n] >= _LASTING * limits(task, n)[1] for n in times)
+    return lasting or noise.has("drift")
+
+
+def _with_own_noise(base: LikelihoodFit, rival: Rival, masks: Masks, progress: Progress) -> Rival:
+    """A rival beside the noise that the record wants with it."""
+    own = rival.assembly
+    whole = refitted(own, rival.fit.state, rival.fit.estimate.noise, steps=WARM, rough=True)
+    climbed = climbed_ladder(own, whole, progress)
+    fit = refitted(own, climbed.state, masks=masks, steps=WARM, rough=True)
+    return rival_of(own, base, rival.ranked, fit, rival.shapes)
 
 
 def _from(

@@ -264,10 +264,10 @@ def units_in(names: Iterable[str]) -> dict[str, str]:
 
 def is_unit(text: str) -> bool:
     """Whether ``text`` names a unit, ``rpm`` and ``1/min`` among them."""
-    from spiral.types.units import registry
+    from spiral.types.units import registry, spelled
 
     try:
-        registry().Unit(text.replace("^", "**"))
+        registry().Unit(spelled(text))
     except Exception:  # pint's parser raises what Python's tokenizer does
         return text.lower() in ("rpm", "hz", "rps", "1/s")
     return True

@@ -19,7 +19,7 @@ from functools import lru_cache
 
 from spiral.physics.formulas import syntax
 from spiral.types.errors import ConfigError, InputError
-from spiral.types.units import factor, registry, short_form
+from spiral.types.units import factor, registry, short_form, spelled
 
 Exponents = Mapping[str, Fraction]
 
@@ -58,7 +58,7 @@ def dimension(unit: str) -> Dimension:
     if not unit:
         return NONE
     try:
-        found = registry().Quantity(1.0, unit.replace("^", "**")).dimensionality
+        found = registry().Quantity(1.0, spelled(unit)).dimensionality
     except Exception as error:  # pint's parser raises what Python's tokenizer does
         raise ConfigError(f"unit {unit!r}", "a unit such as 'N/m^3'") from error
     exponents = {k: Fraction(v).limit_denominator(24) for k, v in found.items()}

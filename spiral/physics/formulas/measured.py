@@ -20,6 +20,7 @@ from spiral.physics.formulas.rows import (
 )
 from spiral.types.errors import ConfigError
 from spiral.types.parameter import State
+from spiral.types.units import short_form
 
 
 def readings_of(
@@ -59,14 +60,17 @@ def _unit(given: SystemDefinition, value: sp.Expr, units: Mapping[str, str], tex
     wanted = walk.of(syntax.read(text), text)
     if not wanted.known:
         return ""
+    usual = [u for u in ("N", "N*m", *given.units.values()) if u and dimension(u) == wanted]
     term = sp.Add.make_args(sp.expand(value))[0]
     powers = [(str(s), e) for s, e in term.as_powers_dict().items() if s.is_Symbol]
     unit = "*".join(f"({units[n] or '1'})^({e})" for n, e in powers)
     if [e for _, e in powers] == [1]:
         unit = units[powers[0][0]]
-    if not unit or dimension(unit) != wanted:
-        raise ConfigError(f"{text!r}, whose unit is not plain", "a product, or a sum of products")
-    for usual in ("N", "N*m", *(u for u in given.units.values() if u)):
-        if dimension(usual) == wanted and abs(size_of(usual) / size_of(unit) - 1) < 1e-9:
-            return usual
-    return unit
+    if unit and dimension(unit) == wanted:
+        same = [u for u in usual if abs(size_of(u) / size_of(unit) - 1) < 1e-9]
+        return same[0] if same else short_form(unit)
+    if usual and all(size_of(u) == 1.0 for u in units.values()):  # |x - z|: all is SI
+        return usual[0]
+    raise ConfigError(
+        f"{text!r}, whose unit is not plain", "a product, or a sum of products, or units of SI"
+    )

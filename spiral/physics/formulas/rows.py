@@ -148,12 +148,12 @@ def _agree(rate: str, unit: str, due: str) -> None:
 @lru_cache(maxsize=512)
 def size_of(unit: str) -> float:
     """How many SI units one of these is."""
-    from spiral.types.units import registry
+    from spiral.types.units import registry, spelled
 
     if not unit:
         return 1.0
     try:
-        return float(registry().Quantity(1.0, unit.replace("^", "**")).to_base_units().magnitude)
+        return float(registry().Quantity(1.0, spelled(unit)).to_base_units().magnitude)
     except Exception as error:  # degrees Celsius have an offset
         raise ConfigError(f"unit {unit!r}", "one without an offset", "K for a temperature") from (
             error
