@@ -1,22 +1,30 @@
 """Laws with a closed form: right as effects, and named where the catalog does not know them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import sympy as sp
+from spiral_plugins.strategies.likelihood import Likelihood
 
 import spiral
 from experiments.laws.bench import asked, records_of
 from experiments.laws.truth import CASES, draw, motion
+from spiral.inference.evidence.fit_state import half_masks
+from spiral.inference.likelihood.fitting import WARM, refitted
+from spiral.inference.problem import silent
+from spiral.inference.strategies.laws import named_law
+from spiral.io.question import put
 from spiral.io.storage import model_data, model_from
 from spiral.io.testing import check_effect, failed
 from spiral.physics.formulas.laws import FLOWS, FRICTIONS, SPRINGS, laws_of
 from spiral.physics.trace import trace
-from spiral.types.model import Model
+from spiral.types.model import Model, seed_model
 from spiral.types.port import At
 from spiral.types.units import check_units
 from tests.scenes import registry
+from tests.theory.test_likelihood import TRUTH, record_of
 
 OSCILLATOR = registry().make("system", "oscillator")
 VESSEL = records_of("hill", 1, 1.0)[0]
@@ -99,6 +107,27 @@ def test_the_sine_of_a_double_angle_is_named_in_closed_form():
     truth = draw("double_angle", 3)[0]["a"]
     assert abs(found["a"].estimate + truth) < 3 * found["a"].se
     assert run.final.test_error < 1.1 * run.final.noise_floor
+
+
+def test_a_law_that_a_candidate_explains_as_well_takes_its_name():
+    """Asked for laws at once, a machine with a clearance: the dead zone is the same function."""
+    truth = {"clearance.stiffness": 3000.0, "clearance.gap": 0.03, "clearance.width": 0.0}
+    effect = registry().effect_from_label("clearance")
+    record = record_of(3, 2000, 0.01, (effect,), truth)
+    known = tuple(TRUTH)  # else a spring that yields beside a stiffer one is the same function
+    model = replace(seed_model(OSCILLATOR, values=TRUTH), fixed=known)
+    problem = put(registry(), model, (replace(record, noise={}),), None,
+                  candidates=("clearance", "cubic_stiffness"))  # fmt: skip
+    begun, options = Likelihood().begin(problem, silent), Likelihood()
+    masks = half_masks(begun.assembly)
+    base = refitted(begun.assembly, begun.standing, masks=masks[0], steps=WARM, rough=True)
+    law = named_law(options, begun.assembly, begun.standing, base, False, begun.comparison,
+                    masks, 0.01, silent)  # fmt: skip
+    assert law is not None
+    assert law.effect.label == "clearance"
+    assert "dead_zone_law" in law.aliases
+    found = law.settled.comparison.model.values
+    assert found["clearance.gap"] == pytest.approx(0.03, rel=0.02)
 
 
 def test_a_law_is_saved_with_its_formula_and_read_again():

@@ -131,6 +131,18 @@ def states_alone(task, settings):
     return states
 
 
+def test_white_noise_takes_the_place_of_terms_that_go():
+    """What had vanished beside them has no slope on a logarithmic scale."""
+    terms = tuple(NoiseTerm(k, w) for k, w in (("white", "x"), ("force", "observed"), ("band", "x"),
+                                               ("gust", "observed"), ("drift", "x")))  # fmt: skip
+    values = {"white.x": 1e-7, "force.observed": 0.03, "band.x": 0.02, "band.time": 0.1,
+              "gust.observed": 0.04, "gust.time": 1.0, "drift.x": 5.0}  # fmt: skip
+    noise = NoiseModel(terms, values)
+    less = noise.whitened("band", "gust", "drift")
+    assert less.values == pytest.approx({"white.x": 0.02, "force.observed": 0.05})
+    assert {t.kind for t in noise.whitened("band").terms} == {"white", "force", "gust", "drift"}
+
+
 def test_a_missing_reading_takes_no_part():
     record = record_of(1, samples=200)
     task, settings = task_of(record)

@@ -286,3 +286,20 @@ def test_units_of_accelerations_are_read_as_people_write_them(given, wanted, due
 
 def test_a_distance_without_sign_has_a_unit():
     assert equations(TWO, observed=["gap = abs(x - z)"]).unit_of("gap") == "m"
+
+
+def test_the_zero_of_an_accelerometer_is_told_from_slow_noise():
+    """Noise behind a filter with a bias under it: first taken for noise that hardly moves."""
+    system, record = shaken(7)
+    rng = np.random.default_rng(8)
+    slow, white = np.zeros(len(record.time)), rng.normal(size=len(record.time))
+    for k in range(1, len(slow)):
+        slow[k] = 0.6 * slow[k - 1] + white[k]
+    clean = record.channels["a"]
+    told = clean + 0.01 * clean.std() * slow / slow.std() + 0.4
+    biased = make_record(system, "biased", record.time, {"a": told}, dict(record.inputs))
+    run = spiral.discover(biased, system, plugins=NO_FOLDER)
+    assert run.missing == ("offset",)
+    found = run.model.estimates()["offset"]["offset"]
+    assert abs(found.estimate - 0.4) < 3 * found.se + 1e-3
+    assert run.final.test_error < 1.2 * run.final.noise_floor

@@ -168,7 +168,7 @@ def _from(
     settled, effect = passed.whole.settled, passed.rival.ranked.variant.original
     if effect.label in gone:  # it stands for itself
         return None
-    known = _by_a_candidate(options, assembly, passed, settled, masks, progress)
+    known = _by_a_candidate(options, assembly, start, passed, masks, progress)
     if known is not None:
         same = (*known.aliases, effect.label, *passed.aliases)
         passed = replace(known, aliases=tuple(dict.fromkeys(same)))
@@ -179,28 +179,30 @@ def _from(
 
 
 def _by_a_candidate(
-    options: LikelihoodOptions, assembly: Assembly, law: Passed, settled: Settled,
+    options: LikelihoodOptions, assembly: Assembly, without: _Start, law: Passed,
     masks: tuple[Masks, Masks], progress: Progress,
 ) -> Passed | None:  # fmt: skip
     """A candidate at a law's place that does as well beside the values found with the law."""
-    own, effect, state = law.whole.assembly, law.rival.ranked.variant.original, settled.standing
+    own, effect = law.whole.assembly, law.rival.ranked.variant.original
+    settled, noise = law.whole.settled, law.whole.fit.estimate.noise
     system = assembly.problem.model.system
-    at = system.place(effect)
+    at = system.place(effect).name
     known = tuple(
         e for e in assembly.problem.candidates
-        if isinstance(e, ForceEffect | StateFlow) and not e.states and system.place(e) == at
+        if isinstance(e, ForceEffect | StateFlow) and not e.states and system.place(e).name == at
     )  # fmt: skip
-    if not known or state.noise is None:
+    if not known:
         return None
     progress(f"asking which candidates do as well as {effect.label}")
     bare = let_go(own, law.whole.fit.state, (law.rival.ranked.variant.label,))
-    estimate = maximise(subjects(own, bare), (), state.noise, {}, masks[0], tune=False)
+    first = without.base.estimate.noise
+    estimate = maximise(subjects(own, bare), (), first, {}, masks[0], WARM, rough=True)
     start = LikelihoodFit(with_estimate(bare, estimate), estimate)
     found = raced(offering(own, known), start, masks[0], progress, options.rivals)
     least = settled.details["log_likelihood"] - np.log(options.odds)
     winners = () if found is None else found[0].winners()
     for rival, _ in itertools.islice(winners, options.judged):
-        whole = beside_noise(rival, state.noise, progress)
+        whole = beside_noise(rival, noise, progress)
         white = near_noise(whole.settled.comparison, assembly.problem.settings)
         if white and whole.settled.details.get("log_likelihood", -np.inf) >= least:
             return Passed(rival, (), whole)
