@@ -103,6 +103,9 @@ def system(
     InputError : a file that cannot be read.
     """
     observed = [observed] if isinstance(observed, str) else list(observed)
+    if strange := [o for o in observed if not isinstance(o, str | Mapping)]:
+        expected = "text: a state, x', x'' or NAME = FORMULA"
+        raise ConfigError(f"observed: {strange[0]!r}", expected, 'observed=["a = v\'"]')
     given = {
         "title": title or None, "states": states or {}, "inputs": inputs, "parameters": parameters,
         "observed": observed, "free": list(free) or None, "ports": ports, "mass": mass,

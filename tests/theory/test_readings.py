@@ -303,3 +303,12 @@ def test_the_zero_of_an_accelerometer_is_told_from_slow_noise():
     found = run.model.estimates()["offset"]["offset"]
     assert abs(found.estimate - 0.4) < 3 * found.se + 1e-3
     assert run.final.test_error < 1.2 * run.final.noise_floor
+
+
+def test_readings_are_text_alone_or_named_in_yaml():
+    assert equations(TWO, observed=["x", {"load": "k*(x - z)"}]).observed == ("x", "load")
+    given = {"states": {"x": "m", "v": "m/s"}, "parameters": {"k": (2.0, "1/s^2")}}
+    rhs = lambda t, x, u, p: [x.v, -p.k * x.x]  # noqa: E731
+    assert spiral.system(rhs, **given, observed="a = v'").observed == ("a",)
+    with pytest.raises(SpiralError, match="NAME = FORMULA"):
+        spiral.system(rhs, **given, observed=[rhs])

@@ -6,7 +6,7 @@ Each term is a Gaussian process of its own, white or a state of the noise z (``k
     coloured  z' = -z / T + w,  std a                measurement noise with correlation time T
     band      B_n(d/dt / w0) z = w                   noise behind a low-pass of corner w0 / 2 pi
     vibration z'' = -2 d w0 z' - w0^2 z + w          a sensor's mount that rings at w0 / 2 pi
-    drift     z' = w,  a per s^(1/2)                 a sensor's zero that wanders (``accelerates``)
+    drift     z' = w,  a per s^(1/2)                 a sensor's zero that wanders
     force     white acceleration                     level as ``spiral.engine.filter.noise`` says
     gust      z' = -z / T + w,  std a                acceleration with correlation time T
 
@@ -160,16 +160,6 @@ def limits(task: Task, name: str) -> tuple[float, float]:
     return _LEAST * spread, _MOST * spread
 
 
-def accelerates(task: Task) -> Array:
-    """(channels,) whether a reading tells of rates, so that its mean says nothing of the machine.
-
-    A machine that stays where it is has no mean acceleration: what is left of one is the sensor's
-    own, and its drift begins anywhere. Of other sensors it begins at zero; a zero that is off may
-    be a load there.
-    """
-    return np.any(felt(task) != 0, axis=1)
-
-
 def acting_on(task: Task, noise: NoiseModel) -> NoiseModel:
     """The noise without forces on states that a model does not have.
 
@@ -253,8 +243,7 @@ def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_B
     channel = task.compiled.traced.channels.index(term.where)
     if term.kind == "drift":
         one = np.ones((1, 1))
-        begun = float(task.series.deviations[channel]) if accelerates(task)[channel] else 0.0
-        return [_Block(one, one * size**2 * dt, one * begun**2, channel)]
+        return [_Block(one, one * size**2 * dt, 0.0 * one, channel)]
     if term.kind in ("band", "vibration"):
         return [replace(_filtered(dt, term, values), channel=channel)]
     return [replace(_relaxing(dt, values[term.time], size), channel=channel)]

@@ -224,7 +224,11 @@ def _texts(given: Mapping[str, Any], name: str) -> tuple[str, ...]:
     found = [found] if isinstance(found, str) else found
     if not isinstance(found, list | tuple) or not found:
         raise ConfigError(f"{name}: {found!r}", "a list with at least one", f"{name}: [...]")
-    return tuple(map(str, found))
+    texts: list[str] = []
+    for one in found:  # ``load: k*x`` in YAML is as good as "load = k*x"
+        pairs = one.items() if isinstance(one, Mapping) else ()
+        texts += [f"{k} = {v}" for k, v in pairs] or [str(one)]
+    return tuple(texts)
 
 
 def _described(section: str, name: str, given: Any, known: tuple[str, ...]) -> dict[str, Any]:
