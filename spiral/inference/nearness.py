@@ -170,8 +170,12 @@ def predicts_nothing(found: Comparison, settings: Settings) -> bool:
 
     Noise that would be most of what a sensor shows explains nothing.
     """
-    drowned = any(v > settings.noise_limit for v in coloured_noise(found).values())
-    return not found.test_error < 1.0 and (drowned or errs(found, settings))
+    return not found.test_error < 1.0 and (drowned(found, settings) or errs(found, settings))
+
+
+def drowned(found: Comparison, settings: Settings) -> bool:
+    """Whether the noise of a sensor would be most of what it shows: such noise explains nothing."""
+    return any(v > settings.noise_limit for v in coloured_noise(found).values())
 
 
 def grown(before: Comparison, after: Comparison, settings: Settings) -> Change | None:

@@ -157,10 +157,7 @@ def make_record(
     missing = {k: _missing(v) for k, v in given.items()}
     given = {k: bridged(v, missing[k]) for k, v in given.items()}
     _check_series(name, given, known, len(time))
-    jumps = {r.name for r in system.readings}  # an acceleration does, where a force does
-    spoilt = {
-        k: spoilt_readings(v, known.values(), missing[k], k not in jumps) for k, v in given.items()
-    }
+    spoilt = _spoilt(system, given, known, missing)
     whole = [k for k, some in spoilt.items() if "clipped" not in [s.kind for s in some]]
     extra = [clipping(k, given[k]) for k in whole]
     measured = tuple(known)
@@ -178,6 +175,17 @@ def make_record(
         spoilt={k: some for k, some in spoilt.items() if some},
         hold=held,
     )
+
+
+def _spoilt(
+    system: System, given: Mapping[str, Array], known: Mapping[str, Array],
+    missing: Mapping[str, Array | None],
+) -> dict[str, tuple[Spoilt, ...]]:  # fmt: skip
+    """What of each channel is no measurement; an acceleration jumps where a force does."""
+    jumps = {r.name for r in system.readings}
+    return {
+        k: spoilt_readings(v, known.values(), missing[k], k not in jumps) for k, v in given.items()
+    }
 
 
 def _checked_hold(system: System, hold: Mapping[str, str] | str) -> dict[str, Interpolation]:

@@ -49,7 +49,7 @@ from spiral.inference.likelihood.starts import (
     rebalanced,
     resolved_in_time,
 )
-from spiral.inference.nearness import grown
+from spiral.inference.nearness import drowned, grown
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import Settled
 from spiral.inference.strategies.needed import (
@@ -299,6 +299,8 @@ def unhelpful(
             "model has not found its values, or is of another machine",
             alone=True,
         )
+    if drowned(after, settings) and not drowned(before, settings):
+        return Refusal("with it the noise of a sensor would be most of what it shows", alone=True)
     judged_ = changes(before.unseen, after.unseen)
     if (worse := grown(before, after, settings)) is not None:
         said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
