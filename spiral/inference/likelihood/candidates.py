@@ -300,7 +300,7 @@ def added(assembly: Assembly, state: FitState, ranked: Ranked, far: bool = False
 def _further(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Rival:
     """A rival's fit taken on, with less at random where the record is as likely so."""
     own, fit, plain = rival.assembly, rival.fit, rival.plain
-    noise, less = fit.estimate.noise, fit.estimate.noise.whitened(*EXTRA)
+    noise, less = fit.estimate.noise, fit.estimate.noise.without(*EXTRA)
     if len(less.terms) < len(noise.terms):
         if plain is None or plain.state.freed != fit.state.freed:
             plain = replace(fit, estimate=replace(fit.estimate, noise=less))
