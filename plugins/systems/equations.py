@@ -89,9 +89,7 @@ class Equations(MechanicalSystem):
         values |= {name + FIRST: rate for name, rate in vars(rates).items()}
         for c in self.coordinates:
             values[c.name + SECOND] = getattr(rates, self.rate_name(c.name))
-        texts = [text for _, text in self.form.readings]
-        names = (state.name for state, _ in self.form.readings)
-        return dict(zip(names, _computed(texts, values), strict=True))
+        return {state.name: _computed([text], values)[0] for state, text in self.form.readings}
 
     @property
     def inputs(self):

@@ -30,7 +30,7 @@ from spiral.types.run import Comparison
 _STRETCHES = 6.6  # times the variance that random forces are expected to make of one free run
 _HALF = 0.5  # of all that moves, missed one sample ahead: no model of a machine that runs away
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
-_CHANCE = 2.0  # standard errors that an error grows by chance once in forty, at each horizon
+_CHANCE = 2.0  # standard errors that an error ahead grows by chance once in forty
 _COLOUR = 0.25  # share of what is left, half its deviation, up to which its own past may tell it
 
 
@@ -196,8 +196,18 @@ def grown(before: Comparison, after: Comparison, settings: Settings) -> Change |
     chance = told and forces <= settings.random_limit
     chance = chance and "better" in shorter and "worse" not in shorter
     noise = settings.chi2_limit * _floor(after, settings) ** 2 if told and "better" in free else 0.0
-    for change in (c for c in judged if c.after - c.before > _CHANCE * c.standard_error):
+    for change in (c for c in judged if c.judged == "worse" and not _by_chance(c)):
         explained = chance if change.samples is None else change.after**2 <= noise
-        if change.judged == "worse" and not explained:
+        if not explained:
             return change
     return None
+
+
+def _by_chance(change: Change) -> bool:
+    """Whether a finite error some time ahead grew by no more than it does by chance.
+
+    A free run is excused by what noise and random forces make of it, and by nothing else.
+    """
+    grew = change.after - change.before
+    ahead = change.samples is not None and bool(np.isfinite(grew))
+    return ahead and grew <= _CHANCE * change.standard_error

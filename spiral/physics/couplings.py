@@ -23,7 +23,7 @@ from spiral.types.system import System, has_coordinates
 
 @dataclass(frozen=True)
 class StateNode:
-    """A coordinate with its rate, or a state of first order; one that no sensor sees is hidden."""
+    """A coordinate with its rate, or a state of first order; hidden where no channel is either."""
 
     name: str
     unit: str
@@ -50,6 +50,15 @@ class Feed:
 
 
 @dataclass(frozen=True)
+class Reading:
+    """A channel that is no state (an acceleration, a force), and the nodes that it is made of."""
+
+    name: str
+    unit: str
+    touches: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Acting:
     """An effect: whether it was added to what the system begins with, inputs read, own states."""
 
@@ -63,13 +72,14 @@ class Acting:
 class EffectPlace:
     """Where effects act: a ``port``, ``flow``, ``input`` or ``sensor``; ``touches`` names nodes.
 
-    Of an input it names the input.
+    Of an input it names the input; of sensors ``channels`` are what they report.
     """
 
     name: str
     kind: str
     touches: tuple[str, ...]
     effects: tuple[Acting, ...]
+    channels: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,6 +91,7 @@ class Couplings:
     links: tuple[Link, ...]
     inputs: tuple[Feed, ...]
     places: tuple[EffectPlace, ...]
+    readings: tuple[Reading, ...] = ()
 
 
 def couplings_of(model: Model) -> Couplings:
@@ -98,12 +109,23 @@ def couplings_of(model: Model) -> Couplings:
         Feed(i.name, i.unit, tuple(n for n in known if {i.name, i.rate.name} & rows[n]))
         for i in system.inputs
     )
-    return Couplings(system.plugin_name(), nodes, links, feeds, _places(model, known))
+    readings = tuple(
+        Reading(r.name, r.unit, _made_of(system, traced, r.name, known))
+        for r in system.readings
+        if r.name in system.observed
+    )
+    return Couplings(system.plugin_name(), nodes, links, feeds, _places(model, known), readings)
+
+
+def _made_of(system: System, traced: Traced, channel: str, known: Sequence[str]) -> tuple[str, ...]:
+    """The nodes that a channel is, or that a reading is made of."""
+    told = [state for name, state, _ in traced.told if name == channel]
+    return _of_nodes(system, told or [channel], known)
 
 
 def _nodes(system: System) -> tuple[StateNode, ...]:
     """Coordinates, then states of first order; a rate is part of its coordinate."""
-    seen = trace(system, ()).told_of
+    seen = set(system.observed)
     own = system.coordinates if has_coordinates(system) else ()
     rates = {c.name: system.rate_name(c.name) for c in own}
     return tuple(
@@ -133,14 +155,20 @@ def _places(model: Model, known: Sequence[str]) -> tuple[EffectPlace, ...]:
     """The system's ports, free ones too; then where else an effect of the model acts."""
     system, seed = model.system, {e.label for e in model.system.seed}
     found = {("port", p.name): (_touched(system, p, known), []) for p in _open(system)}
+    channels: dict[str, tuple[str, ...]] = {}
     for effect in model.effects:
         kind, name, touched = _where(system, effect, known)
+        if kind == "sensor":
+            channels[name] = system.place(effect).axes
         acting = Acting(
             effect.label, effect.label not in seed, tuple(i for i in effect.inputs if i != TIME),
             tuple(s.name for s in effect.states),
         )  # fmt: skip
         found.setdefault((kind, name), (touched, []))[1].append(acting)
-    return tuple(EffectPlace(n, k, touched, tuple(e)) for (k, n), (touched, e) in found.items())
+    return tuple(
+        EffectPlace(n, k, touched, tuple(e), channels.get(n, ()))
+        for (k, n), (touched, e) in found.items()
+    )
 
 
 def _open(system: System) -> tuple[Port, ...]:
@@ -159,7 +187,9 @@ def _where(
     if isinstance(effect, InputEffect):
         return "input", port.name, port.axes
     if isinstance(effect, SensorEffect):
-        return "sensor", port.name, _of_nodes(system, port.axes, known)
+        traced = trace(system, ())
+        made = (n for axis in port.axes for n in _made_of(system, traced, axis, known))
+        return "sensor", port.name, tuple(dict.fromkeys(made))
     if isinstance(effect, StateFlow):
         return "flow", ", ".join(port.axes), port.axes
     return "port", port.name, _touched(system, port, known)

@@ -62,10 +62,8 @@ def own_readings(
 
 def reading_slopes(
     system: System, states: Array, rates: Array, inputs: Array, parameters: list[float]
-) -> Array | None:
-    """(samples, channels, n) H along states and rates (samples, n); none where all are states."""
-    if not system.readings:
-        return None
+) -> Array:
+    """(samples, channels, n) H along states and rates (samples, n)."""
     found = np.zeros((len(states), len(system.observed), states.shape[1]))
     for channel, state, function in _slopes(system):
         found[:, channel, state] = function(*states.T, *rates.T, *inputs.T, *parameters)

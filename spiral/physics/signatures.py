@@ -48,8 +48,8 @@ class Along:
     ``states`` (samples, n) of the system alone, ``inputs`` (samples, input columns), ``rates``
     (samples, n) and ``readings`` (samples, channels) of the model as it is, ``values`` of the
     system's parameters by name, ``by_input`` slopes of the rates (samples, n) and the readings
-    (samples, channels) by each input that an actuator may change; ``dt`` in s between samples;
-    ``known`` keeps what all effects of a place share.
+    (samples, channels) by each input that an actuator may change; ``reading_rates`` (samples,
+    channels) where readings are no states; ``known`` keeps what all effects of a place share.
     """
 
     system: System
@@ -59,7 +59,7 @@ class Along:
     readings: Array
     values: Mapping[str, float]
     by_input: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
-    dt: float = 1.0
+    reading_rates: Array | None = None
     known: dict[str, Any] = field(default_factory=dict, compare=False)
 
     def part(self, where: slice) -> Along:
@@ -67,6 +67,7 @@ class Along:
         return replace(
             self, states=self.states[where], inputs=self.inputs[where], rates=self.rates[where],
             readings=self.readings[where], known={},
+            reading_rates=None if self.reading_rates is None else self.reading_rates[where],
             by_input={k: (a[where], b[where]) for k, (a, b) in self.by_input.items()},
         )  # fmt: skip
 
@@ -126,10 +127,10 @@ def signatures(
     )))  # fmt: skip
     for j, p in enumerate(units):
         rates[:, :, j] = _applied(gain, _injected(along, effect, port, u, p, hidden))
-    felt = along.once("felt", lambda: reading_slopes(
-        system, along.states, along.rates, along.inputs, along.parameters
-    ))  # fmt: skip
-    if felt is not None:
+    if system.readings:
+        felt = along.once("felt", lambda: reading_slopes(
+            system, along.states, along.rates, along.inputs, along.parameters
+        ))  # fmt: skip
         for j in range(len(units)):
             readings[:, :, j] = _applied(felt, rates[:, :, j])
     return rates, readings
@@ -191,8 +192,9 @@ def _shown(along: Along, port: Port) -> tuple[Array, Array]:
             at = names.index(channel)
             pairs.append((along.states[:, at], along.rates[:, at]))
         else:
-            told = along.readings[:, system.observed.index(channel)]
-            pairs.append((told, np.gradient(told, along.dt)))
+            assert along.reading_rates is not None
+            at = system.observed.index(channel)
+            pairs.append((along.readings[:, at], along.reading_rates[:, at]))
     return np.stack([a for a, _ in pairs], axis=1), np.stack([b for _, b in pairs], axis=1)
 
 

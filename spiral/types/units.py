@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
@@ -21,11 +22,12 @@ from spiral.types.effect import (
     StateFlow,
 )
 from spiral.types.errors import ConfigError, InputError, PluginError
+from spiral.types.parameter import Parameter, State
 from spiral.types.port import At, Port
 from spiral.types.rates import per_second
 from spiral.types.system import MechanicalSystem, System
 
-_POWER = re.compile(r"([A-Za-zµΩ])(-?\d)\b")
+_POWER = re.compile(r"(?<=[/* ])([A-Za-zµΩ]+)(-?\d)\b")  # beside another unit: T2 may be a name
 _GRAVITY = {"g": 9.80665, "mg": 9.80665e-3}  # of an acceleration, where pint reads grams
 _PER_TURN = {"rpm": 2 * math.pi / 60, "hz": 2 * math.pi, "rps": 2 * math.pi, "1/s": 2 * math.pi}
 
@@ -159,10 +161,8 @@ def check_system_units(system: MechanicalSystem) -> None:
     import pint
 
     coordinates, name = system.coordinates, system.plugin_name()
-    q = SimpleNamespace(**{c.name: _quantity(c.unit) for c in (*coordinates, *system.others)})
-    v = SimpleNamespace(**{c.name: _quantity(per_second(c.unit)) for c in coordinates})
-    p = SimpleNamespace(**{k.name: _quantity(k.unit) for k in system.parameters})
-    u = _inputs(system)
+    q, p = _quantities((*coordinates, *system.others)), _quantities(system.parameters)
+    v, u = _quantities(coordinates, per_second), _inputs(system)
     try:
         force, mass = system.force(q, v, u, p), system.mass(q, p)
         flows = system.flows(q, v, u, p)
@@ -194,9 +194,8 @@ def check_reading_units(system: System) -> None:
     if not system.readings:
         return
     name = system.plugin_name()
-    x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states})
-    rates = SimpleNamespace(**{s.name: _quantity(per_second(s.unit)) for s in system.states})
-    p = SimpleNamespace(**{k.name: _quantity(k.unit) for k in system.parameters})
+    x, p = _quantities(system.states), _quantities(system.parameters)
+    rates = _quantities(system.states, per_second)
     try:
         given = system.reading(x, rates, _inputs(system), p)
     except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
@@ -227,6 +226,13 @@ def units_fit(system: System, effect: Effect) -> bool:
     except Exception:  # broken in itself, whatever the units: tracing it says so
         return True
     return True
+
+
+def _quantities(
+    items: Iterable[State | Parameter], of: Callable[[str], str] = str
+) -> SimpleNamespace:
+    """One of each by its name, in its unit or a unit made ``of`` it."""
+    return SimpleNamespace(**{i.name: _quantity(of(i.unit)) for i in items})
 
 
 def _quantity(unit: str, size: float = 1.25) -> Any:

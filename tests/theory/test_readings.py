@@ -26,7 +26,7 @@ from spiral.io.readers.dialect import is_unit
 from spiral.io.registry import NO_FOLDER, load_registry
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
-from spiral.physics.signatures import signatures
+from spiral.physics.signatures import Along, at_port_along, signatures
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError, SpiralError
 from spiral.types.model import seed_model
@@ -282,6 +282,21 @@ def test_a_function_may_have_an_accelerometer():
 def test_units_of_accelerations_are_read_as_people_write_them(given, wanted, due):
     assert factor(given, wanted, "a") == pytest.approx(due)
     assert is_unit(given)
+
+
+@pytest.mark.parametrize("name", ["T2", "A2", "m1"])
+def test_a_name_in_brackets_is_no_power_of_a_unit(name):
+    assert not is_unit(name)
+
+
+def test_a_reading_s_rate_is_there_for_a_stretch_of_one_sample():
+    """Scores go through a record in pieces, the last of which may be one sample long."""
+    readings = np.linspace(0.0, 1.0, 5)[:, None] ** 2
+    none, rates = np.zeros((5, 2)), np.gradient(readings, 0.1, axis=0)
+    along = Along(equations(ONE), none, none, none, readings, {}, reading_rates=rates)
+    position, velocity = at_port_along(along.part(slice(4, 5)), Delay())
+    assert position.shape == velocity.shape == (1, 1)
+    assert velocity[0, 0] == rates[4, 0]
 
 
 def test_a_distance_without_sign_has_a_unit():

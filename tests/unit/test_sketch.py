@@ -77,6 +77,29 @@ def test_a_tank_flows_into_the_next_and_not_back():
     }
 
 
+def test_sensors_that_report_no_state_have_boxes_of_their_own():
+    text = """
+equations: ["m*x'' + k*x + q*(x - z) = F", "n*z'' + q*(z - x) = 0"]
+states: {x: m, z: m}
+inputs: {F: N}
+parameters: {m: 2 kg, n: 1 kg, k: 2000 N/m, q: 1500 N/m}
+observed: ["x''", "mount = q*(x - z)"]
+"""
+    plain = graph(Equations(text=text))
+    assert [(n.name, n.measured) for n in plain.nodes] == [("x", False), ("z", False)]
+    assert [(r.name, r.touches) for r in plain.readings] == [
+        ("x_acceleration", ("x",)), ("mount", ("x", "z"))
+    ]  # fmt: skip
+    said = " ".join(told(asdict(plain)))
+    assert "The sensor mount tells of x and z." in said
+    assert "Hidden" not in said
+    drawn = sketch(asdict(plain))
+    assert drawn.count(">mount (N)<") == drawn.count(">x acceleration (m/s²)<") == 1
+    late = graph(Equations(text=text), Delay(port="mount"))
+    assert places(late)["sensor", "sensors mount"][0] == ("x", "z")
+    assert sketch(asdict(late)).count(">sensor mount") == 1
+
+
 def test_a_state_that_another_follows_is_told_one_way(tmp_path):
     (tmp_path / "rc.yaml").write_text(
         "states: {u: V, w: V}\ninputs: {e: V}\nparameters: {a: 2 1/s}\nobserved: [w]\n"

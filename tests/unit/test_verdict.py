@@ -198,6 +198,9 @@ def test_no_words_of_success_beside_figures_of_failure(stopped, chi2, error):
             assert not success
 
 
+SIGNS = (1, -1) * 10
+
+
 def predicting(next_reading, freely):
     """A model with these errors on unseen data, one sample ahead and running freely."""
     errors = (("one_sample", 1, next_reading), ("free_run", None, freely))
@@ -228,6 +231,31 @@ def test_random_forces_that_explain_nothing_excuse_no_error(force, where):
     after = replace(after, random={"force.hidden": force}, innovation_chi2=1.0, disturbed=0.35)
     worse = grown(before, after, SETTINGS)
     assert (None if worse is None else worse.horizon) == where
+
+
+@pytest.mark.parametrize(
+    ("ahead", "freely", "where"),
+    [(0.0210, 0.30, None), (0.0225, 0.30, "one_sample"), (0.0210, 0.315, "free_run")],
+)
+def test_an_error_ahead_grows_by_chance_up_to_two_standard_errors_a_free_run_up_to_one(
+    ahead, freely, where
+):
+    """Of 20 blocks, errors of 0.020 and 0.30 before, with standard errors of 0.001 and 0.01."""
+    before = predicting(0.020, 0.30)
+    told = zip(before.unseen, (ahead, freely), (0.001, 0.01), strict=True)
+    unseen = tuple(
+        replace(h, squares={"x": tuple(e**2 + d * (e + h.error) * np.sqrt(19) * s for s in SIGNS)})
+        for h, e, d in told
+    )
+    worse = grown(before, replace(before, unseen=unseen, test_error=freely), SETTINGS)
+    assert (None if worse is None else worse.horizon) == where
+
+
+@pytest.mark.parametrize("lost", [np.inf, np.nan])
+def test_an_error_that_leaves_all_bounds_has_grown(lost):
+    worse = grown(predicting(0.02, 0.10), predicting(0.02, lost), SETTINGS)
+    assert worse is not None
+    assert worse.horizon == "free_run"
 
 
 def test_a_model_that_needs_a_large_random_force_is_no_other_machine():

@@ -80,6 +80,17 @@ class Task:
         """What noise adds over a sample at these values, by its intensity (``filter.noise``)."""
         return {}
 
+    @cached_property
+    def felt(self) -> Array:
+        """(channels, n) what rates at the centre add to readings at once (``physics.readings``)."""
+        system, own = self.model.system, len(self.model.system.states)
+        found = np.zeros((len(self.compiled.traced.channels), len(self.states)))
+        if system.readings:
+            at, rates, inputs = self.centre[None, :own], np.zeros((1, own)), self.mean_inputs[None]
+            values = list(self.at([f"system.{p.name}" for p in system.parameters]))
+            found[:, :own] = reading_slopes(system, at, rates, inputs, values)[0]
+        return found
+
     def at(self, keys: Sequence[str]) -> Array:
         """Values of these parameters."""
         return self.values[[self.keys.index(k) for k in keys]]
@@ -234,21 +245,6 @@ def reading_rows(task: Task) -> Array:
         task.centre.copy(), u, np.ascontiguousarray(task.values), np.empty(m), rows, by_values
     )
     return rows
-
-
-def felt(task: Task) -> Array:
-    """(channels, n) what rates add to readings at once, there (``physics.readings``)."""
-    system, own = task.model.system, len(task.model.system.states)
-    found = np.zeros((len(task.compiled.traced.channels), len(task.states)))
-    if not system.readings:
-        return found
-    values = [task.values[task.keys.index(f"system.{p.name}")] for p in system.parameters]
-    slopes = reading_slopes(
-        system, task.centre[None, :own], np.zeros((1, own)), task.mean_inputs[None], values
-    )
-    if slopes is not None:
-        found[:, :own] = slopes[0]
-    return found
 
 
 def _settled(

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
-from spiral.engine.filter.task import Task, felt, linearised, reading_rows
+from spiral.engine.filter.task import Task, linearised, reading_rows
 from spiral.engine.likelihood.noise import NoiseModel, matrices
 from spiral.types.noise import COLOURED
 from spiral.types.record import Array
@@ -41,7 +41,7 @@ def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel, samples
     f[:n, n:] = 0.5 * dt * (flow @ parts.driven + parts.driven)
     q, p = parts.q[np.ix_(kept, kept)], np.zeros((n + k, n + k))
     p[n:, n:] = parts.p[-k:, -k:] if k else 0.0
-    seen = np.hstack([reading_rows(task), felt(task) @ parts.driven])
+    seen = np.hstack([reading_rows(task), parts.seen])
     count = min(samples, _MOST)
     with np.errstate(all="ignore"):
         run = _stretch(f, q, seen, count)

@@ -28,7 +28,7 @@ import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, block_diagonal
 from spiral.engine.filter.noise import groups, intensity, sampled
-from spiral.engine.filter.task import Task, felt
+from spiral.engine.filter.task import Task
 from spiral.types.noise import COLOURED, Kind
 from spiral.types.record import Array
 
@@ -186,8 +186,7 @@ def matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> Matrice
     n, channels = len(task.states), task.compiled.traced.channels
     white = [noise.values.get(f"white.{c}", 0.0) for c in channels]
     levels = {t.where: noise.values[t.size] for t in noise.terms if t.kind == "force"}
-    reached = felt(task)
-    steady = np.where(reached.any(axis=0), 0.0, intensity(task, levels))
+    steady = np.where(task.felt.any(axis=0), 0.0, intensity(task, levels))
     q = block_diagonal(sampled(task, steady), settings.wander)
     p = block_diagonal(settings.covariance, settings.doubt**2)
     blocks = [b for t in noise.terms for b in _blocks(task, t, noise.values)]
@@ -202,7 +201,7 @@ def matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> Matrice
             seen[block.channel, part.start] = 1.0
         else:
             driven[block.state, part.start] = 1.0
-    seen += reached @ driven
+    seen += task.felt @ driven
     size = len(q) + k
     whole, start = np.zeros((size, size)), np.zeros((size, size))
     whole[: len(q), : len(q)], whole[len(q) :, len(q) :] = q, added
@@ -230,8 +229,10 @@ class _Block:
 def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_Block]:
     dt, size = task.series.dt, values[term.size]
     if term.kind == "force":
+        at_once = np.flatnonzero(task.felt.any(axis=0))
+        if not at_once.size:
+            return []
         spread = np.sqrt(intensity(task, {term.where: size}) / dt)
-        at_once = np.flatnonzero(felt(task).any(axis=0))
         return [replace(_held(spread[i]), state=int(i)) for i in at_once if spread[i] > 0]
     if not term.states:
         return []

@@ -271,8 +271,8 @@ def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
         by_input[port.axes[0]] = (more, told)
     known = dict(zip(task.keys, map(float, task.values), strict=True))
     values = {p.name: known[f"system.{p.name}"] for p in system.parameters}
-    dt = task.series.dt
-    return Along(system, rows[:, :n], inputs, rates, readings, values, by_input, dt)
+    moved = np.gradient(readings, task.series.dt, axis=0) if system.readings else None
+    return Along(system, rows[:, :n], inputs, rates, readings, values, by_input, moved)
 
 
 def _columns(

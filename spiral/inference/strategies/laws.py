@@ -170,8 +170,7 @@ def _from(
         return None
     known = _by_a_candidate(options, assembly, start, passed, masks, progress)
     if known is not None:
-        same = (*known.aliases, effect.label, *passed.aliases)
-        passed = replace(known, aliases=tuple(dict.fromkeys(same)))
+        passed = replace(known, aliases=(effect.label, *passed.aliases))
         settled, effect = known.whole.settled, known.rival.ranked.variant.original
     gone = tuple(x for x in gone if x != effect.label)
     settled = replace(settled, retired=(*settled.retired, *gone))

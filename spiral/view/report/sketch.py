@@ -95,9 +95,13 @@ def figure(graph: Any) -> str:
 
 def told(graph: Mapping[str, Any]) -> list[str]:
     """The sketch in sentences."""
+    readings = graph.get("readings", ())  # a run that was saved before has none
+    behind = {n for r in readings for n in r["touches"]}
     seen = [n["name"] for n in graph["nodes"] if n["measured"]]
-    hidden = [n["name"] for n in graph["nodes"] if not n["measured"]]
+    hidden = [n["name"] for n in graph["nodes"] if not n["measured"] and n["name"] not in behind]
     said = [f"Measured: {_listed(seen)}."] if seen else []
+    said += [f"The sensor {words(r['name'])} tells of {_listed(r['touches'])}."
+             for r in readings if r["touches"]]  # fmt: skip
     said += [f"Hidden, seen by no sensor: {_listed(hidden)}."] if hidden else []
     said += [_input_told(graph, feed) for feed in graph["inputs"]]
     links = graph["links"]
@@ -157,6 +161,7 @@ def _node_lines(node: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _recorded(graph: Mapping[str, Any]) -> list[_Box]:
     """Inputs, then sensors; an effect on either stands in its box."""
     acts = {(p["kind"], p["name"]): p for p in graph["places"]}
+    readings = graph.get("readings", ())
     boxes = []
     for feed in graph["inputs"]:
         unit = pretty(feed["unit"])
@@ -167,14 +172,20 @@ def _recorded(graph: Mapping[str, Any]) -> list[_Box]:
     taken: set[str] = set()
     for place in graph["places"]:
         if place["kind"] == "sensor":
-            names = _listed(place["touches"] or [place["name"]])
-            lines = [(f"sensor of {names}", "head"), *_effects(place)]
+            told = [r["name"] for r in readings if r["name"] in place["channels"]]
+            names = _listed(told or place["touches"] or [place["name"]])
+            lines = [(f"sensor {'' if told else 'of '}{names}", "head"), *_effects(place)]
             boxes.append(_Box(("sensor", place["name"]), lines, double=True))
-            taken |= {*place["touches"]}
+            taken |= {*told} or {*place["touches"]}
     for node in graph["nodes"]:
         if node["measured"] and node["name"] not in taken:
             lines = [(f"sensor of {words(node['name'])}", "head")]
             boxes.append(_Box(("sensor of", node["name"]), lines, double=True))
+    for reading in (r for r in readings if r["name"] not in taken):
+        unit = pretty(reading["unit"])
+        head = f"{words(reading['name'])}{f' ({unit})' if unit else ''}"
+        lines = [(head, "head"), ("sensor", "soft")]
+        boxes.append(_Box(("reading", reading["name"]), lines, double=True))
     return boxes
 
 
@@ -213,6 +224,7 @@ def _wishes(graph: Mapping[str, Any], boxes: Sequence[_Box]) -> list[tuple[_Box,
     """Each box with the states that it would stand beside."""
     into = {("input", f["name"]): f["into"] for f in graph["inputs"]}
     into |= {(p["kind"], p["name"]): p["touches"] for p in graph["places"] if p["kind"] != "input"}
+    into |= {("reading", r["name"]): r["touches"] for r in graph.get("readings", ())}
     return [(b, into.get(b.key, (b.key[1],))) for b in boxes]
 
 
