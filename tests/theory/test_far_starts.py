@@ -3,9 +3,29 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lsim
 
 import spiral
 from spiral.types.record import make_record
+
+
+_SHIP = """
+equations:
+  - I*phi'' + J*tau'' + c*phi' + K*phi + kt*tau = M
+  - J*phi'' + Jt*tau'' + ct*tau' + kt*tau + kt*phi = 0
+states: {phi: rad, tau: rad}
+inputs: {M: N*m}
+parameters:
+  I: 2.4 kg*m^2
+  J: 0.10 kg*m^2
+  Jt: 0.12 kg*m^2
+  c: 0.53 N*m*s/rad
+  K: 13.0 N*m/rad
+  ct: 0.035 N*m*s/rad
+  kt: 0.70 N*m/rad
+free: [c, K, ct, kt]
+observed: [phi]
+"""
 
 
 def _held(rng, count, shortest, longest, low, high):
@@ -96,3 +116,31 @@ def test_a_substrate_that_nobody_sees_begins_where_it_was():
         ))  # fmt: skip
     found = spiral.compare(records[0], system, test=records[1])
     assert found.test_error < 1.5 * found.noise_floor
+
+
+def test_an_absorber_is_not_lost_beside_a_sensor_that_drifts(tmp_path):
+    """A ship and the tank in its hull that nobody sees; the inclinometer drifts.
+
+    While the drift is no part of the noise the tank comes to rest to explain it, and stays there.
+    """
+    dt, count, rng = 0.05, 1500, np.random.default_rng(1)
+    t = dt * np.arange(count)
+    tones = np.geomspace(0.12, 1.0, 24) * (1 + 0.05 * rng.uniform(-1, 1, 24))
+    moment = np.sin(2 * np.pi * np.outer(t, tones) + rng.uniform(0, 2 * np.pi, 24)).sum(axis=1)
+    moment *= 1.2 / moment.std()
+    mass = np.array([[2.4, 0.10], [0.10, 0.12]])
+    stiff, damped = np.array([[14.0, 0.75], [0.75, 0.75]]), np.diag([0.45, 0.03])
+    slopes = np.block([[np.zeros((2, 2)), np.eye(2)],
+                       [-np.linalg.solve(mass, stiff), -np.linalg.solve(mass, damped)]])  # fmt: skip
+    drive = np.r_[0.0, 0.0, np.linalg.solve(mass, [1.0, 0.0])][:, None]
+    _, roll, _ = lsim((slopes, drive, [[1.0, 0, 0, 0]], [[0.0]]), moment, t)
+    wander = np.sin(2 * np.pi * 0.8 * t / t[-1] + 2.0) + 0.8 * t / t[-1]
+    read = roll + roll.std() * (0.015 * rng.normal(size=count) + 0.04 * wander)
+    file = tmp_path / "ship.yaml"
+    file.write_text(_SHIP)
+    system = spiral.system(file)
+    record = make_record(system, "basin", t, {"phi": read}, {"M": moment})
+    found = spiral.compare(record, system, holdout=0.3).model.estimates()["system"]
+    for name, true in {"c": 0.45, "K": 14.0, "ct": 0.03, "kt": 0.75}.items():
+        assert found[name].estimate == pytest.approx(true, abs=4 * found[name].se)
+    assert found["kt"].estimate == pytest.approx(0.75, rel=0.05)

@@ -328,8 +328,41 @@ def test_random_forces_move_a_free_run_as_far_as_it_says():
         record = shaken(seed, 0.05)
         task, settings = task_of(record)
         misses.append(record.truth["x"] - states_alone(task, settings)[:, 0])
-    expected = free_spread(task, settings, first_noise(task, 0.05), task.series.samples)
-    assert np.sqrt(np.mean(np.square(misses))) == pytest.approx(expected[0], rel=0.15)
+    spread = free_spread(task, settings, first_noise(task, 0.05))[:, 0]
+    assert np.sqrt(np.mean(np.square(misses))) == pytest.approx(
+        np.sqrt(np.mean(spread**2)), rel=0.15
+    )
+
+
+def test_a_free_run_is_carried_no_further_than_two_motions_differ():
+    """Forces many times the machine's own: sqrt(2) of what the reading does, and no more."""
+    record = record_of(0)
+    task, settings = task_of(record)
+    spread = free_spread(task, settings, first_noise(task, 50.0))[:, 0]
+    most = np.sqrt(2) * np.std(record.channels["x"])
+    assert spread[0] == 0.0
+    assert 0.5 * most < np.median(spread) <= np.max(spread) <= most * (1 + 1e-9)
+
+
+def test_a_force_with_a_memory_carries_a_free_run_as_a_linear_machine_says():
+    """Covariances of oscillator and force together, P <- F P F^T + Q, from a machine at rest."""
+    task, settings = task_of(record_of(0))
+    noise = first_noise(task, 0.0).added(
+        (NoiseTerm("gust", "observed"),), {"gust.observed": 0.2, "gust.time": 5 * task.series.dt}
+    )
+    spread = free_spread(task, settings, noise)[:, 0]
+    dt, time = task.series.dt, noise.values["gust.time"]
+    a = np.zeros((3, 3))
+    a[:2, :2] = linearised(task.compiled, task.values, task.mean_inputs, task.centre)
+    flow, p, said = expm(a * dt), np.zeros((3, 3)), []
+    size = 0.2 * task.rates[1]
+    flow[:2, 2] = flow[:2, :2] @ [0, dt]
+    flow[2, 2], p[2, 2] = np.exp(-dt / time), size**2
+    for _ in range(task.series.samples):
+        said.append(np.sqrt(p[0, 0]))
+        p = flow @ p @ flow.T
+        p[2, 2] = size**2
+    assert np.sqrt(np.mean(spread**2)) == pytest.approx(np.sqrt(np.mean(np.square(said))), rel=0.1)
 
 
 @pytest.mark.parametrize("kind", ["white", "coloured", "alone", "drift", "vibration"])

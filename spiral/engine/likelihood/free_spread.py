@@ -1,83 +1,84 @@
 """How far random forces carry a free run, which no reading corrects, from the motion without them.
 
-About the machine's mean motion, with A its slope there and the noise states z of ``noise``,
+Motions are drawn from one start x_0 and compared with that without forces,
 
-    P_{k+1} = F P_k F^T + Q,    F = exp(A dt) with what z pushes,    P_0 = 0 but for z,
+    x_{k+1} = f(x_k, u_k) + D z_k dt + w_k,    z_{k+1} = Phi z_k + v_k,
 
-so that reading j is off by sqrt(mean_k (c_j P_k c_j^T)). Of a machine whose slope changes much
-along its motion this is the order of magnitude. The sum is taken by doubling: over m samples
-
-    P_m = A P_0 A^T + W,    sum_k c_j P_k c_j^T = <G_j, P_0> + u_j,    A = F^m
-
-and two such stretches, one after the other, make a third.
+f the machine's own integration over a sample, w white, and z the forces with a memory as the
+``noise`` has them; reading j is then off by sqrt(mean (h_j(x) + s_j z - h_j(x without))^2), at most
+by sqrt(2) of its deviation: as far as two motions differ that know nothing of one another. Nothing
+is linearised: where teeth are passed or a contact opens slopes say nothing of how far a machine is
+carried. The same numbers are drawn for the same record whatever the sizes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
-from spiral.engine.filter.task import Task, linearised, reading_rows
-from spiral.engine.likelihood.noise import NoiseModel, matrices
+from spiral.engine.filter.task import Task
+from spiral.engine.likelihood.noise import Matrices, NoiseModel, matrices
 from spiral.types.noise import COLOURED
 from spiral.types.record import Array
 
-_MOST = 20_000  # samples after which it does not grow any more
+_STEPS = 200_000  # of integration for all motions together
+_FEWEST, _MOST = 8, 64  # motions that are drawn
 
 
-def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel, samples: int) -> Array:
-    """(channels,) rms over so many samples; infinite where the machine is not stable."""
-    from scipy.linalg import expm
+def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel) -> Array:
+    """(samples, channels) rms of what a free run that begins at ``settings.start`` is off by.
 
-    forces = noise.without(*COLOURED, "drift")
-    parts = matrices(task, settings, forces)
-    n, k, dt = len(task.states), len(parts.phi), task.series.dt
-    kept = np.r_[:n, len(parts.q) - k : len(parts.q)]  # without tracked parameters
-    flow = expm(linearised(task.compiled, task.values, task.mean_inputs, task.centre) * dt)
-    f = np.zeros((n + k, n + k))
-    f[:n, :n], f[n:, n:] = flow, parts.phi
-    f[:n, n:] = 0.5 * dt * (flow @ parts.driven + parts.driven)
-    q, p = parts.q[np.ix_(kept, kept)], np.zeros((n + k, n + k))
-    p[n:, n:] = parts.p[-k:, -k:] if k else 0.0
-    seen = np.hstack([reading_rows(task), parts.seen])
-    count = min(samples, _MOST)
-    with np.errstate(all="ignore"):
-        run = _stretch(f, q, seen, count)
-        found = np.sqrt((np.einsum("jab,ab->j", run.slopes, p) + run.sums) / count)
-    return np.where(np.isfinite(found), found, np.inf)
-
-
-@dataclass(frozen=True)
-class _Stretch:
-    """m samples: ``flow`` A, ``added`` W, ``slopes`` G (channels, n, n) and ``sums`` u."""
-
-    flow: Array
-    added: Array
-    slopes: Array
-    sums: Array
-
-    def then(self, other: _Stretch) -> _Stretch:
-        """One stretch and another after it."""
-        return _Stretch(
-            other.flow @ self.flow,
-            other.flow @ self.added @ other.flow.T + other.added,
-            self.slopes + self.flow.T @ other.slopes @ self.flow,
-            self.sums + other.sums + np.einsum("jab,ab->j", other.slopes, self.added),
-        )
-
-
-def _stretch(f: Array, q: Array, seen: Array, samples: int) -> _Stretch:
-    """So many samples of P <- F P F^T + Q, at least one, by doubling.
-
-    ``seen`` (channels, n) are the rows c_j of the readings.
+    It is as large as it can be from where a motion leaves all bounds.
     """
-    rows, added = seen @ f, np.einsum("ja,ab,jb->j", seen, q, seen)
-    double = _Stretch(f, q, np.einsum("ja,jb->jab", rows, rows), added)
-    whole = double if samples % 2 else None
-    while samples := samples // 2:
-        double = double.then(double)
-        if samples % 2:
-            whole = double if whole is None else whole.then(double)
-    return double if whole is None else whole
+    most = np.sqrt(2.0) * task.series.deviations
+    parts, n = matrices(task, settings, noise.without(*COLOURED, "drift")), len(task.states)
+    steps = (task.series.samples - 1) * task.series.substeps
+    count = int(np.clip(_STEPS // max(steps, 1), _FEWEST, _MOST))
+    rng, total = np.random.default_rng(0), np.zeros_like(task.series.y)
+    white = _root(parts.q[:n, :n], task.scales)
+    usual = _motion(task, settings.start, np.zeros((steps, n)))
+    for _ in range(count):
+        pushes, read = _forced(task, parts, white, rng)
+        with np.errstate(all="ignore"):
+            miss = _motion(task, settings.start, pushes) + read - usual
+        total += np.minimum(np.nan_to_num(miss**2, nan=np.inf, posinf=np.inf), most**2)
+    return np.sqrt(total / count)
+
+
+def _motion(task: Task, start: Array, kicks: Array) -> Array:
+    """(samples, channels) readings of one motion; infinite from where it leaves all bounds."""
+    from spiral.engine.filter.stochastic_kernel import wander
+
+    series = task.series
+    states, readings = np.empty((series.samples, len(task.states))), np.full_like(series.y, np.inf)
+    wander(
+        task.compiled.rate_value, task.compiled.output_value, np.array(start, dtype=float),
+        task.values, task.inputs, series.substeps, series.dt, kicks, states, readings,
+    )  # fmt: skip
+    return readings
+
+
+def _forced(
+    task: Task, parts: Matrices, white: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Kicks (steps, n) of one motion, and what forces add to its readings (samples, channels)."""
+    series, n, k = task.series, len(task.states), len(parts.phi)
+    samples, substeps = series.samples, series.substeps
+    kicks = np.zeros(((samples - 1), substeps, n))
+    kicks[:, -1] = rng.normal(size=(samples - 1, n)) @ white.T
+    if not k:
+        return kicks.reshape(-1, n), np.zeros_like(series.y)
+    sizes = np.sqrt(np.maximum(np.diag(parts.p)[-k:], np.finfo(float).tiny))
+    first, added = _root(parts.p[-k:, -k:], sizes), _root(parts.q[-k:, -k:], sizes)
+    draws, z = rng.normal(size=(samples, k)), np.empty((samples, k))
+    z[0] = first @ draws[0]
+    for i in range(1, samples):
+        z[i] = parts.phi @ z[i - 1] + added @ draws[i]
+    kicks += (z[:-1] @ parts.driven.T * (series.dt / substeps))[:, None]
+    return kicks.reshape(-1, n), z @ parts.seen.T
+
+
+def _root(covariance: Array, sizes: Array) -> Array:
+    """L of V = L L^T; ``sizes`` are of the deviations, for which it is well scaled."""
+    values, vectors = np.linalg.eigh(covariance / np.outer(sizes, sizes))
+    return sizes[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))

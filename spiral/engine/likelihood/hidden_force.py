@@ -11,11 +11,15 @@ parameters.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from spiral.engine.filter.extended import FilterSettings
+from spiral.engine.filter.task import Task
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.free_spread import free_spread
-from spiral.engine.likelihood.noise import OWN
+from spiral.engine.likelihood.noise import OWN, NoiseModel
 from spiral.engine.likelihood.predict import likelihood_of
 from spiral.types.record import Array
 
@@ -23,20 +27,21 @@ _FALL = 2.0  # of log L
 _FIRST, _FACTOR = 1e-4, 3.0  # least level that is tried, and from one to the next
 
 
-def hidden_force_spread(at: Maximum, samples: int) -> Array:
-    """(channels,) rms of a free run of so many samples that larger forces may add.
+def larger_forces(at: Maximum) -> tuple[NoiseModel, ...]:
+    """The noise with each white force as large as the records would not show, the others kept."""
+    forces = (t for t in at.noise.terms if t.kind == "force")
+    return tuple(at.noise.with_values({t.size: _largest(at, t.size)}) for t in forces)
 
-    At most as much as two motions differ that know nothing of one another.
-    """
-    task, settings = at.prepared[0]
-    known = free_spread(task, settings, at.noise, samples) ** 2
+
+def hidden_force_spread(
+    task: Task, settings: FilterSettings, noise: NoiseModel, larger: Sequence[NoiseModel]
+) -> Array:
+    """(samples, channels) that ``larger_forces`` may add to a free run, as ``free_spread`` does."""
+    known = free_spread(task, settings, noise) ** 2
     most = np.zeros_like(known)
-    for term in (t for t in at.noise.terms if t.kind == "force"):
-        larger = at.noise.with_values({term.size: _largest(at, term.size)})
-        spread = free_spread(task, settings, larger, samples)
-        more = np.where(np.isfinite(known), spread**2 - known, 0.0)
-        most = np.maximum(most, more)
-    return np.minimum(np.sqrt(most), np.sqrt(2.0) * task.series.deviations)
+    for other in larger:
+        most = np.maximum(most, free_spread(task, settings, other) ** 2 - known)
+    return np.sqrt(most)
 
 
 def _largest(at: Maximum, size: str) -> float:

@@ -136,12 +136,13 @@ def process_noise(
 
 
 def task_for(
-    assembly: Assembly, model: Model, row: Array, record: Record, substeps: int
+    assembly: Assembly, model: Model, row: Array, record: Record, substeps: int,
+    like: Task | None = None,
 ) -> Task:  # fmt: skip
-    """A record for the filter, by functions that are compiled already."""
+    """A record for the filter, by functions that are compiled already; scales of ``like``."""
     compiled = assembly.study.compiled
     own = np.ascontiguousarray(row[: len(compiled.traced.keys)], dtype=float).copy()
-    return task_with(model, compiled, own, record, substeps=substeps)
+    return task_with(model, compiled, own, record, substeps=substeps, like=like)
 
 
 def forecast(task: Task, disturbed: Disturbed, first: int, steps: int) -> tuple[Array, Array]:

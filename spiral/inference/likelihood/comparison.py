@@ -8,7 +8,7 @@ that stretch, where this lowers the error.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from spiral.engine.filter.task import Task, linearised
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.free_doubt import free_doubt
 from spiral.engine.likelihood.free_spread import free_spread
-from spiral.engine.likelihood.hidden_force import hidden_force_spread
+from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
 from spiral.engine.likelihood.noise import NoiseModel, places
 from spiral.engine.likelihood.predict import predicted
 from spiral.inference.acting import inputs_said
@@ -45,6 +45,7 @@ from spiral.inference.likelihood.free_fit import FREELY, by_free_runs
 from spiral.inference.likelihood.free_starts import free_runs, nuisances, usual_states
 from spiral.inference.likelihood.independence import followed_share
 from spiral.inference.problem import Problem, Progress
+from spiral.types.horizon import Horizon
 from spiral.types.model import Model
 from spiral.types.noise import COLOURED
 from spiral.types.record import Array, Record
@@ -72,16 +73,17 @@ def compared_by_likelihood(
     model = _model(assembly, shown, free.estimate)
     assembly = integrated(assembly, state)
     progress("free run on the test record")
-    own, _ = free_runs(assembly, shown, model, None, None)
+    own, starts = free_runs(assembly, shown, model, None, None)
     names, run, seen, tested = model.system.observed, own, {}, ()
     other = with_test(assembly, shown.values)
     if other is not None:
         settle = _settling(other, state.settle, free.estimate.prepared[0][0])
         state, shown = replace(state, settle=settle), replace(shown, settle=settle)
-        run, seen = _judged(other, shown, model, free.estimate)
-        tested = run.predicted
+        run, starts, unseen = _judged(other, shown, model, free.estimate)
+        seen, tested = {"unseen": unseen}, run.predicted
     errors, problem = run.errors(names), assembly.problem
-    sizes, times = acting(estimate, disturbed := _disturbed(estimate, run))
+    carried = _carried(other or assembly, model, run, starts, free.estimate, estimate.noise)
+    sizes, times = acting(estimate, carried.forces)
     left, white = _left(assembly, found)
     return state, Comparison(
         model=model,
@@ -97,7 +99,8 @@ def compared_by_likelihood(
         **seen,
         random=sizes,
         random_times=times,
-        disturbed=disturbed,
+        disturbed=carried.forces,
+        uncertain=0.0 if other is None else carried.doubts,
         departures=departures(model, estimate, white, sizes),
         traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
     )
@@ -111,14 +114,11 @@ def _model(assembly: Assembly, state: FitState, estimate: Maximum) -> Model:
 
 def _judged(
     other: Assembly, state: FitState, model: Model, estimate: Maximum
-) -> tuple[FreeRun, dict[str, Any]]:
-    """The free run on the test records, errors at all horizons, and what is to be expected."""
+) -> tuple[FreeRun, tuple[Array, ...], tuple[Horizon, ...]]:
+    """The free run on the test records, where it begins, and errors at all horizons."""
     run, starts = free_runs(other, state, model, state.settle, usual_states(estimate))
     forecaster = _forecaster(state, nuisances(other, state, model), starts, estimate)
-    return run, {
-        "unseen": at_horizons(other, model, run, forecaster),
-        "uncertain": _uncertain(other, model, run, starts, estimate),
-    }
+    return run, starts, at_horizons(other, model, run, forecaster)
 
 
 def _remarks(problem: Problem, state: FitState, free: bool) -> dict[str, Any]:
@@ -131,34 +131,45 @@ def _remarks(problem: Problem, state: FitState, free: bool) -> dict[str, Any]:
     }
 
 
-def _disturbed(estimate: Maximum, run: FreeRun) -> float:
-    """The error that random forces make of a free run, over its deviation, mean over channels."""
-    if not estimate.finite:
-        return 0.0
-    task, settings = estimate.prepared[0]
-    samples = max(len(p) for p in run.predicted)
-    spread = free_spread(task, settings, estimate.noise, samples)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.mean(spread / run.deviations()))
+@dataclass(frozen=True)
+class _Carried:
+    """What a free run may be off by, over the deviations of its readings, mean over channels.
+
+    ``forces`` that act at random; ``doubts`` of values, starts, and forces too small to be seen.
+    """
+
+    forces: float = 0.0
+    doubts: float = 0.0
 
 
-def _uncertain(
-    other: Assembly, model: Model, run: FreeRun, starts: tuple[Array, ...], estimate: Maximum
-) -> float:
-    """The error that the uncertainty of values, starts and forces may make of a free run."""
+def _carried(
+    other: Assembly, model: Model, run: FreeRun, starts: tuple[Array, ...], estimate: Maximum,
+    noise: NoiseModel,
+) -> _Carried:  # fmt: skip
+    """Along the free runs of ``run``, one of each record of a study, from ``starts``.
+
+    Forces act as ``noise`` has them; what is not known is that of ``estimate``.
+    """
     if not estimate.finite:
-        return 0.0
-    total, count = 0.0, 0
-    force = hidden_force_spread(estimate, max(len(p) for p in run.predicted))
+        return _Carried()
+    fitted, forces, doubts = estimate.prepared[0][0], [], []
+    larger = larger_forces(estimate)
     for r, series in enumerate(other.study.series):
-        task = task_for(other, model, run.values[r], series.record, series.substeps)
-        begin = starts[r][0][: len(task.states)]
-        doubt = free_doubt(
-            task, begin, estimate.keys, estimate.covariance, estimate.noise, run.settled[r]
-        )
-        total, count = total + np.sum(doubt**2, axis=0), count + len(doubt)
+        begin = starts[r][0][: len(fitted.states)]
+        task = task_for(other, model, run.values[r], series.record, series.substeps, fitted)
+        first = run.settled[r]
+        own, settings = filter_prepared(replace(task, moved=tuple(estimate.keys)), ())
+        settings = replace(settings, start=begin)
+        forces.append(free_spread(own, settings, noise)[first:] ** 2)
+        values = free_doubt(task, begin, estimate.keys, estimate.covariance, estimate.noise, first)
+        unseen = hidden_force_spread(own, settings, estimate.noise, larger)[first:]
+        doubts.append(values**2 + unseen**2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.mean(np.sqrt(total / max(count, 1) + force**2) / run.deviations()))
+        shares = (
+            float(np.mean(np.sqrt(np.mean(np.concatenate(parts), axis=0)) / run.deviations()))
+            for parts in (forces, doubts)
+        )
+    return _Carried(*shares)
 
 
 def _left(assembly: Assembly, found: LikelihoodFit) -> tuple[dict[str, float], bool]:

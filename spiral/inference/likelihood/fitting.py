@@ -34,7 +34,7 @@ LITTLE = 0.05  # share up to which what acts at random is little
 _FAR = 30.0  # times its motion that a hidden state may lie from where it is first looked for
 _AGAIN = 12  # times that beginnings are looked for
 _FAINT = 0.1  # of what one step misses: white noise below makes next to nothing of it
-_WORTH = 1.0  # log-likelihood for which they are looked for once more
+WORTH = 1.0  # log-likelihood for which they are looked for once more
 _HEAD = 2048  # samples that tell where a record begins
 _ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
 MOST_SUBSTEPS = 32
@@ -248,7 +248,7 @@ def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
     stretch = 1.0
     for _ in range(_AGAIN):
         better = _begun_again(assembly, found, _FAR, stretch)
-        if better.height > found.height + _WORTH:
+        if better.height > found.height + WORTH:
             found, stretch = better, 2 * stretch
         elif stretch == 1.0:
             break
@@ -270,7 +270,7 @@ def _begun_again(
     state, far = _beginnings(found, spread, stretch)
     if not far:
         trial = all_predicted([(subjects(assembly, state, at.prepared), at.noise)])[0]
-        if not log_likelihood(trial) > found.height + _WORTH:
+        if not log_likelihood(trial) > found.height + WORTH:
             return found
     again = refitted(assembly, state, rough=True, kept=at.kept)
     return again if again.height > found.height else found

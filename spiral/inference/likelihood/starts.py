@@ -6,7 +6,9 @@
    measured;
 3. the first again with process noise ten times smaller and ten times larger to begin with;
 4. where values of the best have run away, those held as they were given, and then let go;
-5. where what is left is not white, the best so far with all of that taken for sensor noise.
+5. where noise turns out to be of another kind, or what is left is not white, the first again with
+   the noise that is known by then;
+6. where what is left is not white still, the best so far with all of that taken for sensor noise.
 
 Each is taken a few steps, and the most likely one to its maximum. The next is tried only while the
 best so far does not explain the records (its fit did not converge, or it needs a random force that
@@ -29,6 +31,7 @@ from spiral.inference.evidence.fit_state import FitState, all_samples, stage_len
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     MOST_SUBSTEPS,
+    WORTH,
     LikelihoodFit,
     explains,
     finer,
@@ -39,7 +42,7 @@ from spiral.inference.likelihood.fitting import (
     samples_of,
     subjects,
 )
-from spiral.inference.likelihood.ladder import climbed_ladder
+from spiral.inference.likelihood.ladder import climbed_ladder, pruned
 from spiral.inference.problem import Progress
 
 _HEAT = 8  # scoring steps of each start
@@ -109,6 +112,37 @@ def rebalanced(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> 
     if not is_white(assembly, again):
         again = climbed_ladder(assembly, again, progress)
     return again if again.height > found.height else found
+
+
+def from_values_given(
+    assembly: Assembly, found: LikelihoodFit, progress: Progress
+) -> LikelihoodFit:
+    """The fit begun again from the values given, with the noise that is known by now, if better.
+
+    While noise of a kind that nobody knows yet (a sensor that drifts) looks like motion, values may
+    go where they explain it (an absorber that does not move) and do not come back by themselves.
+    Its forces are as they are by now, and as a first start has them; the ladder is climbed from the
+    more likely end. Nothing is tried where the model explains the records beside white noise.
+    """
+    at, known = found.estimate, assembly.problem.model.values
+    usual = all(term.kind in ("white", "force") for term in at.noise.terms)
+    keys = [k for k in moving(assembly, found.state) if np.isfinite(known.get(k, np.nan))]
+    if not at.finite or not keys or (usual and explains(found) and is_white(assembly, found)):
+        return found
+    progress("starting again from the values given, with the noise that is known by now")
+    values = found.state.values.copy()
+    for key in keys:
+        values[:, assembly.study.index(key)] = known[key]
+    given = replace(found.state, values=values, starts=None)
+    first = first_noise(at.prepared[0][0], LEVEL)
+    again = max(
+        (refitted(assembly, given, noise, rough=True, like=at.prepared)
+         for noise in (at.noise, at.noise.with_values(first.values))), key=lambda f: f.height,
+    )  # fmt: skip
+    again = climbed_ladder(assembly, again, progress)
+    if not again.height > found.height + WORTH:
+        return found
+    return pruned(assembly, restarted(assembly, again), progress)
 
 
 def sensors_alone(found: LikelihoodFit) -> NoiseModel:

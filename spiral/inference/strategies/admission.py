@@ -45,6 +45,7 @@ from spiral.inference.likelihood.scores import ranked_along
 from spiral.inference.likelihood.shapes import held_shapes, with_own_shapes
 from spiral.inference.likelihood.starts import (
     best_fit,
+    from_values_given,
     on_finer_steps,
     rebalanced,
     resolved_in_time,
@@ -254,7 +255,9 @@ def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Li
 
     It is at its very maximum where the model may be the last: its misses are white.
     """
-    found = rebalanced(assembly, climbed_ladder(assembly, found, progress), progress)
+    found = climbed_ladder(assembly, found, progress)
+    found = from_values_given(assembly, found, progress)
+    found = rebalanced(assembly, found, progress)
     found = reopened(assembly, found)
     if not found.estimate.finite or colour(assembly, found).p < _LAST:
         return found
