@@ -8,6 +8,7 @@ from spiral.types.parameter import Input, Parameter, State
 from spiral.types.port import Port
 from spiral.types.rates import per_second
 from spiral.types.system import MechanicalSystem
+from spiral.types.units import short_form
 
 
 class Structure(MechanicalSystem):
@@ -81,7 +82,7 @@ class Structure(MechanicalSystem):
         """What accelerometers report."""
         units = dict(zip(self.form.names, self.form.units, strict=True))
         nodes = self._nodes("accelerometer")
-        return tuple(State(f"{n}_acceleration", per_second(units[n], 2)) for n in nodes)
+        return tuple(State(f"{n}_acceleration", short_form(per_second(units[n], 2))) for n in nodes)
 
     def reading(self, x, rates, u, p):
         """q'' of each such node."""

@@ -18,7 +18,7 @@ import sympy as sp
 
 from spiral.physics.asking import asked
 from spiral.types.cache import kept
-from spiral.types.errors import PluginError, did_you_mean
+from spiral.types.errors import ConfigError, PluginError, did_you_mean
 from spiral.types.placement import input_columns
 from spiral.types.record import Array
 from spiral.types.system import System
@@ -35,7 +35,7 @@ def own_readings(
 
     Raises
     ------
-    PluginError : a reading without its formula.
+    PluginError : a reading without its formula. ConfigError : one that tells of no state.
     """
     names = [s.name for s in system.states]
     shown = {name: getattr(x, name) for name in system.observed if name in names}
@@ -55,6 +55,12 @@ def own_readings(
         if name in system.observed:
             by_rate = [n for n in names if value.has(moving[n])]
             of = by_rate or [n for n in names if value.has(getattr(x, n))]
+            if not of:
+                raise ConfigError(
+                    f"observed: {name}, a reading that tells of no state",
+                    "a formula of one state or rate at least",
+                    f"leave {name} out: what is driven or constant says nothing of the machine",
+                )
             told += [(name, n, value == moving[n]) for n in of]
             shown[name] = value.subs({moving[n]: rates[n] for n in by_rate})
     return shown, tuple(told)

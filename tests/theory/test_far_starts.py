@@ -8,7 +8,6 @@ from scipy.signal import lsim
 import spiral
 from spiral.types.record import make_record
 
-
 _SHIP = """
 equations:
   - I*phi'' + J*tau'' + c*phi' + K*phi + kt*tau = M
@@ -130,8 +129,8 @@ def test_an_absorber_is_not_lost_beside_a_sensor_that_drifts(tmp_path):
     moment *= 1.2 / moment.std()
     mass = np.array([[2.4, 0.10], [0.10, 0.12]])
     stiff, damped = np.array([[14.0, 0.75], [0.75, 0.75]]), np.diag([0.45, 0.03])
-    slopes = np.block([[np.zeros((2, 2)), np.eye(2)],
-                       [-np.linalg.solve(mass, stiff), -np.linalg.solve(mass, damped)]])  # fmt: skip
+    rates = -np.linalg.solve(mass, np.hstack([stiff, damped]))
+    slopes = np.vstack([np.eye(4)[2:], rates])
     drive = np.r_[0.0, 0.0, np.linalg.solve(mass, [1.0, 0.0])][:, None]
     _, roll, _ = lsim((slopes, drive, [[1.0, 0, 0, 0]], [[0.0]]), moment, t)
     wander = np.sin(2 * np.pi * 0.8 * t / t[-1] + 2.0) + 0.8 * t / t[-1]

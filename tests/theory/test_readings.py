@@ -255,7 +255,7 @@ def test_a_node_of_a_structure_may_have_an_accelerometer():
     nodes = {"base": {"dof": 0, "use": "input"}, "tip": {"dof": 2, "use": "accelerometer port"}}
     system = spiral.structure({"M": mass, "K": stiffness}, nodes, size=3, band=(0, 5))
     assert system.observed == ("tip_acceleration",)
-    assert system.unit_of("tip_acceleration") == "(m)/s^2"
+    assert system.unit_of("tip_acceleration") == "m/s^2"
     traced = trace(system, ())
     assert traced.output[0] == traced.rate[traced.states.index("tip_rate")]
     assert not failed(check_system(system))
@@ -327,3 +327,21 @@ def test_readings_are_text_alone_or_named_in_yaml():
     assert spiral.system(rhs, **given, observed="a = v'").observed == ("a",)
     with pytest.raises(SpiralError, match="NAME = FORMULA"):
         spiral.system(rhs, **given, observed=[rhs])
+
+
+@pytest.mark.parametrize("formula", ["load = F", "load = 2*k"])
+def test_a_reading_that_tells_of_no_state_is_refused(formula):
+    """What is driven, or constant, says nothing of the machine."""
+    rhs = lambda t, x, u, p: [x.v, u.F / p.m - p.k * x.x]  # noqa: E731
+    system = spiral.system(
+        rhs, states={"x": "m", "v": "m/s"}, inputs={"F": "N"}, observed=["x", formula],
+        parameters={"k": (2.0, "1/s^2"), "m": (1.0, "kg")},
+    )  # fmt: skip
+    t = 0.01 * np.arange(100)
+    with pytest.raises(SpiralError, match="tells of no state"):
+        compared(system, t)
+
+
+def compared(system, t):
+    record = make_record(system, "r", t, {"x": np.sin(t), "load": t}, {"F": t})
+    return spiral.compare(record, system)

@@ -32,50 +32,50 @@ def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel) -> Arra
     """
     most = np.sqrt(2.0) * task.series.deviations
     parts, n = matrices(task, settings, noise.without(*COLOURED, "drift")), len(task.states)
-    steps = (task.series.samples - 1) * task.series.substeps
-    count = int(np.clip(_STEPS // max(steps, 1), _FEWEST, _MOST))
+    samples, substeps = task.series.samples, task.series.substeps
+    count = int(np.clip(_STEPS // max((samples - 1) * substeps, 1), _FEWEST, _MOST))
     rng, total = np.random.default_rng(0), np.zeros_like(task.series.y)
-    white = _root(parts.q[:n, :n], task.scales)
-    usual = _motion(task, settings.start, np.zeros((steps, n)))
-    for _ in range(count):
-        pushes, read = _forced(task, parts, white, rng)
+    white, forces = _root(parts.q[:n, :n], task.scales), _remembering(parts, samples, count, rng)
+    kicks = np.zeros((samples - 1, substeps, n))
+    usual = _motion(task, settings.start, kicks)
+    for z in forces:
+        kicks[:] = (z[:-1] @ parts.driven.T * (task.series.dt / substeps))[:, None]
+        kicks[:, -1] += rng.normal(size=(samples - 1, n)) @ white.T
         with np.errstate(all="ignore"):
-            miss = _motion(task, settings.start, pushes) + read - usual
+            miss = _motion(task, settings.start, kicks) + z @ parts.seen.T - usual
         total += np.minimum(np.nan_to_num(miss**2, nan=np.inf, posinf=np.inf), most**2)
     return np.sqrt(total / count)
 
 
 def _motion(task: Task, start: Array, kicks: Array) -> Array:
-    """(samples, channels) readings of one motion; infinite from where it leaves all bounds."""
+    """(samples, channels) readings of one motion; infinite from where it leaves all bounds.
+
+    ``kicks`` (samples - 1, substeps, n) are added to the states after each step.
+    """
     from spiral.engine.filter.stochastic_kernel import wander
 
     series = task.series
     states, readings = np.empty((series.samples, len(task.states))), np.full_like(series.y, np.inf)
     wander(
         task.compiled.rate_value, task.compiled.output_value, np.array(start, dtype=float),
-        task.values, task.inputs, series.substeps, series.dt, kicks, states, readings,
+        task.values, task.inputs, series.substeps, series.dt,
+        kicks.reshape(-1, kicks.shape[2]), states, readings,
     )  # fmt: skip
     return readings
 
 
-def _forced(
-    task: Task, parts: Matrices, white: Array, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Kicks (steps, n) of one motion, and what forces add to its readings (samples, channels)."""
-    series, n, k = task.series, len(task.states), len(parts.phi)
-    samples, substeps = series.samples, series.substeps
-    kicks = np.zeros(((samples - 1), substeps, n))
-    kicks[:, -1] = rng.normal(size=(samples - 1, n)) @ white.T
+def _remembering(parts: Matrices, samples: int, count: int, rng: np.random.Generator) -> Array:
+    """(count, samples, k) forces with a memory, of so many motions."""
+    k = len(parts.phi)
     if not k:
-        return kicks.reshape(-1, n), np.zeros_like(series.y)
+        return np.zeros((count, samples, 0))
     sizes = np.sqrt(np.maximum(np.diag(parts.p)[-k:], np.finfo(float).tiny))
     first, added = _root(parts.p[-k:, -k:], sizes), _root(parts.q[-k:, -k:], sizes)
-    draws, z = rng.normal(size=(samples, k)), np.empty((samples, k))
-    z[0] = first @ draws[0]
+    z = rng.normal(size=(samples, count, k))
+    z[0] = z[0] @ first.T
     for i in range(1, samples):
-        z[i] = parts.phi @ z[i - 1] + added @ draws[i]
-    kicks += (z[:-1] @ parts.driven.T * (series.dt / substeps))[:, None]
-    return kicks.reshape(-1, n), z @ parts.seen.T
+        z[i] = z[i - 1] @ parts.phi.T + z[i] @ added.T
+    return np.ascontiguousarray(z.swapaxes(0, 1))
 
 
 def _root(covariance: Array, sizes: Array) -> Array:
