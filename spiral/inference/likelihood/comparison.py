@@ -56,6 +56,7 @@ _STILL = 1e-6  # share of the fastest rate under which a mode does not move
 _AGREE = 1.25  # ratio within which two estimates of the noise agree
 _SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
 _TOLD = 0.5  # standard error of the logarithm of a size up to which it is told
+_LASTING = 0.1  # of a record, beyond which noise has few values in it
 _COUNTS = 0.005  # share from which what acts at random counts
 
 
@@ -83,27 +84,36 @@ def compared_by_likelihood(
         seen, tested = {"unseen": unseen}, run.predicted
     errors, problem = run.errors(names), assembly.problem
     carried = _carried(other or assembly, model, run, starts, free.estimate, estimate.noise)
-    sizes, times = acting(estimate, carried.forces)
-    left, white = _left(assembly, found)
     return state, Comparison(
         model=model,
         fit_error=_mean(e.relative for e in own.errors(names).values()),
         test_error=_mean(e.relative for e in errors.values()),
         channels=errors,
         noise_floor=_floor(state.noise, names, run, problem),
-        **left,
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
         **_remarks(problem, state, free is not found),
         noise_ratio=_stated(problem.records, state.noise),
         **seen,
-        random=sizes,
-        random_times=times,
-        disturbed=carried.forces,
+        **_told(assembly, found, model, carried),
         uncertain=0.0 if other is None else carried.doubts,
-        departures=departures(model, estimate, white, sizes),
         traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
     )
+
+
+def _told(
+    assembly: Assembly, found: LikelihoodFit, model: Model, carried: _Carried
+) -> dict[str, Any]:
+    """What acts at random, what is left, and how the records depart from both."""
+    sizes, times = acting(found.estimate, carried.forces)
+    left, white = _left(assembly, found)
+    return {
+        **left,
+        "random": sizes,
+        "random_times": times,
+        "disturbed": carried.forces,
+        "departures": departures(model, found.estimate, white, sizes),
+    }
 
 
 def _model(assembly: Assembly, state: FitState, estimate: Maximum) -> Model:
@@ -214,13 +224,15 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
     task = estimate.prepared[0][0]
     channels, length = task.compiled.traced.channels, task.series.dt * task.series.samples
     spread = dict(zip(channels, np.std(task.series.y, axis=0), strict=True))
-    sizes, times, drifted = {}, {}, _drifted(estimate)
+    sizes, times, gone = {}, {}, _gone(estimate)
     for term in noise.terms:
         size = noise.values[term.size]
         if term.kind == "white" or not errors.get(term.size, np.inf) < _TOLD:
             continue
         if term.kind == "drift":
-            size = max(size * np.sqrt(length), drifted[term.size])
+            size = max(size * np.sqrt(length), gone[term.size])
+        elif term.size in gone:
+            size = min(size, gone[term.size])
         share = size / spread[term.where] if term.where in spread else size
         most = max(share, disturbed) if term.kind in ("force", "gust") else share
         if most >= _COUNTS:
@@ -230,19 +242,31 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
     return sizes, times
 
 
-def _drifted(estimate: Maximum) -> dict[str, float]:
-    """How far a sensor's zero goes from where it was at first, by the size of its drift.
+def _gone(estimate: Maximum) -> dict[str, float]:
+    """How far slow noise of a sensor goes over the records, by its size.
 
-    One that drifts steadily goes further than one that wanders by as much from sample to sample.
+    A drift from where it was at first: one that drifts steadily goes further than one that wanders
+    by as much from sample to sample. What lasts longer than a tenth of a record from its mean, as
+    the reading's own deviation is: the size is that of many such records, and a zero is part of it.
     """
-    found = {t.size: 0.0 for t in estimate.noise.terms if t.kind == "drift"}
-    for task, settings in estimate.prepared if found else ():
-        run = predicted(task, settings, estimate.noise, keep=True)
+    found: dict[str, float] = {}
+    for task, settings in estimate.prepared:
+        noise, length = estimate.noise, task.series.dt * task.series.samples
+        times = {t.size: noise.values[t.time] for t in noise.terms if t.time}
+        slow = {
+            t.size: t.kind for t in noise.terms
+            if t.kind == "drift"
+            or (t.kind in COLOURED and times.get(t.size, 0.0) > _LASTING * length)
+        }  # fmt: skip
+        if not slow:
+            continue
+        run = predicted(task, settings, noise, keep=True)
         first = len(task.states) + len(settings.tracked)
-        for size, place in places(task, estimate.noise).items():
-            if size in found:
-                gone = np.abs(run.means[: run.done, first + place]).max(initial=0.0)
-                found[size] = max(found[size], float(gone))
+        for size, place in places(task, noise).items():
+            if size in slow:
+                z = run.means[: run.done, first + place]
+                far = np.abs(z).max(initial=0.0) if slow[size] == "drift" else np.std(z)
+                found[size] = max(found.get(size, 0.0), float(far))
     return found
 
 

@@ -114,6 +114,16 @@ def rebalanced(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> 
     return again if again.height > found.height else found
 
 
+def with_values_given(assembly: Assembly, state: FitState) -> FitState | None:
+    """The state with what moves as the model was given; nothing where nobody gave a value."""
+    known = assembly.problem.model.values
+    keys = [k for k in moving(assembly, state) if np.isfinite(known.get(k, np.nan))]
+    values = state.values.copy()
+    for key in keys:
+        values[:, assembly.study.index(key)] = known[key]
+    return replace(state, values=values, starts=None) if keys else None
+
+
 def from_values_given(
     assembly: Assembly, found: LikelihoodFit, progress: Progress
 ) -> LikelihoodFit:
@@ -122,23 +132,18 @@ def from_values_given(
     While noise of a kind that nobody knows yet (a sensor that drifts) looks like motion, values may
     go where they explain it (an absorber that does not move) and do not come back by themselves.
     Its forces are as they are by now, and as a first start has them; the ladder is climbed from the
-    more likely end. Nothing is tried where the model explains the records beside white noise.
+    likelier end. Nothing is tried where the model explains the records beside white noise.
     """
-    at, known = found.estimate, assembly.problem.model.values
+    at = found.estimate
     usual = all(term.kind in ("white", "force") for term in at.noise.terms)
-    keys = [k for k in moving(assembly, found.state) if np.isfinite(known.get(k, np.nan))]
-    if not at.finite or not keys or (usual and explains(found) and is_white(assembly, found)):
+    given = with_values_given(assembly, found.state)
+    if not at.finite or given is None or (usual and explains(found) and is_white(assembly, found)):
         return found
     progress("starting again from the values given, with the noise that is known by now")
-    values = found.state.values.copy()
-    for key in keys:
-        values[:, assembly.study.index(key)] = known[key]
-    given = replace(found.state, values=values, starts=None)
     first = first_noise(at.prepared[0][0], LEVEL)
-    again = max(
-        (refitted(assembly, given, noise, rough=True, like=at.prepared)
-         for noise in (at.noise, at.noise.with_values(first.values))), key=lambda f: f.height,
-    )  # fmt: skip
+    noises = (at.noise, at.noise.with_values(first.values))
+    fits = [refitted(assembly, given, noise, rough=True, like=at.prepared) for noise in noises]
+    again = max(fits, key=lambda f: f.height)
     again = climbed_ladder(assembly, again, progress)
     if not again.height > found.height + WORTH:
         return found

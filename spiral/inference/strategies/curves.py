@@ -11,16 +11,26 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from spiral.engine.likelihood.noise import first_noise
 from spiral.engine.likelihood.predict import Masks, Prediction, all_predicted
 from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Group, Ranking
 from spiral.inference.likelihood.candidates import Race
-from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, price, refitted
+from spiral.inference.likelihood.fitting import (
+    LEVEL,
+    WARM,
+    LikelihoodFit,
+    explains,
+    price,
+    refitted,
+)
+from spiral.inference.likelihood.starts import with_values_given
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import (
@@ -75,6 +85,10 @@ def missing_curve(
         found = None
     gone = () if found is None else _beyond(assembly, base.state)
     replaces = tuple(assembly.variant(x).original.label for x in gone)
+    for start in () if found is not None or explains(base) else _afresh(assembly, base, masks[0]):
+        other = _passing(options, assembly, start, masks, level, comparison, progress)
+        if other is not None and _better(other[0], base, options.odds) and _higher(other, found):
+            found = other
     if found is None:
         found = _passing(options, assembly, base, masks, level, comparison, progress)
     if found is None:
@@ -100,6 +114,21 @@ def _passing(
     helps = helping(options, comparison, assembly.problem.settings)
     outcome = first_to_pass(options, assembly, start, found[0], masks[1], level, helps, progress)
     return None if outcome.passed is None else (outcome.passed, found)
+
+
+def _higher(one: tuple[Passed, Any], other: tuple[Passed, Any] | None) -> bool:
+    return other is None or one[0].whole.fit.height > other[0].whole.fit.height
+
+
+def _afresh(assembly: Assembly, base: LikelihoodFit, select: Masks) -> list[LikelihoodFit]:
+    """The model with noise as at first, beside its values and beside those given.
+
+    Where much has to act at random for what is missing, noise that a curve makes needless would
+    stay beside it and do some of its work.
+    """
+    noise = first_noise(base.estimate.prepared[0][0], LEVEL)
+    states = (base.state, with_values_given(assembly, base.state))
+    return [refitted(assembly, s, noise, select, WARM, True) for s in states if s is not None]
 
 
 def _worth(fit: LikelihoodFit) -> float:
