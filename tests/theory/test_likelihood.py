@@ -24,6 +24,7 @@ from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, m
 from spiral.engine.likelihood.own_states import own_of, own_states_along
 from spiral.engine.likelihood.predict import log_likelihood, predicted
 from spiral.inference.likelihood import candidates
+from spiral.inference.likelihood.comparison import acting
 from spiral.inference.likelihood.fitting import refitted, reopened
 from spiral.inference.likelihood.ladder import climbed_ladder
 from spiral.inference.likelihood.scores import motion_of, ranking
@@ -342,6 +343,22 @@ def test_a_free_run_is_carried_no_further_than_two_motions_differ():
     most = np.sqrt(2) * np.std(record.channels["x"])
     assert spread[0] == 0.0
     assert 0.5 * most < np.median(spread) <= np.max(spread) <= most * (1 + 1e-9)
+
+
+def test_slow_noise_counts_by_how_far_it_goes_over_the_record():
+    """A zero of four deviations, taken for noise that hardly moves: the reading still shows x."""
+    record = record_of(3)
+    spread = float(np.std(record.channels["x"]))
+    record = replace(record, channels={"x": record.channels["x"] + 4 * spread})
+    task, settings = task_of(record)
+    term = NoiseTerm("coloured", "x")
+    noise = first_noise(task, 0.0).added(
+        (term,), {term.size: 4 * spread, term.time: 0.3 * record.dt * record.samples}
+    )
+    found = maximise(((task, settings),), (), noise, steps=3)
+    assert found.noise.values[term.size] > spread
+    shares, _ = acting(found, 0.0)
+    assert shares.get(term.size, 0.0) < 0.5  # beyond that a sensor shows mostly noise
 
 
 def test_a_force_with_a_memory_carries_a_free_run_as_a_linear_machine_says():
