@@ -17,7 +17,7 @@ import numpy as np
 
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.record import Array
-from spiral.types.units import factor
+from spiral.types.units import conversion
 
 FORMS = ("sweep", "constant", "noise", "multisine", "chirp")
 _EXAMPLE = "{sweep: [40, 0], unit: Hz}, {constant: 30}, {noise: 1.0, band: [5, 200]}"
@@ -41,9 +41,10 @@ def excite(name: str, description: Any, time: Array, unit: str, rng: np.random.G
     if isinstance(description, int | float) and not isinstance(description, bool):
         description = {"constant": description}
     form, description = _form(name, description)
-    scale = factor(str(description["unit"]), unit, name) if description.get("unit") else 1.0
+    given = description.get("unit")
+    scale, zero = conversion(str(given), unit, name) if given else (1.0, 0.0)
     size = _numbers(name, form, description[form], 2 if form == "sweep" else 1)
-    offset = scale * _numbers(name, "offset", description.get("offset", 0.0), 1)[0]
+    offset = zero + scale * _numbers(name, "offset", description.get("offset", 0.0), 1)[0]
     return offset + scale * _waveform(name, form, size, description.get("band"), time, rng)
 
 

@@ -93,20 +93,32 @@ def _parse(unit: str) -> Any:
 
 
 def factor(given: str, wanted: str, what: str) -> float:
-    """Multiply values in ``given`` by this to have them in ``wanted``.
+    """Multiply differences in ``given`` by this to have them in ``wanted``.
 
     Raises
     ------
     InputError : an unknown unit, or one of another dimension.
     """
+    return conversion(given, wanted, what)[0]
+
+
+def conversion(given: str, wanted: str, what: str) -> tuple[float, float]:
+    """Factor and zero: a value x in ``given`` is factor x + zero in ``wanted``.
+
+    The zero is that of the scale, 273.15 from degC to K; for most units it is 0.
+
+    Raises
+    ------
+    InputError : an unknown unit, one of another dimension, or one that no straight line converts.
+    """
     import pint
 
     if wanted == "rad/s" and given.strip().lower() in _PER_TURN:
-        return _PER_TURN[given.strip().lower()]
+        return _PER_TURN[given.strip().lower()], 0.0
     try:
         if given.strip() in _GRAVITY and _parse(wanted).is_compatible_with("m/s**2"):
-            return _GRAVITY[given.strip()] * factor("m/s^2", wanted, what)
-        return float(registry().Quantity(1.0, spelled(given)).to(spelled(wanted)).magnitude)
+            return _GRAVITY[given.strip()] * factor("m/s^2", wanted, what), 0.0
+        return _straight(spelled(given), spelled(wanted))
     except pint.UndefinedUnitError as error:
         raise InputError(
             f"unit {given!r} of {what}",
@@ -121,6 +133,15 @@ def factor(given: str, wanted: str, what: str) -> float:
         ) from error
     except Exception as error:  # pint's parser raises what Python's tokenizer does
         raise InputError(f"unit {given!r} of {what}", f"a unit such as {wanted!r}") from error
+
+
+def _straight(given: str, wanted: str) -> tuple[float, float]:
+    """Factor and zero of units whose scales are straight lines of one another."""
+    pairs = (registry().Quantity(x, given).to(wanted).magnitude for x in (0.0, 1.0, 2.0))
+    zero, one, two = (float(value) for value in pairs)
+    if not math.isclose(two - one, one - zero, rel_tol=1e-9):
+        raise ValueError(f"{given} is no straight line of {wanted}")
+    return one - zero, zero
 
 
 def check_units(system: System, effect: Effect) -> None:

@@ -8,7 +8,7 @@ from spiral.app.record_setup import advised, with_line
 from spiral.app.side_by_side import errors, parameters
 from spiral.app.study import Turn, added, new_study
 from spiral.io.curves import FINAL, Curves
-from spiral.io.readers.own_units import scale, unit_field
+from spiral.io.readers.own_units import in_system, unit_field
 from spiral.types.errors import InputError
 from spiral.view.report.overlay import overlaid
 from spiral.view.report.trial import helped
@@ -57,13 +57,13 @@ def test_a_unit_of_another_dimension_names_the_field_that_sets_the_systems_own()
     known = registry()
     machine = known.make("system", "oscillator")
     with pytest.raises(InputError, match=r"system\.force_unit='V'"):
-        scale("V", machine, "force")
+        in_system("V", machine, "force")
     with pytest.raises(InputError) as refused:
-        scale("blorps", machine, "force")
+        in_system("blorps", machine, "force")
     assert "force_unit" not in str(refused.value)  # no unit at all
     in_volts = known.make("system", "oscillator", {"force_unit": "V"})
-    assert scale("mV", in_volts, "force") == pytest.approx(1e-3)
-    assert scale("ms", machine, "time") == pytest.approx(1e-3)
+    assert in_system("mV", in_volts, "force")[0] == pytest.approx(1e-3)
+    assert in_system("ms", machine, "time") == pytest.approx((1e-3, 0.0))
     assert unit_field(known.make("system", "tilting_rotor"), "speed") == ""
 
 

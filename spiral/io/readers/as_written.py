@@ -34,11 +34,11 @@ def as_written(source: Columns, system: System) -> FileSeries:
 
     def values(option: str, given: dict[str, str]) -> dict[str, Array]:
         return {
-            k: layout.scale.get(k, 1.0) * table.column(c, f"record.{option} {k}", start, stop, True)
+            k: layout.converted(k, table.column(c, f"record.{option} {k}", start, stop, True))
             for k, c in given.items()
         }
 
-    time = one._time(table, layout.clock, start, stop) * layout.scale.get("time", 1.0)
+    time = layout.converted("time", one._time(table, layout.clock, start, stop))
     channels = values("channels", dict(layout.channels))
     return FileSeries(Path(path).name, time, channels, values("inputs", dict(layout.inputs)))
 

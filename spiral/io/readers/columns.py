@@ -12,6 +12,7 @@ import numpy as np
 
 from spiral.io.readers import own_units, preparation
 from spiral.io.readers.files import Table
+from spiral.io.readers.layout import ColumnLayout
 from spiral.io.readers.pulses import Edge
 from spiral.io.readers.sampling import FileSeries, resampled, without_gaps
 from spiral.types.errors import ConfigError, InputError, did_you_mean
@@ -34,31 +35,6 @@ class SlowRoll:
     rows: tuple[int, int] | None = None
     speed: tuple[float, float] | None = None
     path: str | None = None
-
-
-@dataclass(frozen=True)
-class ColumnLayout:
-    """Name -> the file's column, its unit, factor to the system's unit, and reading at rest.
-
-    ``constant`` are inputs that have no column but one value throughout, in the system's unit.
-    """
-
-    channels: Mapping[str, str]
-    inputs: Mapping[str, str]
-    clock: Mapping[str, str]
-    pulse: Mapping[str, str]
-    units: Mapping[str, str]
-    scale: Mapping[str, float]
-    offset: Mapping[str, float]
-    constant: Mapping[str, float]
-
-    def options(self) -> dict[str, str]:
-        """Option, as messages call it -> column, for all columns in use."""
-        return {
-            **{f"record.channels {k}": c for k, c in self.channels.items()},
-            **{f"record.inputs {k}": c for k, c in self.inputs.items()},
-            **{f"record.{k}": c for k, c in (*self.clock.items(), *self.pulse.items())},
-        }
 
 
 class Columns(Source):
@@ -213,10 +189,10 @@ class Columns(Source):
         inputs = {n: c for n, c in inputs.items() if n not in constant}
         clock = self._clock(table)
         units = self._units(system, table, {**channels, **inputs, **clock})
-        scale = {n: own_units.scale(u, system, n) for n, u in units.items()}
+        ways = {n: own_units.in_system(u, system, n) for n, u in units.items()}
         offset = self._offsets((*channels, *inputs))
         pulse = {} if self.pulse is None else {"pulse": self.pulse}
-        return ColumnLayout(channels, inputs, clock, pulse, units, scale, offset, constant)
+        return ColumnLayout(channels, inputs, clock, pulse, units, ways, offset, constant)
 
     def _series(
         self, system: System, table: Table, layout: ColumnLayout, start: int, stop: int
@@ -229,11 +205,11 @@ class Columns(Source):
             missing, found = left_out or self.fill_gaps is not None, {}
             for k, c in given.items():
                 read = table.column(c, f"record.{option} {k}", start, stop, missing)
-                found[k] = layout.scale.get(k, 1.0) * (read - layout.offset.get(k, 0.0))
+                found[k] = layout.converted(k, read)
             return found
 
         pulse = values("pulse", layout.pulse).get("pulse")
-        time = self._time(table, layout.clock, start, stop) * layout.scale.get("time", 1.0)
+        time = layout.converted("time", self._time(table, layout.clock, start, stop))
         series = FileSeries(
             name,
             time,
@@ -285,7 +261,7 @@ class Columns(Source):
             slow = self._series(system, table, layout, start, stop)
         rows = np.arange(len(slow.time))
         if wish.speed is not None:
-            low, high = (layout.scale.get("speed", 1.0) * v for v in wish.speed)
+            low, high = (float(layout.converted("speed", np.float64(v))) for v in wish.speed)
             rows = preparation.slow_roll_rows(slow, low, high)
         vectors = preparation.slow_roll_vectors(slow, rows)
         preparation.must_be_slow(slow, rows, series)
@@ -337,16 +313,18 @@ class Columns(Source):
                 raise InputError(
                     f"record.{option} names {name!r}",
                     f"one of the system's {option}: {', '.join(known) or 'none'}",
-                    did_you_mean(name, known),
+                    _turned(option, given, table, known) or did_you_mean(name, known),
                 )
         return {n: table.called(str(c)) or c for n, c in given.items()}
 
     def _units(self, system: System, table: Table, columns: Mapping[str, str]) -> dict[str, str]:
-        """Name -> unit, as configured, else as the file names it."""
+        """Name -> unit, as configured by name or by column, else as the file names it."""
         given = dict(self.units or {})
         from_pulse = self.pulse is not None and any(i.name == "speed" for i in system.inputs)
         also = ("time", "speed") if from_pulse else ("time",)
         allowed = tuple(dict.fromkeys((*columns, *also)))
+        by_column = {n: given[c] for n, c in columns.items() if c in given and c not in allowed}
+        given = {n: u for n, u in given.items() if n in allowed or n not in columns.values()}
         for name in given:
             if name not in allowed:
                 raise InputError(
@@ -355,7 +333,7 @@ class Columns(Source):
                     did_you_mean(name, allowed),
                 )
         named = {n: table.units[c] for n, c in columns.items() if c in table.units}
-        return {**named, **given}
+        return {**named, **by_column, **given}
 
 
 def _inside(
@@ -378,6 +356,17 @@ def _filled(names: Mapping[str, str] | None, number: str) -> Mapping[str, str] |
     return names and {k: str(c).replace("*", number) for k, c in names.items()}
 
 
+def _turned(
+    option: str, given: Mapping[str, str], table: Table, known: tuple[str, ...]
+) -> str:
+    """A hint where columns stand before the names that they are for; empty where they do not."""
+    pairs = {str(c): n for n, c in given.items()}
+    if not all(n in known and table.called(c) for n, c in pairs.items()):
+        return ""
+    words = ", ".join(f"{n}: {c}" for n, c in pairs.items())
+    return f"the system's own name comes first: record.{option}='{{{words}}}'"
+
+
 def _is_number(given: str, table: Table) -> bool:
     """Whether an input's column is a number, and no column is called so."""
     try:
@@ -393,7 +382,10 @@ def _told(system: System, layout: ColumnLayout, rate: float | None) -> str:
         f"time from {clock['time']!r} in {units.get('time', 's')}" if clock else f"{rate:g} Hz"
     ]
     for name, column in (*layout.channels.items(), *layout.inputs.items()):
-        words.append(f"{name} from {column!r} in {units.get(name, system.unit_of(name))}")
+        unit = units.get(name, system.unit_of(name))
+        zero = layout.conversion.get(name, (1.0, 0.0))[1]
+        own = f" (0 is {zero:g} {system.unit_of(name)})" if zero else ""
+        words.append(f"{name} from {column!r} in {unit}{own}")
     for name, value in layout.constant.items():
         words.append(f"{name} {value:g} {system.unit_of(name)} throughout")
     return ", ".join(words)

@@ -6,13 +6,13 @@ from dataclasses import fields, replace
 
 from spiral.types.errors import InputError
 from spiral.types.system import System
-from spiral.types.units import base_form, factor
+from spiral.types.units import base_form, conversion
 
 _ANY = "cd"  # a unit that no system has by itself: what takes it over follows the field
 
 
-def scale(given: str, system: System, name: str) -> float:
-    """Multiply values of a series in ``given`` by this to have them in the system's unit.
+def in_system(given: str, system: System, name: str) -> tuple[float, float]:
+    """Factor and zero that take values of a series in ``given`` to the system's unit.
 
     ``name`` is a channel, an input, or ``time``, which is in s.
 
@@ -22,9 +22,9 @@ def scale(given: str, system: System, name: str) -> float:
         system that sets its own unit, where it has one.
     """
     if name == "time":
-        return factor(given, "s", name)
+        return conversion(given, "s", name)
     try:
-        return factor(given, system.unit_of(name), name)
+        return conversion(given, system.unit_of(name), name)
     except InputError as error:
         field = unit_field(system, name)
         if not field or base_form(given) is None:

@@ -19,7 +19,7 @@ from functools import lru_cache
 
 from spiral.physics.formulas import syntax
 from spiral.types.errors import ConfigError, InputError
-from spiral.types.units import factor, registry, short_form, spelled
+from spiral.types.units import conversion, registry, short_form, spelled
 
 Exponents = Mapping[str, Fraction]
 
@@ -296,12 +296,12 @@ def agree(name: str, given: str, coherent: str) -> None:
     ConfigError : another dimension, or another size of unit.
     """
     try:
-        size = factor(given, coherent, f"parameter {name!r}")
+        way = conversion(given, coherent, f"parameter {name!r}")
     except InputError as error:
         raise ConfigError(
             error.given, error.expected, f"units='{{{name}: {short_form(coherent)}}}'"
         ) from error
-    if abs(size - 1.0) > 1e-9:
+    if abs(way[0] - 1.0) > 1e-9 or way[1]:
         raise ConfigError(
             f"unit {given!r} of parameter {name!r}",
             f"the unit its numbers are in here: {short_form(coherent)}",

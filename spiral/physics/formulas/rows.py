@@ -147,17 +147,17 @@ def _agree(rate: str, unit: str, due: str) -> None:
 
 @lru_cache(maxsize=512)
 def size_of(unit: str) -> float:
-    """How many SI units one of these is."""
-    from spiral.types.units import registry, spelled
+    """How many SI units a difference of one of these is."""
+    from spiral.types.units import base_form, registry, spelled
 
     if not unit:
         return 1.0
+    if (known := base_form(unit)) is not None:
+        return known[0]
     try:
         return float(registry().Quantity(1.0, spelled(unit)).to_base_units().magnitude)
-    except Exception as error:  # degrees Celsius have an offset
-        raise ConfigError(f"unit {unit!r}", "one without an offset", "K for a temperature") from (
-            error
-        )
+    except Exception as error:
+        raise ConfigError(f"unit {unit!r}", "one that converts to SI") from error
 
 
 def _check_sizes(row: EquationRow, units: Mapping[str, str], sizes: Mapping[str, float]) -> None:

@@ -1,0 +1,101 @@
+"""Temperatures have a zero of their own: what a file says in degrees Celsius, a model has in kelvin."""
+
+import numpy as np
+import pytest
+
+import spiral
+from spiral.types.errors import InputError
+from spiral.types.units import conversion, factor
+
+ROOM = """
+equations:
+  - C*T' = P - G*(T - To)
+states: {T: UNIT}
+inputs: {P: W, To: UNIT}
+parameters:
+  C: 1.0e5 J/K
+  G: 50 W/UNIT
+free: [G]
+observed: [T]
+"""
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted", "one", "zero"),
+    [
+        ("degC", "K", 1.0, 273.15),
+        ("K", "degC", 1.0, -273.15),
+        ("degF", "K", 5 / 9, 273.15 - 32 * 5 / 9),
+        ("delta_degC", "K", 1.0, 0.0),
+        ("degC", "degC", 1.0, 0.0),
+        ("um", "m", 1e-6, 0.0),
+        ("deg", "rad", np.pi / 180, 0.0),
+    ],
+)
+def test_factor_and_zero_of_units(given, wanted, one, zero):
+    assert conversion(given, wanted, "x") == pytest.approx((one, zero), rel=1e-12, abs=1e-9)
+
+
+def test_differences_have_no_zero():
+    assert factor("W/degC", "W/K", "G") == 1.0
+    assert factor("J/(kg*degC)", "J/(kg*K)", "c") == 1.0
+
+
+def test_a_level_is_no_straight_line_of_a_power():
+    with pytest.raises(InputError, match="dBm"):
+        conversion("dBm", "W", "power")
+
+
+def room(tmp_path, unit):
+    path = tmp_path / "room.yaml"
+    path.write_text(ROOM.replace("UNIT", unit))
+    return spiral.system(path)
+
+
+def file_of(tmp_path, header):
+    t = np.arange(80) * 60.0
+    rows = np.c_[t, 20 + np.sin(t / 500), 1000 + 0 * t, 5 + np.cos(t / 900)]
+    np.savetxt(tmp_path / "room.csv", rows, delimiter=",", header=header, comments="")
+    return tmp_path / "room.csv", rows
+
+
+@pytest.mark.parametrize("header", ["t,T [°C],P,To [degC]", "t,T,P,To"])
+def test_degrees_of_a_file_become_kelvin(tmp_path, header):
+    path, rows = file_of(tmp_path, header)
+    units = None if "[" in header else {"T": "degC", "To": "°C"}
+    record = spiral.read(path, room(tmp_path, "K"), time="t", units=units)
+    np.testing.assert_allclose(record.channels["T"], rows[:, 1] + 273.15)
+    np.testing.assert_allclose(record.inputs["To"], rows[:, 3] + 273.15)
+    np.testing.assert_allclose(record.inputs["P"], rows[:, 2])
+    assert "(0 is 273.15 K)" in str(record.notes)
+
+
+def test_an_instruments_offset_is_in_the_units_of_the_file(tmp_path):
+    path, rows = file_of(tmp_path, "t,T,P,To")
+    record = spiral.read(
+        path, room(tmp_path, "K"), time="t", units={"T": "degC"}, offset={"T": 0.5}
+    )
+    np.testing.assert_allclose(record.channels["T"], rows[:, 1] - 0.5 + 273.15)
+
+
+def test_a_model_may_work_in_degrees(tmp_path):
+    path, rows = file_of(tmp_path, "t,T,P,To")
+    record = spiral.read(path, room(tmp_path, "degC"), time="t", units={"To": "degF"})
+    np.testing.assert_allclose(record.channels["T"], rows[:, 1])
+    np.testing.assert_allclose(record.inputs["To"], (rows[:, 3] - 32) * 5 / 9, atol=1e-9)
+
+
+def test_units_may_be_named_by_column(tmp_path):
+    path, rows = file_of(tmp_path, "clock,room,P,To")
+    record = spiral.read(
+        path, room(tmp_path, "K"), time="clock", channels={"T": "room"},
+        units={"clock": "ms", "room": "degC"},
+    )  # fmt: skip
+    assert record.dt == pytest.approx(0.06)
+    np.testing.assert_allclose(record.channels["T"], rows[:, 1] + 273.15)
+
+
+def test_columns_before_the_systems_names_are_turned_around_in_the_hint(tmp_path):
+    path, _ = file_of(tmp_path, "t,room,P,To")
+    with pytest.raises(InputError, match=r"record\.channels='\{T: room\}'"):
+        spiral.read(path, room(tmp_path, "K"), time="t", channels={"room": "T"})
