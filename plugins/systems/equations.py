@@ -184,12 +184,18 @@ def _with_unit(value, unit):
 @kept(32)
 def _ports(system):
     """Asked for thousands of times where many candidates are placed."""
+    named = system.form.definition.ports
     if not system.coordinates:
+        if named:
+            raise ConfigError(
+                f"ports: {', '.join(name for name, _ in named)}",
+                "none, where no state is another's rate: every state is a port of its own name",
+                "leave ports out; NAME-NAME is a place between two states of one unit",
+            )
         return tuple(
             Port(s.name, (s.name,), _state(s.name), s.unit, per_second(s.unit))
             for s in system.others
         )
-    named = system.form.definition.ports
     taken = {text for _, texts in named for text in texts}
     derived = ((c.name, (c.name,)) for c in system.coordinates if c.name not in taken)
     known = {text.replace(" ", "") for text in taken}

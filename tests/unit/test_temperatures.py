@@ -1,4 +1,4 @@
-"""Temperatures have a zero of their own: what a file says in degrees Celsius, a model has in kelvin."""
+"""Temperatures have a zero of their own: degrees Celsius of a file are kelvin of a model."""
 
 import numpy as np
 import pytest

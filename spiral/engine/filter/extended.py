@@ -22,7 +22,8 @@ class FilterSettings:
     ``process`` (n, n) covariance of the process noise per sample; ``noise`` (channels,) variances;
     ``start`` (n,) and ``covariance`` (n, n) before the first sample. ``tracked`` parameters are
     estimated as states, from their present value with standard deviation ``doubt`` and a random
-    walk of variance ``wander`` per sample. ``second_order``: the paper's transition.
+    walk of variance ``wander`` per sample. ``second_order``: the paper's transition. ``volume`` is
+    the logarithm of the share of a machine's first states that ``covariance`` looks among.
     """
 
     process: Array
@@ -33,6 +34,7 @@ class FilterSettings:
     doubt: Array = field(default_factory=lambda: np.zeros(0))
     wander: Array = field(default_factory=lambda: np.zeros(0))
     second_order: bool = False
+    volume: float = 0.0
 
 
 Settings = FilterSettings

@@ -78,6 +78,7 @@ def prepared(
         tracked=tracked,
         doubt=_doubts(task, tracked, doubt or {}),
         wander=_wander(task, tracked),
+        volume=_volume(task),
     )
     angle = "system.phase_origin"
     if angle in tracked and angle not in (doubt or {}):
@@ -162,6 +163,12 @@ def smoothed(
     if found.done == task.series.samples:
         found = backward(found)
     return np.nan_to_num(found.means)
+
+
+def _volume(task: Task) -> float:
+    """Logarithm of the share of the machine's first states that a task begins among."""
+    narrow = task.spread < task.scales
+    return float(np.log(task.spread[narrow] / task.scales[narrow]).sum())
 
 
 def _doubts(task: Task, tracked: tuple[str, ...], given: Mapping[str, float]) -> Array:

@@ -176,6 +176,16 @@ def task_with(
     return task if like is None else _on_scales(task, like)
 
 
+def begun_within(task: Task, spread: Array | None) -> Task:
+    """The task with its first state known within ``spread`` (n,), or as of any record.
+
+    No wider than the machine's motion, which is also taken where ``spread`` is nan.
+    """
+    if spread is None:
+        return replace(task, spread=task.scales.copy())
+    return replace(task, spread=np.fmin(spread, task.scales))
+
+
 def _on_scales(task: Task, other: Task) -> Task:
     """A task with another's scales of the states that both have."""
     found = {name: getattr(task, name).copy() for name in ("spread", "centre", "scales", "rates")}

@@ -39,6 +39,8 @@ class Prediction:
     measured; ``slopes`` (samples, channels, parameters) of the predictions. Where they were asked
     for, ``means`` (samples, N) of states, tracked parameters and noise states after each sample,
     ``gains`` K and ``rows`` c (samples, channels, N), and ``transitions`` F (samples, N, N).
+    ``volume`` is what the first sample's likelihood has of a filter that begins in a small part of
+    where records of the machine may begin (``FilterSettings``), as if it began anywhere.
     """
 
     misses: Array
@@ -49,6 +51,7 @@ class Prediction:
     gains: Array
     rows: Array
     done: int
+    volume: float = 0.0
 
     @property
     def whole(self) -> bool:
@@ -77,6 +80,7 @@ class Prediction:
         with np.errstate(divide="ignore", invalid="ignore"):
             each = np.where(seen, np.log(2 * np.pi * self.spreads) + self.whitened**2, 0.0)
         found = -0.5 * each.sum(axis=1)
+        found[:1] += self.volume
         found[self.done :] = -np.inf
         return found
 
@@ -116,7 +120,7 @@ def predicted(
         series.substeps, series.dt, np.ascontiguousarray(y), parts.r, parts.q, parts.phi,
         parts.seen, parts.driven, *arrays,
     )  # fmt: skip
-    return Prediction(*arrays, int(done))
+    return Prediction(*arrays, int(done), settings.volume)
 
 
 def _flow(task: Task, settings: FilterSettings, keys: tuple[str, ...] = ()) -> Flow:

@@ -37,7 +37,8 @@ class FitState:
     or one with own states, which short windows would begin anew too often. ``free_from`` is the
     longest windows on which shapes were set free. ``noise`` is what acts at random, and
     ``substeps`` the integration steps per sample, where the evidence is a likelihood; ``starts``
-    (states,) where each record begins, as all of it tells. ``between`` says how inputs run between
+    (states,) where each record begins, as all of it tells, and ``spreads`` (states,) within what
+    the filter then looks for it (nan: as of any record). ``between`` says how inputs run between
     their samples where the likelihood prefers another way than their system's. ``settle`` are the
     seconds of each test record that tell where it begins, the same for all models of a study.
     """
@@ -52,6 +53,7 @@ class FitState:
     noise: NoiseModel | None = None
     substeps: int = 1
     starts: tuple[Array, ...] | None = None
+    spreads: tuple[Array, ...] | None = None
     between: Mapping[str, Interpolation] = field(default_factory=dict)
     settle: float | None = None
 

@@ -22,6 +22,7 @@ from spiral.inference.evidence.admission import stepped
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState, two_sided
 from spiral.inference.evidence.scoring import Ranked, present_labels, tested_keys
+from spiral.inference.likelihood.beginnings import begun_closely
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     LikelihoodFit,
@@ -257,11 +258,13 @@ def first_steps(
         return rival_of(own, base, ranked, fit)
 
     one = taken(wider, at.noise, _HEAT, at.kept)
-    if start is not None or explains(base) or explains(one.fit):
+    if explains(base):
         return one
-    wide = first_noise(at.prepared[0][0], LEVEL)
-    begins = [wider, *([_whole(own, wider, ranked.variant)] if ranked.variant.effect.whole else ())]
-    return max([one, *(taken(b, wide, _FRESH) for b in begins)], key=_worth)
+    if start is None and not explains(one.fit):
+        wide = first_noise(at.prepared[0][0], LEVEL)
+        whole = [_whole(own, wider, ranked.variant)] if ranked.variant.effect.whole else []
+        one = max([one, *(taken(b, wide, _FRESH) for b in (wider, *whole))], key=_worth)
+    return _begun_near(base, one, masks, _FRESH)
 
 
 def _worth(rival: Rival) -> float:
@@ -313,8 +316,19 @@ def _further(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Riv
 
 
 def _reopened(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
-    """A rival with noise that had vanished begun again, where that is more likely."""
+    """A rival with noise that had vanished begun again, where that is more likely.
+
+    Its filter, too, begins where the records do with it, where the model without leaves much.
+    """
     fit = reopened(rival.assembly, rival.fit, masks, _RACE)
+    if fit is not rival.fit:
+        rival = rival_of(rival.assembly, base, rival.ranked, fit, rival.shapes)
+    return rival if explains(base) else _begun_near(base, rival, masks, _RACE)
+
+
+def _begun_near(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int) -> Rival:
+    """A rival whose filter begins where the record does with it, where that is more likely."""
+    fit = begun_closely(rival.assembly, rival.fit, masks, steps)
     if fit is rival.fit:
         return rival
     return rival_of(rival.assembly, base, rival.ranked, fit, rival.shapes)

@@ -33,6 +33,7 @@ from spiral.inference.evidence.horizons import (
     task_for,
 )
 from spiral.inference.evidence.judge import FreeRun
+from spiral.inference.likelihood.beginnings import begun_near
 from spiral.inference.likelihood.departures import departures
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
@@ -284,11 +285,14 @@ def _forecaster(
     told = {k: e for k, e in errors.items() if 0 < e < abs(values[k])}
 
     def forecast(record: int, task: Task, first: int, steps: int) -> tuple[Array, Array]:
+        if begins := bool(np.all(np.isfinite(starts[record]))):
+            task = replace(task, start=starts[record][0].copy())
+            task = task if tracked else begun_near(task, noise)
         for more in (told, {}) if told else ({},):  # sure of its values where it runs away else
             known = {**doubts(tracked), **more}
             own, settings = filter_prepared(task, (*tracked, *more), known)
-            if np.all(np.isfinite(starts[record])):
-                settings = replace(settings, start=starts[record][0].copy())
+            if begins:
+                settings = replace(settings, start=task.start)
             run = predicted(own, settings, noise, keep=True)
             if run.whole:
                 return run.misses[first:], ahead_of(own, settings, run.means, first, steps)

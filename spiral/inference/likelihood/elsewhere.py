@@ -140,4 +140,4 @@ def _given(assembly: Assembly, state: FitState) -> FitState | None:
         values[:, at] = known[key]
     if not behind or not np.all(np.isfinite(values)):
         return None
-    return replace(state, values=values, noise=None, starts=None)
+    return replace(state, values=values, noise=None, starts=None, spreads=None)

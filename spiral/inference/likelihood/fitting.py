@@ -7,18 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.setup import smoothed
-from spiral.engine.filter.task import Task, linearised, task_with
+from spiral.engine.filter.task import begun_within, linearised, task_with
 from spiral.engine.likelihood.fit import Kept, Maximum, maximise
 from spiral.engine.likelihood.noise import NoiseModel, acting_on, first_noise, limits
 from spiral.engine.likelihood.predict import (
     Masks,
     Prepared,
-    all_predicted,
-    log_likelihood,
     predicted,
 )
-from spiral.engine.series import Series
 from spiral.engine.statistics import Whiteness, whiteness
 from spiral.inference.evidence.assembly import Assembly, columns, with_steps
 from spiral.inference.evidence.fit_state import FitState
@@ -31,11 +27,8 @@ LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by 
 WARM = 6  # scoring steps from the values on all samples to those on the selecting half
 LEAST = 1.5  # times its least value from which a random force is one
 LITTLE = 0.05  # share up to which what acts at random is little
-_FAR = 30.0  # times its motion that a hidden state may lie from where it is first looked for
-_AGAIN = 12  # times that beginnings are looked for
 _FAINT = 0.1  # of what one step misses: white noise below makes next to nothing of it
 WORTH = 1.0  # log-likelihood for which they are looked for once more
-_HEAD = 2048  # samples that tell where a record begins
 _ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
 MOST_SUBSTEPS = 32
 
@@ -109,6 +102,7 @@ def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) 
     rows = np.ascontiguousarray(state.values[:, : len(traced.keys)])
     known = doubts(followed) if state.noise is not None else {}
     begins = state.starts or (None,) * len(rows)
+    spreads = state.spreads if state.starts and state.spreads else (None,) * len(rows)
     others = (None,) * len(rows) if like is None else tuple(task for task, _ in like)
     tasks = [
         task_with(model, compiled, row.copy(), series.record, start, series=series, like=other)
@@ -117,7 +111,10 @@ def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) 
         )
     ]
     moved = moving(assembly, state)
-    return tuple(filter_prepared(replace(t, moved=moved), followed, known) for t in tasks)
+    return tuple(
+        filter_prepared(replace(begun_within(t, spread), moved=moved), followed, known)
+        for t, spread in zip(tasks, spreads, strict=True)
+    )
 
 
 def integrated(assembly: Assembly, state: FitState) -> Assembly:
@@ -227,87 +224,6 @@ def _vanished(at: Maximum) -> dict[str, float]:
         elif term.kind == "force" and size < LEAST * limits(task, term.size)[0]:
             found[term.size] = LEVEL
     return found
-
-
-def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
-    """The fit again with each record begun where all of it says.
-
-    A hidden state far from the mean that it was first given (zero) would cost likelihood until the
-    record has told it, and a filter of a machine that is not linear is misled by it for longer.
-    Where the model then does not explain the records, a hidden state may lie much further off than
-    the motion of what is measured suggests (those who may still fall ill, beside those who are):
-    beginnings are looked for that far, and the fit taken on from there, while that pays.
-    """
-    for _ in range(_AGAIN):
-        better = _begun_again(assembly, found, 1.0)
-        if better is found:
-            break
-        found = better
-    if explains(found):
-        return found
-    stretch = 1.0
-    for _ in range(_AGAIN):
-        better = _begun_again(assembly, found, _FAR, stretch)
-        if better.height > found.height + WORTH:
-            found, stretch = better, 2 * stretch
-        elif stretch == 1.0:
-            break
-        else:
-            stretch = 1.0
-    return found
-
-
-def _begun_again(
-    assembly: Assembly, found: LikelihoodFit, spread: float, stretch: float = 1.0
-) -> LikelihoodFit:
-    """The fit from where the records say they begin, if that is more likely.
-
-    Within the doubt that a filter of a linear machine begins with it changes next to nothing.
-    """
-    at = found.estimate
-    if not at.finite:
-        return found
-    state, far = _beginnings(found, spread, stretch)
-    if not far:
-        trial = all_predicted([(subjects(assembly, state, at.prepared), at.noise)])[0]
-        if not log_likelihood(trial) > found.height + WORTH:
-            return found
-    again = refitted(assembly, state, rough=True, kept=at.kept)
-    return again if again.height > found.height else found
-
-
-def _beginnings(found: LikelihoodFit, spread: float, stretch: float) -> tuple[FitState, bool]:
-    """The fit's state with every record begun where it says, of first states that lie so far off.
-
-    And whether that is beyond the doubt that the filter has of a state. What it follows (a phase's
-    origin) begins where the record has it as well: a filter that is linear about a first guess far
-    off misses the first samples, and an effect that is not there may make up for these.
-
-    Along a valley where a parameter makes up for a beginning the smoother goes in small steps,
-    which are ``stretch`` times as long here.
-    """
-    starts, far, values = [], False, found.state.values.copy()
-    for row, (task, settings) in zip(values, found.estimate.prepared, strict=True):
-        head = replace(task, series=_head(task.series), inputs=_head_inputs(task))
-        levels, n = force_levels(found.estimate.noise), len(task.states)
-        known = doubts(settings.tracked)
-        first = smoothed(head, levels, settings.tracked, known, spread)[0]
-        doubt = np.sqrt(np.diag(settings.covariance))
-        far = far or bool(np.any(np.abs(first[:n] - settings.start) > doubt))
-        starts.append(settings.start + stretch * (first[:n] - settings.start))
-        row[[task.keys.index(k) for k in settings.tracked]] = first[n:]
-    return replace(found.state, starts=tuple(starts), values=values), far
-
-
-def _head(series: Series) -> Series:
-    samples = min(series.samples, _HEAD)
-    seen = None if series.seen is None else series.seen[:samples]
-    return replace(series, y=np.ascontiguousarray(series.y[:samples]), seen=seen)
-
-
-def _head_inputs(task: Task) -> Array:
-    samples = min(task.series.samples, _HEAD)
-    return np.ascontiguousarray(task.inputs[: (samples - 1) * 2 * task.series.substeps + 1])
 
 
 def force_levels(noise: NoiseModel) -> dict[str, float]:

@@ -18,6 +18,7 @@ from spiral.inference.evidence.assembly import Assembly, columns, nuisance_keys,
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import doubts, task_for
 from spiral.inference.evidence.judge import FreeRun, run_free
+from spiral.inference.likelihood.beginnings import begun_near
 from spiral.inference.likelihood.fitting import force_levels
 from spiral.types.model import Model
 from spiral.types.record import Array
@@ -52,6 +53,10 @@ def free_runs(
         task = task_for(heads, model, rows[r], head.record, head.substeps)
         if usual is not None and len(usual) == len(task.states):
             task = replace(task, start=np.where(np.isnan(usual), task.start, usual))
+        if settle is None and state.starts is not None:
+            task = replace(task, start=state.starts[r])
+        if not followed and state.noise is not None:
+            task = begun_near(task, state.noise)
         means = _smoothed(task, state.noise, followed, settle is not None)
         starts.append(means[0][None, : len(task.states)].copy())
         for place, key in enumerate(followed):

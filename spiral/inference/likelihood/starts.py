@@ -28,6 +28,7 @@ from spiral.engine.likelihood.predict import all_predicted
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import FitState, all_samples, stage_lengths
+from spiral.inference.likelihood.beginnings import restarted
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     MOST_SUBSTEPS,
@@ -38,7 +39,6 @@ from spiral.inference.likelihood.fitting import (
     is_white,
     moving,
     refitted,
-    restarted,
     samples_of,
     subjects,
 )
@@ -121,7 +121,7 @@ def with_values_given(assembly: Assembly, state: FitState) -> FitState | None:
     values = state.values.copy()
     for key in keys:
         values[:, assembly.study.index(key)] = known[key]
-    return replace(state, values=values, starts=None) if keys else None
+    return replace(state, values=values, starts=None, spreads=None) if keys else None
 
 
 def from_values_given(
@@ -214,7 +214,8 @@ def _starts(
     rests = [at_rest(task) for task, _ in subjects(assembly, state)]
     if all(x is not None for x in rests):
         progress("starting again from hidden states that rest")
-        yield replace(state, starts=tuple(x for x in rests if x is not None)), LEVEL
+        starts = tuple(x for x in rests if x is not None)
+        yield replace(state, starts=starts, spreads=None), LEVEL
     progress("starting again from short windows")
     near = _from_windows(assembly, state)
     if near is not None:

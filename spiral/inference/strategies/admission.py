@@ -24,6 +24,7 @@ from spiral.inference.acting import random_forces
 from spiral.inference.evidence.assembly import Assembly, offers
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Parts, Ranking, present_labels
+from spiral.inference.likelihood.beginnings import restarted
 from spiral.inference.likelihood.between import with_own_inputs
 from spiral.inference.likelihood.candidates import Race, Rival, race
 from spiral.inference.likelihood.comparison import compared_by_likelihood
@@ -34,7 +35,6 @@ from spiral.inference.likelihood.fitting import (
     largest_force,
     refitted,
     reopened,
-    restarted,
     taken_on,
 )
 from spiral.inference.likelihood.groups import alike, plainest, twins

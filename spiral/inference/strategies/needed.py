@@ -8,8 +8,9 @@ from scipy.stats import chi2
 from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.scoring import tested_keys
+from spiral.inference.likelihood.beginnings import restarted
 from spiral.inference.likelihood.between import run_otherwise
-from spiral.inference.likelihood.fitting import LikelihoodFit, price, refitted, restarted
+from spiral.inference.likelihood.fitting import LikelihoodFit, price, refitted
 from spiral.inference.problem import Progress
 from spiral.types.effect import InputEffect, SensorEffect
 

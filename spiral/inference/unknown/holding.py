@@ -121,17 +121,21 @@ def carried(standing: FitState, old: Assembly, new: Assembly) -> FitState:
         if key in new.study.keys:
             values[:, new.study.index(key)] = standing.values[:, i]
     values[:, len(new.study.keys) :] = standing.values[:, tail:]
-    return replace(standing, values=values, starts=_starts(standing, old, new))
+    starts = _in_order(standing.starts, old, new, 0.0)
+    spreads = _in_order(standing.spreads, old, new, np.nan)
+    return replace(standing, values=values, starts=starts, spreads=spreads)
 
 
-def _starts(standing: FitState, old: Assembly, new: Assembly) -> tuple[Array, ...] | None:
-    """Where records begin, in another study's order of states; new ones at zero."""
-    if standing.starts is None:
+def _in_order(
+    rows: tuple[Array, ...] | None, old: Assembly, new: Assembly, other: float
+) -> tuple[Array, ...] | None:
+    """Numbers of the states in another study's order; ``other`` for those that are new."""
+    if rows is None:
         return None
     before, after = old.study.compiled.traced.states, new.study.compiled.traced.states
     places = [(i, before.index(n)) for i, n in enumerate(after) if n in before]
-    found = tuple(np.zeros(len(after)) for _ in standing.starts)
-    for mine, theirs in zip(found, standing.starts, strict=True):
+    found = tuple(np.full(len(after), other) for _ in rows)
+    for mine, theirs in zip(found, rows, strict=True):
         for i, j in places:
             mine[i] = theirs[j]
     return found

@@ -356,9 +356,7 @@ def _filled(names: Mapping[str, str] | None, number: str) -> Mapping[str, str] |
     return names and {k: str(c).replace("*", number) for k, c in names.items()}
 
 
-def _turned(
-    option: str, given: Mapping[str, str], table: Table, known: tuple[str, ...]
-) -> str:
+def _turned(option: str, given: Mapping[str, str], table: Table, known: tuple[str, ...]) -> str:
     """A hint where columns stand before the names that they are for; empty where they do not."""
     pairs = {str(c): n for n, c in given.items()}
     if not all(n in known and table.called(c) for n, c in pairs.items()):

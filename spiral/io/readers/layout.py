@@ -12,7 +12,7 @@ from spiral.types.record import Array
 class ColumnLayout:
     """Name -> the file's column, its unit, way to the system's unit, and reading at rest.
 
-    ``conversion`` is factor and zero: a value x of the file is factor x + zero in the system's unit.
+    ``conversion`` is factor and zero: a value x of the file is factor x + zero in the system.
 
     ``constant`` are inputs that have no column but one value throughout, in the system's unit.
     """

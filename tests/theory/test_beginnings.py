@@ -1,0 +1,90 @@
+"""Where records begin, and what a filter's likelihood is worth that begins near there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+
+import spiral
+from spiral.engine.filter.setup import prepared
+from spiral.engine.filter.task import begun_within, prepare_task
+from spiral.engine.likelihood.noise import first_noise
+from spiral.engine.likelihood.predict import log_likelihood, predicted
+from spiral.inference.likelihood.beginnings import begun_near, closest
+from spiral.types.record import make_record
+
+DT, COUNT, NOISE = 0.02, 200, 0.02
+BEGUN = (0.0, 0.3)
+
+
+def machine(cubic):
+    """A sensor x that follows a hidden z by a spring that stiffens; z decays."""
+
+    def rhs(t, x, u, p):
+        return [p.rate * (x.z + p.cubic * x.z**3 - x.x), p.rate * (u.force - x.z)]
+
+    return spiral.system(
+        rhs, states={"x": "1", "z": "1"}, inputs={"force": "1"},
+        parameters={"cubic": (cubic, "1"), "rate": (1.0, "1/s")}, observed=["x"],
+    )  # fmt: skip
+
+
+def task_of(cubic, seed=0):
+    """A record that begins with z of 0.3, and the filter's task for it."""
+    system = machine(cubic)
+    rng, time = np.random.default_rng(seed), DT * np.arange(COUNT)
+    force = np.sin(2 * time) + 0.5 * np.cos(5 * time)
+    run = solve_ivp(
+        lambda t, x: [-x[0] + x[1] + cubic * x[1] ** 3, CubicSpline(time, force)(t) - x[1]],
+        (0, time[-1]), BEGUN, t_eval=time, rtol=1e-9, atol=1e-11,
+    )  # fmt: skip
+    x = run.y[0] + NOISE * rng.normal(size=COUNT)
+    record = make_record(system, "near", time, {"x": x}, {"force": force}, {"x": NOISE})
+    task = prepare_task(spiral.Model(system, ()), record)
+    noise = first_noise(task, 1e-6)
+    return task, noise.with_values({n: NOISE for n in noise.values if n.startswith("white")})
+
+
+def height(task, noise):
+    return log_likelihood((predicted(*prepared(task, (), {}), noise),))
+
+
+def integral(task, noise):
+    """log of the integral of p(y | x0) over first states, which may be anywhere of the motion."""
+    grid = [b + w * np.linspace(-1, 1, 61) for b, w in zip(BEGUN, (0.05, 0.1), strict=True)]
+    tiny = np.full(2, 1e-9)
+    each = np.array([
+        [height(begun_within(replace(task, start=np.array([x, z])), tiny), noise) for z in grid[1]]
+        for x in grid[0]
+    ])  # fmt: skip
+    each -= np.log(tiny / task.scales).sum()  # p(y | x0) itself
+    steps = [g[1] - g[0] for g in grid]
+    area = np.exp(each - each.max()).sum() * np.prod(steps)
+    return each.max() + np.log(area) - np.log(2 * np.pi * task.scales.prod())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_likelihood_is_the_integral_over_first_states(seed):
+    """By brute force, from wherever the search begins.
+
+    The filter that begins anywhere is misled where the machine is not linear.
+    """
+    task, noise = task_of(cubic=8.0, seed=seed)
+    exact, wide, near = integral(task, noise), [], []
+    for z in (-1.0, 0.0, 1.0, 2.0):
+        begun = replace(task, start=np.array([0.0, z]))
+        wide.append(height(begun, noise))
+        near.append(height(begun_near(begun, noise), noise))
+    np.testing.assert_allclose(near, exact, atol=0.6)
+    assert np.min(wide) < exact - 20
+
+
+def test_a_linear_machine_begins_as_ever():
+    task, noise = task_of(cubic=0.0)
+    begun = closest(task, noise)
+    assert begun.start is task.start
+    near = begun_within(replace(task, start=np.array(BEGUN)), np.array([0.2, 0.4]))
+    wide = begun_within(near, None)
+    assert height(near, noise) == pytest.approx(height(wide, noise), abs=0.1)
