@@ -28,6 +28,7 @@ from spiral.types.horizon import Change, changes
 from spiral.types.run import Comparison
 
 _STRETCHES = 6.6  # times the variance that random forces are expected to make of one free run
+LASTING = 0.1  # of a record, beyond which noise has few values in it
 _HALF = 0.5  # of all that moves, missed one sample ahead: no model of a machine that runs away
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
 _CHANCE = 2.0  # standard errors that an error ahead grows by chance once in forty
@@ -133,11 +134,12 @@ def errs(found: Comparison, settings: Settings) -> bool:
     """
     if found.innovation_chi2 is not None and found.random is None:
         return False
-    floor = _floor(found, settings)
+    floor, drifting = _floor(found, settings), _drifting(found)
     if runs_away(found):
         ahead = next_sample(found)
         return ahead is not None and not ahead <= max(_HALF, 2 * floor)
-    allowed = settings.chi2_limit * floor**2 + _STRETCHES * _carried(found) ** 2
+    few = _carried(found) ** 2 + drifting**2  # of which a record has few values
+    allowed = settings.chi2_limit * (floor**2 - drifting**2) + _STRETCHES * few
     return not found.test_error**2 <= allowed
 
 
@@ -155,9 +157,20 @@ def next_sample(found: Comparison) -> float | None:
 
 
 def _drifting(found: Comparison) -> float:
-    """What drifting sensors add to the error of a free run: rms of their shares over channels."""
-    shares = random_of(found, "drift").values()
+    """What drifting sensors add to the error of a free run: rms of their shares over channels.
+
+    Noise of a sensor that lasts long drifts as well.
+    """
+    lasts = LASTING * found.horizon * _sample(found)
+    slow = {n: v for n, v in coloured_noise(found).items() if found.random_times.get(n, 0) > lasts}
+    shares = (*random_of(found, "drift").values(), *slow.values())
     return float(np.sqrt(sum(v**2 for v in shares) / max(len(found.channels), 1)))
+
+
+def _sample(found: Comparison) -> float:
+    """Seconds of a sample; infinite where no horizon says."""
+    each = (h.seconds / h.samples for h in found.unseen if h.samples and h.seconds)
+    return next(each, np.inf)
 
 
 def near_noise(found: Comparison, settings: Settings) -> bool:

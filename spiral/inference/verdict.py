@@ -40,6 +40,7 @@ from spiral.types.system import place_name
 FROM_NONE = "standard_errors"
 """Of a round's details: by effect, how far it is from none by the likelihood without it."""
 
+_NAMED = 4  # look-alikes that a sentence names
 _VERDICTS = {
     "effect_missing": "An effect is missing.",
     "nothing_missing": "Nothing is missing",
@@ -250,11 +251,21 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
         )
     if not named:
         return f"The model now holds {', '.join(admitted)}: {change}."
-    words = ", ".join(placed(last.model, label) for label in named)
+    words = ", ".join(placed(last.model, x) + _or_else(rounds, x, admitted) for x in named)
     said = f"Missing {'was' if len(named) == 1 else 'were'} {words}: {change}."
     if doubtful:
         said += f" The model also holds {', '.join(doubtful)}: what stands in for memory."
     return said
+
+
+def _or_else(rounds: Sequence[Round], label: str, admitted: tuple[str, ...]) -> str:
+    """What the records do not tell from an effect, in brackets; empty where there is nothing."""
+    alike = dict.fromkeys(a for r in rounds for a in r.aliases.get(label, ()) if a not in admitted)
+    if not alike:
+        return ""
+    names = list(alike)[:_NAMED]
+    more = f" and {len(alike) - len(names)} more" if len(alike) > len(names) else ""
+    return f" (or {', '.join(names)}{more}: this record cannot tell)"
 
 
 def placed(model: Model, label: str) -> str:

@@ -45,6 +45,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.free_fit import FREELY, by_free_runs
 from spiral.inference.likelihood.free_starts import free_runs, nuisances, usual_states
 from spiral.inference.likelihood.independence import followed_share
+from spiral.inference.nearness import LASTING
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model
@@ -57,7 +58,6 @@ _STILL = 1e-6  # share of the fastest rate under which a mode does not move
 _AGREE = 1.25  # ratio within which two estimates of the noise agree
 _SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
 _TOLD = 0.5  # standard error of the logarithm of a size up to which it is told
-_LASTING = 0.1  # of a record, beyond which noise has few values in it
 _COUNTS = 0.005  # share from which what acts at random counts
 
 
@@ -233,7 +233,7 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
         if term.kind == "drift":
             size = max(size * np.sqrt(length), gone[term.size])
         elif term.size in gone:
-            size = min(size, gone[term.size])
+            size = gone[term.size]
         share = size / spread[term.where] if term.where in spread else size
         most = max(share, disturbed) if term.kind in ("force", "gust") else share
         if most >= _COUNTS:
@@ -257,7 +257,7 @@ def _gone(estimate: Maximum) -> dict[str, float]:
         slow = {
             t.size: t.kind for t in noise.terms
             if t.kind == "drift"
-            or (t.kind in COLOURED and times.get(t.size, 0.0) > _LASTING * length)
+            or (t.kind in COLOURED and times.get(t.size, 0.0) > LASTING * length)
         }  # fmt: skip
         if not slow:
             continue
