@@ -1,6 +1,7 @@
 """Records that depart from the model of their noise: honest standard errors, and words for it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from spiral.engine.filter.setup import prepared
 from spiral.engine.filter.task import prepare_task
 from spiral.engine.likelihood.fit import informed, maximise
 from spiral.engine.likelihood.noise import first_noise
+from spiral.inference.likelihood.departures import _shapes as shapes_told
 from spiral.inference.likelihood.departures import departures
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
@@ -93,6 +95,21 @@ def test_nothing_is_told_of_white_noise():
 def test_the_shape_of_the_noise_is_told(noise, word):
     (told,) = departures(MODEL, fitted(CLEAN + noise(np.random.default_rng(1))), True, ())
     assert word in told
+
+
+def test_noise_that_grows_from_zero_is_told_of_a_reading_that_is_never_negative():
+    """A concentration between 5 and 15 that is read within 3 %; its mean is nothing special."""
+    rng = np.random.default_rng(4)
+    reading = 10 + 5 * np.sin(np.linspace(0, 40, 2000))
+    misses = (0.03 * reading * rng.normal(size=2000))[:, None]
+    spreads = np.full((2000, 1), float(np.var(misses)))
+    part = SimpleNamespace(misses=misses, spreads=spreads, whitened=misses / np.sqrt(spreads))
+    series = SimpleNamespace(y=reading[:, None] + misses)
+    compiled = SimpleNamespace(traced=SimpleNamespace(channels=("c",)))
+    task = SimpleNamespace(series=series, compiled=compiled)
+    (told,) = shapes_told(SimpleNamespace(prepared=((task, None),), parts=(part,)))
+    assert told.startswith("the noise of sensor c grows with its reading, ")
+    assert float(told.partition(", ")[2].split("-")[0]) == pytest.approx(3.0, abs=0.3)
 
 
 def test_a_stiffness_that_drifts_is_told_with_its_size():

@@ -3,7 +3,8 @@
 With e the whitened misses of a fit and X their slopes by parameters:
 
     a parameter drifts    e = X b + d (t x_j),    t from -1/2 to 1/2 over each record
-    noise that grows      e ~ N(0, a + b h^2),    h a reading from its mean, over its deviation
+    noise that grows      e ~ N(0, a + b h^2),    h a reading from its mean, or from zero, over
+                                                  its deviation
     heavy tails           e ~ s t_nu,             Student's t with nu degrees of freedom
 
 They are told where twice their gain in log-likelihood is above 20. That of a drift must be so by
@@ -32,6 +33,7 @@ _TOLD = 20.0  # twice the gain in log-likelihood from which a departure is told
 _ALIKE = 9.2  # 2 log 100, of the same, under which two parameters are not told apart
 _COUNTS = 0.005  # share of its value that a parameter drifts by
 _RATIOS = np.geomspace(0.03, 100.0, 18)  # b / a of noise that grows
+_TWO = 4.0  # twice log-likelihood by which noise that grows from zero, not from the mean, is told
 _TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
 _FEWEST = 64  # samples
 
@@ -142,18 +144,16 @@ def _shapes(estimate: Maximum) -> tuple[str, ...]:
     channels = estimate.prepared[0][0].compiled.traced.channels
     told = []
     for j, name in enumerate(channels):
-        e, h = _channel(estimate, j)
+        e, h, mean = _channel(estimate, j)
         if len(e) < _FEWEST:
             continue
-        growth, tails = _growth(e, h), _tails(e)
+        growth, from_zero, tails = _growth(e, h), _growth(e, h + mean, True), _tails(e)
+        if from_zero[0] > growth[0] + _TWO:
+            growth = from_zero
         if max(growth[0], tails[0]) <= _TOLD:
             continue
         if growth[0] > tails[0]:
-            times = number(float(np.sqrt(1 + 4 * growth[1])), 2)
-            told.append(
-                f"the noise of sensor {name} grows with the amplitude of its reading: two standard "
-                f"deviations from the mean it is {times} times as large as there"
-            )
+            told.append(f"the noise of sensor {name} grows with {_grows(growth, h + mean)}")
         else:
             told.append(
                 f"the noise of sensor {name} has heavy tails (outliers), like Student's t with "
@@ -163,28 +163,43 @@ def _shapes(estimate: Maximum) -> tuple[str, ...]:
     return tuple(told)
 
 
+def _grows(growth: tuple[float, float, bool], h: Array) -> str:
+    """How noise grows, in words; ``h`` are the readings from zero, over their deviation."""
+    _, ratio, from_zero = growth
+    if not from_zero:
+        times = number(float(np.sqrt(1 + 4 * ratio)), 2)
+        return (
+            "the amplitude of its reading: two standard deviations from the mean it is "
+            f"{times} times as large as there"
+        )
+    low, high = np.sort(np.abs(np.quantile(h, (0.05, 0.95))))
+    times = number(float(np.sqrt((1 + ratio * high**2) / (1 + ratio * low**2))), 2)
+    return f"its reading, {times}-fold over the middle 90 % of its values"
+
+
 def _beyond(e: Array) -> str:
     return f"{percent(float(np.mean(np.abs(e) > 4 * e.std())))} of its readings"
 
 
-def _channel(estimate: Maximum, j: int) -> tuple[Array, Array]:
-    """Misses of a channel, and its predictions from their mean over their deviation."""
-    misses, readings = [], []
+def _channel(estimate: Maximum, j: int) -> tuple[Array, Array, float]:
+    """Misses of a channel, its predictions from their mean over their deviation, and that mean."""
+    misses, readings, means = [], [], []
     for (task, _), part in zip(estimate.prepared, estimate.parts, strict=True):
         seen = part.spreads[:, j] > 0
         reading = task.series.y[seen, j] - part.misses[seen, j]
         spread = float(reading.std()) if seen.any() else 0.0
         misses.append(part.whitened[seen, j])
         readings.append((reading - reading.mean()) / spread if spread > 0 else 0.0 * reading)
-    return np.concatenate(misses), np.concatenate(readings)
+        means.append(float(reading.mean()) / spread if spread > 0 else 0.0)
+    return np.concatenate(misses), np.concatenate(readings), float(np.mean(means))
 
 
-def _growth(e: Array, h: Array) -> tuple[float, float]:
-    """Twice the gain of a variance a (1 + r h^2) over a constant one, and the best r."""
+def _growth(e: Array, h: Array, from_zero: bool = False) -> tuple[float, float, bool]:
+    """Twice the gain of a variance a (1 + r h^2) over a constant one, the best r, and a mark."""
     still = len(e) * np.log(np.mean(e**2))
     gains = [still - _size(e, 1 + r * h**2) for r in _RATIOS]
     best = int(np.argmax(gains))
-    return float(gains[best]), float(_RATIOS[best])
+    return float(gains[best]), float(_RATIOS[best]), from_zero
 
 
 def _size(e: Array, variance: Array) -> float:
