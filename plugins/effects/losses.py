@@ -2,7 +2,8 @@
 
 x is a level, a temperature, a charge, a concentration, a share: any state that a system lets
 something flow into, wherever it stands (``linear_loss@box_wall``). Losses count from the state's
-zero, so that where the surroundings are not at zero a ``constant_flow`` belongs to them.
+zero, so that where the surroundings are not at zero a ``constant_flow`` belongs to them; where an
+input has the surroundings, most losses count from it as well (``quadratic_loss@room-outside``).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ class LinearLoss(StateFlow):
     Laminar leakage, conduction to the surroundings, decay, a resistor across a capacitor.
     """
 
+    differences = True
     parameters = (Parameter("rate", "force/position", lower=0.0),)
 
     def flow(self, at, u, p):
@@ -45,6 +47,7 @@ class RootLoss(StateFlow):
     x / (x^2 + w^2)^(1/4).
     """
 
+    differences = True
     parameters = (
         Parameter("rate", "force/position^0.5", lower=0.0),
         Parameter("width", "position", lower=0.0, role="shape", grid=(0.02,)),
@@ -62,6 +65,7 @@ class QuadraticLoss(StateFlow):
     Turbulent drag on what flows, a reaction of two equal partners, crowding.
     """
 
+    differences = True
     parameters = (Parameter("rate", "force/position^2", lower=0.0),)
 
     def flow(self, at, u, p):
@@ -77,6 +81,7 @@ class CubicLoss(StateFlow):
     saturates, charge transfer that eases at high overvoltage.
     """
 
+    differences = True
     parameters = (Parameter("rate", "force/position^3"),)
 
     def flow(self, at, u, p):
@@ -112,6 +117,7 @@ class DryLoss(StateFlow):
     """
 
     units = ("m/s", "rad/s")
+    differences = True
     parameters = (
         Parameter("level", "force", lower=0.0),
         Parameter("width", "position", lower=0.0, role="shape", grid=(0.003, 0.02, 0.1)),

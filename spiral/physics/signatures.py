@@ -199,8 +199,12 @@ def _shown(along: Along, port: Port) -> tuple[Array, Array]:
 
 
 def _levels(along: Along, port: Port) -> Array:
-    """(samples, axes) states that a port is made of."""
-    return along.states[:, [_index(along.system, name) for name in port.axes]]
+    """(samples, axes) states that a port is made of, from the input that they count against."""
+    levels = along.states[:, [_index(along.system, name) for name in port.axes]]
+    if not port.against:
+        return levels
+    outside = input_columns(along.system).index(port.against)
+    return levels - along.inputs[:, outside : outside + 1]
 
 
 def _input(along: Along, port: Port) -> Array:

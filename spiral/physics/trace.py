@@ -208,7 +208,8 @@ def _place(
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
     elif isinstance(effect, StateFlow):
-        position = tuple(getattr(x, name) for name in port.axes)
+        outside = inputs[port.against] if port.against else 0
+        position = tuple(getattr(x, name) - outside for name in port.axes)
     elif has_coordinates(system):
         q, v = system.split(x)
         position = tuple(port.coordinates(q, p))

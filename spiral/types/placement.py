@@ -42,7 +42,7 @@ def at_every_place(system: System, effect: Effect) -> list[Effect]:
         return [
             replace(effect, port=place_name(port))
             for port in system.filled
-            if len(port.axes) == effect.axes
+            if len(port.axes) == effect.axes and (effect.differences or not port.against)
         ]
     else:
         names = []

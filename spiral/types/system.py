@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, ClassVar, TypeGuard
 
@@ -147,14 +148,25 @@ class System(Plugin):
     def filled(self) -> tuple[Port, ...]:
         """States of first order that effects may flow into, each as a port ``state NAME``.
 
-        Pairs of one unit come after them, as ``states NAME-NAME``.
+        After them what a state has more than an input of its unit, as ``state NAME-INPUT``, and
+        pairs of one unit, as ``states NAME-NAME``.
         """
         forces = {c.name for c in self.coordinates} if has_coordinates(self) else set()
         units = {s.name: s.unit for s in self.states}
         own = [i for i in self.injections if i.name in units and i.name not in forces]
         pairs = [(a, b) for i, a in enumerate(own) for b in own[i + 1 :]]
         alike = [(a, b) for a, b in pairs if (units[a.name], a.unit) == (units[b.name], b.unit)]
-        return (*(_filled(units, i) for i in own), *(_filled(units, *pair) for pair in alike))
+        outside = [
+            replace(_filled(units, i), name=f"state {i.name}-{u.name}", against=u.name)
+            for i in own
+            for u in self.inputs
+            if u.unit and u.unit == units[i.name]
+        ]
+        return (
+            *(_filled(units, i) for i in own),
+            *outside,
+            *(_filled(units, *pair) for pair in alike),
+        )
 
     def place(self, effect: Effect) -> Port:
         """Where an effect acts: at its port, on an input, into a state, or on the sensors."""
@@ -172,7 +184,10 @@ class System(Plugin):
                 effect, self.driven, "which acts on an input", "an input that no other follows"
             )
         if isinstance(effect, StateFlow):
-            fit = [port for port in self.filled if len(port.axes) == effect.axes]
+            fit = [
+                port for port in self.filled
+                if len(port.axes) == effect.axes and (effect.differences or not port.against)
+            ]  # fmt: skip
             fit.sort(key=lambda port: bool(effect.units) and port.position_unit not in effect.units)
             return self._place_of(
                 effect, tuple(fit), "which flows into a state",
@@ -295,7 +310,7 @@ def check_states(system: System, what: str) -> None:
 
 def place_name(port: Port) -> str:
     """What an effect on an input or into a state calls its port: the names of its axes."""
-    return "-".join(port.axes)
+    return "-".join((*port.axes, port.against) if port.against else port.axes)
 
 
 def _filled(units: dict[str, str], *into: State) -> Port:

@@ -58,6 +58,10 @@ def extremes(system: System, records: Sequence[Record], along: Sequence[Array]) 
             )
     for port in system.filled:
         levels = states[:, [i for i, s in enumerate(system.states) if s.name in port.axes]]
+        if port.against:  # as far apart as both may be
+            outside = [r.inputs[port.against] for r in records]
+            low, high = (float(f(np.concatenate(outside))) for f in (np.min, np.max))
+            levels = np.stack([levels - low, levels - high])
         found[f"{port.name}.position"] = float(np.abs(levels).max())
     for port in system.driven:
         given = [(r.inputs[name], r.dt) for r in records for name in port.axes]

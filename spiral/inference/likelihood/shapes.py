@@ -25,21 +25,27 @@ def with_own_shapes(
     keys: tuple[str, ...],
     masks: Masks = None,
     steps: int = 40,
+    chosen: bool = False,
 ) -> LikelihoodFit:
     """A fit in which shapes ``keys`` of an effect that it holds take their most likely values.
 
     They were held while it was a candidate: the corner of a gap rounded over a share of the motion,
     say. Where the record tells them they are free, with an error of their own; where their most
     likely values are better than their price, they are held there; else they stay. ``masks`` and
-    ``steps`` as in ``refitted``.
+    ``steps`` as in ``refitted``. Of those ``chosen``, by a race over their grids and by its first
+    half, the price is paid: where they are told they are free, else the errors of all that goes
+    with them would be those of a shape that is known.
     """
     if not keys or not found.estimate.finite:
         return found
     at, loose = found.estimate, _loosened(assembly, found, keys, masks, steps)
-    if not loose.height > found.height + price(len(keys), at.prepared):
+    worth = loose.height > found.height + price(len(keys), at.prepared)
+    if not (worth or (chosen and loose.height >= found.height)):
         return found
     if told(loose, keys, effect):
         return loose
+    if not worth:
+        return found
     held = replace(loose.state, freed=found.state.freed)
     again = refitted(
         assembly, held, loose.estimate.noise, masks, steps, rough=True, like=at.prepared

@@ -359,7 +359,8 @@ def _with_shapes(own: Assembly, found: LikelihoodFit, label: str) -> LikelihoodF
     held, it would be made up for by whatever scales the motion.
     """
     for effect in (*(v.effect for v in admitted(own, found, label)), own.variant(label).effect):
-        found = with_own_shapes(own, found, effect, held_shapes(own, found, effect))
+        keys = held_shapes(own, found, effect)
+        found = with_own_shapes(own, found, effect, keys, chosen=True)
     return found
 
 

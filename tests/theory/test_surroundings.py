@@ -1,0 +1,86 @@
+"""Losses to surroundings that an input has: a room that loses heat to the outdoors."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import spiral
+from spiral.io.registry import load_registry
+from spiral.types.errors import ConfigError
+from spiral.types.placement import at_every_place
+from spiral.types.record import make_record
+from spiral.types.system import place_name
+
+REGISTRY = load_registry()
+DT, COUNT = 300.0, 700
+AIR, WALL, DIRECT, INNER, OUTER, DRAUGHT = 1.2e6, 1.5e7, 45.0, 220.0, 60.0, 3.0
+
+
+def room():
+    def rhs(t, x, u, p):
+        inner = p.Gw * (x.T - x.W)
+        return [
+            (u.heater - p.Ga * (x.T - u.outside) - inner) / p.Ca,
+            (inner - p.Go * (x.W - u.outside)) / p.Cw,
+        ]
+
+    return spiral.system(
+        rhs, states={"T": "K", "W": "K"}, inputs={"heater": "W", "outside": "K"}, observed=["T"],
+        parameters={"Ca": (1.1e6, "J/K"), "Cw": (WALL, "J/K"), "Ga": (55, "W/K"),
+                    "Gw": (190, "W/K"), "Go": (70, "W/K")},
+        free=["Ca", "Ga", "Gw", "Go"],
+    )  # fmt: skip
+
+
+def measured(draught, seed=1):
+    """A record of air at 295 K or so, by SciPy; inputs held between samples."""
+    rng, time = np.random.default_rng(seed), DT * np.arange(COUNT)
+    heater = np.repeat(rng.uniform(0, 5000, COUNT // 20), 20)
+    outside = 278 + 6 * np.sin(2 * np.pi * time / 86400) + 3 * np.sin(time / 9000)
+    states = [np.array([293.0, 291.0])]
+    for u, out in zip(heater[:-1], outside[:-1], strict=True):
+
+        def rate(t, x, u=u, out=out):
+            d = x[0] - out
+            inner = INNER * (x[0] - x[1])
+            lost = DIRECT * d + draught * d * abs(d)
+            return [(u - lost - inner) / AIR, (inner - OUTER * (x[1] - out)) / WALL]
+
+        states.append(solve_ivp(rate, (0, DT), states[-1], rtol=1e-9, atol=1e-9).y[:, -1])
+    air = np.array(states)[:, 0] + 0.03 * rng.normal(size=COUNT)
+    inputs = {"heater": heater, "outside": outside}
+    return make_record(room(), "room", time, {"T": air}, inputs, hold="zero_order")
+
+
+def test_losses_have_places_against_inputs_of_their_unit():
+    system = room()
+    places = [e.port for e in at_every_place(system, REGISTRY.make("effect", "quadratic_loss"))]
+    assert places == ["T", "W", "T-outside", "W-outside"]
+    assert [e.port for e in at_every_place(system, REGISTRY.make("effect", "constant_flow"))] == [
+        "T", "W",
+    ]  # fmt: skip
+    loss = REGISTRY.make("effect", "quadratic_loss", {"port": "W-outside"})
+    port = system.place(loss)
+    assert (port.axes, port.against, place_name(port)) == (("W",), "outside", "W-outside")
+    with pytest.raises(ConfigError, match="one of T, W"):
+        system.place(REGISTRY.make("effect", "constant_flow", {"port": "T-outside"}))
+
+
+def test_a_draught_is_named_with_its_size():
+    record = measured(DRAUGHT)
+    run = spiral.discover(
+        record, room(), holdout=0.3,
+        candidates=["quadratic_loss@T", "quadratic_loss@T-outside", "quadratic_loss@W-outside",
+                    "cubic_loss@T-outside"],
+    )  # fmt: skip
+    assert run.missing == ("quadratic_loss@T-outside",)
+    values, errors = run.model.values, run.model.errors
+    key = "quadratic_loss@T-outside.rate"
+    assert abs(values[key] - DRAUGHT / AIR) < 3 * errors[key]
+    assert abs(values["system.Ga"] - DIRECT) < 3 * errors["system.Ga"]
+
+
+def test_without_a_draught_nothing_is_missing():
+    run = spiral.discover(measured(0.0, seed=2), room(), holdout=0.3)
+    assert run.missing == ()
+    assert run.verdict == "nothing_missing"
