@@ -164,6 +164,23 @@ class Exchange(StateFlow):
         return [-p.rate[0] * (first - second), -p.rate[1] * (second - first)]
 
 
+class Conversion(StateFlow):
+    """What turns from one into the other: x_1' = ... - c_1 x_1 + c_2 x_2, x_2' the opposite.
+
+    Immunity that wanes, a reaction of first order and its reverse, people who move: what one loses
+    the other gains. Between shares, amounts and concentrations; no temperature turns into another.
+    """
+
+    axes = 2
+    units = ("1", "kg", "mol", "g/l", "mol/l", "1/l")
+    parameters = (Parameter("rate", "force/position", lower=0.0, per_axis=True),)
+
+    def flow(self, at, u, p):
+        """-f and f, f = c_1 x_1 - c_2 x_2."""
+        turned = p.rate[0] * at.position[0] - p.rate[1] * at.position[1]
+        return [-turned, turned]
+
+
 class MutualFlow(StateFlow):
     """A flow in proportion to both of two states: x_i' = ... + c_i x_1 x_2 for i = 1, 2.
 

@@ -47,3 +47,10 @@ def test_the_bound_is_the_number_of_terms(text):
     expanded = sp.expand(compute(text, symbols))
     assert terms(read(text)) == len(sp.Add.make_args(expanded))
     assert terms(read("(a+b+c)**4")) == comb(6, 2)
+
+
+def test_a_power_is_written_in_either_way():
+    symbols = {name: sp.Symbol(name) for name in "kxy"}
+    assert compute("-k*x^2*y + 2^3", symbols) == compute("-k*x**2*y + 2**3", symbols)
+    with pytest.raises(ConfigError, match="terms when multiplied out"):
+        read(f"{LONG}^12")

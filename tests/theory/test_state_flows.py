@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from spiral_plugins.effects.inputs import InputDelay
-from spiral_plugins.effects.losses import Exchange, LinearLoss
+from spiral_plugins.effects.losses import Conversion, Exchange, LinearLoss
 from spiral_plugins.effects.memory import Jenkins
 from spiral_plugins.systems.equations import Equations
 from spiral_plugins.systems.oscillator import Oscillator
@@ -49,6 +49,38 @@ def test_what_is_exchanged_at_equal_rates_is_neither_made_nor_lost():
     first, second = Exchange().flow(at, SimpleNamespace(), SimpleNamespace(rate=(0.4, 0.4)))
     assert first + second == 0.0
     assert first - second == pytest.approx(-0.8 * (3.0 - 1.0))
+
+
+def test_what_turns_from_one_into_the_other_is_neither_made_nor_lost():
+    at, rate = At((3.0, 1.0), (), SimpleNamespace()), SimpleNamespace(rate=(0.4, 0.1))
+    first, second = Conversion().flow(at, SimpleNamespace(), rate)
+    assert (first, second) == pytest.approx((-1.1, 1.1))
+
+
+def test_waning_immunity_is_named():
+    """An epidemic of which the infected alone are counted, and who was immune is so no longer."""
+    text = """
+    equations: ["S' = -beta*c*S*I", "I' = beta*c*S*I - g*I", "R' = g*I"]
+    states: {S: '1', I: '1', R: '1'}
+    inputs: {c: {unit: '1', interpolation: zero_order}}
+    parameters: {beta: 0.35 1/s, g: 0.11 1/s}
+    free: [beta, g]
+    observed: [I]
+    """
+    system = Equations(text=text)
+    wane = effect("conversion", port="S-R")
+    truth = {"system.beta": 0.3, "system.g": 0.1}
+    rates = {"conversion@S-R.rate_S": 0.0, "conversion@S-R.rate_R": 0.02}
+    model = seed_model(system, (wane,), values={**truth, **rates})
+    time, rng = 0.5 * np.arange(600), np.random.default_rng(3)
+    contact = np.repeat(rng.uniform(0.6, 1.4, 20), 30)
+    begin = {"S": 0.9, "I": 0.02, "R": 0.08}
+    record = simulate(model, time, {"c": contact}, 0.01, rng, begin, substeps=4)
+    offered = ["conversion@S-R", "linear_loss@S", "constant_flow@S", "exchange@S-R"]
+    run = spiral.discover(record, system, holdout=0.3, candidates=offered)
+    assert run.missing == ("conversion@S-R",)
+    found = run.model.estimates()["conversion@S-R"]["rate_R"]
+    assert abs(found.estimate - 0.02) < 3 * found.se
 
 
 def filled(seed, *hidden, **values):

@@ -45,7 +45,6 @@ POSITIVE = ("abs", "hypot", "sqrt", "exp")  # whose values a root may be taken o
 CONSTANTS = {"pi": math.pi}
 
 _HINTS: dict[type[ast.AST], str] = {
-    ast.BitXor: "a power is written x**3",
     ast.Compare: "a comparison stands first in where(x > g, a, b)",
     ast.IfExp: "where(x > g, a, b) in place of if",
     ast.BoolOp: "where(x > g, where(x < h, a, b), b) in place of and",
@@ -56,7 +55,7 @@ _HINTS: dict[type[ast.AST], str] = {
 
 @lru_cache(maxsize=512)
 def read(text: str) -> ast.expr:
-    """The tree of a formula, every node of it allowed.
+    """The tree of a formula, every node of it allowed; ``x^3`` is x**3.
 
     Raises
     ------
@@ -67,7 +66,7 @@ def read(text: str) -> ast.expr:
             f"an expression of {len(text)} characters", f"at most {LONGEST}", "an effect in a file"
         )
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
+        tree = ast.parse(text.strip().replace("^", "**"), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         found = error.msg if isinstance(error, SyntaxError) else type(error).__name__
         raise ConfigError(f"expression {text!r}: {found}", "a formula", "-k3*x**3") from error
