@@ -15,6 +15,7 @@ SPEED_RATE_KNOTS = 64  # samples between the knots of the curve that a rate is t
 
 
 _MOST_PIECES = 60
+_SMOOTH = 11  # samples of the local cubics that say how large a reading is
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class Series:
     ``y`` (samples, channels), ``sigma`` (channels,), ``inputs`` ((samples - 1) * 2 * substeps + 1,
     input columns) on the half-step grid of the integrator, ``dt`` in s; ``held`` are columns whose
     value stays from one sample to the next. ``seen`` (samples, channels) is False where a reading
-    is no measurement (``y`` is bridged there), or nothing where all are.
+    is no measurement (``y`` is bridged there), or nothing where all are; ``growth`` is the record's
+    for each channel.
     """
 
     record: Record
@@ -53,6 +55,7 @@ class Series:
     splines: Splines
     held: tuple[int, ...] = ()
     seen: Array | None = None
+    growth: tuple[tuple[float, float, float] | None, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -108,6 +111,18 @@ class Series:
             found[0::3, column] = found[2::3, column] = grid[1::2, column]
         return found
 
+    @cached_property
+    def grown(self) -> Array | None:
+        """(samples, channels) shares of the noise's variance where it grows with the reading."""
+        if not any(self.growth):
+            return None
+        found, smooth = np.ones_like(self.y), self.smoothed(min(_SMOOTH, self.samples))[0]
+        for j, growth in enumerate(self.growth):
+            if growth is not None:
+                centre, height, mean = growth
+                found[:, j] = (1 + ((smooth[:, j] - centre) / height) ** 2) / mean
+        return found
+
     def weight(self, mask: Array | None) -> Array:
         """(samples, channels): 1/sigma where the mask holds, else 0."""
         weight = np.broadcast_to(1.0 / self.sigma, self.y.shape).copy()
@@ -137,6 +152,7 @@ def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) ->
         splines=splines(record, substeps, knot if wanted else 0.0),
         held=tuple(k for k, i in enumerate(system.inputs) if record.between(i) == "zero_order"),
         seen=seen_readings(record, system.observed),
+        growth=tuple(record.growth.get(c) for c in system.observed),
     )
 
 

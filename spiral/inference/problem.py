@@ -83,6 +83,13 @@ class Problem:
     strategy: Plugin | None = None
     scaled: tuple[str, ...] = ()
 
+    def with_growth(self, growth: Mapping[str, tuple[float, float, float]]) -> Problem:
+        """The same with noise that grows with its reading (``Record.growth``)."""
+        records, test = (
+            tuple(replace(r, growth=growth) for r in some) for some in (self.records, self.test)
+        )
+        return replace(self, records=records, test=test)
+
     def running(self, ways: Mapping[str, Interpolation]) -> Problem:
         """The question with inputs that run so between samples where a record does not say."""
         if not ways:

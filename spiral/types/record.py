@@ -41,6 +41,8 @@ class Record:
     notes : what a reader should know (conversions), in words.
     spoilt : readings that are no measurement, by channel; ``make_record`` finds them.
     hold : how an input runs between its samples, by name, where not as its system says.
+    growth : channel -> (c, h, m) where its noise grows with the reading y: its variance is
+        (1 + ((y - c) / h)^2) / m times that of the others.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Record:
     notes: tuple[str, ...] = ()
     spoilt: Mapping[str, tuple[Spoilt, ...]] = field(default_factory=dict)
     hold: Mapping[str, Interpolation] = field(default_factory=dict)
+    growth: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         length = f"{self.samples} samples, {self.samples * self.dt:.4g} s at {1 / self.dt:.4g} Hz"

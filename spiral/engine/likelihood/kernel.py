@@ -81,7 +81,7 @@ def _measured(
             misses[k, j] -= c[j, i] * (x[i] - before[i])
         for i in range(width):
             d[j, i] = cv[j, both[tracked + i]]
-        spreads[k, j] = absorb(x, p, c, d, j, r[j], misses[k, j], gain, work)
+        spreads[k, j] = absorb(x, p, c, d, j, r[min(k, len(r) - 1), j], misses[k, j], gain, work)
         if not spreads[k, j] > 0.0:
             return False
         for i in range(width):
@@ -151,7 +151,7 @@ def _along_record(
 @nb.njit(
     types.int64(
         FLOW_FUNCTION, MODEL_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1, _F2, _F1, _I1, types.int64,
-        _F2, _F2, types.int64, types.float64, _F2, _F1, _F2, _F2, _F2, _F2, _F2, _F2, _F3, _F2,
+        _F2, _F2, types.int64, types.float64, _F2, _F2, _F2, _F2, _F2, _F2, _F2, _F2, _F3, _F2,
         _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
@@ -172,7 +172,8 @@ def predict_record(
     both : indices of the ``tracked`` parameters, then of those differentiated (width).
     inputs : on the half-step grid; stages : of every Runge-Kutta step (``Series.stages``);
     substeps : steps per sample; dt : s.
-    y : (samples, channels), NaN where missing; r : (channels,) variance of the white noise.
+    y : (samples, channels), NaN where missing; r : (samples or 1, channels) variance of the white
+        noise.
     q : (N, N) covariance that a sample adds; phi (k, k), seen (channels, k), driven (n, k) : Phi,
         H and G of the noise states.
     misses, spreads : (samples, channels) out: e and s; s is 0 where a channel is missing.
@@ -215,7 +216,7 @@ def _follow(absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, 
         for i in range(size):
             c[0, i] = rows[k, j, i]
             misses[j] -= rows[k, j, i] * x[i]
-        spreads[j] = absorb(x, p, c, none, 0, r[j], misses[j], gain, work)
+        spreads[j] = absorb(x, p, c, none, 0, r[min(k, len(r) - 1), j], misses[j], gain, work)
         for i in range(size):
             x[i] -= gains[k, j, i] * before[k, j]
 
@@ -270,7 +271,7 @@ def _vary_along(
 @nb.njit(
     types.void(
         FLOW_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1, _I1, _F2, types.int64, types.float64, _F2,
-        _F2, _F2, _F3, _F3, _F2, _F2, _F3, _F2, _F3, _F3, _F3, _F3,
+        _F2, _F2, _F3, _F3, _F2, _F2, _F3, _F3, _F3, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip

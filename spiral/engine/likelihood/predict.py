@@ -19,6 +19,7 @@ from spiral.engine.filter.algebra import algebra
 from spiral.engine.filter.extended import FilterSettings, tracked_indices
 from spiral.engine.filter.task import Task
 from spiral.engine.likelihood.noise import NoiseModel, matrices
+from spiral.engine.series import Series
 from spiral.engine.threads import THREADS
 from spiral.physics.flow import Flow, compile_flow
 from spiral.types.record import Array
@@ -102,6 +103,7 @@ def predicted(
     both = np.concatenate([tracked, tracked_indices(task, tuple(keys))]).astype(np.int64)
     flow, compiled = _flow(task, settings, tuple(keys)), algebra()
     parts = matrices(task, settings, noise)
+    white = _white(parts.r, task.series)
     samples, m = task.series.y.shape
     size, kept = len(parts.q), samples if keep or carry else 0
     more = samples if carry else 0
@@ -117,10 +119,15 @@ def predicted(
         flow.advance, flow.output, compiled.product, compiled.lower, compiled.absorb,
         np.concatenate([first, np.zeros(size - len(first))]),
         parts.p, task.values.copy(), both, len(tracked), grid, series.stages(grid),
-        series.substeps, series.dt, np.ascontiguousarray(y), parts.r, parts.q, parts.phi,
+        series.substeps, series.dt, np.ascontiguousarray(y), white, parts.q, parts.phi,
         parts.seen, parts.driven, *arrays,
     )  # fmt: skip
     return Prediction(*arrays, int(done), settings.volume)
+
+
+def _white(variance: Array, series: Series) -> Array:
+    """(samples or 1, channels) variance of the white noise of each reading."""
+    return variance[None, :] if series.grown is None else variance * series.grown
 
 
 def _flow(task: Task, settings: FilterSettings, keys: tuple[str, ...] = ()) -> Flow:
@@ -142,7 +149,8 @@ def varied(
     tracked = tracked_indices(task, settings.tracked)
     flow, compiled = _flow(task, settings), algebra()
     first, parts = matrices(task, settings, noise), [matrices(task, settings, n) for n in others]
-    p, r, q, phi = (np.array([getattr(m, a) for m in parts]) for a in ("p", "r", "q", "phi"))
+    p, q, phi = (np.array([getattr(m, a) for m in parts]) for a in ("p", "q", "phi"))
+    r = np.array([_white(m.r, task.series) for m in parts])
     misses, spreads = (np.zeros((len(others), *run.misses.shape)) for _ in range(2))
     series = task.series
     vary_record(

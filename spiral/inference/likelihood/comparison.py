@@ -90,7 +90,7 @@ def compared_by_likelihood(
         fit_error=_mean(e.relative for e in own.errors(names).values()),
         test_error=_mean(e.relative for e in errors.values()),
         channels=errors,
-        noise_floor=_floor(state.noise, names, run, problem),
+        noise_floor=_floor(state.noise, names, run, other or assembly),
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
         **_remarks(problem, state, free is not found),
@@ -302,17 +302,29 @@ def _forecaster(
     return forecast
 
 
-def _floor(noise: NoiseModel | None, names: Sequence[str], run: FreeRun, problem: Problem) -> float:
+def _floor(
+    noise: NoiseModel | None, names: Sequence[str], run: FreeRun, judging: Assembly
+) -> float:
     """Measurement noise over the deviation of each channel, mean over channels.
 
     It is the fitted one, times what the judging records show without a model over what the fitted
     ones show, where that is more than one (a sensor may be noisier there) and where what is shown
-    without a model is the fitted noise, so that it can be relied on.
+    without a model is the fitted noise, so that it can be relied on. Noise that grows with its
+    reading is as large as the readings of the judging records make it.
     """
     assert noise is not None
-    sizes = []
-    for name in names:
+    sizes, problem = [], judging.problem
+    for j, name in enumerate(names):
         fitted = sum(noise.values.get(f"{kind}.{name}", 0.0) ** 2 for kind in _SENSORS)
+        grown = [
+            s.grown[first:, j].mean()
+            for s, first in zip(judging.study.series, run.settled, strict=True)
+            if s.grown is not None
+        ]
+        if grown:
+            white = noise.values.get(f"white.{name}", 0.0) ** 2
+            sizes.append(np.sqrt(fitted + white * (np.mean(grown) - 1)))
+            continue
         there, here = (
             np.mean([r.sigma()[name] ** 2 for r in records])
             for records in (problem.test or problem.records, problem.records)

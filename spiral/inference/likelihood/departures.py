@@ -53,6 +53,7 @@ def departures(
     shapes = _shapes(estimate) if white else ()
     return (
         *_remarks(model, estimate),
+        *_weighted(estimate),
         *_noisy_inputs(estimate, random),
         *_drifts(estimate),
         *shapes,
@@ -175,6 +176,40 @@ def _grows(growth: tuple[float, float, bool], h: Array) -> str:
     low, high = np.sort(np.abs(np.quantile(h, (0.05, 0.95))))
     times = number(float(np.sqrt((1 + ratio * high**2) / (1 + ratio * low**2))), 2)
     return f"its reading, {times}-fold over the middle 90 % of its values"
+
+
+def _weighted(estimate: Maximum) -> Iterator[str]:
+    """Noise that grows with its reading, where the fit counts it so."""
+    task = estimate.prepared[0][0]
+    for j, name in enumerate(task.compiled.traced.channels):
+        if task.series.grown is not None and (task.series.growth[j] is not None):
+            low, high = np.quantile(np.sqrt(task.series.grown[:, j]), (0.05, 0.95))
+            times = number(float(high / low), 2)
+            yield (
+                f"the noise of sensor {name} grows with its reading, {times}-fold over the middle "
+                "90 % of its values, and readings count by it"
+            )
+
+
+def growths(estimate: Maximum) -> dict[str, tuple[float, float, float]]:
+    """Of every channel whose noise grows with its reading: ``Record.growth``."""
+    found: dict[str, tuple[float, float, float]] = {}
+    samples = sum(len(p.misses) for p in estimate.parts)
+    if not estimate.finite or samples < _FEWEST:
+        return found
+    for j, name in enumerate(estimate.prepared[0][0].compiled.traced.channels):
+        e, h, mean = _channel(estimate, j)
+        centred, from_zero, tails = _growth(e, h), _growth(e, h + mean, True), _tails(e)
+        best = from_zero if from_zero[0] > centred[0] + _TWO else centred
+        if len(e) < _FEWEST or best[0] <= max(_TOLD, tails[0]):
+            continue
+        series = estimate.prepared[0][0].series
+        spread, size = float(series.y[:, j].std()), float(np.sqrt(best[1]))
+        offset = mean if best[2] else 0.0
+        centre = 0.0 if best[2] else float(series.y[:, j].mean())
+        share = float(np.mean(1 + ((h + offset) * size) ** 2))
+        found[name] = (centre, spread / size, share)
+    return found
 
 
 def _beyond(e: Array) -> str:
