@@ -55,7 +55,7 @@ def structure(
 
 
 def system(
-    source: Callable[..., Any] | str | Path,
+    source: Callable[..., Any] | str | Path | Mapping[str, Any] | Sequence[str],
     states: Mapping[str, Any] | None = None,
     inputs: Mapping[str, Any] | Sequence[str] | None = None,
     parameters: Mapping[str, Quantity] | None = None,
@@ -70,6 +70,8 @@ def system(
 
         spiral.system(rhs, states={"x": "m", "v": "m/s"}, inputs={"F": "N"},
                       parameters={"m": (2.0, "kg")}, observed=["x"])
+        spiral.system(["m*x'' + c*x' + k*x = F"], states={"x": "m"}, inputs={"F": "N"},
+                      parameters={"m": "2 kg", "c": "3 N*s/m", "k": "400 N/m"}, observed=["x"])
         spiral.system("two_masses.yaml")
         spiral.system("car.fmu", ports={"body": "F_body"}, free=["k"])
 
@@ -83,7 +85,8 @@ def system(
     ----------
     source : ``rhs(t, x, u, p)``, later arguments left out where they are not used; it returns the
         rates in the order of ``states``, or by name. ``x``, ``u``, ``p`` give values by name
-        (``x.v``, ``x["v"]``) and by number. Or a file: YAML, TOML and JSON alone, an FMU with
+        (``x.v``, ``x["v"]``) and by number. Or equations, as a list or, with all else, as a mapping
+        of what a file holds. Or a file: YAML, TOML and JSON alone, an FMU with
         ``ports`` (coordinate -> the input that a force on it goes through), ``inputs`` (names of
         those that are recorded), ``observed`` and ``free``.
     states : name -> unit; a state whose rate is another state is a position, the other its rate.
@@ -111,7 +114,23 @@ def system(
         "observed": observed, "free": list(free) or None, "ports": ports, "mass": mass,
     }  # fmt: skip
     given = {k: v for k, v in given.items() if v is not None}
-    return _of_function(source, given) if callable(source) else _of_file(str(source), given)
+    if callable(source):
+        return _of_function(source, given)
+    if isinstance(source, Mapping | list | tuple):
+        return _of_equations(source, given)
+    return _of_file(str(source), given)
+
+
+def _of_equations(source: Mapping[str, Any] | Sequence[str], given: Mapping[str, Any]) -> System:
+    """Equations and what belongs to them, told in Python as in a file."""
+    from spiral.physics.formulas.function import written
+
+    whole = dict(source) if isinstance(source, Mapping) else {"equations": list(source)}
+    more = {k: v for k, v in given.items() if v}
+    if twice := sorted(set(whole) & set(more)):
+        raise ConfigError(f"{', '.join(twice)}, in the mapping and beside it", "one of them")
+    text = written({**whole, **more})
+    return load_registry(NO_FOLDER).make("system", "equations", {"text": text})
 
 
 def _of_file(file: str, given: Mapping[str, Any]) -> System:

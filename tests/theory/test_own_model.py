@@ -21,7 +21,7 @@ from spiral.physics.compile import compile_model
 from spiral.physics.formulas.function import CannotTraceError, definition_from
 from spiral.physics.formulas.laws import laws_of
 from spiral.physics.trace import trace
-from spiral.types.errors import SpiralError
+from spiral.types.errors import ConfigError, SpiralError
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
 
@@ -409,3 +409,26 @@ class Given(dict):
     """Parameters by name, as attributes too."""
 
     __getattr__ = dict.__getitem__
+
+
+def test_equations_are_told_in_python_as_in_a_file(tmp_path):
+    equations = ["m*x'' + c*x' + k*x^3 = F"]
+    rest = {
+        "states": {"x": "m"}, "inputs": {"F": "N"}, "observed": ["x"], "free": ["c"],
+        "parameters": {"m": "2 kg", "c": "3 N*s/m", "k": "400 N/m^3"},
+    }  # fmt: skip
+    file = tmp_path / "one.json"
+    file.write_text(json.dumps({"equations": equations, **rest}))
+    systems = [
+        spiral.system(equations, **rest), spiral.system({"equations": equations, **rest}),
+        spiral.system({"equations": equations, "states": rest["states"]},
+                      **{k: v for k, v in rest.items() if k != "states"}),
+        spiral.system(file),
+    ]  # fmt: skip
+    assert {s.observed for s in systems} == {("x",)}
+    assert [[k.name for k in s.parameters if k.start is None] for s in systems] == [["c"]] * 4
+    assert {tuple(map(str, trace(s, ()).rates)) for s in systems} == {
+        tuple(map(str, trace(systems[3], ()).rates))
+    }
+    with pytest.raises(ConfigError, match="states, in the mapping and beside it"):
+        spiral.system({"equations": equations, **rest}, states={"x": "m"})

@@ -193,9 +193,9 @@ def _tried(
         if found.done < task.series.samples:
             continue
         found, n = backward(found), len(task.states)
-        mean, doubt = found.means[0, :n], np.sqrt(found.variances[0, :n])
-        if np.all(np.isfinite(mean)) and np.all(doubt > 0):
-            yield from (_at(head, noise, mean, times * doubt) for times in _TIMES)
+        mean, variances = found.means[0, :n], found.variances[0, :n]
+        if np.all(np.isfinite(mean)) and np.all(variances > 0):
+            yield from (_at(head, noise, mean, t * np.sqrt(variances)) for t in _TIMES)
 
 
 def _at(head: Task, noise: NoiseModel, start: Array, spread: Array) -> Beginning:
