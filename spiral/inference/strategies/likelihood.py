@@ -30,15 +30,12 @@ from spiral.inference.likelihood.candidates import (
     race,
     refit_alone,
 )
-from spiral.inference.likelihood.departures import growths
 from spiral.inference.likelihood.elsewhere import from_given, from_less_noise
 from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
-    WORTH,
     LikelihoodFit,
     explains,
-    is_white,
     refitted,
 )
 from spiral.inference.likelihood.identify import untold
@@ -63,6 +60,7 @@ from spiral.inference.strategies.admission import (
 )
 from spiral.inference.strategies.base import Begun, Settled, Step
 from spiral.inference.strategies.curves import missing_curve
+from spiral.inference.strategies.growing import counted, settled_with_growth
 from spiral.inference.strategies.laws import named_law
 from spiral.inference.strategies.remembered import missing_memory
 from spiral.inference.strategy_options import LikelihoodOptions
@@ -103,30 +101,11 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
 
 
 def _fitted(problem: Problem, progress: Progress) -> tuple[Assembly, LikelihoodFit]:
-    """The model compiled as it is, and its most likely values and noise.
-
-    Noise that grows with its reading is taken where that is likelier. What a model lacks makes
-    misses grow with the motion too, but leaves them coloured: they must be white with such noise,
-    and no large random force be wanted.
-    """
+    """The model compiled as it is, and its most likely values and noise."""
+    progress("compiling the model")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
     problem = replace(problem, settings=settings)
     check_candidates(problem)
-    bare, found = _most_likely(problem, progress)
-    if growth := growths(found.estimate):
-        progress("fitting with noise that grows with its reading")
-        other, grown = _most_likely(problem.with_growth(growth), progress)
-        if grown.height > found.height + WORTH and explains(grown) and is_white(other, grown):
-            bare, found = other, grown
-    if not problem.candidates:
-        run = with_likely_inputs(bare, found, progress)
-        found = found if run is found else finished(bare, pruned(bare, run, progress), progress)
-    return bare, replace(found, estimate=informed(found.estimate))
-
-
-def _most_likely(problem: Problem, progress: Progress) -> tuple[Assembly, LikelihoodFit]:
-    """A study of a model as it is, and its most likely values and noise."""
-    progress("compiling the model")
     bare = compiled_with(problem, (), 1)
     state = replace(begin(bare, problem.model.labels), corrected=False)
     bare = refined(bare, state)
@@ -135,7 +114,12 @@ def _most_likely(problem: Problem, progress: Progress) -> tuple[Assembly, Likeli
         keys = tuple(k for k in problem.scaled if k.rsplit(".", 1)[0] == effect.label)
         found = from_other_values(bare, found, effect, keys)
         found = with_own_shapes(bare, found, effect, keys)
-    return bare, finished(bare, found, progress)
+    found = finished(bare, found, progress)
+    if not problem.candidates:
+        bare, found = counted(bare, found, progress) or (bare, found)
+        run = with_likely_inputs(bare, found, progress)
+        found = found if run is found else finished(bare, pruned(bare, run, progress), progress)
+    return bare, replace(found, estimate=informed(found.estimate))
 
 
 def _begun(bare: Assembly, found: LikelihoodFit, progress: Progress) -> Begun:
@@ -194,6 +178,9 @@ def propose(
                 found=Scored(ranked, tried))  # fmt: skip
     if near_noise(comparison, assembly.problem.settings):
         step = replace(step, stopped="whiteness")
+    if (grown := settled_with_growth(assembly, state, base, progress)) is not None:
+        near = near_noise(grown.comparison, assembly.problem.settings)
+        return replace(step, stopped="whiteness" if near else "no_candidate", again=grown)
     return _unexplained(options, assembly, state, base, step, comparison, masks, level, progress)
 
 
