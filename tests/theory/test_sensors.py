@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from scipy import stats
+from scipy.signal import lsim
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
@@ -24,6 +25,7 @@ from spiral.types.errors import ConfigError, PluginError
 from spiral.types.model import seed_model
 from spiral.types.parameter import Parameter, State
 from spiral.types.placement import check_effect
+from spiral.types.record import make_record
 from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record, registry
 
 SENSORS = {
@@ -299,3 +301,27 @@ def test_every_sensor_effect_is_found_first(name, seed):
     label = admitted(run)[0]
     assert name == label or name in run.rounds[1].aliases[label]
     assert run.final.test_error <= 1.2 * run.final.noise_floor
+
+
+def test_several_records_with_a_line_of_the_mains_are_asked_without_harm():
+    """Its phase is each record's own, which one amplitude for all cannot hold: it is not named."""
+    system = spiral.system(
+        ["m*x'' + c*x' + k*x = F"], states={"x": "m"}, inputs={"F": "N"}, observed=["x"],
+        free=["c", "k"], parameters={"m": "1 kg", "c": "4 N*s/m", "k": "1800 N/m"},
+    )  # fmt: skip
+
+    def record(seed, phase):
+        rng, time = np.random.default_rng(seed), np.arange(1200) / 1000
+        turns = rng.uniform(0, 2 * np.pi, 15)
+        force = np.sin(2 * np.pi * np.outer(np.linspace(2, 30, 15), time) + turns[:, None]).sum(0)
+        x = lsim(([1], [1, 4, 2000]), force, time)[1]
+        hum = 0.04 * x.std() * np.sin(2 * np.pi * 50 * time + phase)
+        noise = 0.01 * x.std() * rng.normal(size=len(time))
+        return make_record(system, f"{seed}", time, {"x": x + hum + noise}, {"F": force})
+
+    both = (record(1, 0.3), record(2, 2.0))
+    several = spiral.discover(both, system, candidates=["mains_hum", "offset"])
+    assert "mains_hum" not in several.missing
+    alone = spiral.discover(both[:1], system, candidates=["mains_hum", "offset"])
+    assert alone.missing == ("mains_hum",)
+    assert abs(several.model.values["system.k"] - 2000) < 3 * several.model.errors["system.k"] + 1

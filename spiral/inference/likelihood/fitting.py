@@ -16,7 +16,7 @@ from spiral.engine.likelihood.predict import (
     predicted,
 )
 from spiral.engine.statistics import Whiteness, whiteness
-from spiral.inference.evidence.assembly import Assembly, columns, with_steps
+from spiral.inference.evidence.assembly import Assembly, with_steps
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import doubts
 from spiral.inference.evidence.scales import spread_out
@@ -81,14 +81,16 @@ def bounds_of(
     A time of an effect's own states ends where the integration ``substeps`` per sample carry it:
     states that are stiff would stop every step of the fit.
     """
-    _, (low, high) = columns(assembly, keys)
     traced = assembly.study.compiled.traced
     known = dict(zip(traced.keys, traced.parameters, strict=True))
     steps = (s.dt / max(s.substeps, substeps) for s in assembly.study.series)
-    shortest = shortest_time(min(steps))
-    least = [shortest if known[k].spectrum and known[k].unit == "s" else a
-             for k, a in zip(keys, low, strict=True)]  # fmt: skip
-    return {k: (float(a), float(b)) for k, a, b in zip(keys, least, high, strict=True)}
+    shortest, found = shortest_time(min(steps)), {}
+    for key in keys:
+        one = known[key]
+        low, high = (-np.inf if one.lower is None else one.lower), one.upper
+        low = shortest if one.spectrum and one.unit == "s" else low
+        found[key] = (float(low), np.inf if high is None else float(high))
+    return found
 
 
 def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) -> Prepared:
