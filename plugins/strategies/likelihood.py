@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.strategies.base import AskedAgain, Begun, Settled, Step, Strategy
 from spiral.inference.strategy_options import LikelihoodOptions
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from spiral.inference.evidence.assembly import Assembly
     from spiral.inference.evidence.fit_state import FitState
     from spiral.inference.problem import Problem, Progress
@@ -66,6 +68,15 @@ class Likelihood(LikelihoodOptions, Strategy):
         from spiral.inference.strategies.likelihood import choose
 
         return choose(self, assembly, standing, step, label)
+
+    def ask_again(
+        self, assembly: Assembly, standing: FitState, comparison: Comparison,
+        aliases: Mapping[str, tuple[str, ...]], progress: Progress,
+    ) -> AskedAgain:  # fmt: skip
+        """Earlier look-alikes beside the final model's values and noise."""
+        from spiral.inference.strategies.likelihood import ask_again
+
+        return ask_again(self, assembly, standing, comparison, aliases, progress)
 
     def admit(
         self, assembly: Assembly, standing: FitState, label: str, progress: Progress

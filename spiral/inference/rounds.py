@@ -7,6 +7,7 @@ may turn by hand and admit another candidate. Both go through these functions.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from spiral.inference.advice import advice_for
@@ -67,7 +68,45 @@ def looked(
         rejected={**assembly.left_out, **step.rejected},
         details={**last.details, **step.details},
     )
-    return Checkpoint((*at.rounds[:-1], ranked), standing), step
+    at = Checkpoint((*at.rounds[:-1], ranked), standing)
+    return (at, step) if step.admitted else _asked_again(strategy, assembly, at, step, progress)
+
+
+def _asked_again(
+    strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, progress: Progress
+) -> tuple[Checkpoint, Step]:
+    """Look-alikes of earlier rounds, beside the effects that were found since.
+
+    What is told apart by now is no look-alike of a round any more; its details say which were.
+    """
+    *earlier, last = at.rounds
+    held = last.comparison.model.labels
+    asked = {
+        label: tuple(x for x in others if x not in held)
+        for r in earlier for label, others in r.aliases.items() if label in held
+    }  # fmt: skip
+    asked = {label: others for label, others in asked.items() if others}
+    if not asked:
+        return at, step
+    again = strategy.ask_again(assembly, at.standing, last.comparison, asked, progress)
+    rounds = tuple(_told_apart(r, asked, again.aliases) for r in earlier)
+    return Checkpoint((*rounds, last), at.standing), again.step or step
+
+
+def _told_apart(
+    one: Round, asked: Mapping[str, tuple[str, ...]], left: Mapping[str, tuple[str, ...]]
+) -> Round:
+    gone = {
+        label: [x for x in asked[label] if x not in left.get(label, ())]
+        for label in one.aliases if label in asked
+    }  # fmt: skip
+    gone = {label: others for label, others in gone.items() if others}
+    if not gone:
+        return one
+    aliases = {
+        k: tuple(x for x in v if x not in gone.get(k, ())) for k, v in one.aliases.items()
+    }  # fmt: skip
+    return replace(one, aliases=aliases, details={**one.details, "told_apart": gone})
 
 
 def chosen(strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, label: str) -> Step:

@@ -220,7 +220,6 @@ def from_afar(assembly: Assembly, state: FitState, found: list[Ranked]) -> list[
     """
     present = present_labels(assembly, state)
     known = {r.variant.label: r for r in found}
-    none = Score((0,), np.zeros(1), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     grids: dict[str, list[Variant]] = {}
     for variant in assembly.offered:
         label = variant.original.label
@@ -230,7 +229,13 @@ def from_afar(assembly: Assembly, state: FitState, found: list[Ranked]) -> list[
     for grid in grids.values():
         spots = np.unique(np.linspace(0, len(grid) - 1, _FAR_ONES).round().astype(int))
         chosen += [grid[i] for i in spots]
-    return [known.get(v.label, Ranked(v, (0,), none, 0.0, v.searched)) for v in chosen]
+    return [known.get(v.label) or unscored(v) for v in chosen]
+
+
+def unscored(variant: Variant) -> Ranked:
+    """A variant without evidence."""
+    none = Score((0,), np.zeros(1), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Ranked(variant, (0,), none, 0.0, variant.searched)
 
 
 def first_steps(

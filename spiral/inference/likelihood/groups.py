@@ -18,11 +18,11 @@ def alike(rivals: list[Rival], odds: float) -> tuple[str, ...]:
     a number for every channel, and still it may be the sensors.
     """
     first, *others = rivals
-    near = [r for r in others if _lead(first, r) < np.log(odds)]
+    near = [r for r in others if lead(first, r) < np.log(odds)]
     return tuple(dict.fromkeys(r.label for r in near if r.label != first.label))
 
 
-def _lead(first: Rival, other: Rival) -> float:
+def lead(first: Rival, other: Rival) -> float:
     """By how much the first is more likely on the whole records, beyond its numbers' price."""
     likely = _height(first) - _height(other)
     if _of_sensors(other) and not _of_sensors(first):

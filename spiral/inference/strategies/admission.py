@@ -174,9 +174,7 @@ def first_to_pass(
         chosen, near = plainest(rival, alike(rivals, options.odds), rivals)
         aliases = tuple(dict.fromkeys((*near, *twins(chosen, rivals))))
         progress(f"most likely values with {chosen.label}")
-        own, state = _narrowed(chosen.assembly, chosen.fit.state)
-        like, label = chosen.fit.estimate.prepared, chosen.ranked.variant.label
-        passed = Passed(chosen, aliases, with_effect(own, state, label, progress, like))
+        passed = Passed(chosen, aliases, with_rival(chosen, progress))
         refusal = _senseless(passed.whole, chosen) or objection(passed.whole)
         if refusal is not None and refusal.alone:
             freely = _by_free_runs(passed, progress)
@@ -342,6 +340,13 @@ def with_effect(
     found, gone = without_superfluous(own, found, label)
     found, needless = run_otherwise_instead(own, found, progress)
     return whole_of(own, found, (*gone, *needless), progress)
+
+
+def with_rival(rival: Rival, progress: Progress) -> Whole:
+    """The model with a candidate that was raced, fitted to all samples; as ``with_effect``."""
+    own, state = _narrowed(rival.assembly, rival.fit.state)
+    like = rival.fit.estimate.prepared
+    return with_effect(own, state, rival.ranked.variant.label, progress, like)
 
 
 def beside_noise(rival: Rival, noise: NoiseModel, progress: Progress) -> Whole:

@@ -83,6 +83,17 @@ class Settled:
 
 
 @dataclass(frozen=True)
+class AskedAgain:
+    """Look-alikes by admitted effect that the final model does not tell from it.
+
+    ``step`` puts a likelier one in an effect's place, where there is one.
+    """
+
+    aliases: Mapping[str, tuple[str, ...]]
+    step: Step[Any] | None = None
+
+
+@dataclass(frozen=True)
 class Added:
     """A model before and after effects added by hand, and the seconds that the first fit took."""
 
@@ -158,6 +169,16 @@ class Strategy(Plugin):
     ) -> Settled:
         """The model with another candidate, refitted and compared; asked where ``by_name`` is."""
         raise NotImplementedError
+
+    def ask_again(
+        self, assembly: Assembly, standing: FitState, comparison: Comparison,
+        aliases: Mapping[str, tuple[str, ...]], progress: Progress,
+    ) -> AskedAgain:  # fmt: skip
+        """Which look-alikes of effects the model with all others tells from them.
+
+        ``aliases`` by admitted effect as they were when it was admitted.
+        """
+        return AskedAgain(aliases)
 
     def compare(self, problem: Problem, progress: Progress) -> Comparison:
         """The model as it is, fitted and compared: that of the beginning, without candidates."""

@@ -7,6 +7,7 @@ no longer wanted let go.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,10 +59,11 @@ from spiral.inference.strategies.admission import (
     settled_on,
     with_effect,
 )
-from spiral.inference.strategies.base import Begun, Settled, Step
+from spiral.inference.strategies.base import AskedAgain, Begun, Settled, Step
 from spiral.inference.strategies.curves import missing_curve
 from spiral.inference.strategies.growing import counted, settled_with_growth
 from spiral.inference.strategies.laws import named_law
+from spiral.inference.strategies.look_alikes import asked_again
 from spiral.inference.strategies.remembered import missing_memory
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.holding import having
@@ -344,6 +346,20 @@ def choose(
         second_order=second_order(effect, assembly, state), meaning=effect.meaning(),
         found=replace(scored, settled=whole.settled),
     )  # fmt: skip
+
+
+def ask_again(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
+    aliases: Mapping[str, tuple[str, ...]], progress: Progress,
+) -> AskedAgain:  # fmt: skip
+    """Look-alikes that stay, and the step to one that is likelier than the effect it looks like."""
+    assembly = having(assembly, state.labels)
+    left, found = asked_again(options, assembly, state, comparison, aliases, progress)
+    if found is None:
+        return AskedAgain(left)
+    scored = Scored(found.ranking, found.tried)
+    step = _admitting(options, assembly, state, (found.passed,), scored, RaceOutcome(None, {}))
+    return AskedAgain(left, step)
 
 
 def admit(assembly: Assembly, state: FitState, label: str, progress: Progress) -> Settled:

@@ -261,7 +261,7 @@ class Columns(Source):
             slow = self._series(system, table, layout, start, stop)
         rows = np.arange(len(slow.time))
         if wish.speed is not None:
-            low, high = (float(layout.converted("speed", np.float64(v))) for v in wish.speed)
+            low, high = layout.converted("speed", np.asarray(wish.speed, dtype=float))
             rows = preparation.slow_roll_rows(slow, low, high)
         vectors = preparation.slow_roll_vectors(slow, rows)
         preparation.must_be_slow(slow, rows, series)

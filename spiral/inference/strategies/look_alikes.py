@@ -1,0 +1,153 @@
+"""Effects that the record did not tell apart when they were admitted, asked again at the end.
+
+While another effect is missing, misses that belong to it hide what tells two candidates apart.
+Once no further candidate passes, each effect admitted before the last is held against those that
+looked like it then: it is let go, and they begin from the values and the noise that the final model
+has. Those that stay behind by ``options.odds`` are told apart. One that is ahead by as much takes
+the place of the effect.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.likelihood.fit import maximise
+from spiral.inference.evidence.admission import let_go
+from spiral.inference.evidence.assembly import Assembly, Variant
+from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.evidence.scoring import Ranking, tested_keys
+from spiral.inference.likelihood.candidates import Rival, unscored
+from spiral.inference.likelihood.fitting import (
+    WARM,
+    LikelihoodFit,
+    price,
+    refitted,
+    subjects,
+    with_estimate,
+)
+from spiral.inference.likelihood.groups import alike, lead, twins
+from spiral.inference.nearness import grown
+from spiral.inference.problem import Progress
+from spiral.inference.strategies.admission import Passed, offering, raced, with_rival
+from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.types.run import Comparison
+
+
+@dataclass(frozen=True)
+class Likelier:
+    """A look-alike that takes the place of the effect ``replaces``, and how it was found."""
+
+    passed: Passed
+    replaces: str
+    ranking: Ranking
+    tried: tuple[Rival, ...]
+
+
+def asked_again(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
+    aliases: Mapping[str, tuple[str, ...]], progress: Progress,
+) -> tuple[dict[str, tuple[str, ...]], Likelier | None]:  # fmt: skip
+    """What still looks like the effects of a final model, and one that is likelier than its own.
+
+    Parameters
+    ----------
+    assembly, state, comparison : the study's. aliases : by admitted effect, its look-alikes then.
+    """
+    model = refitted(assembly, state, steps=WARM, rough=True)
+    left: dict[str, tuple[str, ...]] = {}
+    for label, others in aliases.items():
+        held = next((v for v in assembly.variants if v.original.label == label
+                     and v.label in state.labels), None)  # fmt: skip
+        left[label] = others
+        if held is None or not model.estimate.finite:
+            continue
+        progress(f"asking again whether {label} may be {', '.join(others)}")
+        again = _again(options, assembly, model, held, others, progress)
+        if again is None:
+            continue
+        left[label] = again.aliases
+        likelier = again.likelier(options, label, comparison, assembly, progress)
+        if likelier is not None:
+            return left, likelier
+    return left, None
+
+
+@dataclass(frozen=True)
+class _Contest:
+    """An effect of the model, those that look like it best first, and its look-alikes that stay."""
+
+    ours: Rival
+    others: tuple[Rival, ...]
+    aliases: tuple[str, ...]
+    ranking: Ranking
+
+    def likelier(
+        self, options: LikelihoodOptions, label: str, comparison: Comparison, assembly: Assembly,
+        progress: Progress,
+    ) -> Likelier | None:  # fmt: skip
+        """The look-alike that is likelier by the odds and predicts no worse, if there is one."""
+        for rival in self.others:
+            if not lead(rival, self.ours) > np.log(options.odds):
+                return None
+            whole = with_rival(rival, progress)
+            settings = assembly.problem.settings
+            if whole.fit.estimate.finite and not grown(
+                comparison, whole.settled.comparison, settings
+            ):
+                gone = tuple(dict.fromkeys((label, *whole.settled.retired)))
+                whole = replace(whole, settled=replace(whole.settled, retired=gone))
+                return Likelier(Passed(rival, (), whole), label, self.ranking, self.others)
+        return None
+
+
+def _again(
+    options: LikelihoodOptions, assembly: Assembly, model: LikelihoodFit, held: Variant,
+    others: tuple[str, ...], progress: Progress,
+) -> _Contest | None:  # fmt: skip
+    """One effect against its look-alikes; nothing where these are no candidates of the problem."""
+    problem = assembly.problem
+    known = tuple(e for e in problem.candidates if e.label in others)
+    if not known:
+        return None
+    bare = let_go(assembly, model.state, (held.label,))
+    estimate = maximise(
+        subjects(assembly, bare), (), model.estimate.noise, {}, None, WARM, rough=True
+    )
+    base = LikelihoodFit(with_estimate(bare, estimate), estimate)
+    found = raced(offering(assembly, known), base, None, progress, options.rivals)
+    if found is None:
+        return None
+    run, ranked = found
+    ours = _ours(assembly, base, model, held)
+    finals = itertools.chain.from_iterable(
+        rivals[:1] for _, rivals in itertools.islice(run.winners(), len(known))
+    )
+    best = sorted((_beside(model, base, r) for r in finals), key=lambda r: -r.worth)
+    asked = {e.label for e in known}
+    stay = {*alike([ours, *best], options.odds), *twins(ours, best)}
+    return _Contest(
+        ours, tuple(best), tuple(x for x in others if x in stay or x not in asked), ranked
+    )
+
+
+def _ours(
+    assembly: Assembly, base: LikelihoodFit, model: LikelihoodFit, held: Variant
+) -> Rival:  # fmt: skip
+    """The model with its effect as a rival of those that look like it."""
+    gain = model.height - base.height
+    owned = [k for k in model.estimate.keys if k.rpartition(".")[0] == held.label]
+    count = max(len(owned), len(tested_keys(assembly, held)))
+    return Rival(assembly, unscored(held), model, gain, gain - price(count, base.estimate.prepared))
+
+
+def _beside(model: LikelihoodFit, base: LikelihoodFit, rival: Rival) -> Rival:
+    """A rival with the model's noise, where that is likelier."""
+    fit = refitted(rival.assembly, rival.fit.state, model.estimate.noise, rough=True)
+    more = fit.height - rival.fit.height
+    if not (fit.estimate.finite and more > 0):
+        return rival
+    return replace(rival, fit=fit, gain=rival.gain + more, worth=rival.worth + more)
