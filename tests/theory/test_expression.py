@@ -26,6 +26,7 @@ RAMP = (
 )
 SAME = [
     ("cubic_stiffness", OSCILLATOR, "-stiffness*x**3", {}),
+    ("cubic_stiffness", OSCILLATOR, "-stiffness*x^3", {}),
     ("cubic_stiffness", ROTOR, "-stiffness*(x**2 + y**2)*q", {}),
     ("linear_stiffness", ROTOR, "-stiffness*q", {"per_axis": ["stiffness"]}),
     ("cross_stiffness", ROTOR, {"x": "-stiffness*y", "y": "-stiffness*x"}, {}),

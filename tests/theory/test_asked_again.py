@@ -1,0 +1,56 @@
+"""What looked like an effect while another was missing, asked again beside the final model."""
+
+import numpy as np
+import pytest
+
+import spiral
+from spiral.inference.problem import silent
+from spiral.inference.rounds import chosen, looked, started, strategy_for, turned
+
+VALUES = {
+    "system.mass": 1.2, "linear_stiffness.stiffness": 4e3, "linear_damping.damping": 6.0,
+    "cubic_stiffness.stiffness": 2e9, "coulomb_friction.level": 0.25,
+    "coulomb_friction.width": 1e-3,
+}  # fmt: skip
+CANDIDATES = ["cubic_stiffness", "quadratic_damping", "clearance", "coulomb_friction"]
+
+
+@pytest.fixture(scope="module")
+def record():
+    """Three seconds, short enough that a spring that stiffens looks like drag beside friction."""
+    return spiral.simulate(
+        "oscillator", duration=3.0, rate=500.0,
+        inputs={"force": {"noise": 1.0, "band": [2, 40]}},
+        effects=["cubic_stiffness", "coulomb_friction"], values=VALUES, noise_level=0.02, seed=3,
+    )  # fmt: skip
+
+
+def test_what_is_told_apart_in_the_end_is_no_look_alike(record):
+    run = spiral.discover(record, "oscillator", candidates=CANDIDATES)
+    first = run.rounds[1]
+    assert run.missing == ("cubic_stiffness", "coulomb_friction")
+    assert first.details["told_apart"]["cubic_stiffness"]
+    assert not first.aliases["cubic_stiffness"]
+    assert "cannot tell" not in run.summary
+
+
+def test_a_likelier_look_alike_takes_the_place_of_what_was_admitted(record):
+    """A gap is admitted by hand in place of the spring; beside friction it is not as likely."""
+    question = spiral.discover(record, "oscillator", candidates=CANDIDATES).question
+    strategy = strategy_for(question)
+    begun = strategy.begin(question, silent)
+    at, step = looked(strategy, begun.assembly, started(begun, 0.0), silent)
+    wrong = chosen(strategy, begun.assembly, at, step, "clearance")
+    at = turned(strategy, begun.assembly, at, wrong, silent)
+    at, step = looked(strategy, begun.assembly, at, silent)
+    assert step.admitted == ("coulomb_friction",)
+    at = turned(strategy, begun.assembly, at, step, silent)
+    at, step = looked(strategy, begun.assembly, at, silent)
+    assert step.admitted == ("cubic_stiffness",)
+    at = turned(strategy, begun.assembly, at, step, silent)
+    assert at.rounds[-1].retired == ("clearance",)
+    model = at.rounds[-1].comparison.model
+    added = ("coulomb_friction", "cubic_stiffness")
+    assert {*model.labels} == {"linear_stiffness", "linear_damping", *added}
+    found = model.estimates()["cubic_stiffness"]["stiffness"]
+    assert np.isclose(found.estimate, 2e9, atol=3 * found.se)
