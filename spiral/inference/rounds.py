@@ -85,8 +85,7 @@ def _asked_again(
         label: tuple(x for x in others if x not in held)
         for r in earlier for label, others in r.aliases.items() if label in held
     }  # fmt: skip
-    asked = {label: others for label, others in asked.items() if others}
-    if not asked:
+    if not any(r.admitted for r in at.rounds):
         return at, step
     again = strategy.ask_again(assembly, at.standing, last.comparison, asked, progress)
     rounds = tuple(_told_apart(r, asked, again.aliases) for r in earlier)

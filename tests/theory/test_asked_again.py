@@ -54,3 +54,33 @@ def test_a_likelier_look_alike_takes_the_place_of_what_was_admitted(record):
     assert {*model.labels} == {"linear_stiffness", "linear_damping", *added}
     found = model.estimates()["cubic_stiffness"]["stiffness"]
     assert np.isclose(found.estimate, 2e9, atol=3 * found.se)
+
+
+def _sledge(t, x, u, p):
+    return [u.w - x.v, (p.k * x.s + p.c * (u.w - x.v)) / 2.0]
+
+
+def test_a_special_case_that_explains_as_much_takes_the_place():
+    """v x / (K + |x|) with K = 0 is dry friction: chosen by hand, it gives way to that name."""
+    sledge = spiral.system(
+        _sledge, states={"s": "m", "v": "m/s"}, inputs={"w": "m/s"}, observed=["s"],
+        parameters={"k": (50.0, "N/m"), "c": (2.0, "N*s/m")}, free=["k", "c"],
+    )  # fmt: skip
+    record = spiral.simulate(
+        sledge, duration=15.0, rate=100.0, inputs={"w": {"noise": 0.5, "band": [0.2, 4]}},
+        effects=["dry_loss@v"], values={"dry_loss@v.level": 0.8, "dry_loss@v.width": 1e-2},
+        noise_level=0.01, seed=1,
+    )  # fmt: skip
+    candidates = ["saturating_loss@v", "dry_loss@v", "quadratic_loss@v"]
+    question = spiral.discover(record, sledge, candidates=candidates).question
+    strategy = strategy_for(question)
+    begun = strategy.begin(question, silent)
+    at, step = looked(strategy, begun.assembly, started(begun, 0.0), silent)
+    assert step.admitted == ("dry_loss@v",)
+    wrong = chosen(strategy, begun.assembly, at, step, "saturating_loss@v")
+    at = turned(strategy, begun.assembly, at, wrong, silent)
+    at, step = looked(strategy, begun.assembly, at, silent)
+    assert step.admitted == ("dry_loss@v",)
+    level = turned(strategy, begun.assembly, at, step, silent).rounds[-1].comparison.model
+    found = level.estimates()["dry_loss@v"]["level"]
+    assert np.isclose(found.estimate, 0.8, atol=3 * found.se)

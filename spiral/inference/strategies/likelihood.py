@@ -63,7 +63,7 @@ from spiral.inference.strategies.base import AskedAgain, Begun, Settled, Step
 from spiral.inference.strategies.curves import missing_curve
 from spiral.inference.strategies.growing import counted, settled_with_growth
 from spiral.inference.strategies.laws import named_law
-from spiral.inference.strategies.look_alikes import asked_again
+from spiral.inference.strategies.look_alikes import asked_again, simplest
 from spiral.inference.strategies.remembered import missing_memory
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.holding import having
@@ -175,6 +175,8 @@ def propose(
         passed, tried = again.admitted, (*tried, *run.tried)
         outcome = replace(outcome, rejected={**again.rejected, **outcome.rejected})
     if passed:
+        if len(passed) == 1:
+            passed = (simplest(options, passed[0], progress),)
         return _admitting(options, assembly, state, passed, Scored(ranked, tried), outcome)
     step = Step(suggestions(tried, ranked, "", ())[: options.listed], outcome.rejected,
                 found=Scored(ranked, tried))  # fmt: skip

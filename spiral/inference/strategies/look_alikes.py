@@ -33,7 +33,9 @@ from spiral.inference.likelihood.groups import alike, lead, twins
 from spiral.inference.nearness import grown
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import Passed, offering, raced, with_rival
+from spiral.inference.strategies.needed import admitted
 from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.types.label import make_label
 from spiral.types.run import Comparison
 
 
@@ -58,22 +60,46 @@ def asked_again(
     assembly, state, comparison : the study's. aliases : by admitted effect, its look-alikes then.
     """
     model = refitted(assembly, state, steps=WARM, rough=True)
-    left: dict[str, tuple[str, ...]] = {}
-    for label, others in aliases.items():
-        held = next((v for v in assembly.variants if v.original.label == label
-                     and v.label in state.labels), None)  # fmt: skip
-        left[label] = others
-        if held is None or not model.estimate.finite:
-            continue
-        progress(f"asking again whether {label} may be {', '.join(others)}")
+    left = dict(aliases)
+    for held in admitted(assembly, model) if model.estimate.finite else ():
+        label = held.original.label
+        others = tuple(dict.fromkeys((*aliases.get(label, ()), *_special(held))))
         again = _again(options, assembly, model, held, others, progress)
         if again is None:
             continue
-        left[label] = again.aliases
-        likelier = again.likelier(options, label, comparison, assembly, progress)
+        left[label] = tuple(x for x in aliases.get(label, ()) if x in again.aliases)
+        likelier = again.likelier(options, comparison, progress)
         if likelier is not None:
             return left, likelier
     return left, None
+
+
+def simplest(options: LikelihoodOptions, passed: Passed, progress: Progress) -> Passed:
+    """A winner, or the special case of it that explains the records as well.
+
+    In a race the simpler one may have been left behind on its way to the width of a friction, say.
+    """
+    whole, variant = passed.whole, passed.rival.ranked.variant
+    held = next((v for v in whole.assembly.variants if v.label == variant.label), None)
+    if held is None or not _special(held):
+        return passed
+    again = _again(options, whole.assembly, whole.fit, held, _special(held), progress)
+    if again is None:
+        return passed
+    found = again.likelier(options, whole.settled.comparison, progress)
+    if found is None:
+        return passed
+    gone = tuple(x for x in found.passed.whole.settled.retired if x != held.original.label)
+    settled = replace(found.passed.whole.settled, retired=gone)
+    told = lead(found.passed.rival, again.ours) >= np.log(options.odds)
+    others = (*passed.aliases, *(() if told else (held.original.label,)))
+    aliases = tuple(x for x in others if x != found.passed.rival.label)
+    return Passed(found.passed.rival, aliases, replace(found.passed.whole, settled=settled))
+
+
+def _special(held: Variant) -> tuple[str, ...]:
+    """Labels of what an effect becomes at the ends of its shapes."""
+    return tuple(make_label(x, held.original.port) for x in held.original.special)
 
 
 @dataclass(frozen=True)
@@ -86,15 +112,19 @@ class _Contest:
     ranking: Ranking
 
     def likelier(
-        self, options: LikelihoodOptions, label: str, comparison: Comparison, assembly: Assembly,
-        progress: Progress,
-    ) -> Likelier | None:  # fmt: skip
-        """The look-alike that is likelier by the odds and predicts no worse, if there is one."""
+        self, options: LikelihoodOptions, comparison: Comparison, progress: Progress
+    ) -> Likelier | None:
+        """The look-alike that is likelier by the odds and predicts no worse, if there is one.
+
+        Of a special case it is enough that it is as likely.
+        """
+        label, special = self.ours.label, _special(self.ours.ranked.variant)
         for rival in self.others:
-            if not lead(rival, self.ours) > np.log(options.odds):
-                return None
+            least = -np.log(options.odds) if rival.label in special else np.log(options.odds)
+            if not lead(rival, self.ours) > least:
+                continue
             whole = with_rival(rival, progress)
-            settings = assembly.problem.settings
+            settings = rival.assembly.problem.settings
             if whole.fit.estimate.finite and not grown(
                 comparison, whole.settled.comparison, settings
             ):
@@ -113,6 +143,7 @@ def _again(
     known = tuple(e for e in problem.candidates if e.label in others)
     if not known:
         return None
+    progress(f"asking again whether {held.original.label} may be {', '.join(others)}")
     bare = let_go(assembly, model.state, (held.label,))
     estimate = maximise(
         subjects(assembly, bare), (), model.estimate.noise, {}, None, WARM, rough=True
