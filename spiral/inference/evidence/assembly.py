@@ -58,7 +58,8 @@ class Assembly:
     ``left_out`` are candidates that these records cannot be asked about, and why; ``kept`` is what
     the strategy keeps with it, of a type of its own. A ``bare`` study
     compiles only what its state holds; the variants ``offered`` beside it are scored by their
-    signatures.
+    signatures. ``expected`` are the states (samples, n) along each record that a fit's filter
+    expects, from which candidates have the scales of their shapes.
     """
 
     problem: Problem
@@ -68,6 +69,7 @@ class Assembly:
     left_out: Mapping[str, str] = field(default_factory=dict)
     offered: tuple[Variant, ...] = ()
     bare: bool = False
+    expected: tuple[Array, ...] = ()
 
     @property
     def later(self) -> tuple[Effect, ...]:
@@ -109,15 +111,16 @@ def resonates(effect: Effect) -> bool:
 
 
 def offers(
-    problem: Problem, waiting: Sequence[Effect]
+    problem: Problem, waiting: Sequence[Effect], expected: Sequence[Array] = ()
 ) -> tuple[list[Variant], dict[str, str], Sequence[Array]]:
     """Variants of the candidates but those that wait.
 
-    Beside them those left out and why, and the states that the records visit.
+    Beside them those left out and why, and the states that the records visit. ``expected`` as in
+    ``extremes``.
     """
     now = [c for c in problem.candidates if c not in waiting]
     states = visited(problem.model, problem.records) if now else ()
-    largest = extremes(problem.model.system, problem.records, states) if now else {}
+    largest = extremes(problem.model.system, problem.records, states, expected) if now else {}
     variants: list[Variant] = []
     left_out: dict[str, str] = {}
     for candidate in now:

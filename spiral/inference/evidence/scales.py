@@ -9,6 +9,10 @@ measurements overrule the model,
 
 at a level of 0.3 (``spiral.engine.filter.noise``). Where that runs away it is
 the model's free run under the record's inputs.
+
+What lies between a measured and a hidden coordinate (a joint, a nut) moves far less than either,
+and the difference of two estimates made in two ways is mostly their errors. Where a fit is there,
+such places, and those of hidden states alone, have the motion that its filter expects.
 """
 
 from __future__ import annotations
@@ -42,22 +46,33 @@ _LEVEL = 0.3  # process noise of the filter: a model that is wrong by three tent
 _WINDOW = 11  # samples of a local polynomial
 
 
-def extremes(system: System, records: Sequence[Record], along: Sequence[Array]) -> dict[str, float]:
+def extremes(
+    system: System, records: Sequence[Record], along: Sequence[Array],
+    expected: Sequence[Array] = (),
+) -> dict[str, float]:  # fmt: skip
     """Largest |position| and |velocity| at every port, as ``PORT.position``, input and state.
 
-    ``along`` are the states (samples, n) that each record visits.
+    ``along`` are the states (samples, n) that each record visits; ``expected`` those that a fit's
+    filter expects, which count where a place depends on what no sensor sees.
     """
     traced = trace(system, ())
-    states = np.concatenate(along)
+    measured = np.concatenate(along)
+    inferred = np.concatenate(expected) if expected else measured
+    seen = {*traced.shown, *(traced.rate_name(c) for c in traced.shown)}
+    hidden = {s for s, n in zip(traced.x, traced.states, strict=True) if n not in seen}
     found = {}
     for port in (*system.ports, *system.links):
         for kind, expressions in at_port(system, port, traced):
+            unseen = any(sp.sympify(e).free_symbols & hidden for e in expressions)
+            states = inferred if unseen else measured
             values = sp.lambdify(traced.x, expressions, "numpy")(*states.T)
             found[f"{port.name}.{kind}"] = max(
                 float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
             )
     for port in system.filled:
-        levels = states[:, [i for i, s in enumerate(system.states) if s.name in port.axes]]
+        axes = [i for i, s in enumerate(system.states) if s.name in port.axes]
+        unseen = any(traced.x[i] in hidden for i in axes)
+        levels = (inferred if unseen else measured)[:, axes]
         if port.against:  # as far apart as both may be
             outside = [r.inputs[port.against] for r in records]
             low, high = (float(f(np.concatenate(outside))) for f in (np.min, np.max))

@@ -143,7 +143,7 @@ class RaceOutcome:
 def offering(assembly: Assembly, effects: tuple[Effect, ...]) -> Assembly:
     """The study with these effects offered in place of its candidates."""
     asked = replace(assembly.problem, candidates=effects)
-    return replace(assembly, offered=tuple(offers(asked, ())[0]))
+    return replace(assembly, offered=tuple(offers(asked, (), assembly.expected)[0]))
 
 
 def raced(

@@ -36,6 +36,7 @@ from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
     LikelihoodFit,
+    expected_states,
     explains,
     refitted,
 )
@@ -128,8 +129,12 @@ def _begun(bare: Assembly, found: LikelihoodFit, progress: Progress) -> Begun:
     """A fit compared with the test records, its candidates laid out."""
     settled = settled_on(bare, found, progress)
     fitted = replace(bare.problem, model=settled.comparison.model)
-    variants, left_out, _ = offers(fitted, bare.later)
-    assembly = replace(bare, offered=tuple(variants), left_out=left_out, bare=True)
+    n = len(fitted.model.system.states)
+    expected = tuple(x[:, :n] for x in expected_states(found))
+    variants, left_out, _ = offers(fitted, bare.later, expected)
+    assembly = replace(
+        bare, offered=tuple(variants), left_out=left_out, bare=True, expected=expected
+    )
     return Begun(assembly, settled.standing, settled.comparison, settled.details)
 
 
