@@ -90,6 +90,21 @@ class CubicLoss(StateFlow):
         return [-p.rate * x * x * x]
 
 
+class AsymmetricLoss(StateFlow):
+    """A loss that is larger one way than the other: x' = ... - c |x|, beside a linear loss.
+
+    c more where x is positive, c less where it is negative: a check valve that leaks, a diode, the
+    rebound of a damper on a speed that is a state of first order.
+    """
+
+    differences = True
+    parameters = (Parameter("rate", "force/position"),)
+
+    def flow(self, at, u, p):
+        """-c |x|."""
+        return [-p.rate * length([at.position[0]])]
+
+
 class SaturatingLoss(StateFlow):
     """A loss that cannot exceed its capacity: x' = ... - v x / (K + |x|).
 
@@ -162,6 +177,28 @@ class Exchange(StateFlow):
         """-c_1 (x_1 - x_2) and -c_2 (x_2 - x_1)."""
         first, second = at.position
         return [-p.rate[0] * (first - second), -p.rate[1] * (second - first)]
+
+
+class OrificeExchange(StateFlow):
+    """Turbulent flow between two chambers: x_1' = ... - c_1 s, x_2' = ... + c_2 s.
+
+    s = sign(d) sqrt(|d|) of the difference d = x_1 - x_2 (Torricelli): an orifice, a worn seal, a
+    valve that does not close; c_1 and c_2 are one conductance over either capacity. The root is
+    rounded off near zero, d / (d^2 + w^2)^(1/4). Temperatures do not flow so.
+    """
+
+    axes = 2
+    units = ("m", "Pa", "bar")
+    parameters = (
+        Parameter("rate", "force/position^0.5", lower=0.0, per_axis=True),
+        Parameter("width", "position", lower=0.0, role="shape", grid=(0.01,)),
+    )
+
+    def flow(self, at, u, p):
+        """-c_1 s and c_2 s."""
+        d = at.position[0] - at.position[1]
+        s = d / sqrt(sqrt(d * d + p.width * p.width))
+        return [-p.rate[0] * s, p.rate[1] * s]
 
 
 class Conversion(StateFlow):

@@ -267,9 +267,10 @@ def misfit(effect: Effect, system: System) -> str:
 
 
 _FIRST_ORDER = """
-title: A warm body, two concentrations, a speed
-equations: ["body' = k*heating - c*body", "a' = -c*a", "b' = -c*b", "v' = -c*v"]
-states: {body: K, a: mol/l, b: mol/l, v: m/s}
+title: A warm body, two concentrations, a speed, two pressures
+equations: ["body' = k*heating - c*body", "a' = -c*a", "b' = -c*b", "v' = -c*v", "p' = -c*p",
+  "q' = -c*q"]
+states: {body: K, a: mol/l, b: mol/l, v: m/s, p: Pa, q: Pa}
 inputs: {heating: W}
 parameters: {k: 0.1 K/J, c: 0.1 1/s}
 observed: [body, a]

@@ -6,7 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from spiral_plugins.effects.inputs import InputDelay
-from spiral_plugins.effects.losses import Conversion, Exchange, LinearLoss
+from spiral_plugins.effects.losses import (
+    AsymmetricLoss,
+    Conversion,
+    Exchange,
+    LinearLoss,
+    OrificeExchange,
+)
 from spiral_plugins.effects.memory import Jenkins
 from spiral_plugins.systems.equations import Equations
 from spiral_plugins.systems.oscillator import Oscillator
@@ -55,6 +61,60 @@ def test_what_turns_from_one_into_the_other_is_neither_made_nor_lost():
     at, rate = At((3.0, 1.0), (), SimpleNamespace()), SimpleNamespace(rate=(0.4, 0.1))
     first, second = Conversion().flow(at, SimpleNamespace(), rate)
     assert (first, second) == pytest.approx((-1.1, 1.1))
+
+
+def test_an_orifice_lets_through_the_root_of_the_difference():
+    """Of four times the difference twice as much flows; what one chamber loses the other gains."""
+    rate = SimpleNamespace(rate=(0.4, 0.4), width=0.0)
+
+    def flows(first, second):
+        return OrificeExchange().flow(At((first, second), (), SimpleNamespace()), None, rate)
+
+    assert flows(3.0, 1.0)[0] == pytest.approx(-0.4 * np.sqrt(2.0))
+    assert flows(9.0, 1.0)[0] == pytest.approx(2 * flows(3.0, 1.0)[0])
+    assert flows(1.0, 3.0) == pytest.approx([-x for x in flows(3.0, 1.0)])
+    assert sum(flows(9.0, 1.0)) == pytest.approx(0.0)
+
+
+def test_an_asymmetric_loss_beside_as_large_a_linear_one_flows_one_way():
+    rate = SimpleNamespace(rate=0.3)
+    for x, due in ((2.0, -1.2), (-2.0, 0.0)):
+        at = At((x,), (), SimpleNamespace())
+        both = AsymmetricLoss().flow(at, None, rate)[0] + LinearLoss().flow(at, None, rate)[0]
+        assert both == pytest.approx(due)
+
+
+CHAMBERS = """
+equations: ["supply' = k*pump - a*supply", "brake' = -b*brake + c*supply"]
+states: {supply: bar, brake: bar}
+inputs: {pump: {unit: V, interpolation: linear}}
+parameters: {k: 2 bar/V/s, a: 0.4 1/s, b: 0.6 1/s, c: 0.2 1/s}
+free: [k, a, b, c]
+observed: [brake]
+"""
+
+
+def test_a_worn_seal_between_two_chambers_is_named():
+    """The supply is seen by no sensor; what leaks follows the root of the difference."""
+    system = Equations(text=CHAMBERS)
+    pump = 3.0 + np.repeat(np.random.default_rng(5).uniform(-2, 2, 60), 50)
+    record = spiral.simulate(
+        system, duration=150.0, rate=20.0, inputs={"pump": pump}, effects=["orifice_exchange@supply-brake"],
+        values={
+            "system.k": 2.0, "system.a": 0.4, "system.b": 0.6, "system.c": 0.2,
+            "orifice_exchange@supply-brake.rate_supply": 0.3,
+            "orifice_exchange@supply-brake.rate_brake": 1.2,
+            "orifice_exchange@supply-brake.width": 0.05,
+        },
+        noise_level=0.01, seed=1,
+    )  # fmt: skip
+    run = spiral.discover(
+        record, system,
+        candidates=["orifice_exchange", "exchange", "root_loss@supply", "quadratic_loss@brake",
+                    "saturating_loss@supply", "input_saturation"],
+    )  # fmt: skip
+    assert run.missing == ("orifice_exchange",)
+    assert run.verdict == "effect_missing"
 
 
 def test_waning_immunity_is_named():
