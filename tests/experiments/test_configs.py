@@ -45,7 +45,11 @@ def test_nothing_is_missing_where_nothing_is_hidden(result):
 
 @pytest.mark.parametrize(
     "preset",
-    [p for p in PRESETS if not _needs_data(p) and p not in (*ESTIMATES, *NOTHING, *INNOVATION)],
+    [
+        pytest.param(p, marks=[] if p == "rotor_coastdown" else [pytest.mark.slow])
+        for p in PRESETS
+        if not _needs_data(p) and p not in (*ESTIMATES, *NOTHING, *INNOVATION)
+    ],
 )
 def test_a_preset_runs_in_a_fast_mode(preset, result):
     words = ("discover", f"experiment={preset}", *SHORT)

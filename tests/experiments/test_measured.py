@@ -21,6 +21,7 @@ def needs(file: str):
 
 
 @needs("cascaded_tanks/dataBenchmark.csv")
+@pytest.mark.slow
 def test_the_tanks_name_the_overflow_first():
     """One round: the seed near 0.67 V, the overflow on half of the record near 0.54 V."""
     problem = problem_of("cascaded_tanks", ("settings.max_rounds=1", "strategy=shooting"))

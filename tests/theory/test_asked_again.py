@@ -67,7 +67,7 @@ def test_a_special_case_that_explains_as_much_takes_the_place():
         parameters={"k": (50.0, "N/m"), "c": (2.0, "N*s/m")}, free=["k", "c"],
     )  # fmt: skip
     record = spiral.simulate(
-        sledge, duration=15.0, rate=100.0, inputs={"w": {"noise": 0.5, "band": [0.2, 4]}},
+        sledge, duration=10.0, rate=100.0, inputs={"w": {"noise": 0.5, "band": [0.2, 4]}},
         effects=["dry_loss@v"], values={"dry_loss@v.level": 0.8, "dry_loss@v.width": 1e-2},
         noise_level=0.01, seed=1,
     )  # fmt: skip

@@ -34,6 +34,7 @@ def calibrated(share, seed, given, together=()):
     return calibrate(Problem(model, given, ()), together=together)
 
 
+@pytest.mark.slow
 def test_the_deeper_of_two_valleys_is_found():
     """Bearings that differ can share a stiffness in two ways; from 10 % off both are reached."""
     seed, duration = 1, 7.0

@@ -99,6 +99,7 @@ def test_a_machine_without_its_law_moves_as_the_model_says(name):
     assert np.all(error < 0.05)
 
 
+@pytest.mark.slow
 def test_the_sine_of_a_double_angle_is_named_in_closed_form():
     run = asked("double_angle", 3)
     assert run.missing == ("sine_law",)
