@@ -99,7 +99,8 @@ def test_a_worn_seal_between_two_chambers_is_named():
     system = Equations(text=CHAMBERS)
     pump = 3.0 + np.repeat(np.random.default_rng(5).uniform(-2, 2, 60), 50)
     record = spiral.simulate(
-        system, duration=150.0, rate=20.0, inputs={"pump": pump}, effects=["orifice_exchange@supply-brake"],
+        system, duration=150.0, rate=20.0, inputs={"pump": pump},
+        effects=["orifice_exchange@supply-brake"],
         values={
             "system.k": 2.0, "system.a": 0.4, "system.b": 0.6, "system.c": 0.2,
             "orifice_exchange@supply-brake.rate_supply": 0.3,
