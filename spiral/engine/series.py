@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
-from spiral.types.record import Array, Record, estimate_noise
+from spiral.types.noise import estimate_noise
+from spiral.types.record import Array, Record
 from spiral.types.system import System
 
 SPEED_RATE_KNOTS = 64  # samples between the knots of the curve that a rate is taken from, at most
@@ -137,8 +141,25 @@ def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) ->
     """Make the arrays of a record; inputs run between samples as it says, else as the system's do.
 
     ``knot`` (s) spaces the knots of a smooth phase correction, which a record gets where its phase
-    was integrated from a measured speed; 0 makes none.
+    was integrated from a measured speed; 0 makes none. Arrays that are still in use, and small
+    ones among the last, are not made a second time.
     """
+    key = (id(record), system.observed, system.inputs, substeps, knot)
+    known = _IN_USE.get(key)
+    if known is None or known.record is not record:
+        known = _IN_USE[key] = _prepared(system, record, substeps, knot)
+        if known.inputs.size <= _SMALL:
+            _LAST.append(known)
+    return known
+
+
+_IN_USE: WeakValueDictionary[Any, Series] = WeakValueDictionary()
+"""Series by what they were made of, as long as anybody holds them."""
+_LAST: deque[Series] = deque(maxlen=16)
+_SMALL = 2**20  # values of inputs up to which one of the last is held: 8 MB, 128 MB for all
+
+
+def _prepared(system: System, record: Record, substeps: int, knot: float) -> Series:
     derived = [i.name for i in system.inputs if i.derived_from in record.measured]
     wanted = knot > 0 and "phase" in derived and "phase" not in record.measured
     sigma = record.sigma()

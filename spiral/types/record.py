@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from spiral.types.errors import InputError, did_you_mean
+from spiral.types.noise import estimate_noise
 from spiral.types.parameter import Input, Interpolation
 from spiral.types.spoilt import Spoilt, bridged, clipping, spoilt_readings
 
@@ -100,7 +102,19 @@ class Record:
 
     def running(self, ways: Mapping[str, Interpolation]) -> Record:
         """The record with inputs that run so between their samples where it does not say."""
-        return replace(self, hold={**ways, **self.hold}) if ways else self
+        hold = {**ways, **self.hold}
+        if hold == self.hold:
+            return self
+        key = tuple(sorted(hold.items()))
+        if key not in self._otherwise:
+            other = self._otherwise[key] = replace(self, hold=hold)
+            other.__dict__["_sigma"] = self._sigma  # the readings are the same
+        return self._otherwise[key]
+
+    @cached_property
+    def _otherwise(self) -> dict[tuple[tuple[str, str], ...], Record]:
+        """The same record with inputs that run otherwise, made once each."""
+        return {}
 
     def gone(self, channel: str) -> Array | None:
         """(samples,) True where a channel's reading is no measurement; nothing where all are."""
@@ -124,6 +138,10 @@ class Record:
 
     def sigma(self) -> dict[str, float]:
         """Noise of every channel: declared, or estimated without a model."""
+        return dict(self._sigma)
+
+    @cached_property
+    def _sigma(self) -> dict[str, float]:
         return {
             name: float(self.noise.get(name) or estimate_noise(self.reading(name)))
             for name in self.channels
@@ -206,22 +224,6 @@ def _checked_hold(system: System, hold: Mapping[str, str] | str) -> dict[str, In
             raise InputError(f"hold of {name!r}: {how!r}", told, did_you_mean(how, words))
         found[name] = how
     return found
-
-
-def estimate_noise(values: Array) -> float:
-    """Noise from high-order differences: sigma^2 = mean (d^k y)^2 / C(2k, k), smallest over k.
-
-    A k-th difference removes a polynomial of degree k - 1 and leaves white noise with the variance
-    C(2k, k) sigma^2. Orders 2 to 12 are tried; a smooth signal only ever adds.
-    """
-    from scipy.special import comb
-
-    best = np.inf
-    difference = np.diff(np.asarray(values, dtype=float))
-    for order in range(2, 13):
-        difference = np.diff(difference)
-        best = min(best, float(np.mean(difference**2) / comb(2 * order, order)))
-    return float(np.sqrt(best))
 
 
 def split_off_test(record: Record, share: float) -> tuple[Record, Record]:

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from spiral.engine.statistics import ljung_box, paired_errors, spent, whiteness
-from spiral.types.record import estimate_noise
+from spiral.types.noise import estimate_noise
 
 
 def test_whiteness_p_values_are_uniform_on_white_noise():

@@ -24,7 +24,8 @@ from spiral.inference.evidence.judge import FreeRun, free_run, run_free, whole
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.effect import Effect
 from spiral.types.model import Model
-from spiral.types.record import Record, estimate_noise
+from spiral.types.noise import estimate_noise
+from spiral.types.record import Record
 from spiral.types.run import Comparison
 
 _SETTLE = 0.1  # share of a test record that settles its nuisances, where no time is given

@@ -23,7 +23,7 @@ from spiral.io.export.program import (
     used,
 )
 from spiral.io.writing import filled
-from spiral.types.record import estimate_noise
+from spiral.types.noise import estimate_noise
 
 _RESERVED = (*keyword.kwlist, "t", "x", "u", "p", "np", "found", "by_x", "by_p")
 
