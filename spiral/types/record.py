@@ -105,11 +105,11 @@ class Record:
         hold = {**ways, **self.hold}
         if hold == self.hold:
             return self
-        key = tuple(sorted(hold.items()))
-        if key not in self._otherwise:
-            other = self._otherwise[key] = replace(self, hold=hold)
-            other.__dict__["_sigma"] = self._sigma  # the readings are the same
-        return self._otherwise[key]
+        known, key = self._otherwise, tuple(sorted(hold.items()))
+        if key not in known:
+            known[key] = replace(self, hold=hold)
+            known[key].__dict__["_sigma"] = self._sigma  # the readings are the same
+        return known[key]
 
     @cached_property
     def _otherwise(self) -> dict[tuple[tuple[str, str], ...], Record]:
@@ -378,11 +378,8 @@ def check_noise(noise: Mapping[str, float], channels: Mapping[str, Array]) -> di
     """Declared noise of known channels, positive."""
     for key, value in noise.items():
         if key not in channels:
-            raise InputError(
-                f"noise of {key!r}",
-                f"a channel: {', '.join(channels)}",
-                did_you_mean(key, channels),
-            )
+            told = f"a channel: {', '.join(channels)}"
+            raise InputError(f"noise of {key!r}", told, did_you_mean(key, channels))
         if not (isinstance(value, int | float) and np.isfinite(value) and value > 0):
             raise InputError(f"noise of {key!r}: {value!r}", "a positive standard deviation")
     return {k: float(v) for k, v in noise.items()}
