@@ -12,6 +12,7 @@ from spiral.types.noise import COLOURED
 from spiral.types.parameter import BETWEEN, Interpolation
 from spiral.types.run import Comparison
 
+_STATES = {"observed": "the measured states", "hidden": "the hidden states"}
 _SENSITIVE = 0.3  # error of a free run from which no model is asked to follow the motion
 
 
@@ -38,10 +39,9 @@ def random_sentence(found: Comparison) -> str:
         time = found.random_times.get(name)
         lasting = "" if time is None else f", correlated over {number(time, 2)} s"
         if kind in ("force", "gust"):
-            states = "measured" if where == "observed" else where
             said.append(
-                f"a random force acts on the {states} states: {percent(share)} of the machine's "
-                f"own{lasting or ', white'}"
+                f"a random force acts on {_STATES.get(where, where.removesuffix('_rate'))}: "
+                f"{percent(share)} of the machine's own{lasting or ', white'}"
             )
         elif kind == "drift":
             said.append(f"sensor {where} drifts by {percent(share)} of its motion over the record")

@@ -34,12 +34,20 @@ def groups(task: Task) -> dict[str, tuple[int, ...]]:
     return {k: tuple(v) for k, v in found.items() if v}
 
 
+def driven(task: Task, where: str) -> tuple[int, ...]:
+    """States that a force drives: those of a group, or the one of this name; none without it."""
+    known = groups(task)
+    if where in known:
+        return known[where]
+    return (task.states.index(where),) if where in task.states else ()
+
+
 def intensity(task: Task, levels: Mapping[str, float]) -> Array:
-    """(n,) white-noise intensity of every state, state^2 / s."""
+    """(n,) white-noise intensity of every state, state^2 / s; levels by group or by state."""
     found = np.zeros(len(task.states))
-    for group, members in groups(task).items():
-        at = list(members)
-        found[at] = levels.get(group, 0.0) ** 2 * task.scales[at] * task.rates[at]
+    for where, level in levels.items():
+        at = list(driven(task, where))
+        found[at] += level**2 * task.scales[at] * task.rates[at]
     return found
 
 

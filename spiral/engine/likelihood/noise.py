@@ -27,7 +27,7 @@ from functools import lru_cache
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, block_diagonal
-from spiral.engine.filter.noise import groups, intensity, sampled
+from spiral.engine.filter.noise import driven, groups, intensity, sampled
 from spiral.engine.filter.task import Task
 from spiral.types.noise import COLOURED, Kind
 from spiral.types.record import Array
@@ -46,7 +46,7 @@ _RINGING, _DEAD = 0.005, 0.2  # damping ratio of a vibration: beyond it is noise
 
 @dataclass(frozen=True)
 class NoiseTerm:
-    """One kind of randomness; ``where`` is a channel or a group of states.
+    """One kind of randomness; ``where`` is a channel, or a group of states, or one state.
 
     ``order`` is that of the low-pass of a ``band``.
     """
@@ -165,8 +165,9 @@ def acting_on(task: Task, noise: NoiseModel) -> NoiseModel:
 
     An effect with states of its own takes them with it when it is let go.
     """
-    known = groups(task)
-    return noise.of(t for t in noise.terms if t.kind not in ("force", "gust") or t.where in known)
+    return noise.of(
+        t for t in noise.terms if t.kind not in ("force", "gust") or driven(task, t.where)
+    )
 
 
 @dataclass(frozen=True)
@@ -239,7 +240,7 @@ def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_B
     if term.kind == "gust":
         return [
             replace(_relaxing(dt, values[term.time], size * float(task.rates[i])), state=i)
-            for i in groups(task)[term.where]
+            for i in driven(task, term.where)
         ]
     channel = task.compiled.traced.channels.index(term.where)
     if term.kind == "drift":

@@ -234,8 +234,9 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
             size = max(size * np.sqrt(length), gone[term.size])
         elif term.size in gone:
             size = gone[term.size]
-        share = size / spread[term.where] if term.where in spread else size
-        most = max(share, disturbed) if term.kind in ("force", "gust") else share
+        pushes = term.kind in ("force", "gust")
+        share = size if pushes else size / spread[term.where]
+        most = max(share, disturbed) if pushes else share
         if most >= _COUNTS:
             sizes[term.size] = float(share)
             if term.time:

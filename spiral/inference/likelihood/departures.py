@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from spiral.engine.filter.noise import groups
+from spiral.engine.filter.noise import driven
 from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.score import block_for
@@ -71,8 +71,8 @@ def _remarks(model: Model, estimate: Maximum) -> Iterator[str]:
 def _noisy_inputs(estimate: Maximum, random: Iterable[str]) -> tuple[str, ...]:
     """Inputs whose noise would push the machine as a white random force does."""
     task = estimate.prepared[0][0]
-    traced, members = task.compiled.traced, groups(task)
-    pushed = [members[w] for k, _, w in (r.partition(".") for r in random) if k == "force"]
+    traced = task.compiled.traced
+    pushed = [driven(task, w) for k, _, w in (r.partition(".") for r in random) if k == "force"]
     symbols = {s for rows in pushed for i in rows for s in traced.rate[i].free_symbols}
     given = {i.name for i in task.model.system.inputs}
     columns = zip(traced.inputs, traced.u, strict=True)

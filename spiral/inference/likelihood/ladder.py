@@ -19,7 +19,7 @@ import numpy as np
 
 from spiral.engine.filter.noise import groups
 from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.task import task_with
+from spiral.engine.filter.task import Task, task_with
 from spiral.engine.likelihood.fit import Maximum, maximise
 from spiral.engine.likelihood.noise import STEEPEST, NoiseModel, NoiseTerm, limits
 from spiral.engine.likelihood.predict import Prepared
@@ -46,6 +46,8 @@ _STANDS_OUT = 4.0  # times the median power from which a line may be one
 _OWN_LINE = (
     0.25  # share of a reading's power at a line, half of its amplitude, that is missed there
 )
+_GUST, _GUST_TIMES = 0.05, (0.003, 0.03)  # sizes of a gust to begin with; times, of the record
+_MOST_APART = 6  # states of a group whose forces are told apart: each costs slopes of its own
 _NARROW = 0.1  # damping ratio that a line begins with
 
 
@@ -80,7 +82,38 @@ def climbed_ladder(assembly: Assembly, found: LikelihoodFit, progress: Progress)
         if best is None:
             break
         found = taken_on(assembly, found, best.noise, rough=True)
+    if found.estimate.finite and not is_white(assembly, found):
+        apart = _worthy(found.estimate, list(_apart(found.estimate)))
+        found = found if apart is None else taken_on(assembly, found, apart.noise, rough=True)
     return found
+
+
+def _apart(at: Maximum) -> Iterator[NoiseModel]:
+    """The noise with a force on each state, in place of, or beside, one for a group of states.
+
+    What disturbs one coordinate of several (a gust on the cabin, not on the drive) leaves coloured
+    misses of all where they share one size, and is not worth a size for all where it acts on one.
+    """
+    task, noise = at.prepared[0][0], at.noise
+    shared = {n: s for n, s in groups(task).items() if 2 <= len(s) <= _MOST_APART}
+    for term in noise.terms:
+        if term.kind not in ("force", "gust") or term.where not in shared:
+            continue
+        size, each = noise.values[term.size], tuple(
+            replace(term, where=task.states[i]) for i in shared[term.where]
+        )  # fmt: skip
+        if size > LEAST * limits(task, term.size)[0]:
+            others = noise.of(t for t in noise.terms if t is not term)
+            kept = {k: v for k, v in noise.values.items() if k != term.size}
+            yield others.added(each, kept | {t.size: size for t in each})
+    for state in (task.states[i] for s in shared.values() for i in s if not noise.has("gust")):
+        one = NoiseTerm("gust", state)
+        yield noise.added((one,), {one.size: _GUST, one.time: _first_time(task, _GUST_TIMES[0])})
+
+
+def _first_time(task: Task, share: float) -> float:
+    """A correlation time to begin with, as a share of the record; three samples at least."""
+    return max(share * task.series.dt * task.series.samples, 3 * task.series.dt)
 
 
 def _best(at: Maximum) -> Maximum | None:
@@ -216,9 +249,9 @@ def rungs(now: Maximum) -> Iterator[Rung]:
         yield Rung((term,), {term.size: 0.1 * float(spread[c]) / length})
     if not noise.has("gust"):
         terms = tuple(NoiseTerm("gust", g) for g in groups(task))
-        for share in (0.003, 0.03):
-            time = max(share * dt * task.series.samples, 3 * dt)
-            yield Rung(terms, {t.size: 0.05 for t in terms} | {"gust.time": time})
+        for share in _GUST_TIMES:
+            time = _first_time(task, share)
+            yield Rung(terms, {t.size: _GUST for t in terms} | {"gust.time": time})
 
 
 def _ringing(now: Maximum) -> Iterator[Rung]:
