@@ -1,5 +1,8 @@
 """Physics at rest: f, h and their slopes at zero states and inputs must be numbers.
 
+A system of which a state is never zero (a pressure under a logarithm, a concentration that divides)
+is asked at ones instead.
+
 One effect with 0/0 at rest (v/|v|) makes every column of a study NaN, so it is named before a fit.
 """
 
@@ -33,11 +36,14 @@ def check_rest(compiled: Compiled, system: System, effects: Sequence[Effect]) ->
     """
     if _finite(_compiled_at_rest(compiled)):
         return
-    alone = _traced_at_rest(trace(system, ()))
+    at, bare = 0.0, trace(system, ())
+    alone = _traced_at_rest(bare)
+    if not np.isfinite(alone[0]).all():  # a logarithm, or a quotient, of what is never zero
+        at, alone = 1.0, _traced_at_rest(bare, 1.0)
     if not np.isfinite(alone[0]).all():
         raise _restless(f"system {system.plugin_name()!r}", system.plugin_name())
     for effect in effects:
-        beside = _traced_at_rest(trace(system, (effect,)))
+        beside = _traced_at_rest(trace(system, (effect,)), at)
         if (_finite(alone) and not _finite(beside)) or not np.isfinite(beside[0]).all():
             raise _restless(f"effect {effect.label!r}", effect.plugin_name())
 
@@ -83,7 +89,7 @@ def undefined_along(
 
 def _restless(who: str, name: str) -> PluginError:
     return PluginError(
-        f"{who} is no number at rest (zero states and inputs)",
+        f"{who} is no number at rest (zero states and inputs), nor where all are one",
         "finite values and slopes there",
         f"spiral.math.length for |q|, a smooth form such as tanh(v/w); spiral check {name}",
     )
@@ -124,9 +130,10 @@ def _evaluated(compiled: Compiled, x: Array, u: Array, p: Array) -> list[Array]:
     return [np.concatenate(values), *slopes]
 
 
-def _traced_at_rest(traced: Traced) -> list[Array]:
-    """The same from expressions, without compiling."""
-    given = [*np.zeros(len(traced.x) + len(traced.u)), *(_value(q) for q in traced.parameters)]
+def _traced_at_rest(traced: Traced, at: float = 0.0) -> list[Array]:
+    """The same from expressions, without compiling; ``at`` in place of zero states and inputs."""
+    states = np.full(len(traced.x) + len(traced.u), at)
+    given = [*states, *(_value(q) for q in traced.parameters)]
     return _traced_at(traced, [np.float64(v) for v in given])
 
 

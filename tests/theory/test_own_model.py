@@ -432,3 +432,26 @@ def test_equations_are_told_in_python_as_in_a_file(tmp_path):
     }
     with pytest.raises(ConfigError, match="states, in the mapping and beside it"):
         spiral.system({"equations": equations, **rest}, states={"x": "m"})
+
+
+@pytest.mark.parametrize("reading", ["x", "level = log(x/s)"])
+def test_a_state_that_is_never_zero_may_divide_and_stand_under_a_logarithm(reading):
+    """x' = a (u s / x - x): at zero it is no number, and a hidden state begins at zero."""
+    system = spiral.system(
+        ["x' = a*(u*s/x - x)"], states={"x": "kg/m^3"}, inputs={"u": "kg/m^3"},
+        observed=[reading], parameters={"a": "0.06 1/s", "s": "1 kg/m^3"}, free=["a"],
+    )  # fmt: skip
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.uniform(0.5, 4.0, 60), 50)
+    time = np.arange(u.size) * 0.5
+
+    def rate(t, x):
+        return 0.05 * (np.interp(t, time, u) / x - x)
+
+    x = solve_ivp(rate, (0, time[-1]), [1.5], t_eval=time, max_step=0.5, rtol=1e-8).y[0]
+    channel = reading.split()[0]
+    seen = x if channel == "x" else np.log(x)
+    seen = seen + 0.01 * seen.std() * rng.normal(size=x.size)
+    record = make_record(system, "never zero", time, {channel: seen}, {"u": u})
+    found = spiral.compare(record, system).model.estimates()["system"]["a"]
+    assert abs(found.estimate - 0.05) < 3 * found.se

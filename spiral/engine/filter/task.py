@@ -170,6 +170,7 @@ def task_with(
     else:
         centre, scales, rates = _settled(compiled, series, grid, values, mapping)
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
+    begin = _within_reach(compiled, values, begin, grid[0]) if start is None else begin
     task = Task(
         model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping
     )
@@ -213,20 +214,52 @@ def at_rest(task: Task) -> Array | None:
     rates = {traced.rate_name(s) for s in traced.states}
     own = [s for s in traced.states if s not in rates and traced.rate_name(s) not in traced.states]
     hidden = [traced.states.index(s) for s in own if s not in traced.channels]
-    n, u = len(task.start), np.ascontiguousarray(task.mean_inputs)
-    x, rate, a, b = task.start.copy(), np.empty(n), np.empty((n, n)), np.zeros((n, len(values)))
-    x[hidden] = np.where(x[hidden] == 0, _REST, x[hidden])
+    start = task.start.copy()
+    start[hidden] = np.where(start[hidden] == 0, _REST, start[hidden])
+    x = _still(task.compiled, values, start, task.mean_inputs, hidden)
+    return x if x is not None and np.any(np.abs(x - task.start) > task.spread) else None
+
+
+def _still(
+    compiled: Compiled, values: Array, start: Array, inputs: Array, moving: list[int]
+) -> Array | None:
+    """Where the rates of these states are zero, by Newton's steps from a state; or nothing."""
+    n, u = len(start), np.ascontiguousarray(inputs)
+    x, rate, a, b = start.copy(), np.empty(n), np.empty((n, n)), np.zeros((n, len(values)))
     with np.errstate(all="ignore"):
-        for _ in range(_NEWTON if hidden else 0):
-            task.compiled.rate(x, u, values, rate, a, b)
-            part = a[np.ix_(hidden, hidden)]
+        for _ in range(_NEWTON if moving else 0):
+            compiled.rate(x, u, values, rate, a, b)
+            part = a[np.ix_(moving, moving)]
             if not (np.all(np.isfinite(part)) and np.all(np.isfinite(rate))):
                 break
-            step = np.linalg.lstsq(part, -rate[hidden], rcond=None)[0]
-            x[hidden] += step
-            if np.all(np.abs(step) <= _CLOSE * np.abs(x[hidden])):
-                return x if np.any(np.abs(x - task.start) > task.spread) else None
+            step = np.linalg.lstsq(part, -rate[moving], rcond=None)[0]
+            x[moving] += step
+            if np.all(np.abs(step) <= _CLOSE * np.abs(x[moving])):
+                return x
     return None
+
+
+def _within_reach(compiled: Compiled, values: Array, x: Array, inputs: Array) -> Array:
+    """A state where the model is a number: this one, or with what is zero in it where that rests.
+
+    A pressure under a logarithm, or a concentration that divides, has no zero.
+    """
+    values, u = np.ascontiguousarray(values), np.ascontiguousarray(inputs)
+    zero = [i for i, v in enumerate(x) if v == 0]
+    if not zero or _is_number(compiled, values, x, u):
+        return x
+    ones = x.copy()
+    ones[zero] = 1.0
+    still = _still(compiled, values, ones, u, zero)
+    return still if still is not None and _is_number(compiled, values, still, u) else ones
+
+
+def _is_number(compiled: Compiled, values: Array, x: Array, u: Array) -> bool:
+    rate, reading = np.empty(len(x)), np.empty(len(compiled.traced.channels))
+    with np.errstate(all="ignore"):
+        compiled.rate_value(x, u, values, rate)
+        compiled.output_value(x, u, values, reading)
+    return bool(np.isfinite(rate).all() and np.isfinite(reading).all())
 
 
 def enough_substeps(compiled: Compiled, values: Array, series: Series) -> int:
@@ -284,8 +317,9 @@ def free_run(compiled: Compiled, series: Series, grid: Array, values: Array) -> 
     n = len(compiled.traced.states)
     states, readings = np.empty((series.samples, n)), np.empty_like(series.y)
     whole, first = np.array([series.samples]), np.zeros(1, dtype=np.int64)
+    begin = _within_reach(compiled, values, np.zeros(n), series.mean_inputs)
     ok = trajectories(
-        compiled.rate_value, compiled.output_value, np.zeros((1, n)), first, whole,
+        compiled.rate_value, compiled.output_value, begin[None, :], first, whole,
         np.ascontiguousarray(values[None, :]), grid, series.substeps, series.dt, states, readings,
     )  # fmt: skip
     return states if ok and np.all(np.isfinite(states)) else None
