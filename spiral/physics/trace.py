@@ -155,7 +155,7 @@ def trace(
     x = SimpleNamespace(**{s.name: states[s.name] for s in system.states})
     p = SimpleNamespace(**{q.name: symbols[f"system.{q.name}"] for q in system.parameters})
     placed = [_place(system, effect, x, inputs, p, states, symbols) for effect in effects]
-    u = _driven(placed, inputs)
+    u, placed = _driven(placed, inputs)
     seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
     injected = _inject(system, placed, seen, x)
     rates = asked(system, "rate", system.rate, x, u, p, injected)
@@ -229,15 +229,21 @@ def _place(
     return _Placed(effect, port, At(position, velocity, own), values, jacobian)
 
 
-def _driven(placed: list[_Placed], inputs: dict[str, sp.Symbol]) -> SimpleNamespace:
-    """The inputs as actuators hand them on, each effect beside the others on what was recorded."""
-    u = SimpleNamespace(**inputs)
+def _driven(
+    placed: list[_Placed], inputs: dict[str, sp.Symbol]
+) -> tuple[SimpleNamespace, list[_Placed]]:
+    """The inputs as actuators hand them on, each effect on what those before it have made of it.
+
+    A gain beside a delay acts on what is late.
+    """
+    u, found = SimpleNamespace(**inputs), []
     for item in placed:
         if isinstance(item.effect, InputEffect):
-            (name,), (recorded,) = item.port.axes, item.at.position
-            value = asked(item.effect, "drive", item.effect.drive, item.at, u, item.p)
-            setattr(u, name, getattr(u, name) + value - recorded)
-    return u
+            (name,) = item.port.axes
+            item = replace(item, at=replace(item.at, position=(getattr(u, name),)))
+            setattr(u, name, asked(item.effect, "drive", item.effect.drive, item.at, u, item.p))
+        found.append(item)
+    return u, found
 
 
 def _sensed(

@@ -4,8 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy as sp
 from scipy.linalg import expm
-from spiral_plugins.effects.inputs import ActuatorLag, InputDeadZone, InputGain, InputSaturation
+from spiral_plugins.effects.inputs import (
+    ActuatorLag,
+    InputDeadZone,
+    InputDelay,
+    InputGain,
+    InputSaturation,
+)
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
@@ -207,3 +214,13 @@ def test_a_wrong_scale_of_an_input_is_named_where_the_mass_is_known(fixed):
     assert run.missing == ("input_gain",)
     found = run.model.estimates()["input_gain"]["error"]
     assert abs(found.estimate - 0.15) < 3 * found.se
+
+
+def test_what_an_actuator_does_is_done_to_what_it_has_done_before():
+    """A gain beside a delay: m x'' = (1 + e) u(t - T), and nothing of u(t) is let through."""
+    system, late = Oscillator(), InputDelay()
+    alone = trace(system, (late,))
+    both = trace(system, (late, InputGain()))
+    error = both.p[both.keys.index("input_gain.error")]
+    assert both.keys[: len(alone.keys)] == alone.keys
+    assert sp.simplify(both.rate[1] - (1 + error) * alone.rate[1]) == 0
