@@ -94,9 +94,12 @@ class AsymmetricLoss(StateFlow):
     """A loss that is larger one way than the other: x' = ... - c |x|, beside a linear loss.
 
     c more where x is positive, c less where it is negative: a check valve that leaks, a diode, the
-    rebound of a damper on a speed that is a state of first order.
+    rebound of a damper on a speed that is a state of first order. Of what is never negative it is a
+    ``linear_loss``.
     """
 
+    units = ("m/s", "rad/s", "Pa", "bar", "V", "A")
+    special = ("linear_loss",)
     differences = True
     parameters = (Parameter("rate", "force/position"),)
 
