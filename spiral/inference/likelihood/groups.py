@@ -7,6 +7,7 @@ import numpy as np
 from spiral.engine.likelihood.predict import log_likelihood
 from spiral.inference.likelihood.candidates import Rival
 from spiral.types.effect import SensorEffect
+from spiral.types.label import make_label
 
 _TWIN = 0.98  # share of the gain from which one that should do the same does
 
@@ -54,14 +55,18 @@ def plainest(
 ) -> tuple[Rival, tuple[str, ...]]:
     """The plainest of a group that the records do not tell apart, and the rest of it.
 
-    A change of the machine comes before one of a sensor, then one of few parameters: an actuator
-    that limits its rate far beyond what it is asked for is one that lags.
+    A change of the machine comes before one of a sensor, then one of few parameters, then a special
+    case of another: an actuator that limits its rate far beyond what it is asked for is one that
+    lags, and a loss that differs by direction, of what flows one way only, is a linear one.
     """
     group = [rival, *(next(r for r in rivals if r.label == x) for x in aliases)]
 
-    def order(one: Rival) -> tuple[bool, int]:
+    special = {make_label(x, e.port) for e in (r.ranked.variant.original for r in group)
+               for x in e.special}  # fmt: skip
+
+    def order(one: Rival) -> tuple[bool, int, bool]:
         effect = one.ranked.variant.original
-        return _of_sensors(one), len(effect.parameters)
+        return _of_sensors(one), len(effect.parameters), one.label not in special
 
     chosen = min(group, key=order)
     return chosen, tuple(r.label for r in group if r is not chosen)

@@ -16,12 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.likelihood.fit import maximise
+from spiral.engine.likelihood.noise import first_noise
 from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Ranking, tested_keys
 from spiral.inference.likelihood.candidates import Rival, unscored
 from spiral.inference.likelihood.fitting import (
+    LEVEL,
     WARM,
     LikelihoodFit,
     price,
@@ -144,11 +146,7 @@ def _again(
     if not known:
         return None
     progress(f"asking again whether {held.original.label} may be {', '.join(others)}")
-    bare = let_go(assembly, model.state, (held.label,))
-    estimate = maximise(
-        subjects(assembly, bare), (), model.estimate.noise, {}, None, WARM, rough=True
-    )
-    base = LikelihoodFit(with_estimate(bare, estimate), estimate)
+    base = _without(assembly, model, held)
     found = raced(offering(assembly, known), base, None, progress, options.rivals)
     if found is None:
         return None
@@ -158,11 +156,25 @@ def _again(
         rivals[:1] for _, rivals in itertools.islice(run.winners(), len(known))
     )
     best = sorted((_beside(model, base, r) for r in finals), key=lambda r: -r.worth)
-    asked = {e.label for e in known}
+    asked = {r.label for r in run.tried}  # of what found no way from there nothing is known
     stay = {*alike([ours, *best], options.odds), *twins(ours, best)}
     return _Contest(
         ours, tuple(best), tuple(x for x in others if x in stay or x not in asked), ranked
     )
+
+
+def _without(assembly: Assembly, model: LikelihoodFit, held: Variant) -> LikelihoodFit:
+    """The model without an effect at the values that it has with it, its noise grown for that.
+
+    Grown from what is left beside the effect, or fallen from as much as at a first start: a size
+    near nothing does not grow.
+    """
+    bare = let_go(assembly, model.state, (held.label,))
+    prepared = subjects(assembly, bare)
+    starts = (model.estimate.noise, first_noise(prepared[0][0], LEVEL))
+    fits = [maximise(prepared, (), noise, {}, None, WARM, rough=True) for noise in starts]
+    estimate = max(fits, key=lambda f: f.log_likelihood)
+    return LikelihoodFit(with_estimate(bare, estimate), estimate)
 
 
 def _ours(
