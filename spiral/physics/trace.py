@@ -238,10 +238,11 @@ def _driven(
     """
     u, found = SimpleNamespace(**inputs), []
     for item in placed:
-        if isinstance(item.effect, InputEffect):
+        effect = item.effect
+        if isinstance(effect, InputEffect):
             (name,) = item.port.axes
             item = replace(item, at=replace(item.at, position=(getattr(u, name),)))
-            setattr(u, name, asked(item.effect, "drive", item.effect.drive, item.at, u, item.p))
+            setattr(u, name, asked(effect, "drive", effect.drive, item.at, u, item.p))
         found.append(item)
     return u, found
 

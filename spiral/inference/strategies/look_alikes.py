@@ -20,8 +20,8 @@ from spiral.engine.likelihood.noise import first_noise
 from spiral.inference.evidence.admission import let_go
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import Ranking, tested_keys
-from spiral.inference.likelihood.candidates import Rival, unscored
+from spiral.inference.evidence.scoring import Ranked, Ranking, tested_keys
+from spiral.inference.likelihood.candidates import Rival, race, unscored
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     WARM,
@@ -32,9 +32,10 @@ from spiral.inference.likelihood.fitting import (
     with_estimate,
 )
 from spiral.inference.likelihood.groups import alike, lead, twins
+from spiral.inference.likelihood.scores import ranked_along
 from spiral.inference.nearness import grown
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.admission import Passed, offering, raced, with_rival
+from spiral.inference.strategies.admission import Passed, offering, with_rival
 from spiral.inference.strategies.needed import admitted
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.label import make_label
@@ -147,20 +148,27 @@ def _again(
         return None
     progress(f"asking again whether {held.original.label} may be {', '.join(others)}")
     base = _without(assembly, model, held)
-    found = raced(offering(assembly, known), base, None, progress, options.rivals)
-    if found is None:
-        return None
-    run, ranked = found
+    offered = offering(assembly, (*known, held.original))
+    ranked = ranked_along(offered, base, base.estimate.noise, None, lambda _: list(offered.offered))
+    mine = [] if ranked is None else [r for r in ranked.ranked if _is(r, held)]
+    if ranked is None or not any(r.rank < 0 for r in mine):
+        return None  # from there not even the effect itself would be found
+    others_ranked = [r for r in ranked.ranked if not _is(r, held)]
+    run = race(offered, base, others_ranked, None, progress, options.rivals)
     ours = _ours(assembly, base, model, held)
     finals = itertools.chain.from_iterable(
         rivals[:1] for _, rivals in itertools.islice(run.winners(), len(known))
     )
     best = sorted((_beside(model, base, r) for r in finals), key=lambda r: -r.worth)
-    asked = {r.label for r in run.tried}  # of what found no way from there nothing is known
+    asked = {e.label for e in known}
     stay = {*alike([ours, *best], options.odds), *twins(ours, best)}
     return _Contest(
         ours, tuple(best), tuple(x for x in others if x in stay or x not in asked), ranked
     )
+
+
+def _is(one: Ranked, held: Variant) -> bool:
+    return one.variant.original.label == held.original.label
 
 
 def _without(assembly: Assembly, model: LikelihoodFit, held: Variant) -> LikelihoodFit:
