@@ -309,14 +309,34 @@ def unhelpful(
     told = [c for c in judged_ if c.samples is not None or after.disturbed <= after.noise_floor]
     seen = [] if judged_ else [(before.fit_error, after.fit_error)]
     pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]
-    sizes = [np.sqrt(max((b / a) ** 2 - 1, 0.0)) if a > 0 else np.inf for b, a in pairs]
-    size = float(max((x if np.isfinite(x) else np.inf for x in sizes), default=0.0))
-    if size >= settings.smallest:
+    size = max((_size(b, a) for b, a in pairs), default=0.0)
+    if max(size, _instead_of_forces(before, after)) >= settings.smallest:
         return None
     return Refusal(
         f"significant, but too small to matter: at no horizon does it take away more than "
         f"{size:.2g} of what is left (least {settings.smallest:g})"
     )
+
+
+def _size(before: float, after: float) -> float:
+    """What is taken away of a mean square, in deviations of what is left."""
+    size = np.sqrt(max((before / after) ** 2 - 1, 0.0)) if after > 0 else np.inf
+    return float(size) if np.isfinite(size) else np.inf
+
+
+def _instead_of_forces(before: Comparison, after: Comparison) -> float:
+    """By what size an effect does what a random force had to do, where that carries free runs.
+
+    The force, the free run of the fitted and that of the test records must all shrink; the least of
+    the three counts. An effect with states of its own is a force with a memory itself: none.
+    """
+    forces = [max(random_forces(c).values(), default=0.0) for c in (before, after)]
+    new = [e for e in after.model.effects if e.label not in before.model.labels]
+    if not forces[0] > 0 or any(e.states for e in new):
+        return 0.0
+    pairs = [(forces[0], forces[1]), (before.fit_error, after.fit_error)]
+    tests = (before.test_error, after.test_error) if after.unseen else None
+    return min(_size(b, a) for b, a in (*pairs, *([tests] if tests else [])))
 
 
 def with_effect(
