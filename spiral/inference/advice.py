@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from spiral.inference.acting import random_forces
 from spiral.inference.nearness import near_noise
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_said
@@ -66,7 +67,8 @@ def _ending(verdict: Verdict, stopped: Stopped, last: Comparison, settings: Sett
     """Why the loop ended."""
     near = near_noise(last, settings)
     if verdict == "nothing_missing":
-        return "The model explains this record down to its noise."
+        beside = " and what acts at random" if random_forces(last) else ""
+        return f"The model explains this record down to its noise{beside}."
     if stopped == "max_rounds":
         return "The loop stopped at its largest number of rounds."
     if stopped == "no_candidate" or not near:
