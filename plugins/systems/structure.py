@@ -20,11 +20,12 @@ class Structure(MechanicalSystem):
     Fields
     ------
     path : NPZ or MAT file with M and K, where there are also C, G and parts K_NAME.
-    nodes : CSV file with the columns name, dof, use (of sensor, accelerometer, input, port), unit.
+    nodes : CSV file with the columns name, dof, use (of sensor, accelerometer, input, port, end), unit.
     size : coordinates that are left, nodes and modes.
     band : low and high frequency, Hz, of the comparison with the full structure.
     pairs : port between two nodes -> their names.
     damping_ratio : of every mode, where there is no C.
+    highest : Hz, to which higher modes are lowered by mass; four times the band's end if left out.
     text : the reduced structure, which needs no file; with neither, a chain of masses.
     """
 
@@ -34,6 +35,7 @@ class Structure(MechanicalSystem):
     band: tuple[float, ...] = ()
     pairs: Any = None
     damping_ratio: float = 0.01
+    highest: float | None = None
     text: str = ""
 
     def __post_init__(self):
@@ -45,7 +47,8 @@ class Structure(MechanicalSystem):
         if not self.text:
             source, nodes = (self.path, self.nodes) if self.path else _chain()
             band = self.band if self.path else (0.0, 0.3)
-            text = read_structure(source, nodes, self.size, band, self.pairs, self.damping_ratio)
+            kind = (self.size, band, self.pairs, self.damping_ratio, self.highest)
+            text = read_structure(source, nodes, *kind)
             object.__setattr__(self, "text", text)
         object.__setattr__(self, "pairs", None)  # they are in the text
         structure_of(self.text)

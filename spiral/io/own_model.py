@@ -26,6 +26,7 @@ def structure(
     band: Sequence[float],
     pairs: Mapping[str, Sequence[str]] | None = None,
     damping_ratio: float = 0.01,
+    highest: float | None = None,
 ) -> System:
     """A system from mass, damping and stiffness matrices, reduced (Craig and Bampton 1968).
 
@@ -43,6 +44,8 @@ def structure(
     band : Hz, where the response is compared with that of the full structure (``report``).
     pairs : port -> two nodes between which effects act.
     damping_ratio : of every mode, where there is no ``C``.
+    highest : Hz; modes above it are lowered to it by mass, so that they do not set the step of the
+        integration. Left out, four times the end of the band.
 
     Raises
     ------
@@ -50,7 +53,7 @@ def structure(
     """
     from spiral.io.readers.matrices import read_structure
 
-    text = read_structure(source, nodes, size, band, pairs, damping_ratio)
+    text = read_structure(source, nodes, size, band, pairs, damping_ratio, highest)
     return load_registry(NO_FOLDER).make("system", "structure", {"text": text})
 
 

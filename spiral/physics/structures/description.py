@@ -56,6 +56,7 @@ def described(
     band: Sequence[float],
     pairs: Mapping[str, Any] | None,
     damping_ratio: float,
+    highest: float | None,
 ) -> str:
     """The text of a structure from its matrices (sparse, by name) and its kept nodes, reduced.
 
@@ -75,7 +76,11 @@ def described(
             "the low and the high frequency in Hz between which the record says something",
             "band=[0, 300]",
         )
-    found = reduced(matrices, kept, size, (float(band[0]), float(band[1])), sensors, forces)
+    if highest is not None and highest < band[1]:
+        raise ConfigError(f"highest={highest:g} below the end of the band, {band[1]:g} Hz",
+                          "a frequency in Hz above the band", "leave it out")  # fmt: skip
+    ends = (float(band[0]), float(band[1]))
+    found = reduced(matrices, kept, size, ends, sensors, forces, highest)
     names = [n.name for n in table]
     told = {
         "names": [*names, *(f"mode_{i + 1}" for i in range(size - len(table)))],
@@ -88,6 +93,7 @@ def described(
         "response_error": found.response_error,
         "frequency_error": found.frequency_error,
         "highest_hz": found.highest,
+        "lowered": found.lowered,
         "matrices": {k: m.tolist() for k, m in found.matrices.items()},
     }
     return json.dumps(told)
@@ -157,9 +163,11 @@ def _by_ratio(matrices: Mapping[str, Array]) -> Array:
 
 def _report(given: Mapping[str, Any]) -> str:
     low, high = given["band_hz"]
+    count = given.get("lowered", 0)
+    lowered = f", to which {count} modes above it were lowered by mass" if count else ""
     return (
         f"{given['full']} degrees of freedom reduced to {len(given['names'])}: from {low:.4g} to "
         f"{high:.4g} Hz the response is off by {100 * given['response_error']:.2g} %, natural "
         f"frequencies by {100 * given['frequency_error']:.2g} % at most; the highest that is left "
-        f"is {given['highest_hz']:.4g} Hz"
+        f"is {given['highest_hz']:.4g} Hz{lowered}"
     )
