@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from spiral.types.record import Array
 
 SENSORS = ("sensor", "accelerometer")
 """What of a node is measured: its displacement, or its acceleration."""
+_ROUNDING = 1e-10  # of the largest entry of a matrix
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,16 @@ class StructureForm:
     ratio: float
     gyroscopic: Array | None
     report: str
+
+    @cached_property
+    def compliance(self) -> Array:
+        """M^-1."""
+        return np.linalg.inv(self.mass)
+
+    def accelerated(self, matrix: Array) -> Array:
+        """M^-1 times a matrix; what is zero but for rounding is zero."""
+        found = np.linalg.solve(self.mass, matrix)
+        return np.where(np.abs(found) > _ROUNDING * np.abs(found).max(), found, 0.0)
 
 
 def described(

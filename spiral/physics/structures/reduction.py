@@ -12,6 +12,9 @@ by mass (L. Olovsson, K. Simonsson, M. Unosson, Int. J. Numer. Meth. Eng. 63, 20
     M + sum_i (w_i^2 / w_c^2 - 1) (M v_i) (M v_i)^T,    v_i^T M v_i = 1,
 
 so that the static response stays as it is, and theirs at w is off by (w / w_c)^2 of it.
+
+The coordinates that are told are the kept nodes and, of the natural modes, all but as many: each of
+these moves by itself, and only the nodes' equations are full.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import eigh
+from scipy.linalg import eigh, qr
 from scipy.sparse.linalg import eigsh, splu
 
 from spiral.types.errors import ConfigError
@@ -86,6 +89,8 @@ def reduced(
     small = {k: 0.5 * (m - m.T if k == "G" else m + m.T) for k, m in small.items()}
     limit = HARMONICS * band[1] if highest is None else highest
     small["M"], lowered = _lowered(small["M"], whole_stiffness(small), limit)
+    turned = _nodes_and_modes(small, basis, len(kept))
+    small = {k: turned.T @ m @ turned for k, m in small.items()}
     response, frequency, top = _errors(matrices, small, np.asarray(kept), band, sensors, forces)
     return Reduced(small, band, response, frequency, top, lowered)
 
@@ -101,6 +106,23 @@ def _lowered(mass: Array, stiffness: Array, limit: float) -> tuple[Array, int]:
     ratios = np.maximum(values / (2 * np.pi * limit) ** 2 - 1, 0)
     sides = mass @ modes
     return mass + (sides * ratios) @ sides.T, int(np.sum(ratios > 0))
+
+
+def _nodes_and_modes(small: Mapping[str, Array], basis: Array, count: int) -> Array:
+    """T of x = T [q_b; e], e the natural modes but those that the nodes' motion tells best.
+
+    x = V_d d + V_e e with q_b = V_bd d + V_be e, where V_bd is chosen by pivots; each e in units
+    of the largest entry of its mode.
+    """
+    _, modes = eigh(whole_stiffness(small), small["M"])
+    modes = modes / np.abs(basis @ modes).max(axis=0)
+    nodes = modes[:count]
+    _, _, order = qr(nodes, mode="economic", pivoting=True)
+    told, left = np.sort(order[:count]), np.sort(order[count:])
+    by_nodes = modes[:, told] @ np.linalg.inv(nodes[:, told])
+    turned = np.hstack([by_nodes, modes[:, left] - by_nodes @ nodes[:, left]])
+    turned[:count] = np.eye(count, len(modes))
+    return turned
 
 
 def _basis(matrices: Mapping[str, Any], kept: Any, size: int) -> Array:
