@@ -8,7 +8,6 @@ from spiral.math import tanh
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.port import Port
-from spiral.types.rates import per_second
 from spiral.types.system import MechanicalSystem
 from spiral.types.units import registry
 
@@ -26,7 +25,7 @@ class Robot(MechanicalSystem):
     Fields
     ------
     path : MJCF (.xml) or URDF (.urdf) file, which MuJoCo reads (extra robots).
-    recorded : actuators whose inputs, and joints whose forces a record has; left out, all actuators.
+    recorded : actuators whose inputs, joints whose forces a record has; left out, all actuators.
     measured : joints whose positions, and JOINT' of whose velocities are measured; left out, all
         positions.
     places : port -> a position where effects act, as a formula of the joints, beside each joint.
@@ -132,7 +131,10 @@ class Robot(MechanicalSystem):
             total = -b
             for name, pull in (
                 ("damping", lambda s=speed: s),
-                ("friction", lambda s=speed, j=joint: tanh(s / _sized(WIDTH, f"{j.units[0]}/s", s))),
+                (
+                    "friction",
+                    lambda s=speed, j=joint: tanh(s / _sized(WIDTH, f"{j.units[0]}/s", s)),
+                ),
                 ("stiffness", lambda a=at, j=joint: a - _sized(j.rest, j.units[0], a)),
             ):
                 value = getattr(p, f"{joint.name}_{name}", None)

@@ -22,8 +22,8 @@ import numpy as np
 from spiral.physics.outside import fmi
 from spiral.physics.outside.program import CalledProgram
 from spiral.types.cache import kept
-from spiral.types.identifier import identifier
 from spiral.types.errors import ConfigError, InputError
+from spiral.types.identifier import identifier
 
 INSTANCES = 4  # threads that share a step (two), and one that asks beside them
 _DIRECTIONAL = re.compile(rb'providesDirectionalDerivatives?\s*=\s*["\'](true|1)')  # both versions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,9 @@ from spiral.types.identifier import identifier
 
 _KINDS = {3: "hinge", 2: "slide"}
 """MuJoCo's numbers of the joints that are read; 0 is a free one, 1 a ball."""
+_NO_GRAVITY, _NO_CONTACT = 1 << 7, 1 << 4  # of MuJoCo's flags
+_NO_FORCES = 1 << 0 | 1 << 2 | 1 << 5 | 1 << 6 | 1 << 11
+"""Constraints, friction, springs, dampers, actuation disabled."""
 _LEFT_OUT = (
     ("ntendon", "tendons"), ("neq", "equality constraints"), ("nflex", "flexible bodies"),
     ("npair", "pairs of geoms in contact"), ("nplugin", "plugins"), ("na", "actuators with states"),
@@ -36,13 +40,7 @@ def read_robot(path: str, untouched: bool = False) -> str:
     InputError : no such file, one that MuJoCo does not read, or a robot that has more than hinges,
         slides and rigid bodies. ConfigError : MuJoCo is not there.
     """
-    try:
-        import mujoco
-    except ImportError as error:
-        raise ConfigError(
-            f"a robot's description {path!r}, and no MuJoCo to read it", "the extra robots",
-            "pip install 'spiral[robots]'",
-        ) from error  # fmt: skip
+    mujoco = _mujoco(path)
     place = Path(path).expanduser()
     if not place.is_file():
         raise InputError(f"robot {path!r}: no such file", "an MJCF or a URDF file")
@@ -53,6 +51,18 @@ def read_robot(path: str, untouched: bool = False) -> str:
         raise InputError(f"robot {path!r}: {said}", "an MJCF or a URDF file") from error
     _check(path, model, untouched)
     return _robot(place.stem, model).text
+
+
+def _mujoco(path: str) -> Any:
+    """The library, which is no dependency."""
+    try:
+        return importlib.import_module("mujoco")
+    except ImportError as error:
+        raise ConfigError(
+            f"the robot {path!r}, and no MuJoCo to read it",
+            "the extra robots",
+            "pip install 'spiral[robots]'",
+        ) from error
 
 
 def _check(path: str, model: Any, untouched: bool) -> None:
@@ -74,6 +84,9 @@ def _check(path: str, model: Any, untouched: bool) -> None:
             raise _refused(path, f"{name} that is not zero", "leave it out of the file")
     if model.opt.density or model.opt.viscosity:
         raise _refused(path, "a fluid around it", "density and viscosity zero")
+    if int(model.opt.disableflags) & _NO_FORCES:
+        raise _refused(path, "forces of its joints disabled", "leave that flag out of the file")
+    untouched = untouched or bool(int(model.opt.disableflags) & _NO_CONTACT)
     if not untouched and (pair := next(_touching(model), None)):
         raise _refused(
             path, f"bodies that may touch: {names[pair[0]]!r} and {names[pair[1]]!r}",
@@ -97,7 +110,9 @@ def _touching(model: Any) -> Iterator[tuple[int, int]]:
         meets = kinds[0][a] & kinds[1][b] or kinds[0][b] & kinds[1][a]
         first, second = sorted((int(own[a]), int(own[b])))
         one, other = int(weld[first]), int(weld[second])
-        joined = one == other or (one and other and (parent[first] == other or parent[second] == one))
+        joined = one == other or (
+            one and other and (parent[first] == other or parent[second] == one)
+        )
         if meets and not joined and (first << 16) + second not in excluded:
             yield first, second
 
@@ -107,7 +122,7 @@ def _touching(model: Any) -> Iterator[tuple[int, int]]:
 
 def _robot(title: str, model: Any) -> Robot:
     joints = _joints(model)
-    gravity = np.zeros(3) if model.opt.disableflags & _gravity_flag() else model.opt.gravity
+    gravity = np.zeros(3) if int(model.opt.disableflags) & _NO_GRAVITY else model.opt.gravity
     return Robot(
         title,
         tuple(map(float, gravity)),
@@ -115,12 +130,6 @@ def _robot(title: str, model: Any) -> Robot:
         joints,
         tuple(_actuators(title, model, joints)),
     )
-
-
-def _gravity_flag() -> int:
-    import mujoco
-
-    return int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
 
 
 def _bodies(model: Any) -> list[tuple[int, str]]:

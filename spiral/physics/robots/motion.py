@@ -5,8 +5,8 @@
 
 over the bodies i: Jv, Jw the slopes of a centre's velocity and of the angular velocity w by q', and
 a_i, alpha_i the accelerations where q'' = 0 (R. Featherstone, Rigid Body Dynamics Algorithms, 2008,
-ch. 2; T. R. Kane, D. A. Levinson, Dynamics, 1985). Written with arithmetic, sine and cosine alone, so that numbers, quantities
-with units and expressions go through.
+ch. 2; T. R. Kane, D. A. Levinson, Dynamics, 1985). Written with arithmetic, sine and cosine alone,
+so that numbers, quantities with units and expressions go through.
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ def equations_of_motion(
         arm = _less(centre, frame.origin)
         rate = _less(_add(frame.push, _swung(frame, arm)), pull)
         tensor = _tensor(body, frame, factors[number] * sizes.inertia)
-        torque = _add(_times(tensor, frame.spin_rate), _cross(frame.spin, _times(tensor, frame.spin)))
+        torque = _add(
+            _times(tensor, frame.spin_rate), _cross(frame.spin, _times(tensor, frame.spin))
+        )
         force = [masses[number] * r for r in rate]
         moved = {k: _moved(*axis, centre) for k, axis in frame.axes.items()}
         for k, (by_v, by_w) in moved.items():
@@ -156,10 +158,7 @@ def _rotation(axis: Values, angle: Any) -> list[list[Any]]:
     x, y, z = axis
     across = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
     return [
-        [
-            (c if i == j else 0) + s * across[i][j] + (1 - c) * (axis[i] * axis[j])
-            for j in range(3)
-        ]
+        [(c if i == j else 0) + s * across[i][j] + (1 - c) * (axis[i] * axis[j]) for j in range(3)]
         for i in range(3)
     ]
 
