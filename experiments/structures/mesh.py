@@ -3,10 +3,11 @@
     plane stress:    u = (u_x, u_y)(x, y)
     in bending:      u_r = U(r, z) cos t,  u_t = V(r, z) sin t,  u_z = W(r, z) cos t,
 
-the first harmonic of a body that is round about z, and the same turned by a right angle for the other
-plane (O. C. Zienkiewicz, R. L. Taylor, The Finite Element Method, vol. 2, 5th ed., ch. 9). A section
-that moves as a whole has U = -V. At W rad/s about its axis such a body has the matrix W G between its planes,
-G = 2 pi rho int r [(U + V)(U + V) + W W] (M. Geradin, N. Kill, Eng. Comput. 1, 1984).
+the first harmonic of a body that is round about z, and the same turned by a right angle for the
+other plane (O. C. Zienkiewicz, R. L. Taylor, The Finite Element Method, vol. 2, 5th ed., ch. 9). A
+section that moves as a whole has U = -V. At w rad/s about its axis such a body has the matrix w G
+between its planes, G = 2 pi rho int r [(U + V)(U + V) + W W] (M. Geradin, N. Kill, Eng. Comput. 1,
+1984).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class Mesh:
     elements: Array
 
     def at(self, second: float, below: float = np.inf) -> Array:
-        """Nodes of a section: those whose second coordinate is this, the first at most ``below``."""
+        """Nodes of a section: with this second coordinate, the first at most ``below``."""
         chosen = np.isclose(self.points[:, 1], second, atol=1e-9)
         return np.flatnonzero(chosen & (self.points[:, 0] <= below + 1e-9))
 
@@ -89,7 +90,9 @@ def _gathered(mesh: Mesh, parts: Array, fields: int) -> sparse.csc_matrix:
 def plane_stress(mesh: Mesh, width: float, material=STEEL) -> dict[str, sparse.csc_matrix]:
     """M and K of a sheet of this width; two degrees of freedom for each node."""
     modulus, ratio, density = material
-    law = modulus / (1 - ratio**2) * np.array([[1, ratio, 0], [ratio, 1, 0], [0, 0, (1 - ratio) / 2]])
+    law = (
+        modulus / (1 - ratio**2) * np.array([[1, ratio, 0], [ratio, 1, 0], [0, 0, (1 - ratio) / 2]])
+    )
     count = len(mesh.elements)
     mass, stiffness = np.zeros((2, count, 16, 16))
     for shape, gradient, area, _ in _points(mesh):
@@ -97,7 +100,9 @@ def plane_stress(mesh: Mesh, width: float, material=STEEL) -> dict[str, sparse.c
         strain[:, 0, 0::2] = strain[:, 2, 1::2] = gradient[:, 0]
         strain[:, 1, 1::2] = strain[:, 2, 0::2] = gradient[:, 1]
         moved = np.kron(shape, np.eye(2))
-        stiffness += np.einsum("e,eki,kl,elj->eij", width * area, strain, law, strain, optimize=True)
+        stiffness += np.einsum(
+            "e,eki,kl,elj->eij", width * area, strain, law, strain, optimize=True
+        )
         mass += (width * density * area)[:, None, None] * (moved.T @ moved)
     return {"M": _gathered(mesh, mass, 2), "K": _gathered(mesh, stiffness, 2)}
 

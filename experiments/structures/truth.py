@@ -1,10 +1,10 @@
 """The true motion: modes of the whole structure, its flexibility at the places, Newmark's rule.
 
-    q = V z,    V of the lowest modes and K^-1 b for each place b (R. H. MacNeal 1971, S. Rubin 1975),
+    q = V z,    V of the lowest modes and K^-1 b of each node (R. H. MacNeal 1971, S. Rubin 1975),
     z'' + (2 d w + W V^T G V) z' + w^2 z = V^T (b_drive F - b f(s, s')),    s = b^T q,
 
-by the average acceleration (N. M. Newmark 1959), the one unknown f of each step by bisection. None of it
-is the package's: neither its reduction nor its effects nor its integration.
+by the average acceleration (N. M. Newmark 1959), the one unknown f of each step by bisection. None
+of it is the package's: neither its reduction nor its effects nor its integration.
 """
 
 from __future__ import annotations
@@ -74,8 +74,14 @@ def compliance(name: str, port: str) -> float:
 
 
 def motion(
-    name: str, port: str, law: str, numbers: tuple[float, float], ratio: float, speed: float,
-    force: Array, step: float,
+    name: str,
+    port: str,
+    law: str,
+    numbers: tuple[float, float],
+    ratio: float,
+    speed: float,
+    force: Array,
+    step: float,
 ) -> tuple[Array, Array]:
     """Displacements of the kept nodes and the place's own, every ``STEPS`` steps.
 
@@ -125,7 +131,7 @@ def _newmark(inverse, damping, squares, drive, side, force, step, kind, first, s
         low, high = 0.0, _law(kind, first, second, s, r)
         for _ in range(60):  # f falls along its own push: the root lies between 0 and f(s, r)
             f = 0.5 * (low + high)
-            if f == low or f == high:
+            if f in (low, high):
                 break
             there = _law(kind, first, second, s - step**2 / 4 * reach * f, r - step / 2 * reach * f)
             if (f - there) * (high - low) < 0:

@@ -20,7 +20,8 @@ class Structure(MechanicalSystem):
     Fields
     ------
     path : NPZ or MAT file with M and K, where there are also C, G and parts K_NAME.
-    nodes : CSV file with the columns name, dof, use (of sensor, accelerometer, input, port, end), unit.
+    nodes : CSV file with the columns name, dof, unit, use (of sensor, accelerometer, input, port,
+        end).
     size : coordinates that are left, nodes and modes.
     band : low and high frequency, Hz, of the comparison with the full structure.
     pairs : port between two nodes -> their names.

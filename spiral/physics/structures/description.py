@@ -81,15 +81,7 @@ def described(
     forces = [i for i, n in enumerate(table) if {"input", "port"} & {*n.uses}] or sensors
     kept = [n.dof for n in table]
     size = min(size, matrices["M"].shape[0])
-    if len(band) != 2 or not 0 <= band[0] < band[1]:
-        raise ConfigError(
-            f"band={list(band)}",
-            "the low and the high frequency in Hz between which the record says something",
-            "band=[0, 300]",
-        )
-    if highest is not None and highest < band[1]:
-        raise ConfigError(f"highest={highest:g} below the end of the band, {band[1]:g} Hz",
-                          "a frequency in Hz above the band", "leave it out")  # fmt: skip
+    _check_band(band, highest)
     ends = (float(band[0]), float(band[1]))
     found = reduced(matrices, kept, size, ends, sensors, forces, highest)
     names = [n.name for n in table]
@@ -108,6 +100,21 @@ def described(
         "matrices": {k: m.tolist() for k, m in found.matrices.items()},
     }
     return json.dumps(told)
+
+
+def _check_band(band: Sequence[float], highest: float | None) -> None:
+    if len(band) != 2 or not 0 <= band[0] < band[1]:
+        raise ConfigError(
+            f"band={list(band)}",
+            "the low and the high frequency in Hz between which the record says something",
+            "band=[0, 300]",
+        )
+    if highest is not None and highest < band[1]:
+        raise ConfigError(
+            f"highest={highest:g} below the end of the band, {band[1]:g} Hz",
+            "a frequency in Hz above the band",
+            "leave it out",
+        )
 
 
 def _pairs(given: Mapping[str, Any], names: list[str]) -> list[list[str]]:
@@ -175,7 +182,8 @@ def _by_ratio(matrices: Mapping[str, Array]) -> Array:
 def _report(given: Mapping[str, Any]) -> str:
     low, high = given["band_hz"]
     count = given.get("lowered", 0)
-    lowered = f", to which {count} modes above it were lowered by mass" if count else ""
+    modes = "1 mode above it was" if count == 1 else f"{count} modes above it were"
+    lowered = f", to which {modes} lowered by mass" if count else ""
     return (
         f"{given['full']} degrees of freedom reduced to {len(given['names'])}: from {low:.4g} to "
         f"{high:.4g} Hz the response is off by {100 * given['response_error']:.2g} %, natural "

@@ -6,8 +6,8 @@ b the nodes that are kept, i the others, P the lowest modes with the kept nodes 
 its largest entry. Reduced matrices are T^T (.) T. (R. R. Craig, M. C. C. Bampton, AIAA Journal 6,
 1968, 1313-1319.)
 
-Natural modes v above a frequency w_c, which would set the step of the integration, are lowered to it
-by mass (L. Olovsson, K. Simonsson, M. Unosson, Int. J. Numer. Meth. Eng. 63, 2005, 1436-1445),
+Natural modes v above a frequency w_c, which would set the step of the integration, are lowered to
+it by mass (L. Olovsson, K. Simonsson, M. Unosson, Int. J. Numer. Meth. Eng. 63, 2005, 1436-1445),
 
     M + sum_i (w_i^2 / w_c^2 - 1) (M v_i) (M v_i)^T,    v_i^T M v_i = 1,
 
@@ -117,7 +117,8 @@ def _nodes_and_modes(small: Mapping[str, Array], basis: Array, count: int) -> Ar
     _, modes = eigh(whole_stiffness(small), small["M"])
     modes = modes / np.abs(basis @ modes).max(axis=0)
     nodes = modes[:count]
-    _, _, order = qr(nodes, mode="economic", pivoting=True)
+    factors: Any = qr(nodes, mode="economic", pivoting=True)
+    order = factors[2]
     told, left = np.sort(order[:count]), np.sort(order[count:])
     by_nodes = modes[:, told] @ np.linalg.inv(nodes[:, told])
     turned = np.hstack([by_nodes, modes[:, left] - by_nodes @ nodes[:, left]])
