@@ -41,7 +41,11 @@ class Job:
     @property
     def name(self) -> str:
         """Its name among the rows."""
-        return json.dumps({**self.key, **self.made_of}, sort_keys=True)
+        return _name(self.key, self.made_of)
+
+
+def _name(key: Mapping[str, Any], made_of: Mapping[str, str]) -> str:
+    return json.dumps([dict(key), dict(made_of)], sort_keys=True)
 
 
 def version(*places: Path) -> str:
@@ -79,7 +83,7 @@ def kept(file: Path) -> list[Row]:
 
 def of(rows: Sequence[Row], jobs: Sequence[Job]) -> list[Row]:
     """The rows of these jobs, in their order."""
-    have = {row["job"]: row for row in rows}
+    have = {_name(row["key"], row["made_of"]): row for row in rows}
     return [have[j.name] for j in jobs if j.name in have]
 
 
@@ -89,7 +93,7 @@ def finish(jobs: Sequence[Job], file: Path, limit: float, workers: int) -> list[
     ``limit`` : processor seconds of a study, and a quarter of its wall seconds.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
-    have = {row["job"] for row in kept(file)}
+    have = {_name(row["key"], row["made_of"]) for row in kept(file)}
     left = [j for j in jobs if j.name not in have]
     print(f"{len(jobs)} studies, {len(jobs) - len(left)} there already", file=sys.stderr)
     for number, row in enumerate(_performed(left, limit, workers), 1):

@@ -20,11 +20,13 @@ class Structure(MechanicalSystem):
     Fields
     ------
     path : NPZ or MAT file with M and K, where there are also C, G and parts K_NAME.
-    nodes : CSV file with the columns name, dof, use (of sensor, accelerometer, input, port), unit.
+    nodes : CSV file with the columns name, dof, unit, use (of sensor, accelerometer, input, port,
+        end).
     size : coordinates that are left, nodes and modes.
     band : low and high frequency, Hz, of the comparison with the full structure.
     pairs : port between two nodes -> their names.
     damping_ratio : of every mode, where there is no C.
+    highest : Hz, to which higher modes are lowered by mass; four times the band's end if left out.
     text : the reduced structure, which needs no file; with neither, a chain of masses.
     """
 
@@ -34,6 +36,7 @@ class Structure(MechanicalSystem):
     band: tuple[float, ...] = ()
     pairs: Any = None
     damping_ratio: float = 0.01
+    highest: float | None = None
     text: str = ""
 
     def __post_init__(self):
@@ -45,7 +48,8 @@ class Structure(MechanicalSystem):
         if not self.text:
             source, nodes = (self.path, self.nodes) if self.path else _chain()
             band = self.band if self.path else (0.0, 0.3)
-            text = read_structure(source, nodes, self.size, band, self.pairs, self.damping_ratio)
+            kind = (self.size, band, self.pairs, self.damping_ratio, self.highest)
+            text = read_structure(source, nodes, *kind)
             object.__setattr__(self, "text", text)
         object.__setattr__(self, "pairs", None)  # they are in the text
         structure_of(self.text)
@@ -138,25 +142,53 @@ class Structure(MechanicalSystem):
 
     def force(self, q, v, u, p):
         """F - (C + W G) q' - s K q."""
-        form, states = self.form, (list(vars(q).values()), list(vars(v).values()))
-        scaled = [(p.stiffness, form.stiffness, 0)]
-        scaled += [(getattr(p, name), part, 0) for name, part in form.parts.items()]
-        scaled += [(p.damping_ratio if form.by_ratio else p.damping, form.damping, 1)]
-        if form.gyroscopic is not None:
-            scaled.append((u.speed, form.gyroscopic, 1))
-        applied = dict(zip(self._nodes("input"), self.inputs, strict=False))
-        found = []
-        for i, name in enumerate(form.names):
-            total = getattr(u, applied[name].name) if name in applied else 0
-            for factor, matrix, kind in scaled:
-                pull = sum(self._terms(matrix, states[kind], i, kind, factor))
-                total = total - factor * pull
-            found.append(total)
-        return found
+        units, states = self.form.units, (list(vars(q).values()), list(vars(v).values()))
+        return [
+            total - sum(self._pulls(self._scaled(u, p), states, i, _force(units[i])))
+            for i, total in enumerate(self._applied(u))
+        ]
 
-    def _terms(self, matrix, states, row, kind, factor):
-        """The terms of a row of a matrix times states; with units where these have some."""
-        own = _force(self.form.units[row])
+    def rate(self, x, u, p, injected):
+        """q' = v, v' = M^-1 (F + injected) - M^-1 (C + W G) q' - s M^-1 K q, in which few are full.
+
+        Products with M^-1 are numbers: every mode by itself.
+        """
+        form, (q, v) = self.form, self.split(x)
+        pushes = [f + injected[n] for n, f in zip(form.names, self._applied(u), strict=True)]
+        scaled = [(f, form.accelerated(m), kind) for f, m, kind in self._scaled(u, p)]
+        states = (list(vars(q).values()), list(vars(v).values()))
+        rates = {n: getattr(v, n) for n in form.names}
+        for i, name in enumerate(form.names):
+            own = f"({form.units[i]})/s^2"
+            total = sum(
+                (value * (_one(f"({own})/({_force(unit)})") if _have_units([push]) else 1) * push
+                for value, push, unit in zip(
+                    form.compliance[i].tolist(), pushes, form.units, strict=True)
+                if _have_units([push]) or push != 0)
+            )  # fmt: skip
+            rates[self.rate_name(name)] = total - sum(self._pulls(scaled, states, i, own))
+        return rates
+
+    def _applied(self, u):
+        """The recorded force on each coordinate."""
+        inputs = dict(zip(self._nodes("input"), self.inputs, strict=False))
+        return [getattr(u, inputs[n].name) if n in inputs else 0 for n in self.form.names]
+
+    def _scaled(self, u, p):
+        """Factors and their matrices, of the coordinates (0) or of their rates (1)."""
+        form = self.form
+        found = [(p.stiffness, form.stiffness, 0)]
+        found += [(getattr(p, name), part, 0) for name, part in form.parts.items()]
+        found += [(p.damping_ratio if form.by_ratio else p.damping, form.damping, 1)]
+        return found if form.gyroscopic is None else [*found, (u.speed, form.gyroscopic, 1)]
+
+    def _pulls(self, scaled, states, row, own):
+        """A row of each matrix times states, times its factor."""
+        for factor, matrix, kind in scaled:
+            yield factor * sum(self._terms(matrix, states[kind], row, kind, factor, own))
+
+    def _terms(self, matrix, states, row, kind, factor, own):
+        """The terms of a row of a matrix times states, in ``own`` unit where these have some."""
         per = "" if getattr(factor, "dimensionless", True) else "*s/rad"
         for value, state, unit in zip(matrix[row], states, self.form.units, strict=True):
             if value and _have_units([state]):

@@ -13,8 +13,11 @@ from spiral.io.system_files import plugin_of_file
 from spiral.types.errors import ConfigError
 from spiral.types.system import System
 
-FMU_FIELDS = {"ports": "forces", "inputs": "recorded", "observed": "measured", "free": "free"}
-"""Arguments of ``system`` that an FMU takes as well -> its fields."""
+FIELDS = {
+    "fmu": {"ports": "forces", "inputs": "recorded", "observed": "measured", "free": "free"},
+    "robot": {"ports": "places", "inputs": "recorded", "observed": "measured", "free": "free"},
+}
+"""Of files that take them: arguments of ``system`` -> fields of the plugin."""
 Quantity = str | float | Sequence[Any] | Mapping[str, Any]
 
 
@@ -26,6 +29,7 @@ def structure(
     band: Sequence[float],
     pairs: Mapping[str, Sequence[str]] | None = None,
     damping_ratio: float = 0.01,
+    highest: float | None = None,
 ) -> System:
     """A system from mass, damping and stiffness matrices, reduced (Craig and Bampton 1968).
 
@@ -43,6 +47,8 @@ def structure(
     band : Hz, where the response is compared with that of the full structure (``report``).
     pairs : port -> two nodes between which effects act.
     damping_ratio : of every mode, where there is no ``C``.
+    highest : Hz; modes above it are lowered to it by mass, so that they do not set the step of the
+        integration. Left out, four times the end of the band.
 
     Raises
     ------
@@ -50,7 +56,7 @@ def structure(
     """
     from spiral.io.readers.matrices import read_structure
 
-    text = read_structure(source, nodes, size, band, pairs, damping_ratio)
+    text = read_structure(source, nodes, size, band, pairs, damping_ratio, highest)
     return load_registry(NO_FOLDER).make("system", "structure", {"text": text})
 
 
@@ -74,6 +80,7 @@ def system(
                       parameters={"m": "2 kg", "c": "3 N*s/m", "k": "400 N/m"}, observed=["x"])
         spiral.system("two_masses.yaml")
         spiral.system("car.fmu", ports={"body": "F_body"}, free=["k"])
+        spiral.system("arm.xml", inputs=["shoulder"], free=["elbow_damping"])
 
     The function is called once, with expressions in place of numbers, and becomes equations
     (``system.text``, which a file may hold): the function itself is not needed any more, neither
@@ -88,7 +95,8 @@ def system(
         (``x.v``, ``x["v"]``) and by number. Or equations, as a list or, with all else, as a mapping
         of what a file holds. Or a file: YAML, TOML and JSON alone, an FMU with
         ``ports`` (coordinate -> the input that a force on it goes through), ``inputs`` (names of
-        those that are recorded), ``observed`` and ``free``.
+        those that are recorded), ``observed`` and ``free``; a robot (MJCF, URDF) likewise, its
+        ``inputs`` the actuators and joints whose commands and torques are recorded.
     states : name -> unit; a state whose rate is another state is a position, the other its rate.
     inputs : name -> unit, or ``{"unit": "N", "interpolation": "zero_order"}``.
     parameters : name -> ``(value, unit)`` or ``"2.0 kg"``: known. A unit alone, a name in ``free``,
@@ -137,11 +145,12 @@ def _of_file(file: str, given: Mapping[str, Any]) -> System:
     """A file, and what of an FMU it does not hold."""
     plugin = plugin_of_file(file) or "equations"
     left = {k: v for k, v in given.items() if v}
-    fields = {FMU_FIELDS[k]: left.pop(k) for k in list(left) if k in FMU_FIELDS and plugin == "fmu"}
+    known = FIELDS.get(plugin, {})
+    fields = {known[k]: left.pop(k) for k in list(left) if k in known}
     if left:
         raise ConfigError(
             f"the file {file!r} and {', '.join(left)}",
-            f"the file, {', '.join(FMU_FIELDS)}" if plugin == "fmu" else "the file alone",
+            f"the file, {', '.join(known)}" if known else "the file alone",
         )
     registry = replace(load_registry(NO_FOLDER), programs=frozenset([file]))
     return registry.make("system", plugin, {"path": file, **fields})

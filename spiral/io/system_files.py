@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 PLUGINS = {".yaml": "equations", ".yml": "equations", ".toml": "equations", ".json": "equations",
-           ".npz": "structure", ".mat": "structure", ".fmu": "fmu"}  # fmt: skip
+           ".npz": "structure", ".mat": "structure", ".fmu": "fmu",
+           ".xml": "robot", ".urdf": "robot"}  # fmt: skip
 """End of a file's name -> the system that reads it as its ``path``."""
 PROGRAMS = ("fmu",)
 """Those of them that run it."""

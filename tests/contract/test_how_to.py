@@ -72,8 +72,9 @@ def _followed(page):
     for language, text in BLOCK.findall((PAGES / page).read_text(encoding="utf-8")):
         if language == "python":
             exec(text, names)
-        elif language == "yaml":
-            Path(text.splitlines()[0].removeprefix("# ")).write_text(text, encoding="utf-8")
+        elif language in ("yaml", "xml"):
+            name = re.sub(r"^(# |<!-- )| -->$", "", text.splitlines()[0])
+            Path(name).write_text(text, encoding="utf-8")
         elif language == "bash":
             assert main(shlex.split(text.replace("\\\n", " "))[1:]) == 0
     return names
@@ -102,6 +103,18 @@ def test_the_page_about_fmus_runs(tmp_path, monkeypatch):
     assert names["run"].missing == ("cubic_stiffness@b_w",)
     found = json.loads(Path("verdict.json").read_text(encoding="utf-8"))
     assert found["rounds"][1]["admitted"] == ["cubic_stiffness@b_w"]
+
+
+def test_the_page_about_robots_runs(tmp_path, monkeypatch):
+    """MuJoCo moves an arm with dry friction hidden: it is named at its joint."""
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+    monkeypatch.chdir(tmp_path)
+    names = _followed("robot.md")
+    assert names["run"].missing == ("coulomb_friction@elbow",)
+    level = names["run"].model.values["coulomb_friction@elbow.level"]
+    assert level == pytest.approx(0.02, rel=0.05)
+    found = json.loads(Path("verdict.json").read_text(encoding="utf-8"))
+    assert found["rounds"][1]["admitted"] == ["coulomb_friction@elbow"]
 
 
 def test_fields_of_a_record_that_pages_name_are_there():

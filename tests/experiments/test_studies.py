@@ -42,6 +42,17 @@ def test_studies_end_each_in_its_own_way_and_are_taken_up(tmp_path, capsys):
     assert len(again) == 2
 
 
+def test_cases_of_one_version_are_told_apart(tmp_path, capsys):
+    """A case whose version is called ``case`` too, as every bench has it."""
+    file = tmp_path / "rows.jsonl"
+    made_of = {"code": "a", "case": "version"}
+    jobs = [Job({"system": "s", "case": c}, made_of, partial(work, c)) for c in ("one", "two")]
+    finish(jobs[:1], file, limit=3.0, workers=1)
+    capsys.readouterr()
+    assert [r["what"] for r in finish(jobs, file, limit=3.0, workers=1)] == ["one", "two"]
+    assert "2 studies, 1 there already" in capsys.readouterr().err
+
+
 def row(half, case, **more):
     found = {
         "key": {"system": "crane", "case": case, "seed": 0, "half": half},

@@ -211,3 +211,35 @@ def test_a_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     np.savez_compressed(tmp_path / "large.npz", M=np.eye(200), K=np.eye(200))
     with pytest.raises(InputError, match="unpack"):
         spiral.structure(tmp_path / "large.npz", {"a": 0}, size=1, band=(0, 1))
+
+
+def test_higher_modes_are_lowered_by_mass(full):
+    """Those below stay, the others come to ``highest``; statics is as it was, the band nearly."""
+    told = {h: spiral.structure(full, NODES, size=8, band=(0, 60), highest=h) for h in (240, 1e9)}
+    lowered, plain = (told[h].form for h in (240, 1e9))
+    below = [np.sqrt(eigh(f.stiffness, f.mass, eigvals_only=True)) / (2 * np.pi)
+             for f in (lowered, plain)]  # fmt: skip
+    count = int(np.sum(below[1] < 240))
+    assert 0 < count < 8
+    assert below[0][:count] == pytest.approx(below[1][:count], rel=1e-6)
+    assert below[0][count:] == pytest.approx(240, rel=1e-6)
+    nodes = [np.linalg.inv(f.stiffness)[:3, :3] for f in (lowered, plain)]
+    assert nodes[0] == pytest.approx(nodes[1], rel=1e-6)
+    errors = [json.loads(told[h].text)["response_error"] for h in (240, 1e9)]
+    assert errors[0] < 1.5 * errors[1]
+    assert "modes above it were lowered" in told[240].report
+    with pytest.raises(SpiralError, match="below the end of the band"):
+        spiral.structure(full, NODES, size=8, band=(0, 60), highest=50)
+
+
+def test_every_mode_moves_by_itself(full):
+    """Of the equations of 8 coordinates those of the 3 nodes alone are full; an end is no port."""
+    nodes = {**NODES, "middle": {**NODES["middle"], "use": "sensor end"}}
+    system = spiral.structure(full, nodes, size=8, band=(0, 60), pairs={"link": ("middle", "tip")})
+    assert [p.name for p in system.ports] == ["drive", "tip", "link"]
+    by_x, _ = slopes(system)
+    for part in (by_x[8:, :8], by_x[8:, 8:]):
+        assert np.count_nonzero(part[3:] - np.diag(np.diagonal(part))[3:]) == 0
+        assert np.count_nonzero(part[:3]) > 12
+    form = system.form
+    assert by_x[8:, :8] == pytest.approx(-np.linalg.solve(form.mass, form.stiffness), abs=1e-3)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import keyword
 import os
 import re
 import shutil
@@ -24,6 +23,7 @@ from spiral.physics.outside import fmi
 from spiral.physics.outside.program import CalledProgram
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, InputError
+from spiral.types.identifier import identifier
 
 INSTANCES = 4  # threads that share a step (two), and one that asks beside them
 _DIRECTIONAL = re.compile(rb'providesDirectionalDerivatives?\s*=\s*["\'](true|1)')  # both versions
@@ -172,7 +172,7 @@ def _real(variable: Any) -> bool:
 
 
 def _variable(found: Any, names: dict[str, str], units: Mapping[str, Any]) -> Variable:
-    name = names.get(found.name) or _identifier(found.name, set(names.values()))
+    name = names.get(found.name) or identifier(found.name, set(names.values()))
     names[found.name] = name
     own = found.declaredType
     unit = found.unit or (own.unit if own is not None else "") or ""
@@ -181,16 +181,6 @@ def _variable(found: Any, names: dict[str, str], units: Mapping[str, Any]) -> Va
         _number(found.start) or 0.0, abs(_number(found.nominal) or 0.0) or 1.0,
         _number(found.min), _number(found.max),
     )  # fmt: skip
-
-
-def _identifier(told: str, taken: set[str]) -> str:
-    """A name as Python has them: ``load.flange[1]`` -> ``load_flange_1``."""
-    name = re.sub(r"\W+", "_", told, flags=re.ASCII).strip("_") or "value"
-    if name[0].isdigit() or keyword.iskeyword(name) or name in ("t", "time", "pi"):
-        name = f"value_{name}"
-    while name in taken:
-        name += "_2"
-    return name
 
 
 def _number(given: Any) -> float | None:

@@ -18,7 +18,8 @@ from spiral.types.errors import ConfigError, InputError, did_you_mean
 
 NAMES = ("M", "K", "C", "G")
 """Mass, stiffness, damping, gyroscopic matrix per rad/s; ``K_NAME`` are parts of the stiffness."""
-USES = (*SENSORS, "input", "port")
+USES = (*SENSORS, "input", "port", "end")
+"""What a node is used for; ``end`` of a pair, and nothing else."""
 _COLUMNS = ("name", "dof", "use", "unit")
 _ROWS = 10**7  # of a matrix; a sparse one may declare any number
 _ENTRY, _FLOAT = 16, 8  # bytes of an entry of a sparse matrix, and of a full one
@@ -31,6 +32,7 @@ def read_structure(
     band: Sequence[float],
     pairs: Mapping[str, Any] | None,
     damping_ratio: float,
+    highest: float | None = None,
 ) -> str:
     """The text of a reduced structure (``physics.structures.description``) from its files.
 
@@ -40,7 +42,7 @@ def read_structure(
     """
     matrices = matrices_of(source)
     table = nodes_of(nodes, matrices["M"].shape[0])
-    return described(matrices, table, size, band, pairs, damping_ratio)
+    return described(matrices, table, size, band, pairs, damping_ratio, highest)
 
 
 def matrices_of(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:

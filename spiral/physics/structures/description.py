@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from spiral.types.record import Array
 
 SENSORS = ("sensor", "accelerometer")
 """What of a node is measured: its displacement, or its acceleration."""
+_ROUNDING = 1e-10  # of the largest entry of a matrix
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,16 @@ class StructureForm:
     gyroscopic: Array | None
     report: str
 
+    @cached_property
+    def compliance(self) -> Array:
+        """M^-1."""
+        return np.linalg.inv(self.mass)
+
+    def accelerated(self, matrix: Array) -> Array:
+        """M^-1 times a matrix; what is zero but for rounding is zero."""
+        found = np.linalg.solve(self.mass, matrix)
+        return np.where(np.abs(found) > _ROUNDING * np.abs(found).max(), found, 0.0)
+
 
 def described(
     matrices: Mapping[str, Any],
@@ -56,6 +67,7 @@ def described(
     band: Sequence[float],
     pairs: Mapping[str, Any] | None,
     damping_ratio: float,
+    highest: float | None,
 ) -> str:
     """The text of a structure from its matrices (sparse, by name) and its kept nodes, reduced.
 
@@ -69,13 +81,9 @@ def described(
     forces = [i for i, n in enumerate(table) if {"input", "port"} & {*n.uses}] or sensors
     kept = [n.dof for n in table]
     size = min(size, matrices["M"].shape[0])
-    if len(band) != 2 or not 0 <= band[0] < band[1]:
-        raise ConfigError(
-            f"band={list(band)}",
-            "the low and the high frequency in Hz between which the record says something",
-            "band=[0, 300]",
-        )
-    found = reduced(matrices, kept, size, (float(band[0]), float(band[1])), sensors, forces)
+    _check_band(band, highest)
+    ends = (float(band[0]), float(band[1]))
+    found = reduced(matrices, kept, size, ends, sensors, forces, highest)
     names = [n.name for n in table]
     told = {
         "names": [*names, *(f"mode_{i + 1}" for i in range(size - len(table)))],
@@ -88,9 +96,25 @@ def described(
         "response_error": found.response_error,
         "frequency_error": found.frequency_error,
         "highest_hz": found.highest,
+        "lowered": found.lowered,
         "matrices": {k: m.tolist() for k, m in found.matrices.items()},
     }
     return json.dumps(told)
+
+
+def _check_band(band: Sequence[float], highest: float | None) -> None:
+    if len(band) != 2 or not 0 <= band[0] < band[1]:
+        raise ConfigError(
+            f"band={list(band)}",
+            "the low and the high frequency in Hz between which the record says something",
+            "band=[0, 300]",
+        )
+    if highest is not None and highest < band[1]:
+        raise ConfigError(
+            f"highest={highest:g} below the end of the band, {band[1]:g} Hz",
+            "a frequency in Hz above the band",
+            "leave it out",
+        )
 
 
 def _pairs(given: Mapping[str, Any], names: list[str]) -> list[list[str]]:
@@ -157,9 +181,12 @@ def _by_ratio(matrices: Mapping[str, Array]) -> Array:
 
 def _report(given: Mapping[str, Any]) -> str:
     low, high = given["band_hz"]
+    count = given.get("lowered", 0)
+    modes = "1 mode above it was" if count == 1 else f"{count} modes above it were"
+    lowered = f", to which {modes} lowered by mass" if count else ""
     return (
         f"{given['full']} degrees of freedom reduced to {len(given['names'])}: from {low:.4g} to "
         f"{high:.4g} Hz the response is off by {100 * given['response_error']:.2g} %, natural "
         f"frequencies by {100 * given['frequency_error']:.2g} % at most; the highest that is left "
-        f"is {given['highest_hz']:.4g} Hz"
+        f"is {given['highest_hz']:.4g} Hz{lowered}"
     )

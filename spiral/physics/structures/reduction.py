@@ -5,6 +5,16 @@
 b the nodes that are kept, i the others, P the lowest modes with the kept nodes held, each scaled to
 its largest entry. Reduced matrices are T^T (.) T. (R. R. Craig, M. C. C. Bampton, AIAA Journal 6,
 1968, 1313-1319.)
+
+Natural modes v above a frequency w_c, which would set the step of the integration, are lowered to
+it by mass (L. Olovsson, K. Simonsson, M. Unosson, Int. J. Numer. Meth. Eng. 63, 2005, 1436-1445),
+
+    M + sum_i (w_i^2 / w_c^2 - 1) (M v_i) (M v_i)^T,    v_i^T M v_i = 1,
+
+so that the static response stays as it is, and theirs at w is off by (w / w_c)^2 of it.
+
+The coordinates that are told are the kept nodes and, of the natural modes, all but as many: each of
+these moves by itself, and only the nodes' equations are full.
 """
 
 from __future__ import annotations
@@ -15,13 +25,14 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import eigh
+from scipy.linalg import eigh, qr
 from scipy.sparse.linalg import eigsh, splu
 
 from spiral.types.errors import ConfigError
 from spiral.types.record import Array
 
 FREQUENCIES = 60  # of the comparison with the full structure
+HARMONICS = 4  # of the band's end: what lies below keeps its frequency, the third harmonic included
 _DENSE = 400  # up to so many others their modes are found by a dense solver
 _LOSS = 0.02  # loss factor of the comparison where no damping matrix is given
 
@@ -33,6 +44,7 @@ class Reduced:
     ``response_error`` : rms over the band of |H_reduced - H|, over that of |H|, H the response of
     the sensors to forces at inputs and ports. ``frequency_error`` : largest relative error of a
     natural frequency inside the band. ``highest`` : largest natural frequency that is left, Hz.
+    ``lowered`` : how many modes were lowered to it.
     """
 
     matrices: dict[str, Array]
@@ -40,6 +52,7 @@ class Reduced:
     response_error: float
     frequency_error: float
     highest: float
+    lowered: int
 
 
 def reduced(
@@ -49,6 +62,7 @@ def reduced(
     band: tuple[float, float],
     sensors: Sequence[int],
     forces: Sequence[int],
+    highest: float | None = None,
 ) -> Reduced:
     """The structure with ``size`` coordinates.
 
@@ -57,6 +71,8 @@ def reduced(
     matrices : sparse, by name (M, K, C, G, parts ``K_NAME`` on top of K).
     kept : rows of the nodes. sensors, forces : places among them.
     band : low and high end of the comparison, Hz.
+    highest : frequency to which higher modes are lowered, Hz; ``HARMONICS`` times the end of the
+        band where it is left out.
 
     Raises
     ------
@@ -71,13 +87,43 @@ def reduced(
     basis = _basis(matrices, np.asarray(kept), size)
     small = {k: basis.T @ (m @ basis) for k, m in matrices.items()}
     small = {k: 0.5 * (m - m.T if k == "G" else m + m.T) for k, m in small.items()}
-    response, frequency, highest = _errors(matrices, small, np.asarray(kept), band, sensors, forces)
-    return Reduced(small, band, response, frequency, highest)
+    limit = HARMONICS * band[1] if highest is None else highest
+    small["M"], lowered = _lowered(small["M"], whole_stiffness(small), limit)
+    turned = _nodes_and_modes(small, basis, len(kept))
+    small = {k: turned.T @ m @ turned for k, m in small.items()}
+    response, frequency, top = _errors(matrices, small, np.asarray(kept), band, sensors, forces)
+    return Reduced(small, band, response, frequency, top, lowered)
 
 
 def whole_stiffness(matrices: Mapping[str, Any]) -> Any:
     """K with all its parts at their nominal size."""
     return sum((m for k, m in matrices.items() if k.startswith("K_")), start=matrices["K"])
+
+
+def _lowered(mass: Array, stiffness: Array, limit: float) -> tuple[Array, int]:
+    """M with mass added to the modes above ``limit`` in Hz, and how many these are."""
+    values, modes = eigh(stiffness, mass)
+    ratios = np.maximum(values / (2 * np.pi * limit) ** 2 - 1, 0)
+    sides = mass @ modes
+    return mass + (sides * ratios) @ sides.T, int(np.sum(ratios > 0))
+
+
+def _nodes_and_modes(small: Mapping[str, Array], basis: Array, count: int) -> Array:
+    """T of x = T [q_b; e], e the natural modes but those that the nodes' motion tells best.
+
+    x = V_d d + V_e e with q_b = V_bd d + V_be e, where V_bd is chosen by pivots; each e in units
+    of the largest entry of its mode.
+    """
+    _, modes = eigh(whole_stiffness(small), small["M"])
+    modes = modes / np.abs(basis @ modes).max(axis=0)
+    nodes = modes[:count]
+    factors: Any = qr(nodes, mode="economic", pivoting=True)
+    order = factors[2]
+    told, left = np.sort(order[:count]), np.sort(order[count:])
+    by_nodes = modes[:, told] @ np.linalg.inv(nodes[:, told])
+    turned = np.hstack([by_nodes, modes[:, left] - by_nodes @ nodes[:, left]])
+    turned[:count] = np.eye(count, len(modes))
+    return turned
 
 
 def _basis(matrices: Mapping[str, Any], kept: Any, size: int) -> Array:
