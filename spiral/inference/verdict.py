@@ -238,6 +238,11 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
             f"The model now holds {', '.join(admitted)}, but on data that no fit has seen the "
             f"error grew: {change}. Do not take {them} for what is missing."
         )
+    if last.test_error > first.test_error and before is not None and after is not None:
+        change += (
+            ", within what noise and random forces make of a free run; one sample ahead "
+            f"{percent(before)} -> {percent(after)}"
+        )
     if predicts_nothing(last, settings):
         return (
             f"The model now holds {', '.join(admitted)}, and predicts nothing of data that no fit "

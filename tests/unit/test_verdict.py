@@ -95,6 +95,20 @@ def test_an_error_that_grew_on_unseen_data_is_no_success():
     assert not any(s in words + advice for s in WORDS_OF_SUCCESS)
 
 
+def test_a_free_run_that_grew_within_its_noise_is_told_beside_the_next_sample():
+    def horizons(ahead, free):
+        return tuple(
+            Horizon(name, samples, None, {"x": (error**2,) * 20})
+            for name, samples, error in (("one_sample", 1, ahead), ("free_run", None, free))
+        )
+
+    first = replace(POOR, test_error=0.0200, unseen=horizons(0.05, 0.0200))
+    last = replace(GOOD, test_error=0.0201, unseen=horizons(0.02, 0.0201))
+    _, words, _ = said(rounds(last, first), "whiteness")
+    assert "within what noise and random forces make of a free run" in words
+    assert "one sample ahead 5.00 % -> 2.00 %" in words
+
+
 @pytest.mark.parametrize("estimate", [(1.9, 3.3), (0.0, 1.0), (np.nan, 1.0)])
 def test_an_effect_within_three_standard_errors_of_zero_is_never_what_was_missing(estimate):
     doubtful = model(CUBIC, cubic_stiffness__stiffness=estimate)
