@@ -122,6 +122,19 @@ def test_values_that_are_unknown_do_not_stop_the_inference(records):
     assert largest["load.velocity"] > 0.0
 
 
+def test_places_that_no_sensor_sees_have_the_motion_that_a_filter_expects(records):
+    """What lies between a measured and a hidden coordinate is no difference of two estimates."""
+    model = replace(seed_model(FlexibleDrive()), values=DRIVE)
+    along = visited(model, records[:1])
+    expected = (0.01 * along[0],)
+    plain, given = (extremes(model.system, records[:1], along, e) for e in ((), expected))
+    ports = {p.name: p for p in (*model.system.ports, *model.system.links)}
+    hidden = [n for n in plain if n.split(".")[0] in ports and "motor" not in n and plain[n]]
+    assert {"load.position", "load.velocity"} <= set(hidden)
+    assert all(given[n] == pytest.approx(0.01 * plain[n]) for n in hidden)
+    assert all(given[n] == plain[n] for n in plain if n.startswith(("motor.", "torque.")))
+
+
 def test_a_port_where_nothing_moves_leaves_its_candidate_out_by_name(records):
     model = replace(seed_model(FlexibleDrive()), values=DRIVE)
     names = [effect("coulomb_friction", port=p) for p in ("load", "wall")]
