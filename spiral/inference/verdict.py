@@ -222,27 +222,14 @@ def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, setting
 def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:
     """What the admitted effects did to the error on unseen data."""
     first, last = rounds[0].comparison, rounds[-1].comparison
-    change = (
-        f"test error {percent(first.test_error)} -> {percent(last.test_error)} "
-        f"(noise floor {percent(last.noise_floor)})"
-    )
-    before, after = next_sample(first), next_sample(last)
-    if runs_away(last) and before is not None and after is not None:
-        change = (
-            f"error one sample ahead {percent(before)} -> {percent(after)} (noise floor "
-            f"{percent(last.noise_floor)}; a free run is carried away)"
-        )
+    change = _error_said(first, last)
     them = "it" if len(admitted) == 1 else "them"
     if _worse(rounds, settings):
         return (
             f"The model now holds {', '.join(admitted)}, but on data that no fit has seen the "
             f"error grew: {change}. Do not take {them} for what is missing."
         )
-    if last.test_error > first.test_error and before is not None and after is not None:
-        change += (
-            ", within what noise and random forces make of a free run; one sample ahead "
-            f"{percent(before)} -> {percent(after)}"
-        )
+    change += _grown_within_noise(first, last)
     if predicts_nothing(last, settings):
         return (
             f"The model now holds {', '.join(admitted)}, and predicts nothing of data that no fit "
@@ -261,6 +248,29 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
     if doubtful:
         said += f" The model also holds {', '.join(doubtful)}: what stands in for memory."
     return said
+
+
+def _error_said(first: Comparison, last: Comparison) -> str:
+    """The error on unseen data before and after; that one sample ahead where no run is free."""
+    before, after, floor = next_sample(first), next_sample(last), percent(last.noise_floor)
+    if runs_away(last) and before is not None and after is not None:
+        return (
+            f"error one sample ahead {percent(before)} -> {percent(after)} (noise floor {floor}; a "
+            "free run is carried away)"
+        )
+    errors = f"{percent(first.test_error)} -> {percent(last.test_error)}"
+    return f"test error {errors} (noise floor {floor})"
+
+
+def _grown_within_noise(first: Comparison, last: Comparison) -> str:
+    """What excuses a free run that grew; empty where none did."""
+    before, after = next_sample(first), next_sample(last)
+    if not last.test_error > first.test_error or before is None or after is None:
+        return ""
+    return (
+        ", within what noise and random forces make of a free run; one sample ahead "
+        f"{percent(before)} -> {percent(after)}"
+    )
 
 
 def _or_else(rounds: Sequence[Round], label: str, admitted: tuple[str, ...]) -> str:

@@ -8,6 +8,7 @@ columns, exported code) is made from a ``Traced``.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -33,6 +34,8 @@ from spiral.types.parameter import Parameter
 from spiral.types.placement import check_effect, input_columns, model_keys
 from spiral.types.port import At, Port
 from spiral.types.system import System, has_coordinates
+
+_IN_LINE = 3  # effects on one input that act one after the other
 
 
 @dataclass(frozen=True)
@@ -234,15 +237,18 @@ def _driven(
 ) -> tuple[SimpleNamespace, list[_Placed]]:
     """The inputs as actuators hand them on, each effect on what those before it have made of it.
 
-    A gain beside a delay acts on what is late.
+    Side by side, each on what was recorded, stand more effects on one input than a model has
+    (candidates), and what comes after a corner: nested they would be expressions without end.
     """
     u, found = SimpleNamespace(**inputs), []
+    on = Counter(i.port.axes[0] for i in placed if isinstance(i.effect, InputEffect))
     for item in placed:
-        effect = item.effect
-        if isinstance(effect, InputEffect):
-            (name,) = item.port.axes
-            item = replace(item, at=replace(item.at, position=(getattr(u, name),)))
-            setattr(u, name, asked(effect, "drive", effect.drive, item.at, u, item.p))
+        if isinstance(effect := item.effect, InputEffect):
+            (name,), now = item.port.axes, getattr(u, item.port.axes[0])
+            given = inputs[name] if on[name] > _IN_LINE or now.has(sp.Piecewise) else now
+            item = replace(item, at=replace(item.at, position=(given,)))
+            value = asked(effect, "drive", effect.drive, item.at, u, item.p)
+            setattr(u, name, now + value - given)
         found.append(item)
     return u, found
 
@@ -271,9 +277,8 @@ def _rate_of(value: Any, rates: dict[sp.Symbol, sp.Expr]) -> Any:
 
 
 def _shifted(u: SimpleNamespace, shift: float) -> SimpleNamespace:
-    if not shift:
-        return u
-    return SimpleNamespace(**{**vars(u), "phase": u.phase + sp.nsimplify(shift / sp.pi) * sp.pi})
+    turned = {"phase": u.phase + sp.nsimplify(shift / sp.pi) * sp.pi} if shift else {}
+    return SimpleNamespace(**{**vars(u), **turned})
 
 
 def _inject(

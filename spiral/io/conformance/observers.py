@@ -30,6 +30,8 @@ def tasks(systems: Sequence[System]) -> tuple[Task, ...]:
             continue
         time = time_step(system, model) * np.arange(_SAMPLES)
         given = {i.name: np.ones(_SAMPLES) for i in system.inputs if i.derived_from is None}
+        if not given:  # nothing drives it from rest
+            continue
         record = simulate(model, time, given, _NOISE, np.random.default_rng(0), substeps=1)
         found.append(prepare_task(model, record))
     return tuple(found)
