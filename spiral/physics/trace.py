@@ -379,13 +379,9 @@ def _readings(
 
 
 def _forces(
-    system: System,
-    x: SimpleNamespace,
-    u: SimpleNamespace,
-    p: SimpleNamespace,
-    injected: dict[str, Any],
-    rates: dict[str, Any],
-) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Expr, ...]]:
+    system: System, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace,
+    injected: dict[str, Any], rates: dict[str, Any],
+) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Expr, ...]]:  # fmt: skip
     """Accelerations a and M a - force - injected, which are zero: the balance of forces."""
     if not has_coordinates(system):
         return (), ()
