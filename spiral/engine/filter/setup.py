@@ -9,7 +9,7 @@ import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, filtered, tracked_indices
 from spiral.engine.filter.extended import smoothed as backward
-from spiral.engine.filter.noise import groups, intensity, sampled
+from spiral.engine.filter.noise import driven, groups, intensity, sampled
 from spiral.engine.filter.rounding import rounding
 from spiral.engine.filter.task import Task
 from spiral.engine.filter.tuning import most_likely
@@ -113,7 +113,7 @@ def chosen_levels(
     known = (*known, DRIFT) if np.any(settings.wander) else known
     levels = dict(given) if isinstance(given, Mapping) else dict.fromkeys(groups(task), given)
     for name, value in levels.items():
-        if name not in known:
+        if name not in known and not driven(task, name):
             raise ConfigError(
                 f"process_noise of {name!r}", f"one of {', '.join(known)}",
                 did_you_mean(name, known),
