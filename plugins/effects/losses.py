@@ -187,10 +187,12 @@ class OrificeExchange(StateFlow):
 
     s = sign(d) sqrt(|d|) of the difference d = x_1 - x_2 (Torricelli): an orifice, a worn seal, a
     valve that does not close; c_1 and c_2 are one conductance over either capacity. The root is
-    rounded off near zero, d / (d^2 + w^2)^(1/4). Temperatures do not flow so.
+    rounded off near zero, d / (d^2 + w^2)^(1/4); far below w it is an ``exchange``. Temperatures do
+    not flow so.
     """
 
     axes = 2
+    special = ("exchange",)
     units = ("m", "Pa", "bar")
     parameters = (
         Parameter("rate", "force/position^0.5", lower=0.0, per_axis=True),
