@@ -41,11 +41,11 @@ def check_rest(compiled: Compiled, system: System, effects: Sequence[Effect]) ->
     if not np.isfinite(alone[0]).all():  # a logarithm, or a quotient, of what is never zero
         at, alone = 1.0, _traced_at_rest(bare, 1.0)
     if not np.isfinite(alone[0]).all():
-        raise _restless(f"system {system.plugin_name()!r}", system.plugin_name())
+        raise _restless(f"system {system.plugin_name()!r}", system.plugin_name(), at)
     for effect in effects:
         beside = _traced_at_rest(trace(system, (effect,)), at)
         if (_finite(alone) and not _finite(beside)) or not np.isfinite(beside[0]).all():
-            raise _restless(f"effect {effect.label!r}", effect.plugin_name())
+            raise _restless(f"effect {effect.label!r}", effect.plugin_name(), at)
 
 
 def finite_along(compiled: Compiled, row: Array, states: Array, inputs: Array) -> bool:
@@ -87,9 +87,10 @@ def undefined_along(
     return tuple(found)
 
 
-def _restless(who: str, name: str) -> PluginError:
+def _restless(who: str, name: str, at: float) -> PluginError:
+    beside = ", nor where all are one" if at else ""
     return PluginError(
-        f"{who} is no number at rest (zero states and inputs), nor where all are one",
+        f"{who} is no number at rest (zero states and inputs){beside}",
         "finite values and slopes there",
         f"spiral.math.length for |q|, a smooth form such as tanh(v/w); spiral check {name}",
     )

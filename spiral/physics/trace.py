@@ -277,8 +277,9 @@ def _rate_of(value: Any, rates: dict[sp.Symbol, sp.Expr]) -> Any:
 
 
 def _shifted(u: SimpleNamespace, shift: float) -> SimpleNamespace:
-    turned = {"phase": u.phase + sp.nsimplify(shift / sp.pi) * sp.pi} if shift else {}
-    return SimpleNamespace(**{**vars(u), **turned})
+    if not shift:
+        return u
+    return SimpleNamespace(**{**vars(u), "phase": u.phase + sp.nsimplify(shift / sp.pi) * sp.pi})
 
 
 def _inject(

@@ -246,12 +246,15 @@ def settled_values(found: LikelihoodFit) -> FitState:
 
 
 def expected_states(found: LikelihoodFit) -> tuple[Array, ...]:
-    """(samples, n) the states of every record before each reading; none where a filter ran away."""
+    """(samples, n) the system's states of every record before each reading.
+
+    None where a filter ran away.
+    """
     parts = [(t, predicted(t, s, found.estimate.noise, keep=True))
              for t, s in found.estimate.prepared]  # fmt: skip
     if not all(p.whole for _, p in parts):
         return ()
-    return tuple(p.expected[:, : len(t.states)] for t, p in parts)
+    return tuple(p.expected[:, : len(t.model.system.states)] for t, p in parts)
 
 
 def innovations(found: LikelihoodFit) -> tuple[Array, ...]:

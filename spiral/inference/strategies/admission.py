@@ -335,8 +335,8 @@ def _instead_of_forces(before: Comparison, after: Comparison) -> float:
     if not forces[0] > 0 or any(e.states for e in new):
         return 0.0
     pairs = [(forces[0], forces[1]), (before.fit_error, after.fit_error)]
-    tests = (before.test_error, after.test_error) if after.unseen else None
-    return min(_size(b, a) for b, a in (*pairs, *([tests] if tests else [])))
+    pairs += [(before.test_error, after.test_error)] if after.unseen else []
+    return min(itertools.starmap(_size, pairs))
 
 
 def with_effect(

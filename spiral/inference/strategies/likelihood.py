@@ -129,8 +129,7 @@ def _begun(bare: Assembly, found: LikelihoodFit, progress: Progress) -> Begun:
     """A fit compared with the test records, its candidates laid out."""
     settled = settled_on(bare, found, progress)
     fitted = replace(bare.problem, model=settled.comparison.model)
-    n = len(fitted.model.system.states)
-    expected = tuple(x[:, :n] for x in expected_states(found))
+    expected = expected_states(found)
     variants, left_out, _ = offers(fitted, bare.later, expected)
     assembly = replace(
         bare, offered=tuple(variants), left_out=left_out, bare=True, expected=expected

@@ -44,10 +44,9 @@ from spiral.types.run import Comparison
 
 @dataclass(frozen=True)
 class Likelier:
-    """A look-alike that takes the place of the effect ``replaces``, and how it was found."""
+    """A look-alike that takes the place of an effect, and how it was found."""
 
     passed: Passed
-    replaces: str
     ranking: Ranking
     tried: tuple[Rival, ...]
 
@@ -82,9 +81,8 @@ def simplest(options: LikelihoodOptions, passed: Passed, progress: Progress) -> 
 
     In a race the simpler one may have been left behind on its way to the width of a friction, say.
     """
-    whole, variant = passed.whole, passed.rival.ranked.variant
-    held = next((v for v in whole.assembly.variants if v.label == variant.label), None)
-    if held is None or not _special(held):
+    whole, held = passed.whole, passed.rival.ranked.variant
+    if not _special(held):
         return passed
     again = _again(options, whole.assembly, whole.fit, held, _special(held), progress)
     if again is None:
@@ -133,7 +131,7 @@ class _Contest:
             ):
                 gone = tuple(dict.fromkeys((label, *whole.settled.retired)))
                 whole = replace(whole, settled=replace(whole.settled, retired=gone))
-                return Likelier(Passed(rival, (), whole), label, self.ranking, self.others)
+                return Likelier(Passed(rival, (), whole), self.ranking, self.others)
         return None
 
 
@@ -156,9 +154,7 @@ def _again(
     others_ranked = [r for r in ranked.ranked if not _is(r, held)]
     run = race(offered, base, others_ranked, None, progress, options.rivals)
     ours = _ours(assembly, base, model, held)
-    finals = itertools.chain.from_iterable(
-        rivals[:1] for _, rivals in itertools.islice(run.winners(), len(known))
-    )
+    finals = [rival for rival, _ in itertools.islice(run.winners(), len(known))]
     best = sorted((_beside(model, base, r) for r in finals), key=lambda r: -r.worth)
     asked = {e.label for e in known}
     stay = {*alike([ours, *best], options.odds), *twins(ours, best)}
