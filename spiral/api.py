@@ -299,7 +299,7 @@ _ASKED = ("test", "holdout", "holdout_blocks", "settle", "candidates", "strategy
 
 
 def _problem(record: Records, physics: Physics, choices: dict[str, Any]) -> Problem:
-    """The question that a function's arguments amount to."""
+    """The ``Problem`` that a function's arguments describe."""
     registry = _registry(choices.pop("plugins", None))
     own = {k: choices.pop(k) for k in _MODEL if k in choices}
     asked = {k: choices.pop(k) for k in _ASKED if k in choices}
@@ -379,7 +379,7 @@ def _model(
 
 
 def _of(run: Run) -> Problem:
-    """The question that a run answers.
+    """The ``Problem`` that a run answers.
 
     Raises
     ------

@@ -69,11 +69,12 @@ def cross_validated(y: Array, settings: TotalVariation) -> float:
     """The penalty that predicts held-out samples of y (N,) best.
 
     Every ``folds``-th sample is held out in turn; the best decade is refined by golden section.
+    Each minimum is looked for from the data: begun from that of another penalty the error would
+    depend on the order of the search, and the penalty found on rounding.
     """
     from scipy.optimize import minimize_scalar
 
     folds, degree = settings.folds, _DEGREE[settings.variation]
-    starts: list[Array | None] = [None] * folds
 
     def error(decade: float) -> float:
         total = 0.0
@@ -81,8 +82,7 @@ def cross_validated(y: Array, settings: TotalVariation) -> float:
             held = slice(fold, None, folds)
             weight = np.ones_like(y)
             weight[held] = _HELD * min(1.0, 10.0**decade)
-            u = minimised(y, weight, 10.0**decade, degree, _SEARCH, _CLOSE, starts[fold])
-            starts[fold] = u
+            u = minimised(y, weight, 10.0**decade, degree, _SEARCH, _CLOSE)
             total += float(np.sum((u[held] - y[held]) ** 2))
         return total
 
@@ -101,7 +101,6 @@ def minimised(
     degree: int,
     passes: int,
     close: float = _FINAL,
-    start: Array | None = None,
 ) -> Array:
     """argmin of sum w (u - y)^2 + penalty sum |D^degree u|, all (N,), by lagged diffusivity.
 
@@ -115,7 +114,7 @@ def minimised(
     stencil = np.array([(-1.0) ** (degree - i) * comb(degree, i) for i in range(degree + 1)])
     spread = 1.0 / weight
     gram, bent = 0.5 * _gram(stencil, spread), np.convolve(y, stencil[::-1], "valid")
-    u = start
+    u: Array | None = None
     for _ in range(passes):
         matrix = gram.copy()
         matrix[degree] += _rounded(y if u is None else u, stencil) / penalty

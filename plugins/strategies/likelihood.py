@@ -32,7 +32,7 @@ class Likelihood(LikelihoodOptions, Strategy):
 
     def begin(self, problem: Problem, progress: Progress) -> Begun:
         """The model as it is, most likely with the noise that its record wants."""
-        from spiral.inference.strategies.likelihood import begin_study
+        from spiral.inference.strategies.beginning import begin_study
 
         return begin_study(problem, progress)
 
@@ -71,12 +71,13 @@ class Likelihood(LikelihoodOptions, Strategy):
 
     def ask_again(
         self, assembly: Assembly, standing: FitState, comparison: Comparison,
-        aliases: Mapping[str, tuple[str, ...]], progress: Progress,
+        aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
+        progress: Progress,
     ) -> AskedAgain:  # fmt: skip
         """Earlier look-alikes beside the final model's values and noise."""
         from spiral.inference.strategies.likelihood import ask_again
 
-        return ask_again(self, assembly, standing, comparison, aliases, progress)
+        return ask_again(self, assembly, standing, comparison, aliases, promising, progress)
 
     def admit(
         self, assembly: Assembly, standing: FitState, label: str, progress: Progress

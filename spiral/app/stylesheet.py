@@ -49,7 +49,7 @@ body {{ font-family:{FONT}; color:var(--ink); background:var(--ground); }}
   align-items:start; }}
 h1.big {{ font-size:34px; line-height:1.15; font-weight:700; margin:18px 0 2px; }}
 h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
-.soft {{ color:var(--soft); font-size:14.5px; line-height:1.5; margin:0; }}
+.soft {{ color:var(--soft); font-size:14.5px; line-height:1.5; margin:0; overflow-wrap:anywhere; }}
 .number {{ font-size:46px; line-height:1.05; font-weight:700; color:var(--blue);
   font-variant-numeric:tabular-nums; }}
 .number .words {{ font-size:32px; white-space:nowrap; }}

@@ -24,6 +24,7 @@ from spiral.types.record import Array
 MINIMUM_BLOCKS = 40
 MOST_BLOCKS = 512  # keeps memory bounded whatever the record's length
 _RANK = 1e-7
+_NOTHING = 1e-30  # of the largest column of a group: far beyond what units make between two
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,7 @@ def projected(table: ScoreTable, kept: list[int]) -> ProjectedGroup:
     after = np.linalg.norm(group, axis=0)
     alias = float(np.sqrt(max(0.0, 1.0 - float(np.min(after / before)) ** 2)))
     own = after / before >= _RANK  # what is left of the others is rounding
+    own &= before >= _NOTHING * np.max(before)  # and so are columns that no motion reaches
     if not own.any():
         return none
     scale = np.where(own, after, np.inf)

@@ -101,8 +101,12 @@ def _bounded(model: Model) -> tuple[str, ...]:
 
 
 def _sensitive(found: Comparison) -> tuple[str, ...]:
-    """What becomes of a free run where little that is not known grows large, as in chaos."""
-    if not found.uncertain > max(_SENSITIVE, found.disturbed, 3 * found.noise_floor):
+    """What becomes of a free run where little that is not known grows large, as in chaos.
+
+    It is not said of one that follows its record all the same.
+    """
+    lost = found.test_error > 3 * found.noise_floor
+    if not (lost and found.uncertain > max(_SENSITIVE, found.disturbed, 3 * found.noise_floor)):
         return ()
     made = percent(found.uncertain)
     return (f"what is not known of start and values alone makes {made} of a free run: no model "

@@ -22,7 +22,7 @@ def advice_for(
 ) -> str:
     """One or two sentences: what to do next."""
     if verdict == "not_identifiable":
-        tied = "; ".join(" = ".join(g) for g in groups)
+        tied = "; ".join(" and ".join(g) for g in groups)
         return (
             (f"Alike on it are {tied}. " if tied else "")
             + "Hold one of them at its known value (fixed=[NAME]), or record a test that moves "

@@ -6,8 +6,9 @@ may turn by hand and admit another candidate. Both go through these functions.
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from spiral.inference.advice import advice_for
@@ -87,9 +88,21 @@ def _asked_again(
     }  # fmt: skip
     if not any(r.admitted for r in at.rounds):
         return at, step
-    again = strategy.ask_again(assembly, at.standing, last.comparison, asked, progress)
+    promising = _promising(at.rounds)
+    again = strategy.ask_again(assembly, at.standing, last.comparison, asked, promising, progress)
     rounds = tuple(_told_apart(r, asked, again.aliases) for r in earlier)
     return Checkpoint((*rounds, last), at.standing), again.step or step
+
+
+def _promising(rounds: Sequence[Round]) -> dict[str, tuple[str, ...]]:
+    """By effect of the final model, what promised more than its price when it was admitted."""
+    held = rounds[-1].comparison.model.labels
+    return {
+        label: tuple(s.effect for s in before.suggestions
+                     if s.effect not in held and (s.net or 0.0) > 0)
+        for before, after in itertools.pairwise(rounds) for label in after.admitted
+        if label in held
+    }  # fmt: skip
 
 
 def _told_apart(

@@ -316,7 +316,7 @@ class Run:
     context: Mapping[str, Any] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
     summary: str = ""
-    question: Any = field(default=None, compare=False)
+    question: Any = field(default=None, compare=False)  # the inference.problem.Problem
 
     def __repr__(self) -> str:
         rows = [

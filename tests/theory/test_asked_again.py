@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
 from spiral.inference.problem import silent
 from spiral.inference.rounds import chosen, looked, started, strategy_for, turned
+from spiral.physics.formulas.expression import effect_from_expression
 
 VALUES = {
     "system.mass": 1.2, "linear_stiffness.stiffness": 4e3, "linear_damping.damping": 6.0,
@@ -84,3 +86,29 @@ def test_a_special_case_that_explains_as_much_takes_the_place():
     level = turned(strategy, begun.assembly, at, step, silent).rounds[-1].comparison.model
     found = level.estimates()["dry_loss@v"]["level"]
     assert np.isclose(found.estimate, 0.8, atol=3 * found.se)
+
+
+def test_one_effect_takes_the_place_of_two_that_do_the_same_with_more_numbers():
+    """-k (x^3 + d x^2) with a known d, and its two parts admitted by hand one after the other."""
+    bent = effect_from_expression("bent", "-k*(x**3 + d*x**2)", Oscillator(), shape={"d": 1e-3})
+    parts = ("cubic_stiffness", "quadratic_stiffness")
+    values = {k: VALUES[k] for k in ("system.mass", "linear_stiffness.stiffness",
+                                     "linear_damping.damping")}  # fmt: skip
+    values |= {"cubic_stiffness.stiffness": 1e9, "quadratic_stiffness.stiffness": 1e6}
+    record = spiral.simulate(
+        "oscillator", duration=3.0, rate=500.0, inputs={"force": {"noise": 1.0, "band": [2, 40]}},
+        effects=list(parts), values=values, noise_level=0.02, seed=3,
+    )  # fmt: skip
+    question = spiral.discover(record, "oscillator", candidates=[*parts, bent]).question
+    strategy = strategy_for(question)
+    begun = strategy.begin(question, silent)
+    at, step = looked(strategy, begun.assembly, started(begun, 0.0), silent)
+    for part in parts:
+        step = chosen(strategy, begun.assembly, at, step, part)
+        at = turned(strategy, begun.assembly, at, step, silent)
+        at, step = looked(strategy, begun.assembly, at, silent)
+    assert step.admitted == ("bent",)
+    at = turned(strategy, begun.assembly, at, step, silent)
+    assert set(at.rounds[-1].retired) == set(parts)
+    found = at.rounds[-1].comparison.model.estimates()["bent"]["k"]
+    assert np.isclose(found.estimate, 1e9, atol=3 * found.se)

@@ -16,7 +16,7 @@ from spiral.physics.compile import compile_model
 from spiral.physics.flow import compile_flow
 from spiral.physics.lanes import padded
 from spiral.physics.trace import trace
-from tests.theory.test_likelihood import record_of, task_of
+from tests.swept_oscillator import record_of, task_of
 
 STEP = 1e-3
 

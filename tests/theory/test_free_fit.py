@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from spiral_plugins.effects.dissipative import CoulombFriction
 from spiral_plugins.strategies.likelihood import Likelihood
+from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.inference.likelihood import free_fit
 from spiral.inference.likelihood.comparison import compared_by_likelihood
@@ -15,7 +16,7 @@ from spiral.inference.problem import silent
 from spiral.io.question import put
 from spiral.io.registry import load_registry
 from spiral.types.model import seed_model
-from tests.theory.test_likelihood import TRUTH, Oscillator, record_of, shaken
+from tests.swept_oscillator import TRUTH, record_of, shaken
 
 
 def fitted(record, test=None):

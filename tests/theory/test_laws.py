@@ -24,7 +24,7 @@ from spiral.types.model import Model, seed_model
 from spiral.types.port import At
 from spiral.types.units import check_units
 from tests.scenes import registry
-from tests.theory.test_likelihood import TRUTH, record_of
+from tests.swept_oscillator import TRUTH, record_of
 
 OSCILLATOR = registry().make("system", "oscillator")
 VESSEL = records_of("hill", 1, 1.0)[0]

@@ -5,7 +5,7 @@
     predict   x <- RK4 of x' = f(x, u, p),  P <- F P F^T + Q
 
 Parameters may be *tracked*: they are appended to the state, x = (states, tracked), with rate zero.
-The work is done in states divided by nothing: every step is covariant under a change of units.
+States keep their own units: every step is covariant under a change of them.
 """
 
 from __future__ import annotations

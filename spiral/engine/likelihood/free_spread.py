@@ -43,7 +43,7 @@ def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel) -> Arra
         kicks[:, -1] += rng.normal(size=(samples - 1, n)) @ white.T
         with np.errstate(all="ignore"):
             miss = _motion(task, settings.start, kicks) + z @ parts.seen.T - usual
-        total += np.minimum(np.nan_to_num(miss**2, nan=np.inf, posinf=np.inf), most**2)
+            total += np.minimum(np.nan_to_num(miss**2, nan=np.inf, posinf=np.inf), most**2)
     return np.sqrt(total / count)
 
 

@@ -53,7 +53,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Assembly:
-    """One compiled study with what it was made from.
+    """A problem with its compiled model (``study``) and the variants of its candidates.
 
     ``left_out`` are candidates that these records cannot be asked about, and why; ``kept`` is what
     the strategy keeps with it, of a type of its own. A ``bare`` study
@@ -338,7 +338,7 @@ def unknown_keys(assembly: Assembly, keys: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def placed(assembly: Assembly, labels: tuple[str, ...], values: Array, model: Model) -> Array:
-    """The values of a fitted model in the columns of its study; what it does not hold stays."""
+    """A study's values with those of a fitted model in their columns, all others unchanged."""
     own = {"system", *labels}
     rename = {v.label: v.original.label for v in assembly.variants if v.label in own}
     found = values.copy()

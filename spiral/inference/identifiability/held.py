@@ -21,7 +21,7 @@ def held_said(details: Mapping[str, Any]) -> str:
     names = tuple(details.get("tied", {}).get("parameters", ()))
     if not names:
         return ""
-    tied = "; ".join(" = ".join(g) for g in groups_of(details))
+    tied = "; ".join(" with ".join(g) for g in groups_of(details))
     keep = "keeps the value that it was" if len(names) == 1 else "keep the values that they were"
     return (
         f"The record cannot tell some of the model's own parameters apart ({tied}): "

@@ -58,6 +58,7 @@ _STILL = 1e-6  # share of the fastest rate under which a mode does not move
 _AGREE = 1.25  # ratio within which two estimates of the noise agree
 _SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
 _TOLD = 0.5  # standard error of the logarithm of a size up to which it is told
+_TOLD_WITH_TIME = 1.0  # the same beside a correlation time: a slow force has few values in a record
 _COUNTS = 0.005  # share from which what acts at random counts
 
 
@@ -228,7 +229,8 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
     sizes, times, gone = {}, {}, _gone(estimate)
     for term in noise.terms:
         size = noise.values[term.size]
-        if term.kind == "white" or not errors.get(term.size, np.inf) < _TOLD:
+        least = _TOLD_WITH_TIME if term.time else _TOLD
+        if term.kind == "white" or not errors.get(term.size, np.inf) < least:
             continue
         if term.kind == "drift":
             size = max(size * np.sqrt(length), gone[term.size])

@@ -109,9 +109,11 @@ def _drifts(estimate: Maximum) -> tuple[str, ...]:
     change, ratio = told[best].change, told[best].ratio
     share, error = change / abs(values[best]), change / abs(values[best]) / abs(ratio)
     beside = f" (or {', '.join(alike)})" if alike else ""
+    much = abs(share) > 1  # a zero that wanders, say: its value is no measure of how far
+    size = "more than itself" if much else f"{100 * share:+.2g} +- {100 * abs(error):.1g} %"
     return (
-        f"as if {best}{beside} changed by {100 * share:+.2g} +- {100 * abs(error):.1g} % over the "
-        "record: with time, or with what changes over it, as temperature, wear, speed or amplitude",
+        f"as if {best}{beside} changed by {size} over the record: with time, "
+        "or with what changes over it, as temperature, wear, speed or amplitude",
     )
 
 

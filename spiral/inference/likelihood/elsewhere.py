@@ -55,8 +55,8 @@ def from_given(
     They are held against ``base``. None where that is near these; ``masks`` are the blocks that
     select.
     """
-    start = _at_given(assembly, base.state, masks, progress)
-    return [] if start is None else _from(assembly, base, start, masks)
+    starts = _at_given(assembly, base.state, masks, progress)
+    return [r for start in starts for r in _from(assembly, base, start, masks)]
 
 
 def from_less_noise(
@@ -109,24 +109,44 @@ def _from(
     if start.estimate.finite:
         ranked = ranking(assembly, start, start.estimate.noise, masks)
     some = () if ranked is None else promising(list(ranked.ranked), _MOST)
-    return [first_steps(assembly, base, r, masks, start=start) for r in some]
+    rivals = [first_steps(assembly, base, r, masks, start=start) for r in some]
+    return [_beside_noise_of(base, r, masks) for r in rivals]
+
+
+def _beside_noise_of(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
+    """A rival with the kinds of noise that the model as it is has, where that is likelier.
+
+    What acts at random with a memory is there whatever is missing; beside white noise alone a
+    candidate would have to explain that too.
+    """
+    noise, own = base.estimate.noise, rival.assembly
+    if not any(noise.has(kind) for kind in EXTRA) or not rival.fit.estimate.finite:
+        return rival
+    like = base.estimate.prepared
+    fit = refitted(own, rival.fit.state, noise, masks, WARM, True, differences=False, like=like)
+    again = rival_of(own, base, rival.ranked, fit, rival.shapes)
+    return again if fit.estimate.finite and again.worth > rival.worth else rival
 
 
 def _at_given(
     assembly: Assembly, state: FitState, masks: Masks, progress: Progress
-) -> LikelihoodFit | None:
-    """The system's values as they were given, with the noise that they want.
+) -> list[LikelihoodFit]:
+    """The system's values as they were given, with the noise that they want, and sensors' alone.
 
-    Nothing where the fit is near them.
+    None where the fit is near them.
     """
     given = _given(assembly, state)
     if given is None:
-        return None
+        return []
     progress("trying candidates from the values given")
     prepared = subjects(assembly, given)
     noise = first_noise(prepared[0][0], LEVEL)
     estimate = maximise(prepared, (), noise, {}, masks, WARM, rough=True)
-    return LikelihoodFit(with_estimate(given, estimate), estimate)
+    grown = LikelihoodFit(with_estimate(given, estimate), estimate)
+    if not estimate.finite or explains(grown):
+        return [grown]
+    estimate = maximise(prepared, (), sensors_alone(grown), {}, masks, 0)
+    return [grown, LikelihoodFit(with_estimate(given, estimate), estimate)]
 
 
 def _given(assembly: Assembly, state: FitState) -> FitState | None:

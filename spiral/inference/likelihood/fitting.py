@@ -31,6 +31,7 @@ _FAINT = 0.1  # of what one step misses: white noise below makes next to nothing
 WORTH = 1.0  # log-likelihood for which they are looked for once more
 _ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
 MOST_SUBSTEPS = 32
+_FURTHEST = 1e9  # times its given value
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,10 @@ def bounds_of(
     """Lowest and highest values by name.
 
     A time of an effect's own states ends where the integration ``substeps`` per sample carry it:
-    states that are stiff would stop every step of the fit.
+    states that are stiff would stop every step of the fit. A value that the record does not tell
+    ends at ``_FURTHEST`` times what was given, beyond which squares are no numbers any more.
     """
+    given = assembly.problem.model.values
     traced = assembly.study.compiled.traced
     known = dict(zip(traced.keys, traced.parameters, strict=True))
     steps = (s.dt / max(s.substeps, substeps) for s in assembly.study.series)
@@ -89,7 +92,8 @@ def bounds_of(
         one = known[key]
         low, high = (-np.inf if one.lower is None else one.lower), one.upper
         low = shortest if one.spectrum and one.unit == "s" else low
-        found[key] = (float(low), np.inf if high is None else float(high))
+        most = _FURTHEST * abs(given.get(key) or np.inf)
+        found[key] = (max(float(low), -most), most if high is None else min(float(high), most))
     return found
 
 
@@ -183,12 +187,11 @@ def with_estimate(state: FitState, estimate: Maximum) -> FitState:
 
 def explains(found: LikelihoodFit) -> bool:
     """Whether no more than a small random force acts beside the model."""
-    return largest_force(found) <= LITTLE
+    return largest_force(found.estimate.noise) <= LITTLE
 
 
-def largest_force(found: LikelihoodFit) -> float:
-    """The largest random force beside the model, as a share of its own; none is zero."""
-    noise = found.estimate.noise
+def largest_force(noise: NoiseModel) -> float:
+    """The largest random force beside a model, as a share of its own; none is zero."""
     kinds = ("force", "gust")
     return max((noise.values[t.size] for t in noise.terms if t.kind in kinds), default=0.0)
 

@@ -36,7 +36,7 @@ from spiral.inference.problem import Progress
 from spiral.types.noise import COLOURED, Kind
 from spiral.types.spoilt import bridged
 
-_ODDS = 100.0  # to one, for which a term is kept
+ODDS = 100.0  # to one, for which a term is kept
 _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those that keep up
 _KEEP = 0.7  # share of the best gain at first look that keeps up
 _SHARED = 0.7  # of the size of white noise, that it and a coloured one start with (half of it)
@@ -85,7 +85,52 @@ def climbed_ladder(assembly: Assembly, found: LikelihoodFit, progress: Progress)
     if found.estimate.finite and not is_white(assembly, found):
         apart = _worthy(found.estimate, list(_apart(found.estimate)))
         found = found if apart is None else taken_on(assembly, found, apart.noise, rough=True)
+    return _located(assembly, found)
+
+
+def _located(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
+    """The fit with a force on one state in place of its group, or with a memory, if likelier.
+
+    What disturbs one coordinate, or lasts, leaves misses that are white, or nearly, with a white
+    force of one size on all of its group too; but then it is no smaller and no other force, and
+    candidates are judged beside noise that is not there. It is taken by the same odds. Where
+    misses are not white ``_apart`` has been asked.
+    """
+    for _ in range(_ROUNDS):
+        at = found.estimate
+        if not at.finite or not is_white(assembly, found):
+            break
+        best = _worthy(at, list(_elsewhere(at)))
+        if best is None:
+            break
+        found = taken_on(assembly, found, best.noise, rough=True)
     return found
+
+
+def _elsewhere(at: Maximum) -> Iterator[NoiseModel]:
+    """The noise with a force on one state of a group, or one with a memory, in place of a force."""
+    task, noise = at.prepared[0][0], at.noise
+    shared = shared_groups(task)
+    for term in (t for t in noise.terms if t.kind in ("force", "gust")):
+        size = noise.values[term.size]
+        if not size > LEAST * limits(task, term.size)[0]:
+            continue
+        others = noise.of(t for t in noise.terms if t is not term)
+        states = [task.states[i] for i in shared.get(term.where, ())]
+        times = {k: v for k, v in noise.values.items() if k == term.time}
+        for one in (replace(term, where=state) for state in states):
+            yield others.added((one,), {**times, one.size: size})
+        if term.kind == "gust" or noise.has("gust"):
+            continue
+        for one in (NoiseTerm("gust", where) for where in (term.where, *states)):
+            yield others.added(
+                (one,), {one.size: size, one.time: _first_time(task, _GUST_TIMES[0])}
+            )
+
+
+def shared_groups(task: Task) -> dict[str, tuple[int, ...]]:
+    """States of the groups that have several, of which a force may be on one."""
+    return {n: s for n, s in groups(task).items() if 2 <= len(s) <= _MOST_APART}
 
 
 def _apart(at: Maximum) -> Iterator[NoiseModel]:
@@ -95,7 +140,7 @@ def _apart(at: Maximum) -> Iterator[NoiseModel]:
     misses of all where they share one size, and is not worth a size for all where it acts on one.
     """
     task, noise = at.prepared[0][0], at.noise
-    shared = {n: s for n, s in groups(task).items() if 2 <= len(s) <= _MOST_APART}
+    shared = shared_groups(task)
     for term in noise.terms:
         if term.kind not in ("force", "gust") or term.where not in shared:
             continue
@@ -148,17 +193,17 @@ def _best(at: Maximum) -> Maximum | None:
 
 def _worthy(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | None:
     """Of several models of the noise, tuned on all records, the one that is worth most."""
-    tuned = [_steepened(_tuned(at.prepared, noise)) for noise in noises]
+    best = [_steepened(tuned(at.prepared, noise)) for noise in noises]
     worths = [
         (t.log_likelihood - at.log_likelihood - _price(t.noise, at.noise, at.prepared), t)
-        for t in tuned
+        for t in best
         if t.finite
     ]
     worth, chosen = max(worths, key=lambda x: x[0], default=(0.0, None))
-    return chosen if worth > np.log(_ODDS) else None
+    return chosen if worth > np.log(ODDS) else None
 
 
-def _tuned(prepared: Prepared, noise: NoiseModel) -> Maximum:
+def tuned(prepared: Prepared, noise: NoiseModel) -> Maximum:
     """The noise alone, a few steps on the whole records."""
     return maximise(prepared, (), noise, steps=_TUNE, rough=True)
 
@@ -174,8 +219,8 @@ def _steepened(at: Maximum) -> Maximum:
         if order > STEEPEST:
             break
         terms = tuple(replace(t, order=order) if t in band else t for t in at.noise.terms)
-        more = _tuned(at.prepared, replace(at.noise, terms=terms))
-        if not (more.finite and more.log_likelihood > at.log_likelihood + np.log(_ODDS)):
+        more = tuned(at.prepared, replace(at.noise, terms=terms))
+        if not (more.finite and more.log_likelihood > at.log_likelihood + np.log(ODDS)):
             break
         at = more
     return at
@@ -249,9 +294,15 @@ def rungs(now: Maximum) -> Iterator[Rung]:
         yield Rung((term,), {term.size: 0.1 * float(spread[c]) / length})
     if not noise.has("gust"):
         terms = tuple(NoiseTerm("gust", g) for g in groups(task))
-        for share in _GUST_TIMES:
-            time = _first_time(task, share)
-            yield Rung(terms, {t.size: _GUST for t in terms} | {"gust.time": time})
+        for values in first_gusts(task, terms):
+            yield Rung(terms, values)
+
+
+def first_gusts(task: Task, terms: Sequence[NoiseTerm]) -> Iterator[dict[str, float]]:
+    """Sizes that forces with a memory begin with, and their correlation time, short and long."""
+    for share in _GUST_TIMES:
+        sizes = {t.size: _GUST for t in terms}
+        yield sizes | {t.time: _first_time(task, share) for t in terms}
 
 
 def _ringing(now: Maximum) -> Iterator[Rung]:
@@ -299,7 +350,7 @@ def pruned(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> Like
         progress("asking whether less acts at random")
         less = noise.whitened(kind)
         worth = _price(noise, less, found.estimate.prepared)
-        enough = found.height - worth - float(np.log(_ODDS))
+        enough = found.height - worth - float(np.log(ODDS))
         trial = taken_on(assembly, found, less, rough=True, least=enough)
         if trial.height > enough:
             found, noise = trial, less

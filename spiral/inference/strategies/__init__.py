@@ -1,5 +1,8 @@
-"""Kinds of evidence, ``strategy=shooting``, ``paper`` or ``innovation``: one module for each.
+"""Kinds of evidence: ``strategy=likelihood`` (default), ``shooting``, ``innovation``, ``paper``.
 
-``base``: what each supplies to the loop. ``retire``: the backward step. ``resolved``: effects with
-states of their own, from the spectrum of what a fit leaves.
+``base``: what each supplies to the loop; beside it a module of its name for each. Steps of
+``likelihood``: ``beginning`` (the model as it is), ``admission`` (whether a candidate holds, and
+the model with it), ``look_alikes``, ``needed`` (what a model no longer wants), ``other_noise``,
+``remembered`` (memory), ``laws`` and ``curves``. Of ``shooting``: ``retire`` (the backward step)
+and ``resolved`` (effects with states of their own, from the spectrum of what a fit leaves).
 """

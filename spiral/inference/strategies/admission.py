@@ -194,7 +194,7 @@ def _by_free_runs(passed: Passed, progress: Progress) -> Passed | None:
     what is missing, and unseen data decide which values are better.
     """
     whole = passed.whole
-    if largest_force(whole.fit) <= whole.assembly.problem.settings.random_limit:
+    if largest_force(whole.fit.estimate.noise) <= whole.assembly.problem.settings.random_limit:
         return None
     gone = whole.settled.retired
     freely = whole_of(whole.assembly, whole.fit, gone, progress, halves_agree=False)

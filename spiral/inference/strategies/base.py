@@ -172,11 +172,13 @@ class Strategy(Plugin):
 
     def ask_again(
         self, assembly: Assembly, standing: FitState, comparison: Comparison,
-        aliases: Mapping[str, tuple[str, ...]], progress: Progress,
+        aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
+        progress: Progress,
     ) -> AskedAgain:  # fmt: skip
         """Which look-alikes of effects the model with all others tells from them.
 
-        ``aliases`` by admitted effect as they were when it was admitted.
+        ``aliases`` by admitted effect as they were when it was admitted, ``promising`` what else
+        was worth its price then, the best first.
         """
         return AskedAgain(aliases)
 

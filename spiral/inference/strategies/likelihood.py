@@ -12,18 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.likelihood.fit import informed
 from spiral.engine.statistics import spent
 from spiral.inference.evidence.admission import cannot_be_asked, second_order
-from spiral.inference.evidence.assembly import Assembly, check_candidates, compiled_with, offers
-from spiral.inference.evidence.comparison import refined
-from spiral.inference.evidence.fit_state import FitState, Masks, begin, half_masks
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking
-from spiral.inference.identifiability.held import held_said
-from spiral.inference.identifiability.parameters import components
 from spiral.inference.likelihood.between import (
     likelier_inputs,
-    with_likely_inputs,
 )
 from spiral.inference.likelihood.candidates import (
     Race,
@@ -36,20 +31,13 @@ from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
     LikelihoodFit,
-    expected_states,
-    explains,
     refitted,
 )
-from spiral.inference.likelihood.identify import untold
 from spiral.inference.likelihood.ladder import pruned
 from spiral.inference.likelihood.scores import ranking
-from spiral.inference.likelihood.shapes import from_other_values, with_own_shapes
-from spiral.inference.likelihood.starts import (
-    best_fit,
-)
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.nearness import near_noise
-from spiral.inference.problem import Problem, Progress, silent
+from spiral.inference.problem import Progress, silent
 from spiral.inference.strategies.admission import (
     Objection,
     Passed,
@@ -60,81 +48,19 @@ from spiral.inference.strategies.admission import (
     settled_on,
     with_effect,
 )
-from spiral.inference.strategies.base import AskedAgain, Begun, Settled, Step
+from spiral.inference.strategies.base import AskedAgain, Settled, Step
 from spiral.inference.strategies.curves import missing_curve
-from spiral.inference.strategies.growing import counted, settled_with_growth
 from spiral.inference.strategies.laws import named_law
 from spiral.inference.strategies.look_alikes import asked_again, simplest
+from spiral.inference.strategies.other_noise import (
+    settled_with_growth,
+    settled_with_smaller_forces,
+)
 from spiral.inference.strategies.remembered import missing_memory
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.holding import having
 from spiral.types.errors import ConfigError
 from spiral.types.run import Comparison, Suggestion
-
-
-def begin_study(problem: Problem, progress: Progress) -> Begun:
-    """The model as it is, most likely with the noise that its record wants.
-
-    Parameters that the record cannot tell from others are held at their given values: along a flat
-    combination the likelihood is the same, whatever value one of them has. Where none is given the
-    study ends there, unless much acts at random beside the fit: then candidates are tried first.
-    """
-    groups: tuple[tuple[str, ...], ...] = ()
-    held: tuple[str, ...] = ()
-    while True:
-        bare, found = _fitted(problem, progress)
-        ties, model = untold(found), problem.model
-        groups = components([set(g) for g in (*groups, *ties.groups)])
-        given = next((k for k in ties.parts if model.values.get(k)), None)
-        if given is None:  # nothing is tied, or nobody said how large any of it is
-            break
-        progress(f"holding {given}, which the record cannot tell from others")
-        held = (*held, given)
-        problem = replace(problem, model=replace(model, fixed=(*model.fixed, given)))
-    sure = explains(found)  # what is tied in a fit gone astray need not be tied in the record
-    begun = replace(
-        _begun(bare, found, progress), refused=bool(ties) and sure,
-        doubtful=bool(ties) and not sure, groups=groups,
-    )  # fmt: skip
-    if ties or not held:
-        return begun
-    details = {**begun.details, "tied": {"parameters": list(held), "groups": list(groups)}}
-    notes = (*begun.comparison.notes, held_said(details))
-    return replace(begun, comparison=replace(begun.comparison, notes=notes), details=details)
-
-
-def _fitted(problem: Problem, progress: Progress) -> tuple[Assembly, LikelihoodFit]:
-    """The model compiled as it is, and its most likely values and noise."""
-    progress("compiling the model")
-    settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
-    problem = replace(problem, settings=settings)
-    check_candidates(problem)
-    bare = compiled_with(problem, (), 1)
-    state = replace(begin(bare, problem.model.labels), corrected=False)
-    bare = refined(bare, state)
-    found = best_fit(bare, state, progress)
-    for effect in problem.model.effects:
-        keys = tuple(k for k in problem.scaled if k.rsplit(".", 1)[0] == effect.label)
-        found = from_other_values(bare, found, effect, keys)
-        found = with_own_shapes(bare, found, effect, keys)
-    found = finished(bare, found, progress)
-    if not problem.candidates:
-        bare, found = counted(bare, found, progress) or (bare, found)
-        run = with_likely_inputs(bare, found, progress)
-        found = found if run is found else finished(bare, pruned(bare, run, progress), progress)
-    return bare, replace(found, estimate=informed(found.estimate))
-
-
-def _begun(bare: Assembly, found: LikelihoodFit, progress: Progress) -> Begun:
-    """A fit compared with the test records, its candidates laid out."""
-    settled = settled_on(bare, found, progress)
-    fitted = replace(bare.problem, model=settled.comparison.model)
-    expected = expected_states(found)
-    variants, left_out, _ = offers(fitted, bare.later, expected)
-    assembly = replace(
-        bare, offered=tuple(variants), left_out=left_out, bare=True, expected=expected
-    )
-    return Begun(assembly, settled.standing, settled.comparison, settled.details)
 
 
 @dataclass(frozen=True)
@@ -165,7 +91,7 @@ def propose(
     base, ranked, run = found
     least = run.best - np.log(options.odds)  # what is not told apart is no effect
     if (other := likelier_inputs(assembly, base, masks[0], least, progress)) is not None:
-        return _otherwise(options, assembly, other.state, number, progress)
+        return _propose_with_other_inputs(options, assembly, other.state, number, progress)
     level = spent(assembly.problem.settings.level, number) / options.judged
     helps = helping(options, comparison, assembly.problem.settings)
     run = run.joined_by(from_given(assembly, base, masks[0], progress))
@@ -186,6 +112,8 @@ def propose(
                 found=Scored(ranked, tried))  # fmt: skip
     if near_noise(comparison, assembly.problem.settings):
         step = replace(step, stopped="whiteness")
+    if (calmer := settled_with_smaller_forces(assembly, state, progress)) is not None:
+        return _propose_after_refit(options, assembly, calmer, number, progress)
     if (grown := settled_with_growth(assembly, state, base, progress)) is not None:
         near = near_noise(grown.comparison, assembly.problem.settings)
         return replace(step, stopped="whiteness" if near else "no_candidate", again=grown)
@@ -274,14 +202,22 @@ def _unexplained(
     return _with_curve(options, assembly, base, step, comparison, masks, level, progress)
 
 
-def _otherwise(
+def _propose_with_other_inputs(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, number: int,
     progress: Progress,
 ) -> Step[Scored]:  # fmt: skip
-    """The proposal beside the model as it is with inputs that run otherwise between samples."""
+    """Propose once more, with inputs that run otherwise between their samples."""
     found = pruned(assembly, refitted(assembly, state, rough=True), progress)
     found = finished(assembly, found, progress)
-    again = settled_on(assembly, found, progress)
+    return _propose_after_refit(
+        options, assembly, settled_on(assembly, found, progress), number, progress
+    )
+
+
+def _propose_after_refit(
+    options: LikelihoodOptions, assembly: Assembly, again: Settled, number: int, progress: Progress
+) -> Step[Scored]:
+    """Propose once more, from a model that was settled anew."""
     step = propose(options, assembly, again.standing, again.comparison, number, progress)
     return replace(step, again=step.again or again)
 
@@ -356,11 +292,12 @@ def choose(
 
 def ask_again(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
-    aliases: Mapping[str, tuple[str, ...]], progress: Progress,
+    aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
+    progress: Progress,
 ) -> AskedAgain:  # fmt: skip
     """Look-alikes that stay, and the step to one that is likelier than the effect it looks like."""
     assembly = having(assembly, state.labels)
-    left, found = asked_again(options, assembly, state, comparison, aliases, progress)
+    left, found = asked_again(options, assembly, state, comparison, aliases, promising, progress)
     if found is None:
         return AskedAgain(left)
     scored = Scored(found.ranking, found.tried)

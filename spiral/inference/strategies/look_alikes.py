@@ -5,6 +5,10 @@ Once no further candidate passes, each effect admitted before the last is held a
 looked like it then: it is let go, and they begin from the values and the noise that the final model
 has. Those that stay behind by ``options.odds`` are told apart. One that is ahead by as much takes
 the place of the effect.
+
+An effect that is not there may be admitted first, with a second one that mends what the first does
+wrong. So what promised something beside the first is asked, too, whether it makes the record as
+likely as both: then it takes the place of the two, at the price of fewer numbers.
 """
 
 from __future__ import annotations
@@ -41,6 +45,8 @@ from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.label import make_label
 from spiral.types.run import Comparison
 
+_PROMISING = 3  # candidates that are asked in place of two effects
+
 
 @dataclass(frozen=True)
 class Likelier:
@@ -53,24 +59,33 @@ class Likelier:
 
 def asked_again(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
-    aliases: Mapping[str, tuple[str, ...]], progress: Progress,
+    aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
+    progress: Progress,
 ) -> tuple[dict[str, tuple[str, ...]], Likelier | None]:  # fmt: skip
     """What still looks like the effects of a final model, and one that is likelier than its own.
 
     Parameters
     ----------
-    assembly, state, comparison : the study's. aliases : by admitted effect, its look-alikes then.
+    assembly, state, comparison : the study's. aliases, promising : by admitted effect, its
+        look-alikes then, and all that promised something then, the best first.
     """
     model = refitted(assembly, state, steps=WARM, rough=True)
     left = dict(aliases)
-    for held in admitted(assembly, model) if model.estimate.finite else ():
+    effects = admitted(assembly, model) if model.estimate.finite else []
+    for held in effects:
         label = held.original.label
         others = tuple(dict.fromkeys((*aliases.get(label, ()), *_special(held))))
-        again = _again(options, assembly, model, held, others, progress)
+        again = _again(options, assembly, model, (held,), others, progress)
         if again is None:
             continue
         left[label] = tuple(x for x in aliases.get(label, ()) if x in again.aliases)
         likelier = again.likelier(options, comparison, progress)
+        if likelier is not None:
+            return left, likelier
+    for pair in itertools.pairwise(effects):
+        others = promising.get(pair[0].original.label, ())[:_PROMISING]
+        again = _again(options, assembly, model, pair, others, progress)
+        likelier = again.likelier(options, comparison, progress) if again else None
         if likelier is not None:
             return left, likelier
     return left, None
@@ -84,7 +99,7 @@ def simplest(options: LikelihoodOptions, passed: Passed, progress: Progress) -> 
     whole, held = passed.whole, passed.rival.ranked.variant
     if not _special(held):
         return passed
-    again = _again(options, whole.assembly, whole.fit, held, _special(held), progress)
+    again = _again(options, whole.assembly, whole.fit, (held,), _special(held), progress)
     if again is None:
         return passed
     found = again.likelier(options, whole.settled.comparison, progress)
@@ -105,8 +120,12 @@ def _special(held: Variant) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Contest:
-    """An effect of the model, those that look like it best first, and its look-alikes that stay."""
+    """Effects of the model, those that look like them best first, and look-alikes that stay.
 
+    ``ours`` is the model with its effects ``labels``, as a rival of the others.
+    """
+
+    labels: tuple[str, ...]
     ours: Rival
     others: tuple[Rival, ...]
     aliases: tuple[str, ...]
@@ -117,36 +136,37 @@ class _Contest:
     ) -> Likelier | None:
         """The look-alike that is likelier by the odds and predicts no worse, if there is one.
 
-        Of a special case it is enough that it is as likely.
+        Of a special case it is enough that it is as likely, of one for several that it is likelier
+        once all numbers are paid for.
         """
-        label, special = self.ours.label, _special(self.ours.ranked.variant)
+        special = _special(self.ours.ranked.variant)
         for rival in self.others:
-            least = -np.log(options.odds) if rival.label in special else np.log(options.odds)
-            if not lead(rival, self.ours) > least:
+            odds = float(np.log(options.odds)) if len(self.labels) == 1 else 0.0
+            if not lead(rival, self.ours) > (-odds if rival.label in special else odds):
                 continue
             whole = with_rival(rival, progress)
             settings = rival.assembly.problem.settings
             if whole.fit.estimate.finite and not grown(
                 comparison, whole.settled.comparison, settings
             ):
-                gone = tuple(dict.fromkeys((label, *whole.settled.retired)))
+                gone = tuple(dict.fromkeys((*self.labels, *whole.settled.retired)))
                 whole = replace(whole, settled=replace(whole.settled, retired=gone))
                 return Likelier(Passed(rival, (), whole), self.ranking, self.others)
         return None
 
 
 def _again(
-    options: LikelihoodOptions, assembly: Assembly, model: LikelihoodFit, held: Variant,
-    others: tuple[str, ...], progress: Progress,
+    options: LikelihoodOptions, assembly: Assembly, model: LikelihoodFit,
+    held: tuple[Variant, ...], others: tuple[str, ...], progress: Progress,
 ) -> _Contest | None:  # fmt: skip
-    """One effect against its look-alikes; nothing where these are no candidates of the problem."""
-    problem = assembly.problem
-    known = tuple(e for e in problem.candidates if e.label in others)
+    """Effects against others in their place; nothing where these are no candidates."""
+    known = tuple(e for e in assembly.problem.candidates if e.label in others)
     if not known:
         return None
-    progress(f"asking again whether {held.original.label} may be {', '.join(others)}")
+    labels = tuple(v.original.label for v in held)
+    progress(f"asking again whether {', '.join(labels)} may be {', '.join(others)}")
     base = _without(assembly, model, held)
-    offered = offering(assembly, (*known, held.original))
+    offered = offering(assembly, (*known, *(v.original for v in held)))
     ranked = ranked_along(offered, base, base.estimate.noise, None, lambda _: list(offered.offered))
     mine = [] if ranked is None else [r for r in ranked.ranked if _is(r, held)]
     if ranked is None or not any(r.rank < 0 for r in mine):
@@ -159,21 +179,21 @@ def _again(
     asked = {e.label for e in known}
     stay = {*alike([ours, *best], options.odds), *twins(ours, best)}
     return _Contest(
-        ours, tuple(best), tuple(x for x in others if x in stay or x not in asked), ranked
+        labels, ours, tuple(best), tuple(x for x in others if x in stay or x not in asked), ranked
     )
 
 
-def _is(one: Ranked, held: Variant) -> bool:
-    return one.variant.original.label == held.original.label
+def _is(one: Ranked, held: tuple[Variant, ...]) -> bool:
+    return one.variant.original.label in {v.original.label for v in held}
 
 
-def _without(assembly: Assembly, model: LikelihoodFit, held: Variant) -> LikelihoodFit:
-    """The model without an effect at the values that it has with it, its noise grown for that.
+def _without(assembly: Assembly, model: LikelihoodFit, held: tuple[Variant, ...]) -> LikelihoodFit:
+    """The model without effects at the values that it has with them, its noise grown for that.
 
     Grown from what is left beside the effect, or fallen from as much as at a first start: a size
     near nothing does not grow.
     """
-    bare = let_go(assembly, model.state, (held.label,))
+    bare = let_go(assembly, model.state, tuple(v.label for v in held))
     prepared = subjects(assembly, bare)
     starts = (model.estimate.noise, first_noise(prepared[0][0], LEVEL))
     fits = [maximise(prepared, (), noise, {}, None, WARM, rough=True) for noise in starts]
@@ -182,13 +202,16 @@ def _without(assembly: Assembly, model: LikelihoodFit, held: Variant) -> Likelih
 
 
 def _ours(
-    assembly: Assembly, base: LikelihoodFit, model: LikelihoodFit, held: Variant
-) -> Rival:  # fmt: skip
-    """The model with its effect as a rival of those that look like it."""
-    gain = model.height - base.height
-    owned = [k for k in model.estimate.keys if k.rpartition(".")[0] == held.label]
-    count = max(len(owned), len(tested_keys(assembly, held)))
-    return Rival(assembly, unscored(held), model, gain, gain - price(count, base.estimate.prepared))
+    assembly: Assembly, base: LikelihoodFit, model: LikelihoodFit, held: tuple[Variant, ...]
+) -> Rival:
+    """The model with its effects as a rival of those that look like them."""
+    gain, keys = model.height - base.height, model.estimate.keys
+    count = sum(
+        max(sum(k.rpartition(".")[0] == v.label for k in keys), len(tested_keys(assembly, v)))
+        for v in held
+    )
+    worth = gain - price(count, base.estimate.prepared)
+    return Rival(assembly, unscored(held[0]), model, gain, worth)
 
 
 def _beside(model: LikelihoodFit, base: LikelihoodFit, rival: Rival) -> Rival:

@@ -132,7 +132,7 @@ class Columns(Source):
 
     def _of_file(self, system: System, path: str) -> tuple[Record, ...]:
         table = self.read(path)
-        return tuple(one._one(system, table, path) for one in self._numbered(table))
+        return tuple(one._record_of(system, table, path) for one in self._numbered(table))
 
     def _numbered(self, table: Table) -> list[Columns]:
         """One source for each number that a star in a column's name stands for; else itself."""
@@ -150,7 +150,7 @@ class Columns(Source):
             for n in table.numbers(starred[0])
         ]
 
-    def _one(self, system: System, table: Table, path: str) -> Record:
+    def _record_of(self, system: System, table: Table, path: str) -> Record:
         layout = self._layout(system, table)
         start, stop = _inside(table, layout.options(), self.rows, "record.rows")
         series = self._series(system, table, layout, start, stop)
@@ -164,7 +164,7 @@ class Columns(Source):
             series = preparation.to_axes(system, series, self.probe_angles)
         if self.resample is not None:
             series = resampled(system, series, self.resample)
-        told = _told(system, layout, self.rate)
+        told = _layout_in_words(system, layout, self.rate)
         return make_record(
             system,
             Path(path).name + (f" rows [{start}, {stop})" if self.rows else ""),
@@ -373,7 +373,7 @@ def _is_number(given: str, table: Table) -> bool:
         return False
 
 
-def _told(system: System, layout: ColumnLayout, rate: float | None) -> str:
+def _layout_in_words(system: System, layout: ColumnLayout, rate: float | None) -> str:
     """What was taken for what, in words."""
     clock, units = layout.clock, layout.units
     words = [

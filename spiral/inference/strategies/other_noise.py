@@ -1,10 +1,13 @@
-"""Noise that grows with its reading, where nothing that is missing explains what is left."""
+"""Another model of what is random, where nothing that is missing explains what is left.
+
+Noise may grow with its reading; and a random force that is no explanation may be one with a memory,
+smaller and on one state alone.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from spiral.engine.likelihood.fit import informed
 from spiral.inference.evidence.assembly import Assembly, with_records
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.likelihood.departures import growths
@@ -13,8 +16,10 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     explains,
     is_white,
+    largest_force,
     refitted,
 )
+from spiral.inference.likelihood.smaller_forces import with_smaller_forces
 from spiral.inference.likelihood.starts import best_fit
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import finished, settled_on
@@ -52,4 +57,23 @@ def settled_with_growth(
     if found is None:
         return None
     other, grown = found
-    return settled_on(other, replace(grown, estimate=informed(grown.estimate)), progress)
+    return settled_on(other, grown, progress)
+
+
+def settled_with_smaller_forces(
+    assembly: Assembly, state: FitState, progress: Progress
+) -> Settled | None:
+    """The model as it is, beside forces with a memory where those it has are too large to explain.
+
+    Nothing where they are not, or where the record does not have it so.
+    """
+    limit = assembly.problem.settings.random_limit
+    if state.noise is None or not largest_force(state.noise) > limit:
+        return None
+    found = with_smaller_forces(assembly, refitted(assembly, state, rough=True), progress)
+    if found is None:
+        return None
+    found = finished(assembly, found, progress)
+    if largest_force(found.estimate.noise) > limit:
+        return None
+    return settled_on(assembly, found, progress)

@@ -1,0 +1,167 @@
+"""What acts at random: what it makes of fits and free runs, and the ladder that takes it up."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from spiral_plugins.systems.oscillator import Oscillator
+
+from spiral.engine.filter.task import linearised
+from spiral.engine.likelihood.fit import maximise
+from spiral.engine.likelihood.free_spread import free_spread
+from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise
+from spiral.inference.likelihood.comparison import acting
+from spiral.inference.likelihood.fitting import refitted, reopened
+from spiral.inference.likelihood.ladder import climbed_ladder
+from spiral.inference.problem import silent
+from spiral.types.model import seed_model
+from tests.swept_oscillator import KEYS, TRUTH, record_of, shaken, states_alone, task_of
+
+
+def test_estimates_bear_a_random_force():
+    """With a real random force the standard errors stay honest, and its size is told."""
+    squares, levels = [], []
+    for seed in range(20):
+        record = shaken(seed, 0.05)
+        task, settings = task_of(record)
+        found = maximise(((task, settings),), KEYS, first_noise(task, 0.1))
+        squares += [((found.values[k] - TRUTH[k]) / found.errors[k]) ** 2 for k in KEYS]
+        levels.append(found.noise.values["force.observed"])
+    assert 0.6 < np.mean(squares) < 1.6
+    assert np.median(levels) == pytest.approx(0.05, rel=0.3)
+
+
+def test_random_forces_move_a_free_run_as_far_as_it_says():
+    """Against 40 simulated records; the motion without forces is that of the model."""
+    misses = []
+    for seed in range(40):
+        record = shaken(seed, 0.05)
+        task, settings = task_of(record)
+        misses.append(record.truth["x"] - states_alone(task, settings)[:, 0])
+    spread = free_spread(task, settings, first_noise(task, 0.05))[:, 0]
+    assert np.sqrt(np.mean(np.square(misses))) == pytest.approx(
+        np.sqrt(np.mean(spread**2)), rel=0.15
+    )
+
+
+def test_a_free_run_is_carried_no_further_than_two_motions_differ():
+    """Forces many times the machine's own: sqrt(2) of what the reading does, and no more."""
+    record = record_of(0)
+    task, settings = task_of(record)
+    spread = free_spread(task, settings, first_noise(task, 50.0))[:, 0]
+    most = np.sqrt(2) * np.std(record.channels["x"])
+    assert spread[0] == 0.0
+    assert 0.5 * most < np.median(spread) <= np.max(spread) <= most * (1 + 1e-9)
+
+
+def test_slow_noise_counts_by_how_far_it_goes_over_the_record():
+    """A zero of four deviations, taken for noise that hardly moves: the reading still shows x."""
+    record = record_of(3)
+    spread = float(np.std(record.channels["x"]))
+    record = replace(record, channels={"x": record.channels["x"] + 4 * spread})
+    task, settings = task_of(record)
+    term = NoiseTerm("coloured", "x")
+    noise = first_noise(task, 0.0).added(
+        (term,), {term.size: 4 * spread, term.time: 0.3 * record.dt * record.samples}
+    )
+    found = maximise(((task, settings),), (), noise, steps=3)
+    assert found.noise.values[term.size] > spread
+    shares, _ = acting(found, 0.0)
+    assert shares.get(term.size, 0.0) < 0.5  # beyond that a sensor shows mostly noise
+
+
+def test_a_force_with_a_memory_carries_a_free_run_as_a_linear_machine_says():
+    """Covariances of oscillator and force together, P <- F P F^T + Q, from a machine at rest."""
+    task, settings = task_of(record_of(0))
+    noise = first_noise(task, 0.0).added(
+        (NoiseTerm("gust", "observed"),), {"gust.observed": 0.2, "gust.time": 5 * task.series.dt}
+    )
+    spread = free_spread(task, settings, noise)[:, 0]
+    dt, time = task.series.dt, noise.values["gust.time"]
+    a = np.zeros((3, 3))
+    a[:2, :2] = linearised(task.compiled, task.values, task.mean_inputs, task.centre)
+    flow, p, said = expm(a * dt), np.zeros((3, 3)), []
+    size = 0.2 * task.rates[1]
+    flow[:2, 2] = flow[:2, :2] @ [0, dt]
+    flow[2, 2], p[2, 2] = np.exp(-dt / time), size**2
+    for _ in range(task.series.samples):
+        said.append(np.sqrt(p[0, 0]))
+        p = flow @ p @ flow.T
+        p[2, 2] = size**2
+    assert np.sqrt(np.mean(spread**2)) == pytest.approx(np.sqrt(np.mean(np.square(said))), rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["white", "coloured", "alone", "drift", "vibration"])
+def test_the_ladder_takes_up_the_noise_that_is_there(kind):
+    """``alone``: no white noise beside the coloured one."""
+    record = record_of(5, samples=3000, noise=0.02)
+    rng = np.random.default_rng(5)
+    spread = np.std(record.channels["x"])
+    clean = record.channels["x"]
+    if kind == "alone":
+        clean, kind = record.truth["x"] + relaxed(rng, len(clean), 0.9) * 0.02 * spread, "coloured"
+    elif kind == "coloured":
+        clean = clean + relaxed(rng, len(clean), 0.95) * 0.05 * spread
+    if kind == "drift":
+        clean = clean + np.cumsum(rng.normal(size=len(clean))) * 0.005 * spread
+    if kind == "vibration":  # at a tenth of the rate, damped by 0.05
+        clean = clean + ringing(rng, len(clean), 2 * np.pi * 0.1, 0.05) * 0.03 * spread
+    found = laddered(replace(record, channels={"x": clean}, noise={}))
+    if kind == "vibration":
+        assert 2 * np.pi * 0.1 * found.values["vibration.time"] == pytest.approx(
+            record.dt, rel=0.05
+        )
+        assert found.values["vibration.damping"] == pytest.approx(0.05, rel=0.5)
+    kinds = {t.kind for t in found.terms} - {"white", "force"}
+    assert kinds == (set() if kind == "white" else {kind})
+
+
+def ringing(rng, count, turn, ratio):
+    """Noise of a mode sampled at ``turn`` rad a sample, of variance one."""
+    rate = np.array([[0.0, 1.0], [-(turn**2), -2 * ratio * turn]])
+    phi, first = expm(rate), np.diag([1.0, turn**2])
+    root = np.linalg.cholesky(first - phi @ first @ phi.T)
+    z, found = rng.normal(size=2) * np.sqrt(np.diag(first)), np.empty(count)
+    for k in range(count):
+        found[k], z = z[0], phi @ z + root @ rng.normal(size=2)
+    return found
+
+
+def relaxed(rng, count, keep):
+    steps = rng.normal(size=count) * np.sqrt(1 - keep**2)
+    found = np.empty(count)
+    found[0] = rng.normal()
+    for k in range(1, count):
+        found[k] = keep * found[k - 1] + steps[k]
+    return found
+
+
+def unfitted(record):
+    """A study of the oscillator and its state, nothing fitted."""
+    from spiral.inference.evidence.assembly import compiled_with
+    from spiral.inference.evidence.fit_state import FitState, first_row
+    from spiral.inference.problem import Problem
+
+    model = seed_model(Oscillator(), values=TRUTH)
+    assembly = compiled_with(Problem(model, (record,), ()), (), 4)
+    return assembly, FitState(model.labels, first_row(assembly), corrected=False)
+
+
+def laddered(record) -> NoiseModel:
+    assembly, state = unfitted(record)
+    return climbed_ladder(assembly, refitted(assembly, state), silent).estimate.noise
+
+
+def test_noise_that_vanished_beside_a_large_random_force_is_found_again():
+    """On a logarithmic scale a size near zero has no slope: a fit from there stays there."""
+    record = shaken(3, 0.3)
+    size = 0.02 * np.std(record.truth["x"])
+    assembly, state = unfitted(replace(record, noise={}))
+    vanished = first_noise(task_of(record)[0], 0.3, np.array([1e-5 * size]))
+    stuck = refitted(assembly, state, vanished)
+    assert stuck.estimate.noise.values["white.x"] < 0.01 * size
+    found = reopened(assembly, stuck)
+    assert found.height > stuck.height + 10
+    assert found.estimate.noise.values["white.x"] == pytest.approx(size, rel=0.15)
+    assert reopened(assembly, found) is found
