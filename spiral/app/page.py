@@ -31,8 +31,16 @@ TABS = (
     ("Model", ("coefficients", "campbell")),
 )
 WHERE, MODEL = "Where it fails", "Model"
-FALLING, PANEL = "falling", "figures-panel"
+FALLING, WORKING, PANEL = "falling", "working", "figures-panel"
 FALLING_SAID = "Free-run errors of fit and test after each step, with the noise floor"
+
+
+@dataclass(frozen=True)
+class _Progress:
+    """The line of words and the bar that tell how far the work has come."""
+
+    words: ui.label
+    bar: ui.linear_progress
 
 
 @dataclass
@@ -52,6 +60,7 @@ class StudyView:
     told: str = ""
     fall: ui.plotly | None = None
     said: ui.label | None = None
+    progress: _Progress | None = None
 
     def __post_init__(self) -> None:
         self.client = ui.context.client
@@ -82,7 +91,7 @@ class StudyView:
                 continue
             self.drawn[name] = depends
             region = self.regions[name]
-            if name != FALLING:  # that curve moves, rather than being drawn anew
+            if name not in (FALLING, WORKING):  # these two change, rather than being drawn anew
                 region.clear()
             with region:
                 build(scene)
@@ -115,7 +124,7 @@ class StudyView:
         key = None if turn is None else turn.serial
         ranked = turn is not None and turn.candidates is not None
         return [
-            ("working", self._working, busy),
+            (WORKING, self._working, busy),
             ("tour", self._tour, (study.tour, key, ranked, bool(busy))),
             ("trouble", self._trouble, (study.trouble, bool(study.turns or busy))),
             ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor,
@@ -137,15 +146,25 @@ class StudyView:
     # --- regions ---------------------------------------------------------------------------------
 
     def _working(self, scene: Scene) -> None:
+        """What is under way. Its button stays the same one: a click on one just replaced is lost."""
         busy = scene.busy
         if busy is None:
+            self.regions[WORKING].clear()
+            self.progress = None
             return
+        if self.progress is None:
+            self.progress = self._begin_progress()
+        self.progress.words.set_text(f"{busy.what}: {busy.words}" if busy.words else busy.what)
+        self.progress.bar.set_value(busy.share)
+
+    def _begin_progress(self) -> _Progress:
         with ui.element("div").classes("working"):
             ui.spinner(size="20px")
-            ui.label(f"{busy.what}: {busy.words}" if busy.words else busy.what).classes("words")
+            words = ui.label("").classes("words")
             ui.button("Cancel", on_click=self._cancel).props(
                 "outline dense color=negative padding='2px 12px'")  # fmt: skip
-        ui.linear_progress(busy.share, show_value=False, size="5px").props("instant-feedback")
+        bar = ui.linear_progress(0.0, show_value=False, size="5px").props("instant-feedback")
+        return _Progress(words, bar)
 
     def _tour(self, scene: Scene) -> None:
         turn = scene.study.turn
@@ -316,7 +335,7 @@ def study_page(session: Session, ident: str, at: Address) -> None:
     with frame.bar(scene.study.title):
         view.regions["links"] = ui.row().classes("items-center gap-2")
     with frame.progress_bar():
-        view.regions["working"] = ui.element("div").style("width:100%").props('role="status"')
+        view.regions[WORKING] = ui.element("div").style("width:100%").props('role="status"')
     view.said = ui.label("").classes("unseen").props('role="status"')
     with ui.element("div").classes("wrap"):
         view.regions["tour"] = ui.element("div")

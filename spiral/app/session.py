@@ -242,7 +242,8 @@ class Session:
 
     def cancel(self, ident: str) -> None:
         """End what is under way; the study stays as it was before."""
-        self._fits.cancel(ident)
+        with self._lock:  # an order that is just being given is seen
+            self._fits.cancel(ident)
 
     # --- how it is done --------------------------------------------------------------------------
 

@@ -92,11 +92,13 @@ def _is_a_step_down(study):
 
 
 def test_an_embedded_record_is_one_click_away(tab, served):
-    """Its fit begins at once, and is cancelled here."""
+    """Its fit begins at once, and is cancelled here, by a button that progress does not replace."""
     tab.goto(served.address)
     tab.click(".choice:has-text('Rotor coastdown')")
     tab.wait_for_selector("h1:has-text('Rotor coastdown')")
-    tab.click("button:has-text('Cancel')")
+    button = tab.wait_for_selector("button:has-text('Cancel')")
+    tab.wait_for_selector(".working .words:has-text(': ')")
+    button.click()
     tab.wait_for_selector(".note:has-text('Cancelled')")
 
 
