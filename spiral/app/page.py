@@ -146,7 +146,7 @@ class StudyView:
     # --- regions ---------------------------------------------------------------------------------
 
     def _working(self, scene: Scene) -> None:
-        """What is under way. Its button stays the same one: a click on one just replaced is lost."""
+        """What is under way; its button is never replaced, as a click on one just gone is lost."""
         busy = scene.busy
         if busy is None:
             self.regions[WORKING].clear()
