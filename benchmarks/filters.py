@@ -21,20 +21,22 @@ def filters(best: Callable[[Callable[[], object]], float]) -> list[Row]:
     from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
     from benchmarks.peer_filter import compiled_functions, filterpy_run, numpy_functions
-    from spiral.engine.filter.extended import filtered
-    from spiral.engine.filter.setup import prepared, with_level
+    from spiral.engine.filter.extended import filter_record
+    from spiral.engine.filter.setup import prepare_filter, with_level
     from spiral.engine.filter.task import prepare_task
     from spiral.inference.simulate import with_defaults
     from spiral.types.model import seed_model
 
     system = TiltingRotor()
     record = RotorCoastdown(rate=2000.0).load(system)[0]
-    task, settings = prepared(prepare_task(with_defaults(seed_model(system)), record), track=())
+    task, settings = prepare_filter(
+        prepare_task(with_defaults(seed_model(system)), record), track=()
+    )
     levels = {"observed": 0.1, "hidden": 0.1}
     settings = with_level(task, settings, levels)
-    wall = best(lambda: filtered(task, settings))
-    ours = min(_worked(lambda: filtered(task, settings))[0] for _ in range(5))
-    found = filtered(task, settings).means
+    wall = best(lambda: filter_record(task, settings))
+    ours = min(_worked(lambda: filter_record(task, settings))[0] for _ in range(5))
+    found = filter_record(task, settings).means
     rows = [("EKF, 28 000 samples x 8 states", wall, "<= 0.15 s")]
     for name, functions, wanted in (
         ("the same in filterpy, model in NumPy", numpy_functions(task), " (>= 50)"),

@@ -66,32 +66,32 @@ def passes() -> list[tuple[str, float, str]]:
     from threadpoolctl import threadpool_limits
 
     from spiral.engine.growth import first_starts, layouts_for
-    from spiral.engine.sensitivities import reduce, residuals
+    from spiral.engine.sensitivities import reduce_windows, residuals
     from spiral.engine.study import ParameterColumns, Point
-    from spiral.inference.evidence.comparison import prepared
-    from spiral.inference.evidence.fit_state import grown, half_masks
+    from spiral.inference.evidence.comparison import prepare_study
+    from spiral.inference.evidence.fit_state import fit_growing_windows, half_masks
     from spiral.inference.evidence.scoring import score_stage
 
     problem = _problem()
-    assembly, standing = prepared(problem)
+    assembly, fit_state = prepare_study(problem)
     study = assembly.study
     count = min(48, len(study.keys))
     columns = ParameterColumns(np.arange(count), np.full(count, -1))
     layouts = layouts_for(study, 64, (None,))
-    point = Point(standing.values, first_starts(study, layouts, standing.values))
+    point = Point(fit_state.values, first_starts(study, layouts, fit_state.values))
     kernel = _kernel_only(study, layouts, point, columns)
     with threadpool_limits(limits=1, user_api="blas"):
         rows = [
             (f"compiled pass, 14 000 samples x {count} columns", best(kernel), "<= 0.05 s"),
             ("the same with elimination and blocks",
-             best(lambda: reduce(study, layouts, point, columns, 128)), ""),
+             best(lambda: reduce_windows(study, layouts, point, columns, 128)), ""),
             ("residuals only", best(lambda: residuals(study, layouts, point)), ""),
         ]  # fmt: skip
         mask = half_masks(assembly)[0]
 
         def a_round() -> None:
-            for stage in grown(assembly, standing, mask):
-                score_stage(assembly, standing, stage)
+            for stage in fit_growing_windows(assembly, fit_state, mask):
+                score_stage(assembly, fit_state, stage)
 
         rows.append(("a round of fit and score, all window lengths", best(a_round, 3), "<= 1.5 s"))
     return rows
@@ -102,7 +102,7 @@ def _kernel_only(study, layouts, point, columns) -> Callable[[], object]:
     from spiral.engine import sensitivities
 
     weight = study.series[0].weight(None)
-    batches = list(sensitivities._batches(layouts))
+    batches = list(sensitivities._window_batches(layouts))
 
     def one(batch) -> None:
         starts = layouts[0].starts[batch.windows]
@@ -110,13 +110,13 @@ def _kernel_only(study, layouts, point, columns) -> Callable[[], object]:
         s = np.zeros((len(starts), n, width))
         s[:, :, :n] = np.eye(n)
         rows = np.empty((len(starts), batch.length * 2, width + 1))
-        sensitivities._advance(
+        sensitivities._advance_batch(
             study, study.series[0], study.series[0].inputs,
             point.starts[0][batch.windows].copy(), s, starts,
             batch.length, point.values[0], columns.index, weight, rows,
         )  # fmt: skip
 
-    return lambda: sensitivities._parallel(one, batches)
+    return lambda: sensitivities._map_batches(one, batches)
 
 
 def commands() -> list[tuple[str, float, str]]:

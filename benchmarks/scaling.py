@@ -31,8 +31,8 @@ def measured(samples: int) -> dict[str, float]:
     from spiral_plugins.systems.planar_rotor import PlanarRotor
 
     from spiral.engine.threads import one_blas_thread
-    from spiral.inference.evidence.comparison import judged, prepared
-    from spiral.inference.evidence.fit_state import grown, half_masks
+    from spiral.inference.evidence.comparison import compare_fit, prepare_study
+    from spiral.inference.evidence.fit_state import fit_growing_windows, half_masks
     from spiral.inference.evidence.scoring import score_stage
     from spiral.inference.problem import Problem
     from spiral.io.registry import load_registry
@@ -48,17 +48,17 @@ def measured(samples: int) -> dict[str, float]:
         candidates=tuple(e for e in found if e.label not in model.labels),
     )
     small = replace(problem, records=(problem.records[0].part(0, 5000, "small"),))
-    prepared(small)  # compiled before the clock starts
+    prepare_study(small)  # compiled before the clock starts
 
     @one_blas_thread
     def steps() -> list[float]:
         clocks = [time.perf_counter()]
-        assembly, standing = prepared(problem)
+        assembly, fit_state = prepare_study(problem)
         clocks.append(time.perf_counter())
-        for stage in grown(assembly, standing, half_masks(assembly)[0]):
-            score_stage(assembly, standing, stage)
+        for stage in fit_growing_windows(assembly, fit_state, half_masks(assembly)[0]):
+            score_stage(assembly, fit_state, stage)
         clocks.append(time.perf_counter())
-        judged(assembly, replace(standing, values=stage.fitted.point.values), stage)
+        compare_fit(assembly, replace(fit_state, values=stage.fitted.point.values), stage)
         clocks.append(time.perf_counter())
         return list(np.diff(clocks))
 

@@ -89,10 +89,10 @@ def drawn(problem: Problem, rounds: list[Scored], target: Path) -> None:
 
 def photographed(figure: Any, target: Path) -> None:
     """A figure of its own width and height as a PNG, with a little air."""
-    from spiral.view.report.pictures import picture
+    from spiral.view.report.pictures import write_png
 
     page = figure.to_html(include_plotlyjs=True, config={"displayModeBar": False})
-    picture(page, target, figure.layout.width + 20, figure.layout.height + 20)
+    write_png(page, target, figure.layout.width + 20, figure.layout.height + 20)
 
 
 def main(words: list[str] | None = None) -> list[Scored]:

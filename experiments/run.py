@@ -15,11 +15,11 @@ from __future__ import annotations
 import hydra
 from omegaconf import DictConfig
 
-from spiral.io.config import register
+from spiral.io.config import register_with_hydra
 from spiral.io.registry import load_registry
 
 REGISTRY = load_registry()
-register(REGISTRY)
+register_with_hydra(REGISTRY)
 
 
 @hydra.main(config_path="pkg://spiral_conf", config_name="config", version_base="1.3")
@@ -29,15 +29,15 @@ def main(_: DictConfig) -> float:
 
     from spiral.commands.perform import perform
     from spiral.io.request import Request
-    from spiral.io.tracking.store import tracking_of
+    from spiral.io.tracking.store import tracking_options
     from spiral.io.tracking.track import track
-    from spiral.view.report.page import report_of
+    from spiral.view.report.page import report_html
 
     given = tuple(HydraConfig.get().overrides.task)
     outcome = perform(Request("discover", overrides=given), print)
     config, result = outcome.parts["config"], outcome.result
-    how, wanted, known = tracking_of(config), (result["run_id"],), outcome.parts["registry"]
-    tracked = track(how, config["out"], wanted, catch_up=False, draw=report_of, registry=known)
+    how, wanted, known = tracking_options(config), (result["run_id"],), outcome.parts["registry"]
+    tracked = track(how, config["out"], wanted, catch_up=False, draw=report_html, registry=known)
     if tracked.failure is not None:
         print(f"saved, but not told to MLflow: {tracked.failure}")
     error = result["rounds"][-1]["test_error"]

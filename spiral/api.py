@@ -1,8 +1,8 @@
 """The main jobs as functions, for notebooks and programs: records and models in, results out.
 
-A plugin is meant by its name (``"oscillator"``), by its name with fields (``{"name": "oscillator",
-"position_unit": "V"}``), or as an object. Where a system stands, a fitted ``Model`` or a ``Run``
-may stand as well: its effects and values are where the next step begins.
+A plugin is given by its name (``"oscillator"``), by its name with fields (``{"name": "oscillator",
+"position_unit": "V"}``), or as an object. Wherever a system is expected, a fitted ``Model`` or a
+``Run`` is accepted too: the step then starts from its effects and values.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def simulate(
     duration, rate : s, and samples per s.
     inputs : input -> its samples in the system's unit, or a description such as
         ``{"noise": 1.0, "band": [5, 60]}`` or ``{"sweep": [40, 0], "unit": "Hz"}``.
-    noise_level : share of each channel's standard deviation; ``seed`` draws it.
+    noise_level : standard deviation of the noise as a share of each channel's; ``seed`` draws it.
 
     Raises
     ------
@@ -128,11 +128,11 @@ def simulate(
 def compare(record: Records, system: Physics, **choices: Any) -> Comparison:
     """Fit a model as it is, and compare it with data that the fit never saw.
 
-    ``choices`` : as in ``discover``, candidates and strategy apart.
+    ``choices`` : as in ``discover``, except candidates and strategy.
     """
     from spiral.inference.compare import compare as step
 
-    with _told(choices) as progress:
+    with _progress_context(choices) as progress:
         return step(_problem(record, system, choices), progress)
 
 
@@ -140,7 +140,7 @@ def diagnose(record: Records, system: Physics, **choices: Any) -> Diagnosis:
     """Say where a model fails, and rank what may be missing; ``choices`` as in ``discover``."""
     from spiral.inference.diagnose import diagnose as step
 
-    with _told(choices) as progress:
+    with _progress_context(choices) as progress:
         return step(_problem(record, system, choices), progress)
 
 
@@ -155,11 +155,11 @@ def discover(record: Records, system: Physics, **choices: Any) -> Run:
         ``effects`` beside the seed's, ``without`` effects of the seed, ``values`` by full name,
         ``free`` and ``fixed`` parameters (``fixed`` by name, or with values); ``test`` records, or
         the share ``holdout`` (0.2) that is kept apart, of each of ``holdout_blocks`` stretches (1);
-        ``settle`` seconds of the test that fix its nuisances; ``candidates`` (labels or effects;
-        left out, all that fit);
+        ``settle`` seconds of the test to which only its initial state and phase are fitted;
+        ``candidates`` (labels or effects; left out, all that fit);
         ``strategy`` (a name, a name with options, or an object); ``settings`` (fields of
-        ``Settings``); ``plugins`` (a folder, or a registry); ``progress`` (a function that is told
-        in words).
+        ``Settings``); ``plugins`` (a folder, or a registry); ``progress`` (a function that is
+        called with progress messages).
 
     Raises
     ------
@@ -167,7 +167,7 @@ def discover(record: Records, system: Physics, **choices: Any) -> Run:
     """
     from spiral.inference.discover import discover as loop
 
-    with _told(choices) as progress:
+    with _progress_context(choices) as progress:
         problem = _problem(record, system, choices)
         return replace(loop(problem, progress), question=problem)
 
@@ -186,8 +186,8 @@ def add(run: Run, *effects: str | Effect, **choices: Any) -> tuple[Comparison, C
     if not effects:
         raise ConfigError("add without an effect", "spiral.add(run, EFFECT, ...)")
     registry = _registry(choices.pop("plugins", None))
-    with _told(choices) as progress:
-        asked = _of(run)
+    with _progress_context(choices) as progress:
+        asked = _problem_of_run(run)
         problem = replace(asked, model=run.model)
         wanted = tuple(registry.effect_from_label(e) if isinstance(e, str) else e for e in effects)
         for effect in wanted:
@@ -221,8 +221,8 @@ def estimate(
     from spiral.inference.reconstruction.estimate import estimate as step
 
     registry = _registry(choices.pop("plugins", None))
-    with _told(choices) as progress:
-        _no_more(choices, "estimate")
+    with _progress_context(choices) as progress:
+        _reject_unknown_choices(choices, "estimate")
         known, records = _model(model, registry), _records(record)
         chosen = _plugin("observer", observer, registry)
         models = (known,) * len(records)
@@ -236,7 +236,7 @@ def identify(
     from spiral.inference.identifiability.identify import identify as step
 
     registry = _registry(choices.get("plugins"))
-    with _told(choices) as progress:
+    with _progress_context(choices) as progress:
         problem = _problem(record, system, choices)
         return step(problem, _plugin("derivative", derivative, registry), progress)
 
@@ -256,8 +256,8 @@ def plan(run: Run, *effects: str | Effect, plugins: Plugins = None, **wishes: An
     from spiral.inference.planned_tests import planned_tests, simulator
 
     registry = _registry(plugins)
-    with _told(wishes) as progress:
-        chosen, problem = plan_options(wishes), replace(_of(run), model=run.model)
+    with _progress_context(wishes) as progress:
+        chosen, problem = plan_options(wishes), replace(_problem_of_run(run), model=run.model)
         wanted = tuple(registry.effect_from_label(e) if isinstance(e, str) else e for e in effects)
         asked = Wanted(wanted, chosen.parameter or "", chosen.standard_error)
         tests = planned_tests(problem, chosen)
@@ -270,11 +270,11 @@ def plan(run: Run, *effects: str | Effect, plugins: Plugins = None, **wishes: An
 def report(run: Run, path: str | Path = "report.html") -> Path:
     """Write the report of a run as one HTML file: figures, tables, caveats; returns its path."""
     from spiral.io.writing import write_whole
-    from spiral.view.plot import curves_of, saved_form
+    from spiral.view.plot import run_curves, saved_form
     from spiral.view.report.page import page
 
     target = Path(path).expanduser()
-    html, _ = page(saved_form(run), curves_of(run))
+    html, _ = page(saved_form(run), run_curves(run))
     write_whole(target, html)
     return target
 
@@ -304,19 +304,22 @@ def _problem(record: Records, physics: Physics, choices: dict[str, Any]) -> Prob
     own = {k: choices.pop(k) for k in _MODEL if k in choices}
     asked = {k: choices.pop(k) for k in _ASKED if k in choices}
     levels = choices.pop("settings", {})
-    _no_more(choices, "a study", (*_MODEL, *_ASKED, "settings", "plugins", "progress"))
+    _reject_unknown_choices(
+        choices, "a study", (*_MODEL, *_ASKED, "settings", "plugins", "progress")
+    )
     settings = levels if isinstance(levels, Settings) else construct(Settings, levels, "settings")
     test = asked.pop("test", None)
     if "strategy" in asked:
         asked["strategy"] = _plugin("strategy", asked["strategy"], registry)
-    return question.put(
+    return question.pose_problem(
         registry, _model(physics, registry, **own), _records(record),
         None if test is None else _records(test), settings=settings, **asked,
     )  # fmt: skip
 
 
-def _no_more(choices: Mapping[str, Any], what: str, known: Sequence[str] = ("plugins", "progress")
-             ) -> None:  # fmt: skip
+def _reject_unknown_choices(
+    choices: Mapping[str, Any], what: str, known: Sequence[str] = ("plugins", "progress")
+) -> None:
     for name in choices:
         raise ConfigError(
             f"{name}= of {what}", f"one of {', '.join(known)}", did_you_mean(name, known)
@@ -356,7 +359,7 @@ def _model(
     free: Sequence[str] = (),
     fixed: Sequence[str] | Mapping[str, float] = (),
 ) -> Model:
-    """A model: a system's seed, or one that there is, with effects and values of the caller's."""
+    """The model to start from: a system's seed or a given model, with the caller's changes."""
     from spiral.inference.simulate import with_defaults
     from spiral.types.model import seed_model
 
@@ -378,7 +381,7 @@ def _model(
     return with_defaults(model)
 
 
-def _of(run: Run) -> Problem:
+def _problem_of_run(run: Run) -> Problem:
     """The ``Problem`` that a run answers.
 
     Raises
@@ -392,8 +395,8 @@ def _of(run: Run) -> Problem:
     return run.question
 
 
-def _told(choices: dict[str, Any]) -> AbstractContextManager[Progress]:
-    """Progress as the caller wants it: told to a function, drawn for a person, or silent."""
+def _progress_context(choices: dict[str, Any]) -> AbstractContextManager[Progress]:
+    """Progress messages as the caller wants them: to a function, on a line, or dropped."""
     from spiral.view.progress import progress_for
 
     return progress_for(choices.pop("progress", None))

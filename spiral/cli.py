@@ -1,7 +1,8 @@
 """The command line: ``spiral VERB [names] [KEY=VALUE ...] [--json FILE] [-m] [--plugins DIR]``.
 
-Exit codes: 0 done (also where nothing is missing, or nothing known explains what is); 2 bad input,
-told in one message; 3 an honest refusal. Heavy imports happen where a verb needs them.
+Exit codes: 0 done (also where nothing is missing, or no known effect explains what is); 2 bad
+input, reported in one message; 3 a refusal, where the data do not allow an answer. Heavy imports
+happen where a verb needs them.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from spiral.commands import memory
-from spiral.commands.perform import in_worker, perform
-from spiral.commands.telling import say_told, tell_mlflow
+from spiral.commands.perform import perform, perform_sweep_job
+from spiral.commands.telling import log_run_to_mlflow, print_tracking_outcome
 from spiral.io.registry import NO_FOLDER
 from spiral.io.request import BAD_INPUT, Request
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
@@ -65,7 +66,7 @@ record.FIELD=VALUE sets a field; with -m, KEY=a,b,c runs once for each value.
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose complaints are errors like all others."""
+    """An argument parser that raises ``ConfigError`` where its input is wrong."""
 
     def error(self, message: str) -> NoReturn:
         """Raise instead of printing a usage and exiting."""
@@ -77,56 +78,56 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     target = _json_target(given)
     try:
-        options = _parsed(given)
+        options = _parse_arguments(given)
         if options.verb is None:
             parser().print_help()
             return 0
-        _name_local_files(options)
+        _announce_local_plugins(options)
         if getattr(options, "help", False):
             return _verb_help(options)
         request = _request(options)
         if request.verb not in ("plugins", "new"):
-            memory.check_limit()
+            memory.check_memory_limit()
         if options.verb == "app":
-            return _app(request, options.port, not options.no_browser, options.token)
+            return _run_app(request, options.port, not options.no_browser, options.token)
         if options.multirun:
-            return _multirun(request, options.json)
-        return _single(request, options.json)
+            return _run_multirun(request, options.json)
+        return _run_single(request, options.json)
     except SpiralError as error:
-        return _told(error, target)
+        return _print_error(error, target)
     except MemoryError:
-        return _told(memory.exhausted(), target)
+        return _print_error(memory.out_of_memory_error(), target)
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return 130
     except BrokenPipeError:  # as in: spiral plugins | head -1
-        _nobody_reads()
+        _discard_stdout()
         return 0
 
 
 def entry() -> NoReturn:
-    """Run the program and end the process, without a last look for rubbish (1 to 2 s of it)."""
+    """Run the program and end the process without a final garbage collection (1 to 2 s)."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal may know fewer letters than we write
-    signal.signal(signal.SIGTERM, _terminated)
+            stream.reconfigure(errors="replace")  # its encoding may lack characters that we write
+    signal.signal(signal.SIGTERM, _exit_on_sigterm)
     code = main()
     try:
         sys.stdout.flush()
     except BrokenPipeError:
-        _nobody_reads()
+        _discard_stdout()
     gc.freeze()
     sys.exit(code)
 
 
-def _terminated(number: int, frame: object) -> NoReturn:
-    """End as by Ctrl-C: what is half done is taken away, workers are ended."""
+def _exit_on_sigterm(number: int, frame: object) -> NoReturn:
+    """Exit on SIGTERM as on Ctrl-C: unfinished files are removed, worker processes ended."""
     print("stopped", file=sys.stderr)
     raise SystemExit(128 + number)
 
 
-def _nobody_reads() -> None:
-    """Whoever read standard output has gone: what is left of it goes nowhere, in silence."""
+def _discard_stdout() -> None:
+    """Send the rest of standard output to the null device: its reader has closed the pipe."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -149,11 +150,11 @@ def parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
             add_help=name in _PLAIN,
         )
-        _options(verb, name)
+        _add_verb_options(verb, name)
     return top
 
 
-def _options(verb: argparse.ArgumentParser, name: str) -> None:
+def _add_verb_options(verb: argparse.ArgumentParser, name: str) -> None:
     """The options of one verb."""
     if name not in _PLAIN:
         verb.set_defaults(parser=verb)
@@ -188,7 +189,7 @@ def _options(verb: argparse.ArgumentParser, name: str) -> None:
         )
 
 
-def _parsed(given: list[str]) -> argparse.Namespace:
+def _parse_arguments(given: list[str]) -> argparse.Namespace:
     if given and not given[0].startswith("-") and given[0] not in VERBS:
         raise ConfigError(
             f"spiral {given[0]}", f"a verb: {', '.join(VERBS)}", did_you_mean(given[0], VERBS)
@@ -212,18 +213,18 @@ def _verb_help(options: argparse.Namespace) -> int:
     """The verb's own help with the options of each group, or what is in the groups named."""
     from spiral.view.terminal.grouphelp import groups_help
 
-    found = groups_help(options.plugins, options.words)
+    help_text = groups_help(options.plugins, options.words)
     if not options.words:
-        options.parser.epilog = f"{found}\n\n{_EPILOG}"
-        found = options.parser.format_help()
-    print(found.rstrip())
+        options.parser.epilog = f"{help_text}\n\n{_EPILOG}"
+        help_text = options.parser.format_help()
+    print(help_text.rstrip())
     return 0
 
 
-def _name_local_files(options: argparse.Namespace) -> None:
+def _announce_local_plugins(options: argparse.Namespace) -> None:
     """Say on standard error which local files this command runs as plugins, before it does.
 
-    Where the folder is not there, the verb says so itself: ``new`` makes it.
+    A folder that does not exist is reported by the verb itself (``spiral new`` creates it).
     """
     from spiral.io.registry import local_sources
 
@@ -236,7 +237,7 @@ def _name_local_files(options: argparse.Namespace) -> None:
 
 
 def _json_target(given: list[str]) -> str | None:
-    """Where JSON goes, known before anything can fail."""
+    """The file after ``--json``, read without the parser: errors of the parser go there too."""
     for index, word in enumerate(given):
         if word.startswith("--json="):
             return word.partition("=")[2]
@@ -259,19 +260,19 @@ def _request(options: argparse.Namespace) -> Request:
     )
 
 
-def _app(request: Request, port: str | None, browser: bool, token: str | None) -> int:
-    from spiral.app.serve import begin
+def _run_app(request: Request, port: str | None, browser: bool, token: str | None) -> int:
+    from spiral.app.serve import start_app
 
-    return begin(request.names, request.overrides, port, browser, request.plugins, token)
+    return start_app(request.names, request.overrides, port, browser, request.plugins, token)
 
 
-def _single(request: Request, target: str | None) -> int:
+def _run_single(request: Request, target: str | None) -> int:
     from spiral.view.terminal import parts
 
-    with parts.progress() as tell:
+    with parts.progress_line() as tell:
 
-        def on_round(found: Any) -> None:
-            parts.round_line(found, tell)
+        def on_round(finished_round: Any) -> None:
+            parts.announce_round(finished_round, tell)
 
         outcome = perform(request, tell, on_round)
     _write_json(outcome.result, target)
@@ -280,31 +281,31 @@ def _single(request: Request, target: str | None) -> int:
 
         screens = {v: s for s in (plugins, estimate, plan) for v in s.VERBS}
         screens.get(request.verb, study).show(request.verb, outcome)
-    say_told(tell_mlflow(outcome), target)
+    print_tracking_outcome(log_run_to_mlflow(outcome), target)
     return outcome.exit
 
 
-def _multirun(request: Request, target: str | None) -> int:
+def _run_multirun(request: Request, target: str | None) -> int:
     from spiral.io.registry import load_registry
-    from spiral.io.sweeps.jobs import planned
+    from spiral.io.sweeps.jobs import plan_sweep
     from spiral.io.sweeps.sweep import run_sweep
     from spiral.io.sweeps.tracker import SweepTracker
-    from spiral.io.tracking.store import tracking_of
-    from spiral.view.report.page import report_of
+    from spiral.io.tracking.store import tracking_options
+    from spiral.view.report.page import report_html
     from spiral.view.terminal import sweep as screen
 
     registry = load_registry(request.plugins)
-    plan = planned(request.verb, request.names, request.overrides, request.plugins, registry)
-    with screen.progress() as (tell, watch):
-        tracker = SweepTracker(tracking_of(plan.config), plan.out, tell, report_of, registry)
-        sweep = run_sweep(in_worker, plan, tell, watch, tracker.on_row)
+    plan = plan_sweep(request.verb, request.names, request.overrides, request.plugins, registry)
+    with screen.sweep_progress_bar() as (tell, watch):
+        tracker = SweepTracker(tracking_options(plan.config), plan.out, tell, report_html, registry)
+        sweep = run_sweep(perform_sweep_job, plan, tell, watch, tracker.on_row)
         tracked = tracker.finish()
     _write_json(sweep.as_dict(), target)
     if target != "-":
         screen.show(sweep)
     elif sweep.error:
         print("\n".join(f"{k + ':':<10}{v}" for k, v in sweep.error.items()), file=sys.stderr)
-    say_told(tracked, target)
+    print_tracking_outcome(tracked, target)
     return sweep.exit
 
 
@@ -317,7 +318,7 @@ def _write_json(result: dict[str, Any], target: str | None) -> None:
 
     text = to_json(result) + "\n"
     if target == "-":
-        sys.stdout.write(_for(sys.stdout.encoding, text))
+        sys.stdout.write(_encodable_json(sys.stdout.encoding, text))
         sys.stdout.flush()
         return
     try:
@@ -328,8 +329,8 @@ def _write_json(result: dict[str, Any], target: str | None) -> None:
         ) from error
 
 
-def _for(encoding: str | None, text: str) -> str:
-    """JSON in letters that an encoding has."""
+def _encodable_json(encoding: str | None, text: str) -> str:
+    """The JSON text, with characters escaped that the encoding cannot represent."""
     import json
 
     try:
@@ -339,8 +340,8 @@ def _for(encoding: str | None, text: str) -> str:
     return text
 
 
-def _told(error: SpiralError, target: str | None) -> int:
-    """One message on standard error, the same in JSON where it is asked for."""
+def _print_error(error: SpiralError, target: str | None) -> int:
+    """Print an error on standard error, and write it as JSON where asked for; exit code 2."""
     print(f"spiral: bad input\n{error}", file=sys.stderr)
     if target is not None:
         try:

@@ -39,7 +39,7 @@ FORMER = {
 
 
 CALLED = {"spiral.types.system": "spiral.io.own_model"}
-"""Present modules whose former name is a function's of ``spiral`` now, and where that one is."""
+"""Modules whose former name is now also that of a function -> the module of that function."""
 
 
 def present(name: str) -> str | None:
@@ -52,7 +52,7 @@ def present(name: str) -> str | None:
 
 
 class _Called(ModuleType):
-    """A module under a name that is a function's as well; importing it would hide the function."""
+    """A callable module: imported by its former name it hides the function of that name."""
 
     def __call__(self, *given: Any, **named: Any) -> Any:
         """The function of ``spiral`` with the module's former name."""
@@ -86,10 +86,10 @@ class FormerNames(MetaPathFinder):
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """A spec where the name is a former one."""
-        found = present(fullname)
-        if found is None or importlib.util.find_spec(found) is None:
+        present_name = present(fullname)
+        if present_name is None or importlib.util.find_spec(present_name) is None:
             return None
-        return ModuleSpec(fullname, _Loader(found))
+        return ModuleSpec(fullname, _Loader(present_name))
 
 
 def accept() -> None:

@@ -21,7 +21,7 @@ def _is_quantity(value: Any) -> bool:
     return hasattr(value, "dimensionality")
 
 
-def _elementary(name: str) -> Any:
+def _elementary_function(name: str) -> Any:
     def function(value: Any) -> Any:
         if _is_symbolic(value):
             return getattr(sys.modules["sympy"], name)(value)
@@ -34,11 +34,11 @@ def _elementary(name: str) -> Any:
     return function
 
 
-sin = _elementary("sin")
-cos = _elementary("cos")
-tanh = _elementary("tanh")
-exp = _elementary("exp")
-log = _elementary("log")
+sin = _elementary_function("sin")
+cos = _elementary_function("cos")
+tanh = _elementary_function("tanh")
+exp = _elementary_function("exp")
+log = _elementary_function("log")
 
 
 def sqrt(value: Any) -> Any:
@@ -59,7 +59,7 @@ def ramp(value: Any, width: Any) -> Any:
     0 for x <= -w, (x + w)^2 / (4 w) for |x| < w, x for x >= w; continuous with its slope, off by
     w/4 at most (at x = 0). ``width`` 0 is the sharp corner; both of one unit.
     """
-    inside = (value + width) * (value + width) / (4 * width) if _nonzero(width) else 0 * value
+    inside = (value + width) * (value + width) / (4 * width) if _is_nonzero(width) else 0 * value
     return where(value >= width, value, where(value <= -width, 0 * value, inside))
 
 
@@ -68,7 +68,7 @@ def _is_traced(value: Any) -> bool:
     return hasattr(value, "expression")
 
 
-def _nonzero(width: Any) -> bool:
+def _is_nonzero(width: Any) -> bool:
     return _is_symbolic(width) or _is_traced(width) or bool(getattr(width, "magnitude", width) != 0)
 
 

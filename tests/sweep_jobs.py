@@ -5,7 +5,7 @@ import signal
 import time
 from pathlib import Path
 
-from spiral.io.sweeps.jobs import planned
+from spiral.io.sweeps.jobs import plan_sweep
 
 RECORD = (
     "system=oscillator", "record=simulation", "record.duration=1", "record.rate=500",
@@ -15,7 +15,7 @@ RECORD = (
 
 
 def plan_of(registry, *words, verb="compare"):
-    return planned(verb, (), ["holdout=0.2,0.3,0.4,0.5", *words], None, registry)
+    return plan_sweep(verb, (), ["holdout=0.2,0.3,0.4,0.5", *words], None, registry)
 
 
 def value_of(overrides, key="holdout"):

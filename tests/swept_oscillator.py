@@ -3,7 +3,7 @@
 import numpy as np
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.engine.filter.setup import prepared
+from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import prepare_task
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
@@ -23,7 +23,7 @@ def record_of(seed, samples=1500, noise=0.05, effects=(), values=None):
 
 def task_of(record, effects=(), values=None, substeps=4):
     model = seed_model(Oscillator(), effects, values={**TRUTH, **(values or {})})
-    return prepared(prepare_task(model, record, substeps=substeps, every=True), ())
+    return prepare_filter(prepare_task(model, record, substeps=substeps, every=True), ())
 
 
 def states_alone(task, settings):
@@ -41,7 +41,7 @@ def states_alone(task, settings):
 
 
 def shaken(seed, level):
-    from spiral.engine.filter.stochastic import disturbed
+    from spiral.engine.filter.stochastic import simulate_disturbed
 
     task, _ = task_of(record_of(seed, samples=1500, noise=0.0))
-    return disturbed(task, {"observed": level}, 0.02, np.random.default_rng(seed))
+    return simulate_disturbed(task, {"observed": level}, 0.02, np.random.default_rng(seed))

@@ -11,8 +11,8 @@ from playwright.sync_api import sync_playwright
 from spiral.cli import main
 from spiral.io.curves import read_curves
 from spiral.io.storage import load_run
-from spiral.view.report.page import figures, single
-from spiral.view.report.pictures import browser, picture
+from spiral.view.report.page import figures, single_figure_page
+from spiral.view.report.pictures import find_browser, write_png
 
 SHOWN = ("error_falling", "where", "surface")
 
@@ -26,7 +26,9 @@ def draw(target: Path) -> None:
         for shown in figures(saved.data, read_curves(saved.file.parent)):
             if shown.name in SHOWN:
                 height = int(shown.figure.layout.height) + 4
-                print(picture(single(shown), target / f"{shown.name}.png", 1060, height))
+                print(
+                    write_png(single_figure_page(shown), target / f"{shown.name}.png", 1060, height)
+                )
 
 
 def photograph(target: Path) -> None:
@@ -35,7 +37,7 @@ def photograph(target: Path) -> None:
         command = [sys.executable, "-m", "spiral", "app", "--port", "0", "--no-browser"]
         program = subprocess.Popen([*command, f"out={out}"], stdout=subprocess.PIPE, text=True)
         assert program.stdout is not None
-        window = p.chromium.launch(executable_path=browser(), args=["--no-sandbox"])
+        window = p.chromium.launch(executable_path=find_browser(), args=["--no-sandbox"])
         page = window.new_page(viewport={"width": 1280, "height": 940})
         page.set_default_timeout(90_000)
         page.goto(program.stdout.readline().split()[2])

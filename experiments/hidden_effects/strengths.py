@@ -15,10 +15,10 @@ import numpy as np
 from experiments.hidden_effects.cases import ROTOR, SWING, Case, Scene, record_of, truth_of
 from spiral.engine.growth import layouts_for
 from spiral.engine.study import Point
-from spiral.inference.evidence.assembly import assemble, first_row
-from spiral.inference.evidence.comparison import refined
+from spiral.inference.evidence.assembly import assemble, initial_values
+from spiral.inference.evidence.comparison import refine_substeps
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scales import extremes, scale
+from spiral.inference.evidence.scales import largest_port_motion, shape_scale
 from spiral.inference.identifiability.information import View
 from spiral.inference.problem import Problem
 from spiral.io.registry import Registry
@@ -143,12 +143,12 @@ def _shapes(effect: Effect, system: System, base: Record) -> dict[str, float]:
     A hidden frequency lies a third above the one that halves the energy of the motion.
     """
     states = np.column_stack([base.truth[s.name] for s in system.states])
-    largest, place = extremes(system, (base,), (states,)), system.place(effect)
+    largest, place = largest_port_motion(system, (base,), (states,)), system.place(effect)
     found = {}
     for key, p in effect.keys(place):
         if p.role == "shape":
             middle = 0 if any(a.upper for a in effect.amplitudes()) else len(p.grid) // 2
-            value = (p.grid[middle] if p.grid else 1.0) * scale(p, largest, place)
+            value = (p.grid[middle] if p.grid else 1.0) * shape_scale(p, largest, place)
             if p.spectrum:
                 hertz = 4 / 3 * _median_frequency(base)
                 value = 1 / (2 * np.pi * hertz) if p.unit == "s" else hertz
@@ -222,12 +222,12 @@ def _change(case: Case, system: System, registry: Registry) -> float:
     effect = registry.effect_from_label(case.effect)
     model = replace(truth, values={**truth.values, **_origin(truth)})
     assembly = assemble(Problem(model, (record,), ()))
-    assembly = refined(assembly, FitState(model.labels, first_row(assembly)))
+    assembly = refine_substeps(assembly, FitState(model.labels, initial_values(assembly)))
     starts = np.array([[record.truth[s][0] if s in record.truth else 0.0
                         for s in assembly.study.compiled.traced.states]])  # fmt: skip
     layouts = layouts_for(assembly.study, record.samples, (None,))
-    view = View.of(assembly, layouts, Point(first_row(assembly), (starts,)))
-    return view.alone(effect.label)
+    view = View.of(assembly, layouts, Point(initial_values(assembly), (starts,)))
+    return view.noncentrality_alone(effect.label)
 
 
 def _origin(truth) -> dict[str, float]:

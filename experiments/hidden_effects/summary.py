@@ -160,9 +160,12 @@ def conclude(rows: list[Row], folder: Path, seconds: float, tracked: bool) -> di
 
 def _tell(found: dict[str, Any], folder: Path) -> None:
     """One run of MLflow: the rates as metrics, rows, tables and heat maps as artifacts."""
-    from spiral.io.tracking.store import Tracking, in_force, opened
+    from spiral.io.tracking.store import Tracking, open_store, use_store
 
-    with opened(Tracking(experiment="hidden_effects"), folder.parent) as store, in_force(store):
+    with (
+        open_store(Tracking(experiment="hidden_effects"), folder.parent) as store,
+        use_store(store),
+    ):
         number = store.client.create_run(store.experiment, run_name=folder.name).info.run_id
         store.client.log_param(number, "studies", found["studies"])
         for name, value in _metrics(found):

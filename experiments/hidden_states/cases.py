@@ -13,9 +13,9 @@ from spiral_plugins.sources.simulation import Simulation
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
 from spiral.engine.filter.observer import Observer
-from spiral.engine.filter.stochastic import disturbed
+from spiral.engine.filter.stochastic import simulate_disturbed
 from spiral.engine.filter.task import Task, prepare_task, with_record
-from spiral.inference.reconstruction.uncertain import declared
+from spiral.inference.reconstruction.uncertain import declared_prior
 from spiral.inference.simulate import with_defaults
 from spiral.types.model import seed_model
 from spiral.types.record import Record
@@ -129,7 +129,7 @@ def task(case: Case, seed: int) -> Task:
     base = _base("soft" if case.kind == "soft" else "coastdown")
     rng = np.random.default_rng([seed, 77])
     if case.kind == "disturbed":
-        series = disturbed(base, HONEST, case.noise, rng)
+        series = simulate_disturbed(base, HONEST, case.noise, rng)
     else:
         series = record(case, seed)
     wrong = {"system.phase_origin": PHASE + case.phase_error}
@@ -140,7 +140,9 @@ def task(case: Case, seed: int) -> Task:
     given = with_record(base.with_values(wrong), series)
     truth = np.array([values[0] for values in series.truth.values()])
     if case.declared:
-        given = replace(given, prior=declared(given.model, given, {"bearing.*": case.declared}))
+        given = replace(
+            given, prior=declared_prior(given.model, given, {"bearing.*": case.declared})
+        )
     return replace(given, start=truth + rng.normal(size=len(truth)) * given.spread)
 
 

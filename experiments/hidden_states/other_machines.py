@@ -20,8 +20,8 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 from experiments.zoo.systems.four_masses import FourMasses
 from spiral.engine.filter.task import prepare_task
-from spiral.inference.reconstruction.estimate import estimation, reconstructed
-from spiral.inference.reconstruction.uncertain import declared
+from spiral.inference.reconstruction.estimate import combine_reconstructions, reconstruct_record
+from spiral.inference.reconstruction.uncertain import declared_prior
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
 from spiral.types.record import Array
@@ -87,8 +87,10 @@ def outcome(machine: Drawn, seed: int, doubt: float) -> dict[str, tuple[float, f
     first = np.array([record.truth[s][0] for s in task.states])
     task = replace(task, start=first + START * task.spread * rng.normal(size=len(first)))
     if doubt:
-        task = replace(task, prior=declared(model, task, dict.fromkeys(machine.nominal, doubt)))
-    states = estimation("rts", [reconstructed(task, Rts(spread=START))]).states
+        task = replace(
+            task, prior=declared_prior(model, task, dict.fromkeys(machine.nominal, doubt))
+        )
+    states = combine_reconstructions("rts", [reconstruct_record(task, Rts(spread=START))]).states
     return {s: (states[s].relative or 0.0, states[s].coverage_95 or 0.0) for s in machine.hidden}
 
 

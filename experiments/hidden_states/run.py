@@ -15,7 +15,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from experiments.hidden_states.cases import CASES, Case, observer, task
-from spiral.inference.reconstruction.estimate import estimation, reconstructed
+from spiral.inference.reconstruction.estimate import combine_reconstructions, reconstruct_record
 
 STATES = ("alpha", "beta")
 
@@ -29,14 +29,14 @@ def outcome(case: Case, seed: int) -> list[dict[str, Any]]:
         chosen = observer(case, name)
         if levels is not None:
             chosen = replace(chosen, process_noise=levels)
-        part = reconstructed(given, chosen)
-        levels = part.found.levels or None
+        part = reconstruct_record(given, chosen)
+        levels = part.reconstruction.levels or None
         rows.append(_row(case, seed, name, part, time.perf_counter() - clock))
     return rows
 
 
 def _row(case: Case, seed: int, name: str, part: Any, seconds: float) -> dict[str, Any]:
-    scored = estimation(name, [part])
+    scored = combine_reconstructions(name, [part])
     states = {k: v.as_dict() for k, v in scored.states.items()}
     seen = part.consistency
     return {
@@ -49,7 +49,7 @@ def _row(case: Case, seed: int, name: str, part: Any, seconds: float) -> dict[st
         "nis_bands_outside": sum(not b.nis.inside for b in seen.bands) if seen else None,
         "whiteness_p": seen.whiteness_p if seen else None,
         "prediction": dict(seen.prediction) if seen else None,
-        "levels": dict(part.found.levels),
+        "levels": dict(part.reconstruction.levels),
         "seconds": seconds,
         **{k: {s: states[s][k] for s in states} for k in
            ("relative", "correlation", "coverage_95", "reached_2_percent_s")},

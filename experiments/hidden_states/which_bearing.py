@@ -36,7 +36,7 @@ def outcome(seed: int, null: bool) -> dict[str, Any]:
     problem = build_problem(config, registry)
     strategy = strategy_for(problem)
     begun = strategy.begin(problem, silent)
-    step = strategy.propose(begun.assembly, begun.standing, begun.comparison, 1, silent)
+    step = strategy.propose(begun.assembly, begun.fit_state, begun.comparison, 1, silent)
     found: dict[str, Any] = {
         "seed": seed,
         "null": null,

@@ -24,7 +24,7 @@ from experiments.peers.cases import HIDDEN, Answer, Case, scored
 from experiments.peers.delays import METHODS as DELAYS
 from experiments.peers.delays import in_delays
 from experiments.peers.regressions import METHODS, regressed
-from spiral.commands.perform import in_worker
+from spiral.commands.perform import perform_sweep_job
 from spiral.inference.compare import compare
 from spiral.inference.problem import Problem
 from spiral.io.registry import load_registry
@@ -50,7 +50,7 @@ def _discovered(strategy: str, case: Case, more: Sequence[str]) -> Answer:
     clock = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         given = (*case.overrides, f"strategy={strategy}", f"out={folder}", *more)
-        _, result = in_worker("discover", (), given, None)
+        _, result = perform_sweep_job("discover", (), given, None)
     seconds = time.perf_counter() - clock
     if "model" not in result:
         raise RuntimeError(f"strategy={strategy}: {result.get('error')}")

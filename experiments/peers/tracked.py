@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from experiments.peers.cases import HIDDEN
-from spiral.io.tracking.store import Store, Tracking, opened
+from spiral.io.tracking.store import Store, Tracking, open_store
 from spiral.io.writing import to_json, write_whole
 
 Row = dict[str, Any]
@@ -39,7 +39,7 @@ def keep(out: Path, rows: list[Row]) -> None:
 
 def tell(out: Path, rows: Iterable[Row]) -> None:
     """Log the rows that MLflow does not know yet, and the medians of their case."""
-    with opened(Tracking(experiment="peers"), out) as store:
+    with open_store(Tracking(experiment="peers"), out) as store:
         groups: dict[str, list[Row]] = {}
         for row in rows:
             case = f"{row['case']}, noise {row['noise']:g}, {row['duration']:g} s"

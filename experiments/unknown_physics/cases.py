@@ -12,7 +12,7 @@ from spiral_plugins.strategies.shooting import Shooting
 
 from experiments.hidden_effects.cases import ROTOR
 from spiral.inference.problem import Problem, Settings
-from spiral.inference.unknown.forcecurve import beside
+from spiral.inference.unknown.forcecurve import residual_projection
 from spiral.io.registry import Registry
 from spiral.math import length, sin, sqrt, tanh
 from spiral.types.effect import Effect, FlowEffect, ForceEffect
@@ -242,7 +242,7 @@ def coverage(case: Case, unknown: Mapping[str, Any]) -> Coverage:
         at, force, se, band, visited = (
             np.array(curve[k]) for k in ("at", "force", "se", "band", "visited")
         )
-        left = beside(np.column_stack([case.taken(at)]), visited)
+        left = residual_projection(np.column_stack([case.taken(at)]), visited)
         off = np.abs(force - left @ case.truth(at, curve["speed"]))
         found.append([float(visited[off <= width].sum()) for width in (band, 1.96 * se)])
     return Coverage(*(float(v) for v in np.min(found, axis=0)))

@@ -125,9 +125,12 @@ def rows_of(names: list[str], seeds: int, file: Path, workers: int) -> list[Row]
 
 def tell(rows: list[Row], folder: Path) -> None:
     """One run of MLflow: the figures of each case as metrics, rows and table as artifacts."""
-    from spiral.io.tracking.store import Tracking, in_force, opened
+    from spiral.io.tracking.store import Tracking, open_store, use_store
 
-    with opened(Tracking(experiment="unknown_physics"), folder.parent) as store, in_force(store):
+    with (
+        open_store(Tracking(experiment="unknown_physics"), folder.parent) as store,
+        use_store(store),
+    ):
         number = store.client.create_run(store.experiment, run_name=folder.name).info.run_id
         store.client.log_param(number, "studies", len(rows))
         for group in summary(rows):

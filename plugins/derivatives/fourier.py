@@ -31,7 +31,7 @@ class Fourier(Derivative):
                 "the known frequency of the motion in Hz",
                 "derivative.frequency=5.0, or derivative=multi_harmonic where speed is an input",
             )
-        return _series(y, dt, 2 * np.pi * self.frequency, self.harmonics)
+        return _fit_series(y, dt, 2 * np.pi * self.frequency, self.harmonics)
 
 
 class MultiHarmonic(Derivative):
@@ -65,10 +65,10 @@ class MultiHarmonic(Derivative):
                 f"a steady one: the angle within {self.drift:g} rad of a constant speed's",
                 "derivative=total_variation or derivative=kalman_smoother",
             )
-        return _series(y, dt, abs(steady), self.harmonics)
+        return _fit_series(y, dt, abs(steady), self.harmonics)
 
 
-def _series(y: Array, dt: float, omega: float, harmonics: int) -> Derivatives:
+def _fit_series(y: Array, dt: float, omega: float, harmonics: int) -> Derivatives:
     """The least-squares series of angular frequency ``omega`` in rad/s."""
     in_range("derivative.harmonics", harmonics, 1)
     at_least(y, 2 * harmonics + 2, "a series", "fewer derivative.harmonics")

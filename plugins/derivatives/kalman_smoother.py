@@ -33,22 +33,22 @@ class KalmanSmoother(Derivative):
         """The smoothed states; (N, C) each."""
         in_range("derivative.order", self.order, 3, 6)
         at_least(y, 4 * self.order, "kalman_smoother")
-        states = np.stack([self._channel(column) for column in y.T], axis=2)
+        states = np.stack([self._smooth_channel(column) for column in y.T], axis=2)
         return Derivatives(*(states[k] / dt**k for k in range(3)), edge=20)
 
-    def _channel(self, column: Array) -> Array:
+    def _smooth_channel(self, column: Array) -> Array:
         """(order, N) smoothed states of one channel, time in samples."""
         scale = float(np.std(column)) or 1.0
-        filter_ = _filter((column - column[0]) / scale, self.order)
+        filter_ = _state_space_model((column - column[0]) / scale, self.order)
         noise = filter_["state_cov"].copy()
-        decade = _likeliest(filter_, noise) if self.ratio is None else np.log10(self.ratio)
+        decade = _most_likely_decade(filter_, noise) if self.ratio is None else np.log10(self.ratio)
         filter_["state_cov"] = 10.0**decade * noise
         states = scale * np.array(filter_.smooth().smoothed_state)
         states[0] += column[0]
         return states
 
 
-def _filter(y: Array, order: int) -> Any:
+def _state_space_model(y: Array, order: int) -> Any:
     """The state-space model of y (N,) with q = r = 1 and unit steps."""
     from statsmodels.tsa.statespace.kalman_smoother import KalmanSmoother as Smoother
 
@@ -70,17 +70,20 @@ def _filter(y: Array, order: int) -> Any:
     return model
 
 
-def _likeliest(model: Any, noise: Array) -> float:
+def _most_likely_decade(model: Any, noise: Array) -> float:
     """log10 of the most likely q / r."""
     from scipy.optimize import minimize_scalar
 
-    def surprise(decade: float) -> float:
+    def negative_log_likelihood(decade: float) -> float:
         model["state_cov"] = 10.0**decade * noise
         return -float(model.loglike())
 
     grid = np.arange(*_DECADES, 2.0)
-    best = float(grid[int(np.argmin([surprise(d) for d in grid]))])
-    found = minimize_scalar(
-        surprise, bounds=(best - 2.0, best + 2.0), method="bounded", options={"xatol": 0.02}
+    best = float(grid[int(np.argmin([negative_log_likelihood(d) for d in grid]))])
+    optimum = minimize_scalar(
+        negative_log_likelihood,
+        bounds=(best - 2.0, best + 2.0),
+        method="bounded",
+        options={"xatol": 0.02},
     )
-    return float(found.x)
+    return float(optimum.x)

@@ -39,13 +39,13 @@ class Pynumdiff(Derivative):
     def estimate(self, y: Array, dt: float, speed: Array | None = None) -> Derivatives:
         """y, y', y'' of each channel; (N, C) each."""
         at_least(y, 32, "pynumdiff")
-        method = _method(self.method)
+        method = _pynumdiff_function(self.method)
         options = dict(_USUAL.get(self.method, {}) if self.options is None else self.options)
-        parts = [self._channel(method, column, dt, options) for column in y.T]
+        parts = [self._differentiate_channel(method, column, dt, options) for column in y.T]
         position, velocity, acceleration = (np.column_stack(p) for p in zip(*parts, strict=True))
         return Derivatives(position, velocity, acceleration, edge=len(y) // 20)
 
-    def _channel(
+    def _differentiate_channel(
         self, method: Callable[..., Any], column: Array, dt: float, options: Mapping[str, Any]
     ) -> tuple[Array, Array, Array]:
         try:
@@ -63,7 +63,7 @@ class Pynumdiff(Derivative):
             raise InputError(f"pynumdiff.{self.method}: {error}", "samples it can use") from error
 
 
-def _method(name: str) -> Callable[..., Any]:
+def _pynumdiff_function(name: str) -> Callable[..., Any]:
     """A function of pynumdiff, imported when first needed."""
     import warnings
 

@@ -34,8 +34,8 @@ class SavitzkyGolay(Derivative):
                 f"derivative.window={max(self.window, self.order) // 2 * 2 + 1}",
             )
         at_least(y, self.window, "savitzky_golay", f"derivative.window below {self.window}")
-        found = [
+        parts = [
             savgol_filter(y, self.window, self.order, deriv=k, delta=dt, axis=0, mode="interp")
             for k in range(3)
         ]
-        return Derivatives(*found, edge=self.window // 2)
+        return Derivatives(*parts, edge=self.window // 2)

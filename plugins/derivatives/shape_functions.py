@@ -28,10 +28,10 @@ class ShapeFunctions(Derivative):
 
     def estimate(self, y: Array, dt: float, speed: Array | None = None) -> Derivatives:
         """q, q', q''; (N, coordinates) each."""
-        coordinates = y @ np.linalg.pinv(self._matrix(y.shape[1])).T
+        coordinates = y @ np.linalg.pinv(self._shape_matrix(y.shape[1])).T
         return differentiate(self.inner, coordinates, dt, speed)
 
-    def _matrix(self, channels: int) -> Array:
+    def _shape_matrix(self, channels: int) -> Array:
         """S, checked: a row for each channel and as many independent columns as it has."""
         widths = {len(row) for row in self.shapes}
         if len(widths) != 1 or widths == {0}:

@@ -48,24 +48,26 @@ class TotalVariation(Derivative):
         in_range("derivative.folds", self.folds, 2)
         in_range("derivative.passes", self.passes, 1)
         at_least(y, 8 * self.folds, "total_variation")
-        smooth = np.column_stack([self._channel(column) for column in y.T])
+        smooth = np.column_stack([self._regularise_channel(column) for column in y.T])
         parts = [
             savgol_filter(smooth, 5, 4, deriv=k, delta=dt, axis=0, mode="interp") for k in (1, 2)
         ]
         return Derivatives(smooth, *parts, edge=20)
 
-    def _channel(self, column: Array) -> Array:
+    def _regularise_channel(self, column: Array) -> Array:
         scale = float(np.std(column))
         if scale == 0:
             return column.copy()
         y = (column - column.mean()) / scale
-        penalty = self.penalty if self.penalty is not None else cross_validated(y, self)
+        penalty = self.penalty if self.penalty is not None else cross_validated_penalty(y, self)
         in_range("derivative.penalty", penalty, 0)
-        u = minimised(y, np.ones_like(y), penalty, _DEGREE[self.variation], self.passes)
+        u = minimise_total_variation(
+            y, np.ones_like(y), penalty, _DEGREE[self.variation], self.passes
+        )
         return column.mean() + scale * u
 
 
-def cross_validated(y: Array, settings: TotalVariation) -> float:
+def cross_validated_penalty(y: Array, settings: TotalVariation) -> float:
     """The penalty that predicts held-out samples of y (N,) best.
 
     Every ``folds``-th sample is held out in turn; the best decade is refined by golden section.
@@ -82,19 +84,19 @@ def cross_validated(y: Array, settings: TotalVariation) -> float:
             held = slice(fold, None, folds)
             weight = np.ones_like(y)
             weight[held] = _HELD * min(1.0, 10.0**decade)
-            u = minimised(y, weight, 10.0**decade, degree, _SEARCH, _CLOSE)
+            u = minimise_total_variation(y, weight, 10.0**decade, degree, _SEARCH, _CLOSE)
             total += float(np.sum((u[held] - y[held]) ** 2))
         return total
 
     errors = [error(d) for d in _DECADES]
     best = float(_DECADES[int(np.argmin(errors))])
-    found = minimize_scalar(
+    optimum = minimize_scalar(
         error, bounds=(best - 1.0, best + 1.0), method="bounded", options={"xatol": 0.1}
     )
-    return 10.0 ** float(found.x if found.fun < min(errors) else best)
+    return 10.0 ** float(optimum.x if optimum.fun < min(errors) else best)
 
 
-def minimised(
+def minimise_total_variation(
     y: Array,
     weight: Array,
     penalty: float,
@@ -113,28 +115,28 @@ def minimised(
         return y.copy()
     stencil = np.array([(-1.0) ** (degree - i) * comb(degree, i) for i in range(degree + 1)])
     spread = 1.0 / weight
-    gram, bent = 0.5 * _gram(stencil, spread), np.convolve(y, stencil[::-1], "valid")
+    gram, bent = 0.5 * _banded_gram(stencil, spread), np.convolve(y, stencil[::-1], "valid")
     u: Array | None = None
     for _ in range(passes):
         matrix = gram.copy()
-        matrix[degree] += _rounded(y if u is None else u, stencil) / penalty
+        matrix[degree] += _rounded_magnitude(y if u is None else u, stencil) / penalty
         z = solve_banded((degree, degree), matrix, bent, overwrite_ab=True, check_finite=False)
-        found = y - 0.5 * spread * np.convolve(z, stencil)
-        if u is not None and np.linalg.norm(found - u) <= close * np.linalg.norm(found):
-            return found
-        u = found
+        next_u = y - 0.5 * spread * np.convolve(z, stencil)
+        if u is not None and np.linalg.norm(next_u - u) <= close * np.linalg.norm(next_u):
+            return next_u
+        u = next_u
     assert u is not None
     return u
 
 
-def _rounded(u: Array, stencil: Array) -> Array:
+def _rounded_magnitude(u: Array, stencil: Array) -> Array:
     """sqrt(d^2 + e^2) of the differences d of u."""
     d = np.convolve(u, stencil[::-1], "valid")
     small = _SMOOTH * float(np.mean(np.abs(d))) + np.finfo(float).tiny
     return np.sqrt(d * d + small * small)
 
 
-def _gram(stencil: Array, spread: Array) -> Array:
+def _banded_gram(stencil: Array, spread: Array) -> Array:
     """D diag(spread) D^T in banded form, (2 degree + 1, N - degree)."""
     degree = len(stencil) - 1
     rows = len(spread) - degree

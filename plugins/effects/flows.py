@@ -41,11 +41,11 @@ class Outlets(FlowEffect):
 
     def flow(self, x, u, p):
         """What leaves the upper tank enters the lower one."""
-        down = p.upper * _root(x.upper, p.width)
-        return {"upper": -down, "lower": down - p.lower * _root(x.lower, p.width)}
+        down = p.upper * _rounded_root(x.upper, p.width)
+        return {"upper": -down, "lower": down - p.lower * _rounded_root(x.lower, p.width)}
 
 
-def _root(level, width):
+def _rounded_root(level, width):
     return level / sqrt(sqrt(level * level + width * width))
 
 

@@ -6,8 +6,13 @@ an effect is there: 1 where the actuator is as the equation says.
 
 from __future__ import annotations
 
-from spiral_plugins.effects.restoring import WIDTH, beyond
-from spiral_plugins.effects.sensors import SCALE, bent, earlier, half_a_sample
+from spiral_plugins.effects.restoring import WIDTH, excess_over_gap
+from spiral_plugins.effects.sensors import (
+    SCALE,
+    delay_curvature,
+    delay_difference,
+    half_sample_remark,
+)
 
 from spiral.math import tanh
 from spiral.types.effect import InputEffect
@@ -49,7 +54,7 @@ class InputDeadZone(InputEffect):
     def drive(self, at, u, p):
         """u - s clip(u, -g, g)."""
         (given,) = at.position
-        return given - p.share * (given - beyond(given, p.gap, p.width))
+        return given - p.share * (given - excess_over_gap(given, p.gap, p.width))
 
 
 class InputSaturation(InputEffect):
@@ -67,7 +72,7 @@ class InputSaturation(InputEffect):
     def drive(self, at, u, p):
         """u - s sign(u) (|u| - l)_+."""
         (given,) = at.position
-        return given - p.share * beyond(given, p.limit, p.width)
+        return given - p.share * excess_over_gap(given, p.limit, p.width)
 
 
 class ActuatorLag(InputEffect):
@@ -98,9 +103,9 @@ class ActuatorLag(InputEffect):
         return {"followed": (given - at.own.followed) / p.time_constant}
 
     def remark(self, values, step):
-        """Half a sample has a usual cause; twice the share is a delay."""
+        """Remarks on a lag of half a sample, and on a share near 2, which stands for a delay."""
         late = values["share"] * values["time_constant"]
-        usual = half_a_sample(late, step)
+        usual = half_sample_remark(late, step)
         if usual or abs(values["share"] - 2) >= _NEAR_TWO:
             return usual
         return f"a share near 2 is a delay, of {late:.2g} s: input_delay"
@@ -153,15 +158,15 @@ class InputDelay(InputEffect):
     def drive(self, at, u, p):
         """u - r b + (r^2 - r) c / 2, r = T / z."""
         (given,) = at.position
-        return given - earlier(given, at.own.level, at.own.slope, p.time / p.scale)
+        return given - delay_difference(given, at.own.level, at.own.slope, p.time / p.scale)
 
     def rate(self, at, u, p):
         """b / z and c / z."""
         return {
             "level": at.own.slope / p.scale,
-            "slope": bent(at.position[0], at.own.level, at.own.slope) / p.scale,
+            "slope": delay_curvature(at.position[0], at.own.level, at.own.slope) / p.scale,
         }
 
     def remark(self, values, step):
-        """Half a sample has a usual cause."""
-        return half_a_sample(values["time"], step)
+        """The remark on a delay of half a sample; empty for any other."""
+        return half_sample_remark(values["time"], step)

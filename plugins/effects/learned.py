@@ -14,13 +14,13 @@ from spiral.physics.learned import (
 from spiral.types.parameter import Parameter
 
 
-def _curves(states, span, p):
+def _curve_per_axis(states, span, p):
     """B(s_i / S) of every axis."""
     values = [getattr(p, f"c{k}") for k in range(COUNT)]
     return [curve(s / span, [c[i] for c in values]) for i, s in enumerate(states)]
 
 
-def _one(z, p):
+def _shared_curve(z, p):
     """B(z) of a curve that all axes share."""
     return curve(z, [getattr(p, f"c{k}") for k in range(COUNT)])
 
@@ -33,7 +33,7 @@ class LearnedSpring(LearnedForce):
 
     def force(self, at, u, p):
         """B_i(q_i / S) per axis."""
-        return _curves(at.position, p.span, p)
+        return _curve_per_axis(at.position, p.span, p)
 
 
 class LearnedFriction(LearnedForce):
@@ -44,7 +44,7 @@ class LearnedFriction(LearnedForce):
 
     def force(self, at, u, p):
         """B_i(v_i / S) per axis."""
-        return _curves(at.velocity, p.span, p)
+        return _curve_per_axis(at.velocity, p.span, p)
 
 
 class LearnedDamping(LearnedForce):
@@ -56,8 +56,8 @@ class LearnedDamping(LearnedForce):
 
     def force(self, at, u, p):
         """B_i(q_i / S) v_i per axis."""
-        found = _curves(at.position, p.span, p)
-        return [c * v for c, v in zip(found, at.velocity, strict=True)]
+        dampings = _curve_per_axis(at.position, p.span, p)
+        return [c * v for c, v in zip(dampings, at.velocity, strict=True)]
 
 
 class LearnedDryFriction(LearnedForce):
@@ -72,8 +72,8 @@ class LearnedDryFriction(LearnedForce):
 
     def force(self, at, u, p):
         """B_i(q_i / S) tanh(v_i / w) per axis."""
-        found = _curves(at.position, p.span, p)
-        return [c * tanh(v / p.width) for c, v in zip(found, at.velocity, strict=True)]
+        levels = _curve_per_axis(at.position, p.span, p)
+        return [c * tanh(v / p.width) for c, v in zip(levels, at.velocity, strict=True)]
 
 
 class LearnedRadialSpring(LearnedForce):
@@ -85,7 +85,7 @@ class LearnedRadialSpring(LearnedForce):
 
     def force(self, at, u, p):
         """B(|q| / S) q_i per axis."""
-        stiffness = _one(length(at.position) / p.span, p)
+        stiffness = _shared_curve(length(at.position) / p.span, p)
         return [stiffness * q for q in at.position]
 
 
@@ -96,7 +96,7 @@ class LearnedLoss(LearnedStateFlow):
 
     def flow(self, at, u, p):
         """-B(x / S)."""
-        return [-_one(at.position[0] / p.span, p)]
+        return [-_shared_curve(at.position[0] / p.span, p)]
 
 
 class LearnedExchange(LearnedStateFlow):
@@ -111,7 +111,7 @@ class LearnedExchange(LearnedStateFlow):
     def flow(self, at, u, p):
         """What leaves the one enters the other."""
         a, b = at.position
-        moved = _one((a - b) / p.span, p)
+        moved = _shared_curve((a - b) / p.span, p)
         return [-moved, moved]
 
 
@@ -127,7 +127,7 @@ class LearnedTransfer(LearnedFlow):
 
     def flow(self, x, u, p):
         """What leaves the upper tank enters the lower one."""
-        moved = _one(2 * x.upper / p.span - 1, p)
+        moved = _shared_curve(2 * x.upper / p.span - 1, p)
         return {"upper": -moved, "lower": moved}
 
 
@@ -143,7 +143,7 @@ class LearnedUpperFlow(LearnedFlow):
 
     def flow(self, x, u, p):
         """B(2 x1 / S - 1)."""
-        return {"upper": _one(2 * x.upper / p.span - 1, p)}
+        return {"upper": _shared_curve(2 * x.upper / p.span - 1, p)}
 
 
 class LearnedLowerFlow(LearnedFlow):
@@ -158,4 +158,4 @@ class LearnedLowerFlow(LearnedFlow):
 
     def flow(self, x, u, p):
         """B(2 x2 / S - 1)."""
-        return {"lower": _one(2 * x.lower / p.span - 1, p)}
+        return {"lower": _shared_curve(2 * x.lower / p.span - 1, p)}

@@ -34,14 +34,14 @@ class HiddenMode(ForceEffect):
 
     def force(self, at, u, p):
         """-m z'', the force that accelerates the hidden mass."""
-        return [-m * a for m, a in zip(p.mass, _accelerations(at, p), strict=True)]
+        return [-m * a for m, a in zip(p.mass, _hidden_accelerations(at, p), strict=True)]
 
     def rate(self, at, u, p):
         """z' and z''."""
-        return {"displacement": list(at.own.velocity), "velocity": _accelerations(at, p)}
+        return {"displacement": list(at.own.velocity), "velocity": _hidden_accelerations(at, p)}
 
 
-def _accelerations(at, p):
+def _hidden_accelerations(at, p):
     """z'' per axis, from spring and damper between port and hidden mass."""
     turn = _TURN * p.natural_frequency
     rows = zip(at.position, at.velocity, at.own.displacement, at.own.velocity, strict=True)
@@ -102,11 +102,11 @@ class BoucWen(ForceEffect):
 
     def rate(self, at, u, p):
         """v - (|v| z + r v |z|) |z / L|^(n - 1) / L."""
-        found = []
+        rates = []
         for v, z in zip(at.velocity, at.own.slip, strict=True):
             slips = (length([v]) * z + p.asymmetry * v * length([z])) / p.length
-            found.append(v - slips * exp((p.exponent - 1) * log(length([z / p.length, 0.01]))))
-        return {"slip": found}
+            rates.append(v - slips * exp((p.exponent - 1) * log(length([z / p.length, 0.01]))))
+        return {"slip": rates}
 
 
 class Jenkins(ForceEffect):
@@ -132,10 +132,10 @@ class Jenkins(ForceEffect):
     def rate(self, at, u, p):
         """v (1 - s), s from 0 at |z| = 0.8 L to 1 at L where v z > 0."""
         (v,) = at.velocity
-        return {"slip": _sliding(v, at.own.slip, p.length)}
+        return {"slip": _slip_rate(v, at.own.slip, p.length)}
 
 
-def _sliding(v, z, limit):
+def _slip_rate(v, z, limit):
     """z' of a spring that slides at its limit, the last fifth before it rounded."""
     depth, bend = length([z]) - 0.9 * limit, 0.05 * limit
     slides = (ramp(depth + bend, bend) - ramp(depth - bend, bend)) / (2 * bend)
@@ -168,7 +168,7 @@ class Iwan(ForceEffect):
         (v,) = at.velocity
         limits = [p.length * (2 * i + 1) / 5 for i in range(5)]
         pairs = zip(self.states, limits, strict=True)
-        return {s.name: _sliding(v, getattr(at.own, s.name), x) for s, x in pairs}
+        return {s.name: _slip_rate(v, getattr(at.own, s.name), x) for s, x in pairs}
 
 
 class Lugre(ForceEffect):
@@ -194,18 +194,18 @@ class Lugre(ForceEffect):
 
     def force(self, at, u, p):
         """-(k z + d z') per axis."""
-        rows = zip(p.stiffness, p.damping, at.own.bristle, _bristles(at, p), strict=True)
+        rows = zip(p.stiffness, p.damping, at.own.bristle, _bristle_rates(at, p), strict=True)
         return [-(k * z + d * rate) for k, d, z, rate in rows]
 
     def rate(self, at, u, p):
         """v - |v| z / g(v)."""
-        return {"bristle": _bristles(at, p)}
+        return {"bristle": _bristle_rates(at, p)}
 
 
-def _bristles(at, p):
+def _bristle_rates(at, p):
     """z' per axis."""
-    found = []
+    rates = []
     for v, z in zip(at.velocity, at.own.bristle, strict=True):
         ratio = v / p.speed
-        found.append(v - length([v]) * z / (p.length * (1 + p.rise * exp(-ratio * ratio))))
-    return found
+        rates.append(v - length([v]) * z / (p.length * (1 + p.rise * exp(-ratio * ratio))))
+    return rates

@@ -10,7 +10,7 @@ WIDTH = Parameter("width", "position", lower=0.0, start=0.0, role="shape", grid=
 """Half the stretch over which a corner is rounded: 2 % of the largest motion while a candidate."""
 
 
-def beyond(value, gap, width):
+def excess_over_gap(value, gap, width):
     """What of a value lies beyond +-gap, with its sign; corners are rounded over +-w."""
     return ramp(value - gap, width) - ramp(-value - gap, width)
 
@@ -92,7 +92,7 @@ class Clearance(ForceEffect):
 
     def force(self, at, u, p):
         """-k (|q_i| - g)_+ sign q_i per axis."""
-        return [-p.stiffness * beyond(q, p.gap, p.width) for q in at.position]
+        return [-p.stiffness * excess_over_gap(q, p.gap, p.width) for q in at.position]
 
 
 class Stop(ForceEffect):

@@ -24,7 +24,7 @@ class Unbalance(ForceEffect):
         ]
 
 
-def _rotating(p, angle):
+def _rotating_force(p, angle):
     c, s = cos(angle), sin(angle)
     return [p.cosine * c - p.sine * s, p.cosine * s + p.sine * c]
 
@@ -41,7 +41,7 @@ class ShaftBow(ForceEffect):
 
     def force(self, at, u, p):
         """(a cos t - b sin t, a sin t + b cos t)."""
-        return _rotating(p, u.phase)
+        return _rotating_force(p, u.phase)
 
 
 class Misalignment(ForceEffect):
@@ -56,7 +56,7 @@ class Misalignment(ForceEffect):
 
     def force(self, at, u, p):
         """(a cos 2t - b sin 2t, a sin 2t + b cos 2t)."""
-        return _rotating(p, 2 * u.phase)
+        return _rotating_force(p, 2 * u.phase)
 
 
 class Crack(ForceEffect):

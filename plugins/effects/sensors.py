@@ -79,32 +79,32 @@ class Delay(SensorEffect):
     def reading(self, y, at, u, p):
         """y_i - r_i b_i + (r_i^2 - r_i) c_i / 2."""
         rows = zip(y, at.position, at.own.level, at.own.slope, p.time, strict=True)
-        return [value - earlier(q, a, b, late / p.scale) for value, q, a, b, late in rows]
+        return [value - delay_difference(q, a, b, late / p.scale) for value, q, a, b, late in rows]
 
     def rate(self, at, u, p):
         """b_i / z and c_i / z."""
         rows = zip(at.position, at.own.level, at.own.slope, strict=True)
         return {
             "level": [b / p.scale for b in at.own.slope],
-            "slope": [bent(q, a, b) / p.scale for q, a, b in rows],
+            "slope": [delay_curvature(q, a, b) / p.scale for q, a, b in rows],
         }
 
     def remark(self, values, step):
-        """A sensor cannot be early, and half a sample has a usual cause."""
+        """Remarks on a negative delay, and on one of half a sample."""
         times = [v for k, v in values.items() if k.startswith("time")]
         if max(times) < 0:
             return f"no sensor is early: the inputs are recorded {-max(times):.2g} s or more late"
-        return half_a_sample(min(times), step)
+        return half_sample_remark(min(times), step)
 
 
-def bent(given, level, slope):
+def delay_curvature(given, level, slope):
     """c = 12 (q - a) - 6 b of a delay's states."""
     return 12 * (given - level) - 6 * slope
 
 
-def earlier(given, level, slope, ratio):
+def delay_difference(given, level, slope, ratio):
     """q(t) - q(t - T) by a delay's states: r b - (r^2 - r) c / 2, r = T / z."""
-    return ratio * slope - (ratio * ratio - ratio) * bent(given, level, slope) / 2
+    return ratio * slope - (ratio * ratio - ratio) * delay_curvature(given, level, slope) / 2
 
 
 class SensorLag(SensorEffect):
@@ -135,8 +135,8 @@ class SensorLag(SensorEffect):
         return {"level": [(q - a) / p.scale for q, a in rows]}
 
 
-def half_a_sample(late, step):
-    """What is said of something that comes late by half the time between samples."""
+def half_sample_remark(late, step):
+    """The remark on a delay near half a sample step; empty for any other delay."""
     if not abs(late / step - 0.5) < _NEAR:
         return ""
     return (

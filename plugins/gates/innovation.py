@@ -49,9 +49,9 @@ class Innovation(Gate):
         promising.sort(key=lambda g: scores[g], reverse=True)
         close = [g for g in promising if scores[g] >= self.share * scores[promising[0]]]
         gains = {g: trial.gain(g) for g in close[: self.rivals + 1]}
-        return self._decided(trial, asked, scores, gains, level)
+        return self._choose_most_likely(trial, asked, scores, gains, level)
 
-    def _decided(
+    def _choose_most_likely(
         self,
         trial: Trial,
         asked: list[tuple[int, ...]],

@@ -77,14 +77,14 @@ class KfoldMajority(Gate):
         """The terms with a majority."""
         x, y = trial.rows(trial.kept, trial.train)
         rows = np.column_stack([x, y])
-        fold = np.repeat(self._dealt(trial), trial.target.shape[1])
+        fold = np.repeat(self._deal_folds(trial), trial.target.shape[1])
         parts = [triangle([rows[fold == f]]) for f in range(self.folds)]
         width = trial.active.shape[2]
         votes = np.zeros(len(trial.kept), dtype=int)
         for held in range(self.folds):
             others = [p for i, p in enumerate(parts) if i != held]
             upper, _ = triangle([r for r, _ in others])
-            votes += self._passing(upper, sum(n for _, n in others), parts[held][0], width)
+            votes += self._fold_votes(upper, sum(n for _, n in others), parts[held][0], width)
         needed = self.folds // 2 + 1
         pairs = list(zip(trial.kept, votes, strict=True))
         kept = tuple(k for k, v in pairs if v >= needed)
@@ -100,7 +100,7 @@ class KfoldMajority(Gate):
         }
         return Judgement(kept, log, "" if kept else "no_term_passes_a_refinement", refused)
 
-    def _dealt(self, trial: Trial) -> Array:
+    def _deal_folds(self, trial: Trial) -> Array:
         """(training samples,) number of the fold of each."""
         amplitude = trial.amplitude[trial.train]
         block = np.arange(len(amplitude)) // _BLOCK
@@ -110,24 +110,24 @@ class KfoldMajority(Gate):
         fold[order] = np.arange(len(sizes)) % self.folds
         return fold[block]
 
-    def _passing(self, upper: Array, rows: int, held: Array, width: int) -> Array:
+    def _fold_votes(self, upper: Array, rows: int, held: Array, width: int) -> Array:
         """Whether each term passes in one fold."""
         from scipy import stats
 
         count = upper.shape[1] - 1
         every = tuple(range(count))
         whole = solve_triangle(upper, rows, every)
-        error = _error(held, whole, every)
-        found = np.zeros(count - width, dtype=int)
+        error = _squared_error(held, whole, every)
+        votes = np.zeros(count - width, dtype=int)
         for i in range(width, count):
             others = tuple(j for j in every if j != i)
             without = solve_triangle(upper, rows, others)
             value, _ = partial_f(without, whole)
             significant = value > stats.f.isf(self.alpha, 1, whole.dof)
-            found[i - width] = significant and error <= _error(held, without, others)
-        return found
+            votes[i - width] = significant and error <= _squared_error(held, without, others)
+        return votes
 
 
-def _error(held: Array, fit: Fit, columns: tuple[int, ...]) -> float:
+def _squared_error(held: Array, fit: Fit, columns: tuple[int, ...]) -> float:
     """Sum of squares on held rows, from their triangle."""
     return float(np.sum((held[:, -1] - held[:, list(columns)] @ fit.b) ** 2))

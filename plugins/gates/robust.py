@@ -1,11 +1,11 @@
-"""Gate 1's honest companions: t with standard errors that allow for coloured residuals."""
+"""Gates on t with standard errors that allow for coloured residuals (beside Gate 1)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from spiral.engine.gate import Gate, Judgement, Trial
-from spiral.engine.leastsquares import ratio
+from spiral.engine.leastsquares import t_values
 from spiral.inference.paper.robust import automatic_lags, bootstrap_errors, hac_errors
 
 
@@ -29,8 +29,8 @@ class HacT(Gate):
         """The terms whose robust t passes."""
         lags = self.lags or automatic_lags(trial)
         fit = trial.fitted(trial.kept)
-        t = ratio(fit.b, hac_errors(trial, trial.kept, fit, lags))[trial.active.shape[2] :]
-        return _robust(trial, t, self.alpha, {"lags": lags})
+        t = t_values(fit.b, hac_errors(trial, trial.kept, fit, lags))[trial.active.shape[2] :]
+        return _judge_robust_t(trial, t, self.alpha, {"lags": lags})
 
 
 class BlockBootstrapT(Gate):
@@ -53,11 +53,11 @@ class BlockBootstrapT(Gate):
         block = self.block or 4 * automatic_lags(trial)
         fit = trial.fitted(trial.kept)
         errors = bootstrap_errors(trial, trial.kept, fit, block, self.draws)
-        t = ratio(fit.b, errors)[trial.active.shape[2] :]
-        return _robust(trial, t, self.alpha, {"block": block, "draws": self.draws})
+        t = t_values(fit.b, errors)[trial.active.shape[2] :]
+        return _judge_robust_t(trial, t, self.alpha, {"block": block, "draws": self.draws})
 
 
-def _robust(trial: Trial, t: np.ndarray, alpha: float, log: dict) -> Judgement:
+def _judge_robust_t(trial: Trial, t: np.ndarray, alpha: float, log: dict) -> Judgement:
     from scipy import stats
 
     critical = float(stats.norm.isf(alpha / (2 * len(trial.names))))

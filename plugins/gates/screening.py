@@ -78,7 +78,7 @@ class CorrelationCluster(Gate):
         unit = centred / np.where(norms > 0, norms, 1.0)
         together = np.abs(unit.T @ unit) > self.threshold
         count, labels = connected_components(csr_array(together), directed=False)
-        gains = _alone(trial)
+        gains = _single_term_gains(trial)
         clusters, strongest, refused = [], [], {}
         for number in range(count):
             members = [kept[i] for i in np.flatnonzero(labels == number)]
@@ -94,21 +94,21 @@ class CorrelationCluster(Gate):
         return Judgement(tuple(sorted(strongest)), log, "", refused)
 
 
-def _alone(trial: Trial) -> dict[int, float]:
+def _single_term_gains(trial: Trial) -> dict[int, float]:
     """Fall of the training sum of squares for each candidate alone beside the current model."""
     x, y = trial.rows(trial.kept, trial.train)
     width = trial.active.shape[2]
     before = trial.before
     q = x[:, :width] @ before.inverse  # orthonormal where columns were kept
     rest = y - x[:, :width] @ before.b
-    found = {}
+    gains = {}
     for i, k in enumerate(trial.kept):
         column = x[:, width + i]
         own = column - q @ (q.T @ column)
         size = float(own @ own)
         tiny = 1e-18 * float(column @ column)
-        found[k] = float(own @ rest) ** 2 / size if size > tiny else 0.0
-    return found
+        gains[k] = float(own @ rest) ** 2 / size if size > tiny else 0.0
+    return gains
 
 
 class Contribution(Gate):

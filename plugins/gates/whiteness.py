@@ -1,4 +1,4 @@
-"""The guard: whether anything is left to discover."""
+"""The gate that ends the loop: whether the residual is white (Ljung-Box)."""
 
 from __future__ import annotations
 

@@ -40,16 +40,16 @@ class TanhNetwork(Learner):
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
-            return self._fitted(torch, xi, r, train, seed, tell)
+            return self._train_network(torch, xi, r, train, seed, tell)
         finally:
             torch.set_num_threads(threads)
 
-    def _fitted(
+    def _train_network(
         self, torch: Any, xi: Array, r: Array, train: Array, seed: int, tell: Tell
     ) -> Learned:
         clock = time.perf_counter()
         generator = torch.Generator().manual_seed(seed)
-        network = _network(torch, xi.shape[1], self.width, self.layers, r.shape[1], generator)
+        network = _build_network(torch, xi.shape[1], self.width, self.layers, r.shape[1], generator)
         parts = [torch.from_numpy(np.ascontiguousarray(a[m])) for m in (train, ~train)
                  for a in (xi, r)]  # fmt: skip
         inputs, targets, held_inputs, held_targets = parts
@@ -79,10 +79,14 @@ class TanhNetwork(Learner):
                 break
         network.load_state_dict(kept)
         log = {"epochs": epoch, "stopped_early": waited >= self.patience}
-        return Learned(_predictor(torch, network), log | {"seconds": time.perf_counter() - clock})
+        return Learned(
+            _network_predictor(torch, network), log | {"seconds": time.perf_counter() - clock}
+        )
 
 
-def _network(torch: Any, inputs: int, width: int, layers: int, outputs: int, generator: Any) -> Any:
+def _build_network(
+    torch: Any, inputs: int, width: int, layers: int, outputs: int, generator: Any
+) -> Any:
     """Glorot weights drawn from the generator, zero biases."""
     sizes = [inputs, *([width] * layers), outputs]
     parts: list[Any] = []
@@ -94,7 +98,7 @@ def _network(torch: Any, inputs: int, width: int, layers: int, outputs: int, gen
     return torch.nn.Sequential(*parts)
 
 
-def _predictor(torch: Any, network: Any) -> Any:
+def _network_predictor(torch: Any, network: Any) -> Any:
     def predict(points: Array) -> Array:
         with torch.no_grad():
             return network(torch.from_numpy(np.ascontiguousarray(points))).numpy()

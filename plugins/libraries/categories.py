@@ -83,23 +83,23 @@ TABLE = (
 )  # fmt: skip
 
 
-def expanded(categories: tuple[Category, ...], system: System) -> tuple[Term, ...]:
+def expand_categories(categories: tuple[Category, ...], system: System) -> tuple[Term, ...]:
     """A term for every amplitude of every effect that fits the system."""
-    found = []
+    terms = []
     for category in categories:
         for kind, mechanism in category.effects:
             effect = kind()
-            if not fits(system, effect):
+            if not fits_system(system, effect):
                 continue
-            found += [
+            terms += [
                 Term(effect, key, category.name, mechanism)
                 for key, p in effect.keys(system.port())
                 if p.role == "amplitude"
             ]
-    return tuple(found)
+    return tuple(terms)
 
 
-def fits(system: System, effect: Effect) -> bool:
+def fits_system(system: System, effect: Effect) -> bool:
     """Whether the system has the axes, inputs and units that an effect needs."""
     from spiral.types.placement import check_effect
 

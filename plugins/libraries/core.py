@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from spiral_plugins.libraries.categories import DUFFING, GYROSCOPIC, LINEAR, expanded
+from spiral_plugins.libraries.categories import DUFFING, GYROSCOPIC, LINEAR, expand_categories
 
 from spiral.types.library import Library, Term
 from spiral.types.system import System
@@ -27,5 +27,5 @@ class Core(Library):
 
     def terms(self, system: System) -> tuple[Term, ...]:
         """Six terms for a planar rotor; the cubic spring alone for one axis."""
-        found = expanded((LINEAR, GYROSCOPIC, DUFFING), system)
-        return tuple(t for t in found if t.key in _SIX)
+        offered = expand_categories((LINEAR, GYROSCOPIC, DUFFING), system)
+        return tuple(t for t in offered if t.key in _SIX)

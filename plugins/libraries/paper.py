@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from spiral_plugins.libraries.categories import TABLE, expanded
+from spiral_plugins.libraries.categories import TABLE, expand_categories
 
 from spiral.types.library import Library, Term
 from spiral.types.system import System
@@ -21,4 +21,4 @@ class Paper(Library):
 
     def terms(self, system: System) -> tuple[Term, ...]:
         """44 terms beside the seed's six for a planar rotor; fewer for one axis."""
-        return expanded(TABLE, system)
+        return expand_categories(TABLE, system)

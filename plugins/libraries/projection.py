@@ -1,4 +1,4 @@
-"""The library that a full system's hidden states leave in the observable equations."""
+"""The library of terms that hidden states of a full system leave in observable equations."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from spiral_plugins.effects.restoring import SpeedStiffness
-from spiral_plugins.libraries.categories import TABLE, Category, expanded
+from spiral_plugins.libraries.categories import TABLE, Category, expand_categories
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
 from spiral.types.errors import ConfigError
@@ -48,17 +48,19 @@ class Projection(Library):
                 "two mechanical systems, the second with fewer coordinates",
                 "system=planar_rotor library.system=tilting_rotor",
             )
-        offered = {t.key: t for t in expanded((*TABLE, _SECOND), system)}
+        offered = {t.key: t for t in expand_categories((*TABLE, _SECOND), system)}
         effects = tuple({t.effect.label: t.effect for t in offered.values()}.values())
         values = {**whole.defaults, **(self.values or {})}
-        found = project(whole, values, self.order, system, effects)
+        projected = project(whole, values, self.order, system, effects)
         return tuple(
-            replace(offered[p.key], predicted=p.value, mechanism=_told(offered[p.key], p))
-            for p in found
+            replace(
+                offered[p.key], predicted=p.value, mechanism=_describe_mechanism(offered[p.key], p)
+            )
+            for p in projected
         )
 
 
-def _told(term: Term, projected) -> str:
+def _describe_mechanism(term: Term, projected) -> str:
     """The mechanism, its formula, and which share of it passes through the hidden states."""
     through = projected.value - projected.direct
     text = f"{term.mechanism}: {projected.formula}"

@@ -40,27 +40,38 @@ class Tuned(Observer):
     def reconstruct(self, task: Task) -> Reconstruction:
         """Choose the process noise, then run once; more often where parameters are uncertain."""
         from spiral.engine.filter.extended import as_reconstruction
-        from spiral.engine.filter.rounding import finer
-        from spiral.engine.filter.setup import chosen_levels, prepared, quieted, with_level
+        from spiral.engine.filter.rounding import refine_steps
+        from spiral.engine.filter.setup import (
+            choose_levels,
+            prepare_filter,
+            with_level,
+            zero_unneeded_levels,
+        )
         from spiral.engine.filter.tuning import LOWEST
 
         clock = time.perf_counter()
-        task, settings = prepared(task, self.track, self.doubt, self.spread)
+        task, settings = prepare_filter(task, self.track, self.doubt, self.spread)
         if task.prior is not None:
-            return self._doubted(task, settings, clock)
-        levels = chosen_levels(task, settings, self.process_noise)
+            return self._reconstruct_uncertain(task, settings, clock)
+        levels = choose_levels(task, settings, self.process_noise)
         if min(levels.values()) < LOWEST:
-            task = finer(task)
-            levels = quieted(task, settings, levels) if self.process_noise is None else levels
+            task = refine_steps(task)
+            levels = (
+                zero_unneeded_levels(task, settings, levels)
+                if self.process_noise is None
+                else levels
+            )
         tuned = time.perf_counter()
         settings = with_level(task, settings, levels)
-        found = self.run(task, settings)
+        filter_pass = self.run(task, settings)
         seconds = time.perf_counter() - tuned
-        return as_reconstruction(task, settings, found, levels, seconds, tuned - clock)
+        return as_reconstruction(task, settings, filter_pass, levels, seconds, tuned - clock)
 
-    def _doubted(self, task: Task, settings: FilterSettings, clock: float) -> Reconstruction:
-        """The same with parameters of which only a Gaussian is known."""
-        from spiral.engine.filter.doubted import doubted
+    def _reconstruct_uncertain(
+        self, task: Task, settings: FilterSettings, clock: float
+    ) -> Reconstruction:
+        """Reconstruct with uncertain parameters: bands hold the spread of their posterior."""
+        from spiral.engine.filter.doubted import add_parameter_doubt
         from spiral.engine.filter.extended import as_reconstruction
         from spiral.engine.filter.posterior import posterior
         from spiral.engine.filter.setup import with_level
@@ -71,17 +82,22 @@ class Tuned(Observer):
         prior = task.prior
         assert prior is not None
 
-        def run(values: Array) -> Pass:
-            return self.run(task.placed(prior.keys, values), settings)
+        def run_at_values(values: Array) -> Pass:
+            return self.run(task.with_parameters(prior.keys, values), settings)
 
         top = self.run(task, settings)
         whole = top.done == task.series.samples
-        found = doubted(run, known, top) if whole else None
+        averaged = add_parameter_doubt(run_at_values, known, top) if whole else None
         seconds = time.perf_counter() - tuned
         made = as_reconstruction(
-            task, settings, found.found if found else top, known.levels, seconds, tuned - clock
+            task,
+            settings,
+            averaged.filter_pass if averaged else top,
+            known.levels,
+            seconds,
+            tuned - clock,
         )
-        return replace(made, values=found.values(prior.keys)) if found else made
+        return replace(made, values=averaged.values(prior.keys)) if averaged else made
 
     @abstractmethod
     def run(self, task: Task, settings: FilterSettings) -> Pass:
@@ -103,10 +119,10 @@ class Ekf(Tuned):
 
     def run(self, task: Task, settings: FilterSettings) -> Pass:
         """Filter the record."""
-        from spiral.engine.filter.extended import filtered
+        from spiral.engine.filter.extended import filter_record
 
         settings = replace(settings, second_order=self.transition == "second_order")
-        return filtered(task, settings, keep=bool(task.series.record.truth))
+        return filter_record(task, settings, keep=bool(task.series.record.truth))
 
 
 class Rts(Tuned):
@@ -117,10 +133,10 @@ class Rts(Tuned):
 
     def run(self, task: Task, settings: FilterSettings) -> Pass:
         """Filter, then go back from the record's end; innovations stay those of the filter."""
-        from spiral.engine.filter.extended import filtered, smoothed
+        from spiral.engine.filter.extended import filter_record, smooth_run
 
-        found = filtered(task, settings, keep=True)
-        return found if found.done < task.series.samples else smoothed(found)
+        filter_pass = filter_record(task, settings, keep=True)
+        return filter_pass if filter_pass.done < task.series.samples else smooth_run(filter_pass)
 
 
 class Ukf(Tuned):
@@ -140,7 +156,7 @@ class Ukf(Tuned):
 
     def run(self, task: Task, settings: FilterSettings) -> Pass:
         """Filter the record."""
-        from spiral.engine.filter.sigma_points import sigma_filtered
+        from spiral.engine.filter.sigma_points import filter_sigma_points
 
         shape = (self.alpha, self.beta, self.kappa)
-        return sigma_filtered(task, settings, shape, keep=bool(task.series.record.truth))
+        return filter_sigma_points(task, settings, shape, keep=bool(task.series.record.truth))

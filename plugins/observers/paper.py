@@ -31,7 +31,7 @@ class EkfPaper(Observer):
 
     def reconstruct(self, task: Task) -> Reconstruction:
         """Filter the record with the paper's numbers."""
-        from spiral.engine.filter.extended import FilterSettings, as_reconstruction, filtered
+        from spiral.engine.filter.extended import FilterSettings, as_reconstruction, filter_record
 
         names, traced = task.states, task.compiled.traced
         channels = traced.channels
@@ -48,6 +48,6 @@ class EkfPaper(Observer):
             second_order=True,
         )
         clock = time.perf_counter()
-        found = filtered(task, settings, keep=bool(task.series.record.truth))
+        filter_pass = filter_record(task, settings, keep=bool(task.series.record.truth))
         seconds = time.perf_counter() - clock
-        return as_reconstruction(task, settings, found, {}, seconds, 0.0)
+        return as_reconstruction(task, settings, filter_pass, {}, seconds, 0.0)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from spiral.io.readers.files import Table
-from spiral.io.readers.pulses import smoothed
+from spiral.io.readers.pulses import smooth_phase
 from spiral.io.readers.readers import read_table
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.record import Record, make_record
@@ -61,11 +61,11 @@ class OrderTable(Source):
                 "system=planar_rotor",
             )
         table = read_table(self.path, None, None)
-        scale = self._scale(system)
-        marks, slow = self._turns(table, scale)
+        scale = self._unit_factors(system)
+        marks, slow = self._slow_vector_by_turn(table, scale)
         rate = self.rate or (len(marks) - 1) / marks[-1]
         time = np.arange(int(marks[-1] * rate) + 1) / rate
-        angle, speed, _ = smoothed(marks, time)
+        angle, speed, _ = smooth_phase(marks, time)
         seen = np.interp(time, marks, slow) * np.exp(1j * angle)
         noise = None if self.noise is None else self.noise * scale["amplitude"]
         told = f"x and y from first order of {len(marks)} turns, at {rate:.4g} samples per s"
@@ -80,7 +80,7 @@ class OrderTable(Source):
         )
         return (record,)
 
-    def _scale(self, system: System) -> dict[str, float]:
+    def _unit_factors(self, system: System) -> dict[str, float]:
         """Factor from the file's unit to the system's for each column."""
         own = {"speed": "rad/s", "amplitude": system.unit_of("x"), "phase": "rad"}
         given = {**own, "speed": "rpm", "phase": "deg", **(self.units or {})}
@@ -89,7 +89,9 @@ class OrderTable(Source):
             raise ConfigError(f"record.units of {', '.join(unknown)}", f"units of {', '.join(own)}")
         return {n: factor(given[n], own[n], n) for n in own}
 
-    def _turns(self, table: Table, scale: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    def _slow_vector_by_turn(
+        self, table: Table, scale: Mapping[str, float]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Times of the turns in s, from zero, and the slow vector A exp(i phi) of each."""
         count = table.rows({f"record.{n}": getattr(self, n) for n in scale})
         start, stop = self.rows or (0, count)

@@ -73,13 +73,13 @@ class Simulation(Source):
         dt = 1.0 / self.rate
         time = dt * np.arange(round(self.duration * self.rate))
         for_inputs, for_noise = np.random.default_rng(self.seed).spawn(2)
-        inputs = self._inputs(truth.system, time, for_inputs)
-        states, readings, inputs = self._integrated(truth, time, inputs)
+        inputs = self._excite_inputs(truth.system, time, for_inputs)
+        states, readings, inputs = self._integrate_record(truth, time, inputs)
         channels = dict(zip(truth.system.observed, readings.T, strict=True))
         noise = {c: self.noise_level * float(np.std(v)) for c, v in channels.items()}
         noisy = {c: v + for_noise.normal(0.0, 1.0, len(v)) * noise[c] for c, v in channels.items()}
         hidden = dict(zip((s.name for s in truth.system.states), states.T, strict=False))
-        return (self._record(system, truth, time, noisy, inputs, noise, hidden),)
+        return (self._record_in_study_units(system, truth, time, noisy, inputs, noise, hidden),)
 
     def truth(self, system: System) -> Model:
         """The model that is integrated."""
@@ -98,7 +98,9 @@ class Simulation(Source):
         added = tuple(e for e in self.effects if e.label not in [k.label for k in kept])
         return with_defaults(Model(system, (*kept, *added), values=dict(self.values or {})))
 
-    def _inputs(self, system: System, time: Array, rng: np.random.Generator) -> dict[str, Array]:
+    def _excite_inputs(
+        self, system: System, time: Array, rng: np.random.Generator
+    ) -> dict[str, Array]:
         given = dict(self.inputs or {})
         known = [i.name for i in system.inputs]
         for name in given:
@@ -108,10 +110,10 @@ class Simulation(Source):
                     f"an input of {system.plugin_name()!r}: {', '.join(known) or 'none'}",
                     did_you_mean(name, known),
                 )
-        found = {}
+        input_series = {}
         for item in system.inputs:
             if item.name in given:
-                found[item.name] = excite(item.name, given[item.name], time, item.unit, rng)
+                input_series[item.name] = excite(item.name, given[item.name], time, item.unit, rng)
             elif item.derived_from is None:
                 raise ConfigError(
                     f"a simulation of {system.plugin_name()!r} without input {item.name!r}",
@@ -119,25 +121,25 @@ class Simulation(Source):
                     f"record.inputs='{{{item.name}: {{constant: 1}}}}', or sweep, noise, "
                     "multisine, chirp in place of constant",
                 )
-        return found
+        return input_series
 
-    def _integrated(
+    def _integrate_record(
         self, truth: Model, time: Array, inputs: dict[str, Array]
     ) -> tuple[Array, Array, dict[str, Array]]:
         """States, readings and completed inputs on ``time``, after a run-in where asked."""
         from spiral.inference.simulate import integrate
 
-        before = self._run_in(truth, inputs) if self.settled else 0
+        before = self._run_in_samples(truth, inputs) if self.settled else 0
         dt = 1.0 / self.rate
         longer = dt * np.arange(-before, len(time)) + before * dt
         held = {k: np.concatenate([np.full(before, v[0]), v]) for k, v in inputs.items()}
         for item in truth.system.inputs:
             if item.name not in held and item.derived_from is not None:
-                held[item.name] = _integral(held[item.derived_from], longer, before)
+                held[item.name] = _cumulative_integral(held[item.derived_from], longer, before)
         states, readings = integrate(truth, longer, held, self.start)
         return states[before:], readings[before:], {k: v[before:] for k, v in held.items()}
 
-    def _run_in(self, truth: Model, inputs: dict[str, Array]) -> int:
+    def _run_in_samples(self, truth: Model, inputs: dict[str, Array]) -> int:
         """Samples after which the slowest motion about rest has decayed at the first inputs."""
         rate = _slowest_decay(truth, {k: float(v[0]) for k, v in inputs.items()})
         if not rate * _LONGEST_RUN_IN > _DECAY:
@@ -148,7 +150,7 @@ class Simulation(Source):
             )
         return int(np.ceil(_DECAY / rate * self.rate))
 
-    def _record(
+    def _record_in_study_units(
         self,
         system: System,
         truth: Model,
@@ -163,7 +165,7 @@ class Simulation(Source):
         derived = [
             i.name for i in truth.system.inputs if i.derived_from and not self.measured_phase
         ]
-        scale = {c: _between(truth.system, system, c) for c in (*channels, *inputs, *hidden)}
+        scale = {c: _unit_factor(truth.system, system, c) for c in (*channels, *inputs, *hidden)}
         return make_record(
             system,
             f"simulated {truth.system.plugin_name()}, seed {self.seed}",
@@ -175,7 +177,7 @@ class Simulation(Source):
         )
 
 
-def _integral(values: Array, time: Array, zero_at: int) -> Array:
+def _cumulative_integral(values: Array, time: Array, zero_at: int) -> Array:
     """Integral over time, zero at one sample."""
     from scipy.interpolate import CubicSpline
 
@@ -183,7 +185,7 @@ def _integral(values: Array, time: Array, zero_at: int) -> Array:
     return whole - whole[zero_at]
 
 
-def _between(source: System, target: System, name: str) -> float:
+def _unit_factor(source: System, target: System, name: str) -> float:
     """Factor from one system's unit of a channel or input to another's."""
     names = [i.name for i in (*target.states, *target.inputs)]
     if name not in names:

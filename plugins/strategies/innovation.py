@@ -42,7 +42,7 @@ class Innovation(InnovationOptions, Strategy):
     def propose(
         self,
         assembly: Assembly,
-        standing: FitState,
+        fit_state: FitState,
         comparison: Comparison,
         number: int,
         progress: Progress,
@@ -50,7 +50,7 @@ class Innovation(InnovationOptions, Strategy):
         """The candidates scored by the innovations; those that the gates let through."""
         from spiral.inference.strategies.innovation import propose
 
-        return propose(self, assembly, standing, comparison, progress)
+        return propose(self, assembly, fit_state, comparison, progress)
 
     def settle(self, assembly: Assembly, step: Step[Admission], progress: Progress) -> Settled:
         """Most likely values and process noise with what was admitted."""
@@ -59,9 +59,9 @@ class Innovation(InnovationOptions, Strategy):
         return settle(assembly, step, progress)
 
     def admit(
-        self, assembly: Assembly, standing: FitState, label: str, progress: Progress
+        self, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
     ) -> Settled:
-        """The same with an effect that a person names."""
+        """Most likely values and process noise with an effect that the user names."""
         from spiral.inference.strategies.innovation import admit
 
-        return admit(assembly, standing, label, progress)
+        return admit(assembly, fit_state, label, progress)

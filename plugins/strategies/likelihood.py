@@ -39,7 +39,7 @@ class Likelihood(LikelihoodOptions, Strategy):
     def propose(
         self,
         assembly: Assembly,
-        standing: FitState,
+        fit_state: FitState,
         comparison: Comparison,
         number: int,
         progress: Progress,
@@ -47,42 +47,42 @@ class Likelihood(LikelihoodOptions, Strategy):
         """The candidate that makes the record most likely, if it passes on other blocks."""
         from spiral.inference.strategies.likelihood import propose
 
-        return propose(self, assembly, standing, comparison, number, progress)
+        return propose(self, assembly, fit_state, comparison, number, progress)
 
     def settle(self, assembly: Assembly, step: Step[Scored], progress: Progress) -> Settled:
-        """What was refitted and compared when it was proposed."""
+        """The refit and comparison that were made when the effect was proposed."""
         from spiral.inference.strategies.likelihood import settle
 
         return settle(step)
 
     def ranked(self, step: Step[Scored]) -> tuple[Suggestion, ...]:
         """All candidates by what they are worth."""
-        from spiral.inference.strategies.likelihood import ranked_by_worth
+        from spiral.inference.strategies.likelihood import suggestions_by_worth
 
-        return ranked_by_worth(step)
+        return suggestions_by_worth(step)
 
     def choose(
-        self, assembly: Assembly, standing: FitState, step: Step[Scored], label: str
+        self, assembly: Assembly, fit_state: FitState, step: Step[Scored], label: str
     ) -> Step[Scored]:
         """Another candidate in place of the proposal; no gate is asked."""
         from spiral.inference.strategies.likelihood import choose
 
-        return choose(self, assembly, standing, step, label)
+        return choose(self, assembly, fit_state, step, label)
 
     def ask_again(
-        self, assembly: Assembly, standing: FitState, comparison: Comparison,
+        self, assembly: Assembly, fit_state: FitState, comparison: Comparison,
         aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
         progress: Progress,
     ) -> AskedAgain:  # fmt: skip
         """Earlier look-alikes beside the final model's values and noise."""
         from spiral.inference.strategies.likelihood import ask_again
 
-        return ask_again(self, assembly, standing, comparison, aliases, promising, progress)
+        return ask_again(self, assembly, fit_state, comparison, aliases, promising, progress)
 
     def admit(
-        self, assembly: Assembly, standing: FitState, label: str, progress: Progress
+        self, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
     ) -> Settled:
         """An effect by its name, with the shapes that the record prefers."""
         from spiral.inference.strategies.likelihood import admit
 
-        return admit(assembly, standing, label, progress)
+        return admit(assembly, fit_state, label, progress)

@@ -76,7 +76,7 @@ class Paper(PaperOptions, Strategy):
     def propose(
         self,
         assembly: Assembly,
-        standing: FitState,
+        fit_state: FitState,
         comparison: Comparison,
         number: int,
         progress: Progress,
@@ -84,7 +84,7 @@ class Paper(PaperOptions, Strategy):
         """Algorithm 1 up to the annotation: what passes all gates."""
         from spiral.inference.strategies.paper import propose
 
-        return propose(self, assembly, standing, progress)
+        return propose(self, assembly, fit_state, progress)
 
     def settle(self, assembly: Assembly, step: Step[FitState], progress: Progress) -> Settled:
         """Joint least squares with the admitted terms."""
@@ -93,9 +93,9 @@ class Paper(PaperOptions, Strategy):
         return settle(self, assembly, step, progress)
 
     def admit(
-        self, assembly: Assembly, standing: FitState, label: str, progress: Progress
+        self, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
     ) -> Settled:
-        """The same with the terms of an effect that a person names."""
+        """Joint least squares with the terms of an effect that the user names."""
         from spiral.inference.strategies.paper import admit
 
-        return admit(self, assembly, standing, label, progress)
+        return admit(self, assembly, fit_state, label, progress)

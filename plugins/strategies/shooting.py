@@ -36,50 +36,50 @@ class Shooting(ShootingOptions, Strategy):
     def propose(
         self,
         assembly: Assembly,
-        standing: FitState,
+        fit_state: FitState,
         comparison: Comparison,
         number: int,
         progress: Progress,
     ) -> Step[Proposal]:
         """The candidate that one half of the blocks selects and the other half confirms."""
-        from spiral.inference.strategies.shooting import propose_one
+        from spiral.inference.strategies.shooting import propose_candidate
 
-        return propose_one(self, assembly, standing, comparison, number, progress)
+        return propose_candidate(self, assembly, fit_state, comparison, number, progress)
 
     def settle(self, assembly: Assembly, step: Step[Proposal], progress: Progress) -> Settled:
-        """Refitted on the half that did not select; effects made superfluous let go."""
+        """Refitted on the half that did not select; effects made superfluous are dropped."""
         from spiral.inference.strategies.shooting import settle
 
         return settle(assembly, step, progress)
 
     def ranked(self, step: Step[Proposal]) -> tuple[Suggestion, ...]:
         """All candidates by their evidence on the same windows."""
-        from spiral.inference.strategies.shooting import ranked
+        from spiral.inference.strategies.shooting import ranked_suggestions
 
-        return ranked(step)
+        return ranked_suggestions(step)
 
     def choose(
-        self, assembly: Assembly, standing: FitState, step: Step[Proposal], label: str
+        self, assembly: Assembly, fit_state: FitState, step: Step[Proposal], label: str
     ) -> Step[Proposal]:
         """Another candidate at the windows on which all were scored; no gate is asked."""
         from spiral.inference.strategies.shooting import choose
 
-        return choose(assembly, standing, step, label)
+        return choose(assembly, fit_state, step, label)
 
     def compare(self, problem: Problem, progress: Progress) -> Comparison:
         """The model fitted to all samples on growing windows."""
-        from spiral.inference.compare import on_windows
+        from spiral.inference.compare import compare_on_windows
 
-        return on_windows(problem, progress)
+        return compare_on_windows(problem, progress)
 
     def add(self, problem: Problem, effects: tuple[Effect, ...], progress: Progress) -> Added:
         """Before and after, each fitted to all samples."""
-        from spiral.inference.strategies.shooting import added
+        from spiral.inference.strategies.shooting import fit_before_and_after
 
-        return added(problem, effects, progress)
+        return fit_before_and_after(problem, effects, progress)
 
     def diagnose(self, problem: Problem, progress: Progress) -> Diagnosis:
         """Of the model fitted to all samples; the best suggestions are tried on the test record."""
-        from spiral.inference.diagnose import on_windows
+        from spiral.inference.diagnose import diagnose_on_windows
 
-        return on_windows(self, problem, progress)
+        return diagnose_on_windows(self, problem, progress)

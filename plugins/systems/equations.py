@@ -85,11 +85,13 @@ class Equations(MechanicalSystem):
         """h(x, x', u, p) of each."""
         from spiral.physics.formulas.rows import FIRST, SECOND
 
-        values = self._values(*self.split(x), u, p)
+        values = self._formula_values(*self.split(x), u, p)
         values |= {name + FIRST: rate for name, rate in vars(rates).items()}
         for c in self.coordinates:
             values[c.name + SECOND] = getattr(rates, self.rate_name(c.name))
-        return {state.name: _computed([text], values)[0] for state, text in self.form.readings}
+        return {
+            state.name: _compute_formulas([text], values)[0] for state, text in self.form.readings
+        }
 
     @property
     def inputs(self):
@@ -109,7 +111,7 @@ class Equations(MechanicalSystem):
     @property
     def ports(self):
         """Those named, one for each other coordinate, one between any two; else each state."""
-        return _ports(self)
+        return _equation_ports(self)
 
     @property
     def seed(self):
@@ -123,53 +125,53 @@ class Equations(MechanicalSystem):
 
     def mass(self, q, p):
         """M(q, p)."""
-        values = self._values(q, SimpleNamespace(), None, p)
-        return [_computed(row, values) for row in self.form.mass]
+        values = self._formula_values(q, SimpleNamespace(), None, p)
+        return [_compute_formulas(row, values) for row in self.form.mass]
 
     def force(self, q, v, u, p):
         """f(q, q', z, u, p)."""
-        return _computed(self.form.force, self._values(q, v, u, p))
+        return _compute_formulas(self.form.force, self._formula_values(q, v, u, p))
 
     def flows(self, q, v, u, p):
         """g(q, q', z, u, p)."""
-        rates = _computed(self.form.flow, self._values(q, v, u, p))
+        rates = _compute_formulas(self.form.flow, self._formula_values(q, v, u, p))
         return {s.name: rate for s, rate in zip(self.others, rates, strict=True)}
 
-    def _values(self, q, v, u, p):
+    def _formula_values(self, q, v, u, p):
         """Name -> value of all that formulas may name."""
-        found = {**vars(q), **vars(p)}
-        found |= {self.rate_name(name): value for name, value in vars(v).items()}
+        values = {**vars(q), **vars(p)}
+        values |= {self.rate_name(name): value for name, value in vars(v).items()}
         if u is not None:
-            found |= {i.name: getattr(u, i.name) for i in self.inputs}
+            values |= {i.name: getattr(u, i.name) for i in self.inputs}
             rates = (i.rate.name for i in self.inputs if i.derivative)
-            found |= {name: getattr(u, name) for name in rates}
-            found |= {"t": u.time, "time": u.time}
-        quantities = any(hasattr(value, "dimensionality") for value in found.values())
+            values |= {name: getattr(u, name) for name in rates}
+            values |= {"t": u.time, "time": u.time}
+        quantities = any(hasattr(value, "dimensionality") for value in values.values())
         for name, value, unit in self.form.definition.constants:
-            found[name] = _with_unit(value, unit) if quantities else value
-        return found
+            values[name] = _with_unit(value, unit) if quantities else value
+        return values
 
-    def _port(self, name, texts):
+    def _formula_port(self, name, texts):
         from spiral.physics.formulas.equations import port_unit
 
         position, force = port_unit(self.form, texts, name)
-        axes = texts if all(t.isidentifier() for t in texts) else _axes(len(texts))
+        axes = texts if all(t.isidentifier() for t in texts) else _axis_names(len(texts))
 
         def coordinates(q, p):
-            return _computed(texts, self._values(q, SimpleNamespace(), None, p))
+            return _compute_formulas(texts, self._formula_values(q, SimpleNamespace(), None, p))
 
         return Port(name, tuple(axes), coordinates, position, force)
 
 
-def _state(name):
+def _state_position(name):
     return lambda x, p: [getattr(x, name)]
 
 
-def _axes(count):
+def _axis_names(count):
     return ("x", "y", "z")[:count] if count < 4 else tuple(f"axis_{i + 1}" for i in range(count))
 
 
-def _computed(texts, values):
+def _compute_formulas(texts, values):
     from spiral.physics.formulas import syntax
 
     return [syntax.compute(text, values) for text in texts]
@@ -182,8 +184,8 @@ def _with_unit(value, unit):
 
 
 @kept(32)
-def _ports(system):
-    """Asked for thousands of times where many candidates are placed."""
+def _equation_ports(system):
+    """Ports of a system of equations; cached, since placing many candidates asks for them often."""
     named = system.form.definition.ports
     if not system.coordinates:
         if named:
@@ -193,7 +195,7 @@ def _ports(system):
                 "leave ports out; NAME-NAME is a place between two states of one unit",
             )
         return tuple(
-            Port(s.name, (s.name,), _state(s.name), s.unit, per_second(s.unit))
+            Port(s.name, (s.name,), _state_position(s.name), s.unit, per_second(s.unit))
             for s in system.others
         )
     taken = {text for _, texts in named for text in texts}
@@ -206,4 +208,4 @@ def _ports(system):
         if a.unit == b.unit and not known & {f"{b.name}-{a.name}", f"{a.name}-{b.name}"}
     )
     own = ((name, texts) for name, texts in between if name not in names)
-    return tuple(system._port(name, texts) for name, texts in (*named, *derived, *own))
+    return tuple(system._formula_port(name, texts) for name, texts in (*named, *derived, *own))

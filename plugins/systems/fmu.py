@@ -37,19 +37,19 @@ class Fmu(Outside):
 
     def __post_init__(self):
         """Read and start the FMU, so that what is wrong is said at once."""
-        object.__setattr__(self, "forces", _pairs(self.forces))
+        object.__setattr__(self, "forces", _force_pairs(self.forces))
         if not self.path:
             return
-        from spiral.io.readers.fmu import hash_of
+        from spiral.io.readers.fmu import file_sha256
 
-        found = hash_of(self.path)
-        if self.sha256 not in ("", found):
+        file_hash = file_sha256(self.path)
+        if self.sha256 not in ("", file_hash):
             raise InputError(
-                f"FMU {self.path!r} with SHA-256 {found[:12]}",
+                f"FMU {self.path!r} with SHA-256 {file_hash[:12]}",
                 f"the file with SHA-256 {self.sha256[:12]}",
-                f"system.sha256={found} to take the file as it is now",
+                f"system.sha256={file_hash} to take the file as it is now",
             )
-        object.__setattr__(self, "sha256", found)
+        object.__setattr__(self, "sha256", file_hash)
         _ = self.ports
 
     @property
@@ -57,14 +57,14 @@ class Fmu(Outside):
         """The FMU, opened in this process."""
         if not self.path:
             return Function().wrapped
-        from spiral.io.readers.fmu_system import wrapped_fmu
+        from spiral.io.readers.fmu_system import wrap_fmu
 
-        return wrapped_fmu(
+        return wrap_fmu(
             self.path, self.sha256, self.forces, self.recorded, self.measured, self.free
         )
 
 
-def _pairs(given):
+def _force_pairs(given):
     """Coordinate and input, in the order given."""
     try:
         pairs = given.items() if hasattr(given, "items") else (given or ())

@@ -46,9 +46,9 @@ class Function(Outside):
     @property
     def wrapped(self):
         """The compiled function."""
-        from spiral.physics.outside.function import wrapped
+        from spiral.physics.outside.function import wrap_function
 
-        return wrapped(self.function, self.text)
+        return wrap_function(self.function, self.text)
 
 
 def _example(t, x, u, p):

@@ -23,7 +23,7 @@ class Outside(MechanicalSystem):
     @property
     def form(self):
         """The equations around it, as a system of their own."""
-        return _equations(self.wrapped.text)
+        return _surrounding_equations(self.wrapped.text)
 
     @property
     def balanced(self):
@@ -79,7 +79,7 @@ class Outside(MechanicalSystem):
     @property
     def ports(self):
         """Those that are named, and one between any two of one unit; else each coordinate."""
-        return _ports(self)
+        return _reachable_ports(self)
 
     @property
     def seed(self):
@@ -97,26 +97,26 @@ class Outside(MechanicalSystem):
     def force(self, q, v, u, p):
         """f of the equations around, without effects."""
         x = SimpleNamespace(**vars(q), **{self.rate_name(n): value for n, value in vars(v).items()})
-        return self.form.force(q, v, self._seen(x, u, p, {}), p)
+        return self.form.force(q, v, self._with_program_rates(x, u, p, {}), p)
 
     def rate(self, x, u, p, injected):
         """Forces through inputs are the program's affair, the others add to its rates."""
         through = {c for c, _, _ in self.wrapped.pushed}
         left = {n: 0 if n in through else value for n, value in injected.items()}
-        return self.form.rate(x, self._seen(x, u, p, injected), p, left)
+        return self.form.rate(x, self._with_program_rates(x, u, p, injected), p, left)
 
-    def _seen(self, x, u, p, injected):
+    def _with_program_rates(self, x, u, p, injected):
         """The inputs, with the program's rates among them."""
         return SimpleNamespace(**{**vars(u), **self.wrapped.rates(x, u, p, injected)})
 
 
 @kept(32)
-def _equations(text):
+def _surrounding_equations(text):
     return Equations(text=text)
 
 
 @kept(32)
-def _ports(system):
+def _reachable_ports(system):
     """Ports that forces reach through inputs where these are named; else those of the equations.
 
     A force per unit mass has no counterforce: without inputs and masses no port is between two.
@@ -124,17 +124,17 @@ def _ports(system):
     form, units = system.form, {c: unit for c, _, unit in system.wrapped.pushed}
     if not form.coordinates or form.form.definition.mass:
         return form.ports
-    names, found = [c.name for c in form.coordinates], []
+    names, ports = [c.name for c in form.coordinates], []
     for port in form.ports:
-        used = [n for n in names if _moves(form, port, n)]
+        used = [n for n in names if _depends_on_coordinate(form, port, n)]
         if not units and len(used) == 1:
-            found.append(port)
+            ports.append(port)
         elif used and {units.get(n) for n in used} == {units.get(used[0])} != {None}:
-            found.append(replace(port, force_unit=units[used[0]]))
-    return tuple(found)
+            ports.append(replace(port, force_unit=units[used[0]]))
+    return tuple(ports)
 
 
-def _moves(system, port, name):
+def _depends_on_coordinate(system, port, name):
     """Whether the position at a port depends on a coordinate."""
     import sympy
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from spiral_plugins.effects.dissipative import LinearDamping
 from spiral_plugins.effects.restoring import LinearStiffness
 from spiral_plugins.effects.rotating import Unbalance
-from spiral_plugins.systems.rotor import ROTOR_INPUTS, turned
+from spiral_plugins.systems.rotor import ROTOR_INPUTS, turn_phase
 
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.port import Port
@@ -58,7 +58,7 @@ class PlanarRotor(MechanicalSystem):
 
     def seen(self, u, p):
         """Effects see the phase turned by the record's origin."""
-        return turned(u, p)
+        return turn_phase(u, p)
 
     def mass(self, q, p):
         """The identity: all is per unit mass."""

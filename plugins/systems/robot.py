@@ -52,13 +52,13 @@ class Robot(MechanicalSystem):
         if not self.text:
             from spiral.io.readers.robot import read_robot
 
-            text = read_robot(self.path, self.untouched) if self.path else _two_links().text
+            text = read_robot(self.path, self.untouched) if self.path else _two_link_example().text
             object.__setattr__(self, "text", text)
         joints = [j.name for j in self.form.joints]
         drives = [a.name for a in self.form.actuators]
-        _known("recorded", self.recorded, [*drives, *joints])
-        _known("measured", self.measured, [*joints, *(f"{j}'" for j in joints)])
-        _known("free", self.free, [name for name, *_ in _all_parameters(self.form)])
+        _refuse_unknown_names("recorded", self.recorded, [*drives, *joints])
+        _refuse_unknown_names("measured", self.measured, [*joints, *(f"{j}'" for j in joints)])
+        _refuse_unknown_names("free", self.free, [name for name, *_ in _all_parameters(self.form)])
         _ = self.ports
 
     @property
@@ -87,9 +87,9 @@ class Robot(MechanicalSystem):
     @property
     def inputs(self):
         """Commands of actuators by their names, forces on joints as JOINT_torque or JOINT_force."""
-        found = [Input(a.name, a.unit, "zero_order") for a in self._actuators()]
-        found += [Input(_force_name(j), j.units[1], "smooth") for j in self._pushed()]
-        return tuple(found)
+        inputs = [Input(a.name, a.unit, "zero_order") for a in self._recorded_actuators()]
+        inputs += [Input(_force_name(j), j.units[1], "smooth") for j in self._forced_joints()]
+        return tuple(inputs)
 
     @property
     def parameters(self):
@@ -110,8 +110,8 @@ class Robot(MechanicalSystem):
     def ports(self):
         """Each joint, then the places that were named."""
         joints = self.form.joints
-        own = tuple(Port(j.name, (j.name,), _at(j.name), *j.units[:2]) for j in joints)
-        return (*own, *(_place(self.form, name, text) for name, text in self.places))
+        own = tuple(Port(j.name, (j.name,), _joint_position(j.name), *j.units[:2]) for j in joints)
+        return (*own, *(_place_port(self.form, name, text) for name, text in self.places))
 
     @property
     def seed(self):
@@ -120,12 +120,12 @@ class Robot(MechanicalSystem):
 
     def mass(self, q, p):
         """M(q), armatures included."""
-        return self._motion(q, q, p, still=True)[0]
+        return self._mass_and_bias(q, q, p, still=True)[0]
 
     def force(self, q, v, u, p):
         """Q - b(q, q') - d q' - f tanh(q'/w) - k (q - q_r)."""
-        _, bias = self._motion(q, v, p)
-        found = []
+        _, bias = self._mass_and_bias(q, v, p)
+        forces = []
         for joint, b in zip(self.form.joints, bias, strict=True):
             at, speed = getattr(q, joint.name), getattr(v, joint.name)
             total = -b
@@ -133,16 +133,16 @@ class Robot(MechanicalSystem):
                 ("damping", lambda s=speed: s),
                 (
                     "friction",
-                    lambda s=speed, j=joint: tanh(s / _sized(WIDTH, f"{j.units[0]}/s", s)),
+                    lambda s=speed, j=joint: tanh(s / _with_unit_like(WIDTH, f"{j.units[0]}/s", s)),
                 ),
-                ("stiffness", lambda a=at, j=joint: a - _sized(j.rest, j.units[0], a)),
+                ("stiffness", lambda a=at, j=joint: a - _with_unit_like(j.rest, j.units[0], a)),
             ):
                 value = getattr(p, f"{joint.name}_{name}", None)
                 total = total if value is None else total - value * pull()
-            found.append(total + self._push(joint, at, speed, u))
-        return found
+            forces.append(total + self._drive_force(joint, at, speed, u))
+        return forces
 
-    def _motion(self, q, v, p, still=False):
+    def _mass_and_bias(self, q, v, p, still=False):
         from spiral.physics.robots.motion import Sizes, equations_of_motion
 
         form = self.form
@@ -151,18 +151,20 @@ class Robot(MechanicalSystem):
         one = [registry().Quantity(1.0, unit) for unit in ("m", "s", "kg*m**2")]
         sizes = Sizes(*one) if units else Sizes()
         if still:
-            speeds = [_sized(0, f"{j.units[0]}/s", at[0]) for j in form.joints]
-        masses = [getattr(p, f"{b.name}_mass", _sized(0, "kg", at[0])) for b in form.bodies]
+            speeds = [_with_unit_like(0, f"{j.units[0]}/s", at[0]) for j in form.joints]
+        masses = [
+            getattr(p, f"{b.name}_mass", _with_unit_like(0, "kg", at[0])) for b in form.bodies
+        ]
         factors = [getattr(p, f"{b.name}_inertia", 0) for b in form.bodies]
         mass, bias = equations_of_motion(form, at, speeds, masses, factors, sizes)
         for i, joint in enumerate(form.joints):
             mass[i][i] = mass[i][i] + getattr(p, f"{joint.name}_armature", 0)
         return mass, bias
 
-    def _push(self, joint, at, speed, u):
+    def _drive_force(self, joint, at, speed, u):
         """What actuators and a recorded force do at a joint."""
         total = 0
-        for a in self._actuators():
+        for a in self._recorded_actuators():
             if a.joint != joint.name:
                 continue
             own, force, _ = joint.units
@@ -170,13 +172,16 @@ class Robot(MechanicalSystem):
                      (-a.by_velocity, speed, f"{own}/s"))  # fmt: skip
             for factor, value, unit in terms:
                 if factor:
-                    total = total + _sized(a.gear * factor, f"({force})/({unit})", value) * value
-        return total + getattr(u, _force_name(joint)) if joint in self._pushed() else total
+                    total = (
+                        total
+                        + _with_unit_like(a.gear * factor, f"({force})/({unit})", value) * value
+                    )
+        return total + getattr(u, _force_name(joint)) if joint in self._forced_joints() else total
 
-    def _actuators(self):
+    def _recorded_actuators(self):
         return [a for a in self.form.actuators if not self.recorded or a.name in self.recorded]
 
-    def _pushed(self):
+    def _forced_joints(self):
         drives = {a.name for a in self.form.actuators}
         return [j for j in self.form.joints if j.name in self.recorded and j.name not in drives]
 
@@ -191,7 +196,7 @@ def _all_parameters(form):
             yield f"{joint.name}_{name}", unit.format(*joint.units), getattr(joint, name)
 
 
-def _known(what, names, known):
+def _refuse_unknown_names(what, names, known):
     for name in names:
         if name not in known:
             raise ConfigError(
@@ -203,16 +208,16 @@ def _force_name(joint):
     return f"{joint.name}_{'torque' if joint.kind == 'hinge' else 'force'}"
 
 
-def _at(name):
+def _joint_position(name):
     return lambda q, p: [getattr(q, name)]
 
 
-def _place(form, name, text):
+def _place_port(form, name, text):
     """A port at a formula of the joints, which are of one unit."""
     from spiral.physics.formulas import syntax
 
     used = syntax.names(text)
-    _known(f"place {name!r}:", used, [j.name for j in form.joints])
+    _refuse_unknown_names(f"place {name!r}:", used, [j.name for j in form.joints])
     units = {form.joint(n).units[:2] for n in used}
     if len(units) != 1:
         raise ConfigError(f"place {name!r}: {text}", "joints that all turn or all slide")
@@ -223,12 +228,12 @@ def _has_units(value):
     return hasattr(value, "dimensionality")
 
 
-def _sized(value, unit, beside):
+def _with_unit_like(value, unit, beside):
     """A number, with its unit where what it stands beside has one."""
     return registry().Quantity(value, unit.replace("^", "**")) if _has_units(beside) else value
 
 
-def _two_links():
+def _two_link_example():
     """Links of 0.3 and 0.25 m, one below the other, that swing about y."""
     from spiral.physics.robots.tree import Body, Joint, Robot
 

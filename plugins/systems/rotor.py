@@ -12,6 +12,6 @@ ROTOR_INPUTS = (
 )
 
 
-def turned(u, p):
+def turn_phase(u, p):
     """The inputs with the phase turned by the record's own origin."""
     return SimpleNamespace(**{**vars(u), "phase": u.phase + p.phase_origin})

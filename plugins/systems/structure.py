@@ -46,7 +46,7 @@ class Structure(MechanicalSystem):
 
         object.__setattr__(self, "band", tuple(self.band))
         if not self.text:
-            source, nodes = (self.path, self.nodes) if self.path else _chain()
+            source, nodes = (self.path, self.nodes) if self.path else _chain_example()
             band = self.band if self.path else (0.0, 0.3)
             kind = (self.size, band, self.pairs, self.damping_ratio, self.highest)
             text = read_structure(source, nodes, *kind)
@@ -74,23 +74,23 @@ class Structure(MechanicalSystem):
     @property
     def injections(self):
         """A force on each node and mode."""
-        return tuple(State(c.name, _force(c.unit)) for c in self.coordinates)
+        return tuple(State(c.name, _unit_of_force(c.unit)) for c in self.coordinates)
 
     @property
     def observed(self):
         """Nodes with a sensor, and NODE_acceleration of those with an accelerometer."""
-        return (*self._nodes("sensor"), *(state.name for state in self.readings))
+        return (*self._nodes_with_use("sensor"), *(state.name for state in self.readings))
 
     @property
     def readings(self):
         """What accelerometers report."""
         units = dict(zip(self.form.names, self.form.units, strict=True))
-        nodes = self._nodes("accelerometer")
+        nodes = self._nodes_with_use("accelerometer")
         return tuple(State(f"{n}_acceleration", short_form(per_second(units[n], 2))) for n in nodes)
 
     def reading(self, x, rates, u, p):
         """q'' of each such node."""
-        nodes = self._nodes("accelerometer")
+        nodes = self._nodes_with_use("accelerometer")
         return {f"{n}_acceleration": getattr(rates, self.rate_name(n)) for n in nodes}
 
     @property
@@ -98,7 +98,8 @@ class Structure(MechanicalSystem):
         """A force on each node that has one, named force_NODE; the speed where there is G."""
         units = dict(zip(self.form.names, self.form.units, strict=True))
         forces = (
-            Input(f"force_{n}", _force(units[n]), "band_limited") for n in self._nodes("input")
+            Input(f"force_{n}", _unit_of_force(units[n]), "band_limited")
+            for n in self._nodes_with_use("input")
         )
         turning = (Input("speed", "rad/s"),) if self.form.gyroscopic is not None else ()
         return (*forces, *turning)
@@ -115,12 +116,14 @@ class Structure(MechanicalSystem):
         """Pairs of nodes, then nodes of use port; without any, those that are measured."""
         units = dict(zip(self.form.names, self.form.units, strict=True))
         pairs = tuple(
-            Port(name, (name,), _between(a, b), units[a], _force(units[a]))
+            Port(name, (name,), _node_difference(a, b), units[a], _unit_of_force(units[a]))
             for name, a, b in self.form.pairs
         )
-        seen = self._nodes("sensor") or self._nodes("accelerometer")
-        single = self._nodes("port") or (() if pairs else seen)
-        at = tuple(Port(n, (n,), _at(n), units[n], _force(units[n])) for n in single)
+        seen = self._nodes_with_use("sensor") or self._nodes_with_use("accelerometer")
+        single = self._nodes_with_use("port") or (() if pairs else seen)
+        at = tuple(
+            Port(n, (n,), _node_position(n), units[n], _unit_of_force(units[n])) for n in single
+        )
         return (*at, *pairs)
 
     @property
@@ -131,12 +134,12 @@ class Structure(MechanicalSystem):
     def mass(self, q, p):
         """M."""
         values = self.form.mass.tolist()
-        if not _have_units([*vars(q).values(), *vars(p).values()]):
+        if not _have_any_units([*vars(q).values(), *vars(p).values()]):
             return values
         units = self.form.units
-        per = [[f"({_force(a)})*s^2/({b})" for b in units] for a in units]
+        per = [[f"({_unit_of_force(a)})*s^2/({b})" for b in units] for a in units]
         return [
-            [v * _one(u) for v, u in zip(*rows, strict=True)]
+            [v * _unit_quantity(u) for v, u in zip(*rows, strict=True)]
             for rows in zip(values, per, strict=True)
         ]
 
@@ -144,8 +147,13 @@ class Structure(MechanicalSystem):
         """F - (C + W G) q' - s K q."""
         units, states = self.form.units, (list(vars(q).values()), list(vars(v).values()))
         return [
-            total - sum(self._pulls(self._scaled(u, p), states, i, _force(units[i])))
-            for i, total in enumerate(self._applied(u))
+            total
+            - sum(
+                self._matrix_forces(
+                    self._scaled_matrices(u, p), states, i, _unit_of_force(units[i])
+                )
+            )
+            for i, total in enumerate(self._applied_forces(u))
         ]
 
     def rate(self, x, u, p, injected):
@@ -154,77 +162,88 @@ class Structure(MechanicalSystem):
         Products with M^-1 are numbers: every mode by itself.
         """
         form, (q, v) = self.form, self.split(x)
-        pushes = [f + injected[n] for n, f in zip(form.names, self._applied(u), strict=True)]
-        scaled = [(f, form.accelerated(m), kind) for f, m, kind in self._scaled(u, p)]
+        pushes = [f + injected[n] for n, f in zip(form.names, self._applied_forces(u), strict=True)]
+        scaled = [(f, form.divide_by_mass(m), kind) for f, m, kind in self._scaled_matrices(u, p)]
         states = (list(vars(q).values()), list(vars(v).values()))
         rates = {n: getattr(v, n) for n in form.names}
         for i, name in enumerate(form.names):
             own = f"({form.units[i]})/s^2"
             total = sum(
-                (value * (_one(f"({own})/({_force(unit)})") if _have_units([push]) else 1) * push
-                for value, push, unit in zip(
-                    form.compliance[i].tolist(), pushes, form.units, strict=True)
-                if _have_units([push]) or push != 0)
-            )  # fmt: skip
-            rates[self.rate_name(name)] = total - sum(self._pulls(scaled, states, i, own))
+                (
+                    value
+                    * (
+                        _unit_quantity(f"({own})/({_unit_of_force(unit)})")
+                        if _have_any_units([push])
+                        else 1
+                    )
+                    * push
+                    for value, push, unit in zip(
+                        form.compliance[i].tolist(), pushes, form.units, strict=True
+                    )
+                    if _have_any_units([push]) or push != 0
+                )
+            )
+            rates[self.rate_name(name)] = total - sum(self._matrix_forces(scaled, states, i, own))
         return rates
 
-    def _applied(self, u):
+    def _applied_forces(self, u):
         """The recorded force on each coordinate."""
-        inputs = dict(zip(self._nodes("input"), self.inputs, strict=False))
+        inputs = dict(zip(self._nodes_with_use("input"), self.inputs, strict=False))
         return [getattr(u, inputs[n].name) if n in inputs else 0 for n in self.form.names]
 
-    def _scaled(self, u, p):
+    def _scaled_matrices(self, u, p):
         """Factors and their matrices, of the coordinates (0) or of their rates (1)."""
         form = self.form
-        found = [(p.stiffness, form.stiffness, 0)]
-        found += [(getattr(p, name), part, 0) for name, part in form.parts.items()]
-        found += [(p.damping_ratio if form.by_ratio else p.damping, form.damping, 1)]
-        return found if form.gyroscopic is None else [*found, (u.speed, form.gyroscopic, 1)]
+        terms = [(p.stiffness, form.stiffness, 0)]
+        terms += [(getattr(p, name), part, 0) for name, part in form.parts.items()]
+        terms += [(p.damping_ratio if form.by_ratio else p.damping, form.damping, 1)]
+        return terms if form.gyroscopic is None else [*terms, (u.speed, form.gyroscopic, 1)]
 
-    def _pulls(self, scaled, states, row, own):
+    def _matrix_forces(self, scaled, states, row, own):
         """A row of each matrix times states, times its factor."""
         for factor, matrix, kind in scaled:
-            yield factor * sum(self._terms(matrix, states[kind], row, kind, factor, own))
+            yield factor * sum(self._row_terms(matrix, states[kind], row, kind, factor, own))
 
-    def _terms(self, matrix, states, row, kind, factor, own):
+    def _row_terms(self, matrix, states, row, kind, factor, own):
         """The terms of a row of a matrix times states, in ``own`` unit where these have some."""
         per = "" if getattr(factor, "dimensionless", True) else "*s/rad"
         for value, state, unit in zip(matrix[row], states, self.form.units, strict=True):
-            if value and _have_units([state]):
-                yield value * _one(f"({own})*{'s' if kind else '1'}/({unit}){per}") * state
+            if value and _have_any_units([state]):
+                yield (
+                    value * _unit_quantity(f"({own})*{'s' if kind else '1'}/({unit}){per}") * state
+                )
             elif value:
                 yield float(value) * state
 
-    def _nodes(self, use):
+    def _nodes_with_use(self, use):
         return tuple(
             n for n, uses in zip(self.form.names, self.form.uses, strict=False) if use in uses
         )
 
 
-def _force(unit):
+def _unit_of_force(unit):
     return "N*m" if unit == "rad" else "N"
 
 
-def _at(name):
+def _node_position(name):
     return lambda q, p: [getattr(q, name)]
 
 
-def _between(first, second):
+def _node_difference(first, second):
     return lambda q, p: [getattr(q, second) - getattr(q, first)]
 
 
-def _have_units(values):
+def _have_any_units(values):
     return any(hasattr(v, "dimensionality") for v in values)
 
 
-def _one(unit):
+def _unit_quantity(unit):
     from spiral.types.units import registry
 
     return registry().Quantity(1.0, unit.replace("^", "**"))
 
 
-def _chain():
+def _chain_example():
     """Three masses of 1 kg on springs of 1 N/m, a sensor and a force on the first."""
     import numpy as np
 

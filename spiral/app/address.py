@@ -30,26 +30,26 @@ class Address:
     beside: tuple[int, ...] = ()
 
 
-def read(turn: str = "", tab: str = "", zoom: str = "", beside: str = "") -> Address:
+def parse_address(turn: str = "", tab: str = "", zoom: str = "", beside: str = "") -> Address:
     """The view that the parts of an address ask for."""
     views: dict[str, View] = {}
     for part in zoom.split(",")[:_MOST]:
-        found = _ZOOM.fullmatch(part)
-        ends = _numbers(found[3], found[4]) if found else ()
-        if found and ends:
-            view = views.setdefault(found[1], {})
-            view |= {f"{found[2]}.range[{i}]": end for i, end in enumerate(ends)}
+        match = _ZOOM.fullmatch(part)
+        ends = _finite_numbers(match[3], match[4]) if match else ()
+        if match and ends:
+            view = views.setdefault(match[1], {})
+            view |= {f"{match[2]}.range[{i}]": end for i, end in enumerate(ends)}
     serials = tuple(int(s) for s in beside.split(",") if s.isdecimal() and len(s) < 7)
     known = int(turn) if turn.isdecimal() and len(turn) < 7 else None
     return Address(known, tab, views, serials)
 
 
-def written(at: Address) -> str:
+def format_address(at: Address) -> str:
     """The part of an address after the name of the study."""
     parts = [] if at.turn is None else [f"turn={at.turn}"]
     if at.tab:
         parts.append(f"tab={quote(at.tab)}")
-    zooms = [z for name, view in at.views.items() for z in _zooms(name, view)]
+    zooms = [z for name, view in at.views.items() for z in _format_zooms(name, view)]
     if zooms:
         parts.append("zoom=" + ",".join(zooms))
     if at.beside:
@@ -57,17 +57,17 @@ def written(at: Address) -> str:
     return "?" + "&".join(parts)
 
 
-def _zooms(name: str, view: Mapping[str, float]) -> Iterable[str]:
+def _format_zooms(name: str, view: Mapping[str, float]) -> Iterable[str]:
     for axis in dict.fromkeys(key.partition(".")[0] for key in view):
         ends = [view.get(f"{axis}.range[{i}]") for i in (0, 1)]
         if all(isinstance(end, int | float) for end in ends):
             yield f"{name}.{axis}:{ends[0]:.7g}:{ends[1]:.7g}"
 
 
-def _numbers(*texts: str) -> tuple[float, ...]:
-    """All of them as numbers; nothing where one is none, or not finite."""
+def _finite_numbers(*texts: str) -> tuple[float, ...]:
+    """The texts as numbers; empty where one is not a finite number."""
     try:
-        found = tuple(map(float, texts))
+        values = tuple(map(float, texts))
     except ValueError:
         return ()
-    return found if all(map(math.isfinite, found)) else ()
+    return values if all(map(math.isfinite, values)) else ()

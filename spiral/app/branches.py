@@ -16,7 +16,7 @@ Move = Callable[[int | None], None]
 """Look at the turn with this serial."""
 
 
-def steps(scene: Scene, move: Move) -> None:
+def draw_undo_redo(scene: Scene, move: Move) -> None:
     """One step back, and one forward for each branch that begins here."""
     study, idle = scene.study, scene.busy is None
     turn = study.turn
@@ -25,12 +25,12 @@ def steps(scene: Scene, move: Move) -> None:
         undo = ui.button("Undo", icon="undo", on_click=lambda: move(before))
         undo.props("outline").set_enabled(idle and before is not None)
         for later in () if turn is None else study.after(turn.serial):
-            again = ui.button(f"Redo {panels.words(later.added)}", icon="redo")
+            again = ui.button(f"Redo {panels.label_words(later.added)}", icon="redo")
             again.on_click(functools.partial(move, later.serial))
             again.props("flat").set_enabled(idle)
 
 
-def tree(scene: Scene, move: Move) -> None:
+def draw_branch_tree(scene: Scene, move: Move) -> None:
     """All branches with their errors, where there are several; the line looked at is marked."""
     study = scene.study
     if all(len(study.after(t.serial)) < 2 for t in study.turns):
@@ -39,26 +39,26 @@ def tree(scene: Scene, move: Move) -> None:
             "test record</h3>", sanitize=False)  # fmt: skip
     with ui.element("ul").classes("branches").props('id="branches"'):
         for first in study.after(None):
-            _branch(scene, first, move)
+            _draw_branch(scene, first, move)
 
 
-def _branch(scene: Scene, turn: Turn, move: Move) -> None:
-    """A turn, what was made from it below; those of one line stand at one depth."""
-    _entry(scene, turn, move)
+def _draw_branch(scene: Scene, turn: Turn, move: Move) -> None:
+    """A turn and, below it, the turns made from it; only a fork indents its branches."""
+    _draw_branch_entry(scene, turn, move)
     later = scene.study.after(turn.serial)
     for one in later:
         if len(later) == 1:
-            _branch(scene, one, move)
+            _draw_branch(scene, one, move)
             continue
         with ui.element("li"), ui.element("ul"):
-            _branch(scene, one, move)
+            _draw_branch(scene, one, move)
 
 
-def _entry(scene: Scene, turn: Turn, move: Move) -> None:
+def _draw_branch_entry(scene: Scene, turn: Turn, move: Move) -> None:
     study: Study = scene.study
     here = study.turn is not None and study.turn.serial == turn.serial
     error = turn.result.get("test_error")
-    said = f"+ {panels.words(turn.added)}" if turn.added else "the model as it was"
+    said = f"+ {panels.label_words(turn.added)}" if turn.added else "the model as it was"
     shown = f"{said}: {'not finite' if error is None else percent(error)}"
     with ui.element("li"):
         entry = ui.button(shown, on_click=lambda: move(turn.serial)).props("flat dense align=left")

@@ -1,37 +1,38 @@
-"""What is to be held against a step: look-alikes, what its record leaves open, doubtful signs."""
+"""Caveats of a step: effects that look alike, undetermined parameters, doubtful signs."""
 
 from __future__ import annotations
 
 from spiral.inference.discover import Checkpoint
 from spiral.inference.problem import Settings
-from spiral.inference.verdict import doubts
-from spiral.physics.passivity import implausible
-from spiral.view.report.style import words
+from spiral.inference.verdict import reasons_for_doubt
+from spiral.physics.passivity import implausible_signs
+from spiral.view.report.style import label_words
 
 
-def alike(at: Checkpoint) -> list[tuple[str, ...]]:
-    """Each effect of a turn's model that others cannot be told from, before those others."""
+def indistinguishable_effects(at: Checkpoint) -> list[tuple[str, ...]]:
+    """Tuples (effect of the turn's model, effects that the record cannot tell from it ...)."""
     held = at.rounds[-1].comparison.model.labels
-    found = {k: v for one in at.rounds for k, v in one.aliases.items() if k in held and v}
-    return [(label, *others) for label, others in found.items()]
+    aliases = {k: v for one in at.rounds for k, v in one.aliases.items() if k in held and v}
+    return [(label, *others) for label, others in aliases.items()]
 
 
-def caveats(at: Checkpoint, settings: Settings) -> list[str]:
-    """What is to be held against a turn's verdict, in sentences, the model's own doubts first."""
-    from spiral.view.report.text import doubted
+def turn_caveats(at: Checkpoint, settings: Settings) -> list[str]:
+    """Sentences that limit a turn's verdict: undetermined parameters first, then look-alikes."""
+    from spiral.view.report.text import ambiguity_notes
 
     model = at.rounds[-1].comparison.model
-    found = [
-        f"This record does not determine {words(label)}: {doubt}."
+    sentences = [
+        f"This record does not determine {label_words(label)}: {doubt}."
         for label in model.labels
-        if (doubt := doubts(at.rounds[-1], label, settings))
+        if (doubt := reasons_for_doubt(at.rounds[-1], label, settings))
     ]
-    found += [
-        f"{words(key.replace('.', ', '))}: {said}." for key, said in implausible(model).items()
+    sentences += [
+        f"{label_words(key.replace('.', ', '))}: {said}."
+        for key, said in implausible_signs(model).items()
     ]
     for number, one in enumerate(at.rounds):
         kept = {k: v for k, v in one.aliases.items() if k in model.labels}
         lost = one.details.get("not_separable", {}) if number == len(at.rounds) - 1 else {}
-        found += doubted({"aliases": kept, "details": {"not_separable": lost},
+        sentences += ambiguity_notes({"aliases": kept, "details": {"not_separable": lost},
                           "admitted": one.admitted, "second_order": one.second_order})  # fmt: skip
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(sentences))

@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from spiral.app.record_setup import safe
+from spiral.app.record_setup import safe_file_name
 from spiral.app.session import Session
 from spiral.app.study import Turn
 from spiral.app.viewer import Viewer
-from spiral.app.whole import archived
+from spiral.app.whole import write_archive
 from spiral.io.export.kinds import KINDS, export
-from spiral.io.storage import own_file, run_folder
+from spiral.io.storage import resolve_inside_folder, run_folder
 from spiral.io.tracking.store import Tracking
 from spiral.types.errors import ConfigError, SpiralError
-from spiral.view.report.pictures import printed
+from spiral.view.report.pictures import write_pdf
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -28,63 +28,63 @@ REPORT, PRINTED = "report.html", "report.pdf"
 _TRACKED = re.compile(r"experiments/\w+/runs/\w+", re.ASCII)
 
 
-def routes(web: FastAPI, session: Session, viewer: Viewer) -> None:
+def add_download_routes(web: FastAPI, session: Session, viewer: Viewer) -> None:
     """Add the addresses of files to the application."""
     from fastapi.responses import FileResponse, PlainTextResponse, RedirectResponse
 
     @web.get("/take/{ident}/{serial}/{name}")
-    async def _take(ident: str, serial: int, name: str) -> Any:
+    async def _send_download(ident: str, serial: int, name: str) -> Any:
         try:
-            file = await asyncio.to_thread(written, session, ident, serial, name)
+            file = await asyncio.to_thread(write_download, session, ident, serial, name)
         except SpiralError as error:
             return PlainTextResponse(str(error), status_code=404)
         return FileResponse(file, filename=f"{file.parent.name}-{name}")
 
     @web.get("/whole/{ident}")
-    async def _whole(ident: str) -> Any:
+    async def _send_archive(ident: str) -> Any:
         try:
             study = session.scene(ident).study
-            file = await asyncio.to_thread(archived, session.out, study)
+            file = await asyncio.to_thread(write_archive, session.out, study)
         except SpiralError as error:
             return PlainTextResponse(str(error), status_code=404)
-        return FileResponse(file, filename=f"{safe(study.title)}.zip")
+        return FileResponse(file, filename=f"{safe_file_name(study.title)}.zip")
 
     @web.get("/mlflow/{ident}/{serial}")
-    async def _mlflow(ident: str, serial: int) -> Any:
+    async def _redirect_to_mlflow(ident: str, serial: int) -> Any:
         try:
-            turn = _saved(session, ident, serial)
+            turn = _saved_turn(session, ident, serial)
             if not _TRACKED.fullmatch(turn.tracked):
                 raise ConfigError(f"turn {serial}", "a turn that MLflow knows of", "wait a moment")
-            store = Tracking().where(session.out)  # never one that a file of the study names
-            view = chart(_tracked_runs(session, ident, turn))
+            store = Tracking().resolve_uri(session.out)  # never one that a file of the study names
+            view = mlflow_chart_path(_tracked_runs(session, ident, turn))
             address = await asyncio.to_thread(viewer.address, store, view)
         except SpiralError as error:
             return PlainTextResponse(str(error), status_code=404)
         return RedirectResponse(address)
 
 
-def written(session: Session, ident: str, serial: int, name: str) -> Path:
+def write_download(session: Session, ident: str, serial: int, name: str) -> Path:
     """A turn's report, model or numbers as a file in the folder of its run.
 
     Raises
     ------
     ConfigError : no such study, turn or file, or a turn that is not saved yet.
     """
-    turn = _saved(session, ident, serial)
+    turn = _saved_turn(session, ident, serial)
     exports = {f"model{kind.suffix}": to for to, kind in KINDS.items()}
     known = (REPORT, PRINTED, *exports, "run.json")
     if name not in known:
         raise ConfigError(f"file {name}", f"one of {', '.join(known)}")
-    file = own_file(run_folder(session.out, turn.run_id), name)
+    file = resolve_inside_folder(run_folder(session.out, turn.run_id), name)
     # Anew each time: a folder from elsewhere may hold a program, or a page, of that name.
     if name in exports:
-        return export(_model(session, turn), exports[name], file, f"run {turn.run_id}")
+        return export(_saved_model(session, turn), exports[name], file, f"run {turn.run_id}")
     if name == REPORT:
         from spiral.io.writing import write_whole
 
-        write_whole(file, _report(session, turn))
+        write_whole(file, _report_page(session, turn))
     if name == PRINTED:
-        return printed(_report(session, turn), file)
+        return write_pdf(_report_page(session, turn), file)
     return file
 
 
@@ -95,7 +95,7 @@ def _tracked_runs(session: Session, ident: str, turn: Turn) -> list[str]:
     return list(dict.fromkeys(p for p in (turn.tracked, *others) if _TRACKED.fullmatch(p)))
 
 
-def chart(places: Sequence[str]) -> str:
+def mlflow_chart_path(places: Sequence[str]) -> str:
     """MLflow's chart of runs: their errors on unseen data over the rounds, logarithmic.
 
     ``places`` are ``experiments/NUMBER/runs/ID``. Each run holds all its rounds, so that the ends
@@ -117,14 +117,14 @@ def chart(places: Sequence[str]) -> str:
     return f"metric?{said}&x_axis=step&y_axis_scale=log"
 
 
-def _saved(session: Session, ident: str, serial: int) -> Turn:
+def _saved_turn(session: Session, ident: str, serial: int) -> Turn:
     turn = session.scene(ident).study.turn_of(serial)
     if turn is None or not turn.run_id:
         raise ConfigError(f"turn {serial}", "a turn that is saved", "wait a moment")
     return turn
 
 
-def _report(session: Session, turn: Turn) -> str:
+def _report_page(session: Session, turn: Turn) -> str:
     from spiral.io.curves import read_curves
     from spiral.io.storage import load_run
     from spiral.view.report.page import page
@@ -133,7 +133,7 @@ def _report(session: Session, turn: Turn) -> str:
     return page(saved.data, read_curves(saved.file.parent))[0]
 
 
-def _model(session: Session, turn: Turn) -> Any:
+def _saved_model(session: Session, turn: Turn) -> Any:
     from spiral.io.registry import load_registry
     from spiral.io.storage import load_run
 

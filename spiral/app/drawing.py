@@ -8,9 +8,9 @@ from pathlib import Path
 
 from spiral.inference.discover import Checkpoint
 from spiral.inference.problem import Settings
-from spiral.inference.rounds import concluded
+from spiral.inference.rounds import conclude_study
 from spiral.io.curves import Curves
-from spiral.io.writing import finite, to_json, write_whole
+from spiral.io.writing import replace_nonfinite, to_json, write_whole
 from spiral.physics.couplings import couplings_of
 
 SKETCH = "sketch.json"
@@ -19,7 +19,7 @@ FIRST = ("free_run", "where", "amplitude")
 """Figures that are drawn before all others."""
 
 
-def draw(
+def write_turn_figures(
     at: Checkpoint,
     alone: Curves | None,
     both: Curves | None,
@@ -35,18 +35,22 @@ def draw(
     folder.mkdir(parents=True, exist_ok=True)
     graph = asdict(couplings_of(at.rounds[-1].comparison.model))
     write_whole(folder / SKETCH, to_json(graph))
-    run = concluded(at, "max_rounds", Settings(), "")
+    run = conclude_study(at, "max_rounds", Settings(), "")
     now_unknown = {"unknown": at.rounds[-1].details.get("unknown"), "noise_floor": None}
-    saved = {"result": finite({**run.as_dict(), **now_unknown})}
+    saved = {"result": replace_nonfinite({**run.as_dict(), **now_unknown})}
     names = [n for n in _ORDER if part(n)]
     compared = [n for n in names if n in _COMPARED]
     now = ["before" if n == "free_run" else n for n in names if n not in _COMPARED]
     shown = figures(saved, alone, now) + figures(saved, both or alone, compared)
-    found = {"free_run" if s.name == "before" else s.name: s for s in shown}
-    for name, one in found.items():
+    figures_by_name = {"free_run" if s.name == "before" else s.name: s for s in shown}
+    for name, one in figures_by_name.items():
         write_whole(folder / f"{name}.json", one.figure.to_json())
     heads = {"free_run": "Measured against the model, on the test record"}
-    return [(n, heads.get(n, found[n].heading), found[n].caption) for n in names if n in found]
+    return [
+        (n, heads.get(n, figures_by_name[n].heading), figures_by_name[n].caption)
+        for n in names
+        if n in figures_by_name
+    ]
 
 
 _COMPARED = ("amplitude", "missing_force")

@@ -1,10 +1,10 @@
-"""The place where a file is dropped: a little script sends it, shows how far, and says why not."""
+"""The area for dropped files, with a script that uploads, shows progress and reports errors."""
 
 from html import escape
 
 from nicegui import ui
 
-from spiral.app.upload import MOST, too_large
+from spiral.app.upload import MOST, too_large_error
 
 READS = "CSV and other text, Parquet, MATLAB, NPZ, HDF5, UFF, TDMS"
 
@@ -31,7 +31,7 @@ def drop_zone(beside: str = "") -> None:
 
 def drop_script() -> None:
     """The script behind ``drop_zone``: once for a page, before it is sent."""
-    error = too_large(None).as_dict()
+    error = too_large_error(None).as_dict()
     ui.add_body_html(
         "<script>"
         + _SCRIPT.replace("LIMIT", str(MOST))

@@ -11,7 +11,7 @@ from spiral.app import frame
 from spiral.app.file_setup import EQUATIONS
 from spiral.app.record_setup import RecordSetup
 
-_FILE = re.compile(r"^\S*equations-[0-9a-f]{12}\.yaml: ")  # which nobody has named
+_FILE = re.compile(r"^\S*equations-[0-9a-f]{12}\.yaml: ")  # a name nobody typed
 BEGINNING = """\
 title: Two masses, the second one hidden
 equations:
@@ -33,17 +33,17 @@ _SAID = (
 )
 
 
-def wrong(setup: RecordSetup) -> Mapping[str, str] | None:
-    """The message about the equations, where there is one: it stands beside them."""
+def equations_error(setup: RecordSetup) -> Mapping[str, str] | None:
+    """The error in the typed equations, or nothing; it is shown beside their text box."""
     trouble = setup.trouble or {}
     if trouble.get("at") != EQUATIONS:
         return None
     return {**trouble, "given": _FILE.sub("", trouble["given"])}
 
 
-def draw(setup: RecordSetup, take: Callable[[str], None]) -> None:
+def draw_equations_form(setup: RecordSetup, take: Callable[[str], None]) -> None:
     """A box for equations, the beginning of an example in it, and what is wrong with them."""
-    error = wrong(setup)
+    error = equations_error(setup)
     with ui.expansion("Write equations of your own", value=bool(setup.equations)).classes(
         "w-full equations"
     ):
@@ -52,7 +52,7 @@ def draw(setup: RecordSetup, take: Callable[[str], None]) -> None:
         box.props["aria-label"] = "Equations of the system"
         box.props("outlined dense autogrow spellcheck=false").classes("w-full")
         if error:
-            with frame.told(error):
+            with frame.error_box(error):
                 pass
         button = ui.button("Use these equations", on_click=lambda: take(box.value or ""))
         button.props("outline").style("margin-top:6px")

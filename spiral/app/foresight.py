@@ -1,4 +1,4 @@
-"""What a record can tell before any fit: whether effects would look alike in it."""
+"""Identifiability before any fit: which effects the records could not tell apart."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _EQUAL = 1e-12  # of a cosine: equal up to rounding
 _UNKNOWN = "This cannot be told before a fit: states that no sensor sees take part."
 
 
-def foreseen(
+def identifiability_forecast(
     problem: Problem, config: Mapping[str, Any], registry: Registry
 ) -> dict[str, Any]:  # fmt: skip
-    """Groups of effects that the records cannot tell apart, as ``spiral identify`` finds them.
+    """Groups of effects that the records cannot tell apart, as ``spiral identify`` computes them.
 
     Returns
     -------
@@ -30,28 +30,32 @@ def foreseen(
     """
     try:
         derivative = build_derivative(dict(config), registry)
-        found = identify(problem, derivative)
-        twice = _in_the_equations(problem, found)
+        identification = identify(problem, derivative)
+        twice = _candidates_in_equations(problem, identification)
         if twice:
             others = tuple(e for e in problem.candidates if e.label not in twice)
-            found = identify(replace(problem, candidates=others), derivative)
+            identification = identify(replace(problem, candidates=others), derivative)
     except (InputError, ConfigError, ArithmeticError, ValueError):  # LinAlgError is a ValueError
         return {"unknown": _UNKNOWN}
-    needed = found.samples_needed
+    needed = identification.samples_needed
     return {
-        "alike": [g for group in found.aliases if len(g := _named(problem, group)) > 1],
-        "own": [*problem.model.labels, *_of_system(problem)],
-        "terms": found.found.columns,
-        "samples": found.found.samples,
+        "alike": [
+            g
+            for group in identification.aliases
+            if len(g := _replace_system_label(problem, group)) > 1
+        ],
+        "own": [*problem.model.labels, *_free_system_parameters(problem)],
+        "terms": identification.richness.columns,
+        "samples": identification.richness.samples,
         "needed": float(needed) if np.isfinite(needed) else None,
-        "advice": found.advice,
+        "advice": identification.advice,
     }
 
 
-def _in_the_equations(problem: Problem, found: Identification) -> set[str]:
-    """Candidates whose every signature is one of the system's own parameters', on any record."""
-    owners = np.array([k.rsplit(".", 1)[0] for k in found.terms])
-    alike = np.abs(found.found.gram) > 1 - _EQUAL
+def _candidates_in_equations(problem: Problem, identification: Identification) -> set[str]:
+    """Candidates of which every regressor equals one of a system parameter (|cosine| = 1)."""
+    owners = np.array([k.rsplit(".", 1)[0] for k in identification.terms])
+    alike = np.abs(identification.richness.gram) > 1 - _EQUAL
     return {
         e.label
         for e in problem.candidates
@@ -60,12 +64,12 @@ def _in_the_equations(problem: Problem, found: Identification) -> set[str]:
     }
 
 
-def _named(problem: Problem, group: Sequence[str]) -> list[str]:
-    """A group with the system's own parameters in its place: those that the fit finds, if any."""
-    own = _of_system(problem) if "system" in group else []
+def _replace_system_label(problem: Problem, group: Sequence[str]) -> list[str]:
+    """A group with the label ``system`` replaced by the names of the system's free parameters."""
+    own = _free_system_parameters(problem) if "system" in group else []
     return [*own, *(label for label in group if label != "system")]
 
 
-def _of_system(problem: Problem) -> list[str]:
+def _free_system_parameters(problem: Problem) -> list[str]:
     """Names of the system's own parameters that the fit finds."""
     return [k.rsplit(".", 1)[1] for k in problem.model.active if k.startswith("system.")]

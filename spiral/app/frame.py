@@ -19,7 +19,7 @@ from spiral.io.export.kinds import KINDS
 from spiral.types.errors import SpiralError
 from spiral.view.report import sketch
 from spiral.view.report.mathfont import math_style
-from spiral.view.report.pictures import browser
+from spiral.view.report.pictures import find_browser
 from spiral.view.report.style import BLUE
 from spiral.view.terminal.shell import option_lines
 
@@ -33,8 +33,8 @@ _CONFIG = {
 
 
 @contextmanager
-def bar(crumb: str) -> Iterator[None]:
-    """The bar at the top; what is built inside stands at its right."""
+def header_bar(crumb: str) -> Iterator[None]:
+    """The bar at the top of a page; elements built in the context stand at its right."""
     ui.page_title(f"{crumb} - SPIRAL" if crumb else "SPIRAL")
     ui.add_css(STYLE + math_style())
     ui.colors(primary=BLUE, negative="#B23A00", positive="#007A5A")
@@ -55,8 +55,8 @@ def progress_bar() -> Iterator[None]:
         yield
 
 
-def drawn(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A figure that is as wide as its place, as the browser's Plotly takes it."""
+def responsive_figure(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Data, layout and options of a figure for Plotly in the browser, as wide as its container."""
     layout = {**data["layout"], "autosize": True, "uirevision": "kept",
               "paper_bgcolor": CLEAR, "plot_bgcolor": CLEAR,
               "modebar": {"bgcolor": CLEAR, "color": "#767f8a", "activecolor": BLUE}}  # fmt: skip
@@ -64,17 +64,17 @@ def drawn(data: Mapping[str, Any]) -> dict[str, Any]:
     return {"data": data["data"], "layout": layout, "config": _CONFIG}
 
 
-def plot(data: Mapping[str, Any], name: str, said: str) -> ui.plotly:
-    """A figure as wide as its place; ``said`` is what those hear who do not see it."""
-    found = ui.plotly(drawn(data))
-    found.style(f"width:100%;height:{float(data['layout']['height'])}px")
-    found.props["id"] = f"plot-{name}"
-    found.props["role"] = "figure"
-    found.props["aria-label"] = said
-    return found
+def draw_plot(data: Mapping[str, Any], name: str, said: str) -> ui.plotly:
+    """Draw a figure as wide as its container; ``said`` describes it to screen readers."""
+    element = ui.plotly(responsive_figure(data))
+    element.style(f"width:100%;height:{float(data['layout']['height'])}px")
+    element.props["id"] = f"plot-{name}"
+    element.props["role"] = "figure"
+    element.props["aria-label"] = said
+    return element
 
 
-def figure_of(file: Path) -> Mapping[str, Any] | None:
+def load_figure(file: Path) -> Mapping[str, Any] | None:
     """A figure from its file; nothing where there is none that can be drawn."""
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
@@ -83,20 +83,20 @@ def figure_of(file: Path) -> Mapping[str, Any] | None:
         return None
 
 
-def sketched(graph: Any) -> None:
+def draw_sketch(graph: Any) -> None:
     """The sketch of a model, and the same in words; it scrolls where the window is narrow."""
-    drawn = sketch.figure(graph)
+    drawn = sketch.sketch_figure(graph)
     if not drawn:
         return
     with ui.element("div").classes("sketched") as place:
         ui.html(drawn, sanitize=False).style("width:100%")
     place.props('tabindex="0" role="group" aria-label="Sketch of the model"')
     with ui.expansion("The sketch in words").classes("w-full"):
-        items = "".join(f"<li>{escape(one)}</li>" for one in sketch.told(graph))
+        items = "".join(f"<li>{escape(one)}</li>" for one in sketch.describe_sketch(graph))
         ui.html(f"<ul class='soft'>{items}</ul>", sanitize=False)
 
 
-def code(text: str) -> None:
+def draw_code(text: str) -> None:
     """Text as it is, with a button that copies it. No Markdown: a backtick in it means nothing."""
     with ui.element("div").classes("command"):
         ui.html(f"<pre><code>{escape(text)}</code></pre>", sanitize=False)
@@ -105,35 +105,35 @@ def code(text: str) -> None:
 
 
 @contextmanager
-def told(error: Mapping[str, str]) -> Iterator[None]:
-    """A message that stays; what a person cancelled is no fault. Inside stands more of it."""
+def error_box(error: Mapping[str, str]) -> Iterator[None]:
+    """An error that stays on the page, a cancellation as a note; the context may add elements."""
     cancelled = error.get("at") == "cancelled"
     with ui.element("div").classes("note" if cancelled else "trouble") as box:
         box.props["role"] = "status" if cancelled else "alert"
-        ui.html(panels.trouble(error), sanitize=False)
+        ui.html(panels.error_message(error), sanitize=False)
         yield
 
 
-def refused(error: SpiralError) -> None:
-    """A message that passes."""
-    found = error.as_dict()
-    said = found["given"]
+def notify_error(error: SpiralError) -> None:
+    """Show an error as a notification that goes away by itself."""
+    message = error.as_dict()
+    said = message["given"]
     for name, key in (("Expected", "expected"), ("Try", "try")):
-        said += f". {name}: {found[key]}" if found.get(key) else ""
+        said += f". {name}: {message[key]}" if message.get(key) else ""
     ui.notify(said, type="warning", multi_line=True, position="top", close_button="Close")
 
 
-def nothing_here(error: SpiralError) -> None:
+def not_found_page(error: SpiralError) -> None:
     """A page for an address that names no study."""
-    with bar("Nothing here"):
+    with header_bar("Nothing here"):
         pass
     with ui.element("div").classes("wrap"):
         with ui.element("div").classes("trouble"):
-            ui.html(panels.trouble(error.as_dict()), sanitize=False)
+            ui.html(panels.error_message(error.as_dict()), sanitize=False)
         ui.link("All studies", "/").classes("quiet")
 
 
-def local_plugins(session: Session) -> None:
+def draw_local_plugins(session: Session) -> None:
     """The files that are run as local plugins, by name, and those that cannot be used."""
     files = session.local_plugins()
     if not files:
@@ -143,7 +143,7 @@ def local_plugins(session: Session) -> None:
     place = ui.element("div").props('role="alert"')
     shown: list[tuple[str, ...]] = [()]
 
-    def look() -> None:
+    def show_broken() -> None:
         if session.broken == shown[0]:
             return
         shown[0] = session.broken
@@ -152,20 +152,20 @@ def local_plugins(session: Session) -> None:
             for one in session.broken:
                 ui.label(f"Not used: {one}").classes("trouble broken-plugin")
 
-    look()
-    ui.timer(0.5, look)
+    show_broken()
+    ui.timer(0.5, show_broken)
 
 
-def command(study: Study) -> str:
-    """What does the same from a terminal."""
+def shell_command(study: Study) -> str:
+    """The shell command that does the same as the study's selected step."""
     given = option_lines(study.overrides)
     if not study.added:
         return f"spiral diagnose{given}"
     return f"spiral add {' '.join(study.added)}{given}"
 
 
-def links(session: Session, scene: Scene) -> None:
-    """The saved run, MLflow's page of it, and the report to take away."""
+def draw_run_links(session: Session, scene: Scene) -> None:
+    """Draw the menu of downloads (report, numbers, model) and the link to MLflow."""
     turn = scene.study.turn
     if turn is None or not turn.run_id:
         if turn is not None and turn.serial in scene.writing:
@@ -176,18 +176,18 @@ def links(session: Session, scene: Scene) -> None:
     ident = scene.study.ident
     with ui.button("Take away", icon="download").props("outline padding='4px 12px'"), ui.menu():
 
-        def item(name: str, said: str) -> None:
+        def add_menu_item(name: str, said: str) -> None:
             to = f"/take/{ident}/{turn.serial}/{name}"
             ui.menu_item(said, lambda: ui.navigate.to(to)).props('role="menuitem"')
 
-        item("report.html", "Report, one HTML file")
-        if browser() is not None:
-            item("report.pdf", "Report, PDF")
-        item("run.json", "All numbers (JSON)")
+        add_menu_item("report.html", "Report, one HTML file")
+        if find_browser() is not None:
+            add_menu_item("report.pdf", "Report, PDF")
+        add_menu_item("run.json", "All numbers (JSON)")
         ui.separator()
         ui.item_label("The model as").props('header role="presentation"')
         for kind in KINDS.values():
-            item(f"model{kind.suffix}", kind.label)
+            add_menu_item(f"model{kind.suffix}", kind.label)
     if turn.tracked:
         ui.link("MLflow", f"/mlflow/{ident}/{turn.serial}", new_tab=True).classes("quiet").tooltip(
             "the errors of this step and of the other branches, round by round"

@@ -51,7 +51,7 @@ _HEADERS = (
 
 
 class Guard:
-    """An application that refuses strangers before the page's own sees them."""
+    """An ASGI application that refuses requests from other sites or without the token."""
 
     def __init__(self, app: App, port: int, token: str) -> None:
         self._app, self._token = app, token
@@ -63,28 +63,28 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        reason = refusal(scope, self._hosts)
-        named = "" if reason else self._named(scope)
+        reason = refusal_reason(scope, self._hosts)
+        named = "" if reason else self._token_source(scope)
         if not reason and not named:
             reason = NO_TOKEN
         if scope["type"] == "websocket" and reason:
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": reason[:120]})
         elif reason:
-            await _forbid(send, reason)
-        elif named == "address" and _opened(scope):
-            await _enter(scope, send, f"{self._cookie}={self._token}")
+            await _send_forbidden(send, reason)
+        elif named == "address" and _is_navigation(scope):
+            await _send_cookie_page(scope, send, f"{self._cookie}={self._token}")
         else:
-            await self._app(_without_cookies(scope), receive, _with_headers(send))
+            await self._app(_remove_cookies(scope), receive, _add_headers(send))
 
-    def _named(self, scope: Scope) -> str:
+    def _token_source(self, scope: Scope) -> str:
         """Where a request names the token: ``cookie``, ``header`` or ``address``; else nothing."""
         headers = _headers(scope)
         kind, _, told = headers.get("authorization", "").partition(" ")
         given = {
-            "cookie": _cookies(headers.get("cookie", "")).get(self._cookie, ""),
+            "cookie": _parse_cookies(headers.get("cookie", "")).get(self._cookie, ""),
             "header": told if kind.lower() == "bearer" else "",
-            "address": _asked(scope).get(TOKEN, ""),
+            "address": _query_parameters(scope).get(TOKEN, ""),
         }
         token = self._token.encode()
         right = [k for k, v in given.items() if hmac.compare_digest(v.encode(), token)]
@@ -97,7 +97,7 @@ NO_TOKEN = (
 )
 
 
-def refusal(scope: Scope, hosts: Iterable[str]) -> str:
+def refusal_reason(scope: Scope, hosts: Iterable[str]) -> str:
     """Why a request is refused; nothing where it is not.
 
     A websocket must name its page; a plain request need not (a browser leaves it out of what it
@@ -123,7 +123,7 @@ def _headers(scope: Scope) -> dict[str, str]:
     return {k.decode("latin-1").lower(): v.decode("latin-1") for k, v in scope["headers"]}
 
 
-def _cookies(header: str) -> dict[str, str]:
+def _parse_cookies(header: str) -> dict[str, str]:
     """Cookies as they are sent, without a look into quotes: the token has none.
 
     Python's own reader takes over a minute for a value of 50 kB of backslashes.
@@ -132,12 +132,12 @@ def _cookies(header: str) -> dict[str, str]:
     return {name.strip(): value.strip() for name, _, value in pairs}
 
 
-def _without_cookies(scope: Scope) -> Scope:
+def _remove_cookies(scope: Scope) -> Scope:
     """The request for the page itself, which keeps nothing in a cookie; the token ends here."""
     return {**scope, "headers": [h for h in scope["headers"] if h[0].lower() != b"cookie"]}
 
 
-def _asked(scope: Scope) -> dict[str, str]:
+def _query_parameters(scope: Scope) -> dict[str, str]:
     """The parameters of an address; nothing where there are more than anyone needs."""
     try:
         query = scope.get("query_string", b"").decode("latin-1")
@@ -146,7 +146,7 @@ def _asked(scope: Scope) -> dict[str, str]:
         return {}
 
 
-def _opened(scope: Scope) -> bool:
+def _is_navigation(scope: Scope) -> bool:
     """Whether a person opens an address, rather than a script asking for it."""
     headers = _headers(scope)
     mode = headers.get("sec-fetch-mode") or (
@@ -155,13 +155,13 @@ def _opened(scope: Scope) -> bool:
     return scope["type"] == "http" and mode == "navigate"
 
 
-async def _enter(scope: Scope, send: Send, cookie: str) -> None:
+async def _send_cookie_page(scope: Scope, send: Send, cookie: str) -> None:
     """Give a browser its cookie and send it on to the address without the token.
 
     By a page, not by a redirect: where another program's page led here, a browser would not send a
     strict cookie along with a redirected request.
     """
-    rest = urlencode({k: v for k, v in _asked(scope).items() if k != TOKEN})
+    rest = urlencode({k: v for k, v in _query_parameters(scope).items() if k != TOKEN})
     path = "/" + scope["path"].lstrip("/")  # never another host's, as //evil.example
     target = escape(path + (f"?{rest}" if rest else ""))
     text = (
@@ -178,16 +178,16 @@ async def _enter(scope: Scope, send: Send, cookie: str) -> None:
     await send({"type": "http.response.body", "body": text.encode()})
 
 
-def _with_headers(send: Send) -> Send:
-    async def sending(message: Any) -> None:
+def _add_headers(send: Send) -> Send:
+    async def send_with_headers(message: Any) -> None:
         if message["type"] == "http.response.start":
             message = {**message, "headers": [*message.get("headers", ()), *_HEADERS]}
         await send(message)
 
-    return sending
+    return send_with_headers
 
 
-async def _forbid(send: Send, reason: str) -> None:
+async def _send_forbidden(send: Send, reason: str) -> None:
     text = f"refused: {reason}\n".encode()
     kind = [(b"content-type", b"text/plain; charset=utf-8"), (b"connection", b"close")]
     await send({"type": "http.response.start", "status": 403, "headers": kind})

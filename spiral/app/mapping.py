@@ -1,4 +1,4 @@
-"""The page of a file that was dropped: which column is what, with a look before any fit."""
+"""The page of an uploaded file: map its columns to the system, and check before any fit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nicegui import ui
 
 from spiral.app import equations, frame, model_setup, panels
 from spiral.app import record_setup as kept
-from spiral.app.data_desk import Desk, foresight
+from spiral.app.data_desk import Desk, foresight_message
 from spiral.app.drop_zone import drop_script
 from spiral.app.file_preview import PICTURE, READING
 from spiral.app.file_setup import OpenFile
@@ -39,15 +39,15 @@ class Form:
     regions: dict[str, ui.element] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.desk = Desk(self.session, self.ident, self._change)
+        self.desk = Desk(self.session, self.ident, self._change_choice)
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Draw what has changed."""
-        opened = self.session.file_setup.look(self.ident)
+        opened = self.session.file_setup.current_file(self.ident)
         if opened.version == self.version:
             return
         self.version = opened.version
-        for name, build, depends in self._parts(opened):
+        for name, build, depends in self._region_builders(opened):
             if name in self.drawn and self.drawn[name] == depends:
                 continue
             self.drawn[name] = depends
@@ -57,69 +57,71 @@ class Form:
         choice = opened.setup.choice
         stretches = (choice.fit_rows, choice.test_rows)
         if self.drawn.get("stretches", ((), ())) != stretches:
-            self.desk.mark()
+            self.desk.show_stretches()
         self.drawn["stretches"] = stretches
 
-    def _parts(self, opened: OpenFile) -> list[tuple[str, Callable[[OpenFile], None], Any]]:
+    def _region_builders(
+        self, opened: OpenFile
+    ) -> list[tuple[str, Callable[[OpenFile], None], Any]]:
         setup, columns = opened.setup, len(opened.setup.columns)
         named = tuple(r["key"] for r in setup.model.get("parameters", ()))
         return [
-            ("state", self._state, (opened.busy, setup.trouble)),
-            ("columns", self._columns, columns),
-            ("form", self._form, (columns, setup.choice.system, setup.choice.time,
-                                  setup.trouble if equations.wrong(setup) else None)),
-            ("model", self._model, (named, setup.choice.without)),
-            ("reading", self._reading, setup.reading),
-            ("records", self._records, (bool(columns), setup.others)),
-            ("seen", self._seen, (setup.seen, setup.choice, opened.busy, setup.trouble,
+            ("state", self._draw_state, (opened.busy, setup.trouble)),
+            ("columns", self._draw_columns, columns),
+            ("form", self._draw_mapping, (columns, setup.choice.system, setup.choice.time,
+                                  setup.trouble if equations.equations_error(setup) else None)),
+            ("model", self._draw_model, (named, setup.choice.without)),
+            ("reading", self._draw_reading, setup.reading),
+            ("records", self._draw_records, (bool(columns), setup.others)),
+            ("seen", self._draw_summary, (setup.seen, setup.choice, opened.busy, setup.trouble,
                                   setup.foresight, opened.foreseeing)),
         ]  # fmt: skip
 
-    def _state(self, opened: OpenFile) -> None:
+    def _draw_state(self, opened: OpenFile) -> None:
         if opened.busy:
             with ui.element("div").classes("card working").props('role="status"'):
                 ui.spinner(size="20px")
                 ui.label(opened.busy + " …").classes("words")
-                ui.button("Cancel", on_click=self._cancel).props(
+                ui.button("Cancel", on_click=self._cancel_reading).props(
                     "outline dense color=negative padding='2px 12px'")  # fmt: skip
-        if opened.setup.trouble and not equations.wrong(opened.setup):
-            with frame.told(opened.setup.trouble):
+        if opened.setup.trouble and not equations.equations_error(opened.setup):
+            with frame.error_box(opened.setup.trouble):
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
-                self._advice(opened.setup)
+                self._draw_advice(opened.setup)
             if not opened.setup.columns:
-                self._layout(opened.setup)
+                self._draw_text_layout(opened.setup)
 
-    def _advice(self, setup: RecordSetup) -> None:
+    def _draw_advice(self, setup: RecordSetup) -> None:
         """A button for each setting that the message tells to try."""
-        lines = kept.advised(setup.trouble) if setup.columns else []
+        lines = kept.advised_lines(setup.trouble) if setup.columns else []
         if not lines:
             return
         with ui.row().classes("gap-2").style("margin-top:8px").props('id="advice"'):
             for line in lines:
                 button = ui.button(f"Use {line}")
-                button.on_click(functools.partial(self._use, line)).props("outline")
+                button.on_click(functools.partial(self._use_setting, line)).props("outline")
 
-    def _use(self, line: str) -> None:
-        more = self.session.file_setup.look(self.ident).setup.choice.more
-        self._add_line(kept.with_line(more, line))
+    def _use_setting(self, line: str) -> None:
+        more = self.session.file_setup.current_file(self.ident).setup.choice.more
+        self._set_more(kept.replace_line(more, line))
 
-    def _layout(self, setup: RecordSetup) -> None:
-        """What to say of a text file whose columns were not found: ``record.separator`` and so."""
+    def _draw_text_layout(self, setup: RecordSetup) -> None:
+        """Fields for ``record.separator`` and ``record.decimal``, where no columns were found."""
         with ui.row().classes("items-center gap-2").style("margin-top:10px"):
             between = ui.input("Between columns (record.separator)", value=setup.separator)
             mark = ui.input("Before fractions (record.decimal)", value=setup.decimal)
             for box in (between, mark):
                 box.props("outlined dense").style("width:250px")
-            button = ui.button("Read it so", on_click=lambda: self.session.file_setup.read_as(
+            button = ui.button("Read it so", on_click=lambda: self.session.file_setup.reread_file(
                 self.ident, between.value or "", mark.value or ""))  # fmt: skip
             button.props("outline")
 
-    def _cancel(self) -> None:
+    def _cancel_reading(self) -> None:
         """Stop reading; what was read and chosen before stays."""
         self.session.cancel(self.ident)
 
-    def _columns(self, opened: OpenFile) -> None:
+    def _draw_columns(self, opened: OpenFile) -> None:
         setup = opened.setup
         if not setup.columns:
             return
@@ -129,186 +131,201 @@ class Form:
             for c in setup.columns
         ]  # fmt: skip
         ui.html(f"<h2 class='head'>{escape(setup.name)}: {setup.rows} rows</h2>", sanitize=False)
-        table = text.table(("column", "unit", "first rows", "range"), rows)
-        ui.html(panels.plain(table), sanitize=False)
+        table = text.html_table(("column", "unit", "first rows", "range"), rows)
+        ui.html(panels.restyle_table(table), sanitize=False)
         if setup.drawn:
-            data = frame.figure_of(kept.place(self.session.out, self.ident) / PICTURE)
+            data = frame.load_figure(kept.setup_folder(self.session.out, self.ident) / PICTURE)
             if data is not None:
-                self.desk.picture(data)
+                self.desk.draw_picture(data)
 
-    def _reading(self, opened: OpenFile) -> None:
+    def _draw_reading(self, opened: OpenFile) -> None:
         """What reading makes of the file's numbers, before and after."""
-        found = opened.setup.reading
-        if not found:
+        changes = opened.setup.reading
+        if not changes:
             return
         ui.html("<h2 class='head'>What reading changes</h2>", sanitize=False)
-        said = "".join(f"<li>{escape(note)}</li>" for note in found["notes"])
+        said = "".join(f"<li>{escape(note)}</li>" for note in changes["notes"])
         ui.html(f"<ul class='soft'>{said}</ul>", sanitize=False)
-        data = frame.figure_of(kept.place(self.session.out, self.ident) / READING)
-        if data is None or not found["series"]:
+        data = frame.load_figure(kept.setup_folder(self.session.out, self.ident) / READING)
+        if data is None or not changes["series"]:
             ui.html("<p class='soft'>No number changes.</p>", sanitize=False)
             return
-        frame.plot(data, "reading", f"Before and after reading: {', '.join(found['series'])}")
+        frame.draw_plot(
+            data, "reading", f"Before and after reading: {', '.join(changes['series'])}"
+        )
         said = "Orange as the file has it, blue as it is read; at the right where it changes most."
         ui.html(f"<p class='caption'>{said}</p>", sanitize=False)
 
-    def _records(self, opened: OpenFile) -> None:
+    def _draw_records(self, opened: OpenFile) -> None:
         if opened.setup.columns:
-            self.desk.files()
+            self.desk.draw_files()
 
-    def _form(self, opened: OpenFile) -> None:
+    def _draw_mapping(self, opened: OpenFile) -> None:
         setup = opened.setup
         if not setup.systems:
             return
         ui.html("<h2 class='head'>What is what</h2>", sanitize=False)
-        known = {s["name"]: "equations of your own" if s.get("own") else panels.words(s["name"])
-                 for s in setup.systems}  # fmt: skip
         chosen = setup.choice.system or None
-        ui.select(known, value=chosen, label="System: the physics that is known",
-                  on_change=lambda e: self._change(system=e.value)).props(
+        ui.select(_system_titles(setup), value=chosen, label="System: the physics that is known",
+                  on_change=lambda e: self._change_choice(system=e.value)).props(
             "outlined dense").classes("w-full")  # fmt: skip
-        equations.draw(setup, functools.partial(self.session.file_setup.write, self.ident))
+        equations.draw_equations_form(
+            setup, functools.partial(self.session.file_setup.set_equations, self.ident)
+        )
         system = setup.system()
         if system is None:
-            ui.html("<p class='soft' style='margin-top:8px'>" + "<br>".join(
-                f"<b>{escape(panels.words(s['name']))}</b>: {panels.meaning(s['meaning'])}"
-                for s in setup.systems if not s.get("own")) + "</p>", sanitize=False)  # fmt: skip
+            meanings = (
+                f"<b>{escape(panels.label_words(s['name']))}</b>: "
+                + panels.effect_meaning(s["meaning"])
+                for s in setup.systems
+                if not s.get("own")
+            )
+            text = f"<p class='soft' style='margin-top:8px'>{'<br>'.join(meanings)}</p>"
+            ui.html(text, sanitize=False)
             return
-        said = f"<p class='soft' style='margin-top:6px'>{panels.meaning(system['meaning'])}</p>"
+        said = (
+            f"<p class='soft' style='margin-top:6px'>{panels.effect_meaning(system['meaning'])}</p>"
+        )
         ui.html(said, sanitize=False)
         with ui.element("div").classes("mapping"):
-            self._clock(setup)
+            self._draw_time_row(setup)
             for series in system["channels"]:
-                self._series(setup, series, "measured")
+                self._draw_series_row(setup, series, "measured")
             for series in system["inputs"]:
-                self._series(setup, series, "input" if series["required"] else "input, if measured")
-        self.desk.instruments()
+                self._draw_series_row(
+                    setup, series, "input" if series["required"] else "input, if measured"
+                )
+        self.desk.draw_instruments()
+        self._draw_more(setup)
+
+    def _draw_more(self, setup: RecordSetup) -> None:
+        """What has no field of its own, as lines of the command line."""
         with ui.expansion("More: offsets, gaps, rates, candidates, the system's fields",
                           value=bool(setup.choice.more)).classes("w-full"):  # fmt: skip
             ui.textarea(
                 "One KEY=VALUE on each line, as on the command line", value=setup.choice.more,
                 placeholder="record.offset={x: 0.01}\nholdout=0.3",
-                on_change=lambda e: self._change(more=e.value or ""),
+                on_change=lambda e: self._change_choice(more=e.value or ""),
             ).props("outlined dense debounce=900").classes("w-full")  # fmt: skip
 
-    def _model(self, opened: OpenFile) -> None:
-        def now() -> Choice:
-            return self.session.file_setup.look(self.ident).setup.choice
+    def _draw_model(self, opened: OpenFile) -> None:
+        def current_choice() -> Choice:
+            return self.session.file_setup.current_file(self.ident).setup.choice
 
-        model_setup.draw(opened.setup, now, self._change)
+        model_setup.draw_model_setup(opened.setup, current_choice, self._change_choice)
 
-    def _clock(self, setup: RecordSetup) -> None:
+    def _draw_time_row(self, setup: RecordSetup) -> None:
         ui.html("<b>time</b>", sanitize=False)
         names = {"": _CLOCK, **{c["name"]: c["name"] for c in setup.columns}}
         with ui.element("div").props('data-for="time"'):
             ui.select(
                 names,
                 value=setup.choice.time if setup.choice.time in names else "",
-                on_change=lambda e: self._timed(e.value),
+                on_change=lambda e: self._choose_time_column(e.value),
             ).props("outlined dense")
         if setup.choice.time:
-            self._unit(setup, "time", "s")
+            self._draw_unit_input(setup, "time", "s")
         else:
             ui.input(value=setup.choice.rate, placeholder="in Hz",
-                     on_change=lambda e: self._change(rate=e.value or "")).props(
+                     on_change=lambda e: self._change_choice(rate=e.value or "")).props(
                 'outlined dense debounce=500 aria-label="sample rate"')  # fmt: skip
 
-    def _timed(self, column: str) -> None:
-        units = self.session.file_setup.look(self.ident).setup.choice.units
-        self._change(time=column, units={**units, "time": self._said(column)})
+    def _choose_time_column(self, column: str) -> None:
+        units = self.session.file_setup.current_file(self.ident).setup.choice.units
+        self._change_choice(time=column, units={**units, "time": self._unit_from_column(column)})
 
-    def _series(self, setup: RecordSetup, series: Mapping[str, Any], kind: str) -> None:
+    def _draw_series_row(self, setup: RecordSetup, series: Mapping[str, Any], kind: str) -> None:
         name = series["name"]
         ui.html(f"<b>{escape(name)}</b> <span class='soft'>{kind}</span>", sanitize=False)
         names = {"": _NONE, **{c["name"]: c["name"] for c in setup.columns}}
         value = setup.choice.columns.get(name, "")
 
-        def choose(event: Any) -> None:
-            now = self.session.file_setup.look(self.ident).setup.choice
-            said = self._said(event.value)
-            self._change(columns={**now.columns, name: event.value},
+        def choose_column(event: Any) -> None:
+            now = self.session.file_setup.current_file(self.ident).setup.choice
+            said = self._unit_from_column(event.value)
+            self._change_choice(columns={**now.columns, name: event.value},
                          units={**now.units, name: said})  # fmt: skip
             unit.set_value(said)
-            unit.props["placeholder"] = self._named(event.value, series["unit"])
+            unit.props["placeholder"] = self._unit_placeholder(event.value, series["unit"])
 
         with ui.element("div") as place:
             place.props["data-for"] = name
-            box = ui.select(names, value=value if value in names else "", on_change=choose)
+            box = ui.select(names, value=value if value in names else "", on_change=choose_column)
             box.props("outlined dense")
-        unit = self._unit(setup, name, series["unit"])
+        unit = self._draw_unit_input(setup, name, series["unit"])
 
-    def _unit(self, setup: RecordSetup, name: str, usual: str) -> ui.input:
+    def _draw_unit_input(self, setup: RecordSetup, name: str, usual: str) -> ui.input:
         column = setup.choice.time if name == "time" else setup.choice.columns.get(name, "")
 
-        def choose(event: Any) -> None:
-            now = self.session.file_setup.look(self.ident).setup.choice
-            self._change(units={**now.units, name: event.value or ""})
+        def choose_unit(event: Any) -> None:
+            now = self.session.file_setup.current_file(self.ident).setup.choice
+            self._change_choice(units={**now.units, name: event.value or ""})
 
-        box = ui.input(value=setup.choice.units.get(name, ""), on_change=choose,
-                       placeholder=self._named(column, usual))  # fmt: skip
+        box = ui.input(value=setup.choice.units.get(name, ""), on_change=choose_unit,
+                       placeholder=self._unit_placeholder(column, usual))  # fmt: skip
         box.props["aria-label"] = f"unit of {name}"
         return box.props("outlined dense debounce=500")
 
-    def _named(self, column: str, usual: str) -> str:
+    def _unit_placeholder(self, column: str, usual: str) -> str:
         """The unit that a file names for a column, else the system's own."""
-        setup = self.session.file_setup.look(self.ident).setup
+        setup = self.session.file_setup.current_file(self.ident).setup
         named = {c["name"]: c["unit"] for c in setup.columns}
         return named.get(column) or usual or "no unit"
 
-    def _said(self, column: str) -> str:
+    def _unit_from_column(self, column: str) -> str:
         """The unit in a column's name where the file names none, as in ``disp_um``."""
-        setup = self.session.file_setup.look(self.ident).setup
+        setup = self.session.file_setup.current_file(self.ident).setup
         named = any(c["name"] == column and c["unit"] for c in setup.columns)
-        return "" if named else kept.unit_in(column)
+        return "" if named else kept.unit_from_name(column)
 
-    def _seen(self, opened: OpenFile) -> None:
+    def _draw_summary(self, opened: OpenFile) -> None:
         setup = opened.setup
         if not setup.systems:
             return
         ui.html("<h2 class='head'>What was understood</h2>", sanitize=False)
-        lacking = kept.lacking(setup)
+        lacking = kept.missing_choices(setup)
         if lacking:
             ui.html(f"<p class='soft'>Still to choose: {escape(', '.join(lacking))}.</p>",
                     sanitize=False)  # fmt: skip
         elif setup.seen:
-            ui.html(panels.records(setup.seen), sanitize=False)
-            said = f"{panels.apart(setup.seen)} Are the ranges those of your machine?"
+            ui.html(panels.records_table(setup.seen), sanitize=False)
+            said = f"{panels.test_split_note(setup.seen)} Are the ranges those of your machine?"
             ui.html(f"<p class='soft' style='margin-top:8px' id='apart'>{escape(said)}</p>",
                     sanitize=False)  # fmt: skip
-            self._quiet(setup)
-            ui.html(foresight(setup.foresight, opened.foreseeing), sanitize=False)
-        begin = ui.button("Compare with the model", icon="play_arrow", on_click=self._begin)
+            self._draw_quiet_warning(setup)
+            ui.html(foresight_message(setup.foresight, opened.foreseeing), sanitize=False)
+        begin = ui.button("Compare with the model", icon="play_arrow", on_click=self._create_study)
         begin.props("unelevated color=primary").style("margin-top:12px")
         begin.set_enabled(bool(setup.seen) and not setup.trouble)
 
-    def _quiet(self, setup: RecordSetup) -> None:
+    def _draw_quiet_warning(self, setup: RecordSetup) -> None:
         """A warning where the test record hardly moves, and another split with one click."""
-        said = panels.quiet(setup.seen)
+        said = panels.quiet_test_warning(setup.seen)
         if not said:
             return
         ui.html(said, sanitize=False)
-        if panels.kept_apart(setup.seen):
+        if panels.is_test_held_out(setup.seen):
             button = ui.button("Keep parts of five blocks apart instead")
-            button.on_click(functools.partial(self._use, _BLOCKS)).props("outline")
+            button.on_click(functools.partial(self._use_setting, _BLOCKS)).props("outline")
 
-    def _add_line(self, more: str) -> None:
+    def _set_more(self, more: str) -> None:
         """Another text in *More*, shown there too."""
         self.drawn.pop("form", None)
-        self._change(more=more)
+        self._change_choice(more=more)
 
-    def _change(self, **values: Any) -> None:
-        now: Choice = self.session.file_setup.look(self.ident).setup.choice
+    def _change_choice(self, **values: Any) -> None:
+        now: Choice = self.session.file_setup.current_file(self.ident).setup.choice
         changed = replace(now, **values)
         if changed != now:
-            self.session.file_setup.choose(self.ident, changed)
-            self.look()
+            self.session.file_setup.change_choice(self.ident, changed)
+            self.refresh()
 
-    def _begin(self) -> None:
+    def _create_study(self) -> None:
         try:
-            title, overrides = self.session.file_setup.question(self.ident)
+            title, overrides = self.session.file_setup.study_arguments(self.ident)
             ident = self.session.create(title, overrides)
         except SpiralError as error:
-            frame.refused(error)
+            frame.notify_error(error)
             return
         ui.navigate.to(f"/study/{ident}")
 
@@ -316,13 +333,13 @@ class Form:
 def file_page(session: Session, ident: str) -> None:
     """Build the page of one file."""
     try:
-        opened = session.file_setup.look(ident)
+        opened = session.file_setup.current_file(ident)
     except SpiralError as error:
-        frame.nothing_here(error)
+        frame.not_found_page(error)
         return
     form = Form(session, ident)
     drop_script()
-    with frame.bar(opened.setup.name):
+    with frame.header_bar(opened.setup.name):
         pass
     with ui.element("div").classes("wrap"):
         form.regions["state"] = ui.element("div")
@@ -335,5 +352,13 @@ def file_page(session: Session, ident: str) -> None:
                 form.regions["columns"] = ui.element("section").classes("card")
                 form.regions["reading"] = ui.element("section").classes("card")
                 form.regions["model"] = ui.element("section").classes("card")
-    form.look()
-    ui.timer(_TICK, form.look)
+    form.refresh()
+    ui.timer(_TICK, form.refresh)
+
+
+def _system_titles(setup: RecordSetup) -> dict[str, str]:
+    """Names of the systems that a record may be of, each with its words on the page."""
+    return {
+        s["name"]: "equations of your own" if s.get("own") else panels.label_words(s["name"])
+        for s in setup.systems
+    }

@@ -10,9 +10,9 @@ from typing import Any
 from nicegui import ui
 
 from spiral.app import frame, panels, unseen
-from spiral.app.own_effect import own_name
+from spiral.app.own_effect import normalize_effect_name
 from spiral.app.session import Scene, Session
-from spiral.app.study import Turn, turn_place, why_file
+from spiral.app.study import Turn, trial_figure_file, turn_folder
 from spiral.types.errors import SpiralError
 from spiral.types.label import name_of
 
@@ -42,7 +42,9 @@ OWN = "invent"  # the order that an effect of one's own gives
 class Missing:
     """The list of candidates in one tab: what is typed and how much of it is shown.
 
-    ``ask`` does what a click asks for and shows a refusal; ``again`` has the list drawn anew.
+    ``ask`` runs what a click asks for and shows a refusal; ``again`` draws the list anew.
+    ``every``: all candidates are shown; ``typed`` and ``wrong``: what is in the fields of an own
+    effect, and the error in it; ``why``: the figures that are open.
     """
 
     session: Session
@@ -68,46 +70,46 @@ class Missing:
                 ui.button("Rank what may be missing", on_click=asked).props("outline")
             return
         if turn.proposed:
-            self._proposal(scene, turn)
+            self._draw_proposal(scene, turn)
         else:
-            self._ending(scene, turn)
-        ui.html(panels.caveats(turn.caveats), sanitize=False)
+            self._draw_ending(scene, turn)
+        ui.html(panels.caveats_note(turn.caveats), sanitize=False)
         for alike in turn.alike:
-            self._plan(scene, turn, tuple(alike))
-        self._list(scene, turn)
-        self._own(scene, turn)
+            self._draw_plan(scene, turn, tuple(alike))
+        self._draw_candidates(scene, turn)
+        self._draw_own_effect(scene, turn)
 
-    def _ending(self, scene: Scene, turn: Turn) -> None:
+    def _draw_ending(self, scene: Scene, turn: Turn) -> None:
         """What it means that nothing passes the gates."""
-        said = panels.ending(scene.study, turn)
+        said = panels.ending_message(scene.study, turn)
         kind = "good" if turn.verdict == "whiteness" else "note"
         ui.html(f"<div class='{kind}' id='ending'>{said}</div>", sanitize=False)
-        if panels.learnable(scene.study, turn):
+        if panels.has_learnable_curve(scene.study, turn):
             learn = functools.partial(self.session.learn, self.ident, turn.serial)
             button = ui.button("Offer its curve as an effect", on_click=lambda: self.ask(learn))
             button.props("outline").style("margin:10px 0").set_enabled(scene.busy is None)
 
-    def _list(self, scene: Scene, turn: Turn) -> None:
+    def _draw_candidates(self, scene: Scene, turn: Turn) -> None:
         """The candidates, best first; those of the user and the proposed ones always."""
         if not turn.candidates:
             return
-        ui.html(f"<p class='soft order'>{panels.order(turn)}</p>", sanitize=False)
+        ui.html(f"<p class='soft order'>{panels.ranking_order_note(turn)}</p>", sanitize=False)
         few = 0 if turn.verdict == "whiteness" else _SHOWN
         count = len(turn.candidates) if self.every else few
-        for found in turn.candidates[:count]:
-            self._candidate(scene, turn, found)
+        for candidate in turn.candidates[:count]:
+            self._draw_candidate(scene, turn, candidate)
         always = {*scene.study.own, *turn.proposed}
-        for found in turn.candidates[count:]:
-            if {found["effect"], name_of(found["effect"])} & always:
-                self._candidate(scene, turn, found)
+        for candidate in turn.candidates[count:]:
+            if {candidate["effect"], name_of(candidate["effect"])} & always:
+                self._draw_candidate(scene, turn, candidate)
         left = len(turn.candidates) - few
         if left > 0:
             said = "Show fewer" if self.every else f"Show {left} {'more' if few else 'candidates'}"
-            ui.button(said, on_click=self._toggle).props("flat dense")
+            ui.button(said, on_click=self._toggle_all).props("flat dense")
 
-    def _proposal(self, scene: Scene, turn: Turn) -> None:
+    def _draw_proposal(self, scene: Scene, turn: Turn) -> None:
         """What the trial of the proposed effect says; where there was none, a button for it."""
-        said, kind = panels.proposal(turn)
+        said, kind = panels.proposal_message(turn)
         name = {"worse": "note worse", "fine": "good", "trying": "soft"}[kind]
         ui.html(f"<div class='{name}' id='proposal'>{said}</div>", sanitize=False)
         if kind == "trying" and scene.busy is None:
@@ -115,30 +117,30 @@ class Missing:
             button = ui.button("Try it on the test record")
             button.on_click(lambda: self.ask(lambda: attempt(turn.serial))).props("outline")
 
-    def _own(self, scene: Scene, turn: Turn) -> None:
+    def _draw_own_effect(self, scene: Scene, turn: Turn) -> None:
         """An effect written as a formula, tested at once; what was typed stays when it is drawn."""
         typed, about = self.typed, scene.study.example
         failed = scene.study.trouble or {}
         wrong = self.wrong or (failed if typed and failed.get("at") == OWN else None)
         opened = bool(typed or wrong)
         with ui.expansion("Write an effect of your own", value=opened).classes("w-full own"):
-            ui.html(panels.formula(about), sanitize=False)
+            ui.html(panels.formula_help(about), sanitize=False)
             for key, label, said in _OWN:
                 shown = about.get("formula", said) if key == "formula" else said
                 box = ui.input(label, value=typed.get(key, ""), placeholder=shown)
-                box.on_value_change(functools.partial(self._type, key))
+                box.on_value_change(functools.partial(self._store_typed, key))
                 box.props("outlined dense").classes("w-full").style("margin-top:8px")
-                box.on("keydown.enter", lambda: self._invent(turn.serial))
+                box.on("keydown.enter", lambda: self._test_own_effect(turn.serial))
             if wrong:
                 with ui.element("div").classes("trouble").props('role="alert" id="own-trouble"'):
-                    ui.html(panels.trouble(wrong), sanitize=False)
-            button = ui.button("Test it", on_click=lambda: self._invent(turn.serial))
+                    ui.html(panels.error_message(wrong), sanitize=False)
+            button = ui.button("Test it", on_click=lambda: self._test_own_effect(turn.serial))
             button.props("outline").style("margin-top:10px").set_enabled(scene.busy is None)
 
-    def _type(self, key: str, event: Any) -> None:
+    def _store_typed(self, key: str, event: Any) -> None:
         self.typed[key] = event.value or ""
 
-    def _invent(self, serial: int) -> None:
+    def _test_own_effect(self, serial: int) -> None:
         """Test what was typed; what is wrong with it stands beside the fields."""
         name, formula, shape = (self.typed.get(key, "") for key, _, _ in _OWN)
         self.wrong = None
@@ -148,92 +150,96 @@ class Missing:
             self.wrong = error.as_dict()
         self.again()
 
-    def _candidate(self, scene: Scene, turn: Turn, found: Any) -> None:
-        effect, aliases = found["effect"], tuple(found["aliases"])
+    def _draw_candidate(self, scene: Scene, turn: Turn, candidate: Any) -> None:
+        effect, aliases = candidate["effect"], tuple(candidate["aliases"])
         first = effect in turn.proposed
         with ui.element("div").classes("effect first" if first else "effect"):
-            ui.html(panels.candidate(found), sanitize=False)
-            add = ui.button("Add", on_click=lambda: self._add(effect, turn.serial))
-            filled = first and panels.proposal(turn)[1] == "fine"
+            ui.html(panels.candidate_title(candidate), sanitize=False)
+            add = ui.button("Add", on_click=lambda: self._add_effect(effect, turn.serial))
+            filled = first and panels.proposal_message(turn)[1] == "fine"
             add.props("unelevated color=primary" if filled else "outline color=primary")
-            add.props["aria-label"] = f"Add {panels.words(effect)}"
+            add.props["aria-label"] = f"Add {panels.label_words(effect)}"
             add.set_enabled(scene.busy is None)
-            ui.html(panels.evidence(found), sanitize=False).classes("evidence")
-            self._trial(scene, turn, effect)
+            ui.html(panels.candidate_evidence(candidate), sanitize=False).classes("evidence")
+            self._draw_trial(scene, turn, effect)
             if effect in turn.rejected:
                 ui.label(f"Refused: {turn.rejected[effect]}").classes("alike")
             if aliases:
                 with ui.element("div").classes("alike"):
-                    ui.html(panels.alike(aliases), sanitize=False)
-                    self._compare_aliases(scene, turn, (effect, *aliases))
-                    self._plan(scene, turn, (effect, *aliases))
+                    ui.html(panels.indistinguishable_note(aliases), sanitize=False)
+                    self._draw_alias_comparison(scene, turn, (effect, *aliases))
+                    self._draw_plan(scene, turn, (effect, *aliases))
 
-    def _trial(self, scene: Scene, turn: Turn, effect: str) -> None:
+    def _draw_trial(self, scene: Scene, turn: Turn, effect: str) -> None:
         """What an effect does on the test record, and where; a button where that is not known."""
-        found = panels.trial(turn, effect)
-        if not found:
+        trial = panels.trial_result(turn, effect)
+        if not trial:
             attempt = functools.partial(self.session.preview, self.ident, effect, turn.serial)
             button = ui.button("Try it on the test record", on_click=lambda: self.ask(attempt))
             button.props("flat dense").classes("try").set_enabled(scene.busy is None)
-            button.props["aria-label"] = f"Try {panels.words(effect)} on the test record"
+            button.props["aria-label"] = f"Try {panels.label_words(effect)} on the test record"
             return
-        ui.html(unseen.tried(found["changes"]), sanitize=False).classes("wide")
-        ui.html(panels.doubtful(found.get("signs") or {}), sanitize=False).classes("wide")
+        ui.html(unseen.trial_changes(trial["changes"]), sanitize=False).classes("wide")
+        ui.html(panels.sign_warnings(trial.get("signs") or {}), sanitize=False).classes("wide")
         for what, (title, said) in _SHOWS.items():
-            if not found.get("drawn" if what == "why" else "pushes"):
+            if not trial.get("drawn" if what == "why" else "pushes"):
                 continue
             key = (turn.serial, effect, what)
             with ui.expansion(title, value=key in self.why).classes("wide") as box:
                 if key in self.why:
-                    self._figure(turn, effect, what, f"{title}: {panels.words(effect)}. {said}")
+                    self._draw_trial_figure(
+                        turn, effect, what, f"{title}: {panels.label_words(effect)}. {said}"
+                    )
                     ui.html(f"<p class='soft'>{said}</p>", sanitize=False)
-            box.on_value_change(functools.partial(self._why, key))
+            box.on_value_change(functools.partial(self._toggle_figure, key))
 
-    def _why(self, key: tuple[int, str, str], event: Any) -> None:
+    def _toggle_figure(self, key: tuple[int, str, str], event: Any) -> None:
         if bool(event.value) != (key in self.why):
             self.why ^= {key}
             self.again()
 
-    def _figure(self, turn: Turn, effect: str, what: str, said: str) -> None:
+    def _draw_trial_figure(self, turn: Turn, effect: str, what: str, said: str) -> None:
         """A figure of an effect's trial."""
-        figures = turn_place(self.session.out, self.ident, turn.serial) / "figures"
-        data = frame.figure_of(why_file(figures, effect, what))
+        figures = turn_folder(self.session.out, self.ident, turn.serial) / "figures"
+        data = frame.load_figure(trial_figure_file(figures, effect, what))
         if data is None:
             ui.html("<p class='soft'>This figure is not there any more.</p>", sanitize=False)
             return
-        frame.plot(data, what, said)
+        frame.draw_plot(data, what, said)
 
-    def _plan(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
+    def _draw_plan(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
         """The test to run next that tells effects apart; a button where none was asked for."""
         if scene.plan.get("effects") == list(effects):
-            ui.html(panels.plan(scene.plan), sanitize=False).props('id="plan"')
+            ui.html(panels.plan_table(scene.plan), sanitize=False).props('id="plan"')
             return
         wanted = functools.partial(self.session.plan, self.ident, effects, turn.serial)
-        names = unseen.listed([panels.words(e) for e in effects])
+        names = unseen.join_words([panels.label_words(e) for e in effects])
         button = ui.button(f"Which test tells {names} apart?", on_click=lambda: self.ask(wanted))
         button.props("flat dense").set_enabled(scene.busy is None)
 
-    def _compare_aliases(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
+    def _draw_alias_comparison(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
         if scene.contrast:
-            ui.html(panels.contrast(scene.contrast, scene.windows), sanitize=False)
+            ui.html(panels.contrast_table(scene.contrast, scene.windows), sanitize=False)
             with ui.row().classes("gap-2").style("margin:8px 0 4px"):
                 for effect in effects:
-                    add = ui.button(f"Add {panels.words(effect)}")
-                    add.on_click(functools.partial(self._add, effect, turn.serial))
+                    add = ui.button(f"Add {panels.label_words(effect)}")
+                    add.on_click(functools.partial(self._add_effect, effect, turn.serial))
                     add.props("outline dense padding='2px 10px'").set_enabled(scene.busy is None)
             return
-        compare = ui.button("Compare them", on_click=lambda: self._contrast(effects, turn.serial))
+        compare = ui.button(
+            "Compare them", on_click=lambda: self._contrast_effects(effects, turn.serial)
+        )
         compare.props("flat dense").set_enabled(scene.busy is None)
 
-    def _add(self, effect: str, serial: int) -> None:
+    def _add_effect(self, effect: str, serial: int) -> None:
         self.every = False
-        if name_of(effect) == own_name(self.typed.get("name", "")):
+        if name_of(effect) == normalize_effect_name(self.typed.get("name", "")):
             self.typed.clear()  # it is in the model now
         self.ask(lambda: self.session.add(self.ident, effect, serial))
 
-    def _contrast(self, effects: tuple[str, ...], serial: int) -> None:
+    def _contrast_effects(self, effects: tuple[str, ...], serial: int) -> None:
         self.ask(lambda: self.session.contrast(self.ident, effects, serial))
 
-    def _toggle(self) -> None:
+    def _toggle_all(self) -> None:
         self.every = not self.every
         self.again()

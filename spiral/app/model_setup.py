@@ -15,13 +15,13 @@ from nicegui import ui
 from spiral.app import frame, panels
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.types.formatting import number
-from spiral.view.report.style import pretty
+from spiral.view.report.style import typeset_unit
 
 Change = Callable[..., None]
 """Take over other fields of a ``Choice``."""
 
 
-def draw(setup: RecordSetup, now: Callable[[], Choice], change: Change) -> None:
+def draw_model_setup(setup: RecordSetup, now: Callable[[], Choice], change: Change) -> None:
     """Switches of the seed's effects, and a table of the parameters; nothing before it is known.
 
     ``now`` gives what is chosen at the moment of a click.
@@ -29,29 +29,29 @@ def draw(setup: RecordSetup, now: Callable[[], Choice], change: Change) -> None:
     if not setup.model:
         return
 
-    def switch(label: str, event: Any) -> None:
+    def switch_effect(label: str, event: Any) -> None:
         left = {*now().without} - {label} | (set() if event.value else {label})
         change(without=tuple(e["label"] for e in setup.model["seed"] if e["label"] in left))
 
     ui.html("<h2 class='head'>The model as it begins</h2>", sanitize=False)
-    frame.sketched(setup.model["sketch"])
+    frame.draw_sketch(setup.model["sketch"])
     with ui.element("div").classes("seed"):
         for effect in setup.model["seed"]:
             label = effect["label"]
-            box = ui.switch(panels.words(label), value=label not in setup.choice.without)
-            box.on_value_change(functools.partial(switch, label))
-            ui.html(panels.meaning(effect["meaning"]), sanitize=False).classes("soft")
+            box = ui.switch(panels.label_words(label), value=label not in setup.choice.without)
+            box.on_value_change(functools.partial(switch_effect, label))
+            ui.html(panels.effect_meaning(effect["meaning"]), sanitize=False).classes("soft")
     with ui.element("div").classes("wide"), ui.element("div").classes("parameters"):
         for head in ("parameter", "value (SI)", "unit", "bounds", "found by the fit"):
             ui.html(f"<b>{head}</b>", sanitize=False)
         for row in setup.model["parameters"]:
-            _parameter(row, now, change)
+            _draw_parameter_row(row, now, change)
 
 
-def _parameter(row: Mapping[str, Any], now: Callable[[], Choice], change: Change) -> None:
+def _draw_parameter_row(row: Mapping[str, Any], now: Callable[[], Choice], change: Change) -> None:
     key, low, high, value = row["key"], row["lower"], row["upper"], row["value"]
-    owner = "" if row["owner"] == "system" else f"{panels.words(row['owner'])}, "
-    name = f"{owner}{panels.words(row['name'])}"
+    owner = "" if row["owner"] == "system" else f"{panels.label_words(row['owner'])}, "
+    name = f"{owner}{panels.label_words(row['name'])}"
     ui.html(escape(name), sanitize=False)
     box = ui.input(
         value=now().values.get(key, ""),
@@ -60,13 +60,15 @@ def _parameter(row: Mapping[str, Any], now: Callable[[], Choice], change: Change
     )
     box.props["aria-label"] = f"value of {name}"
     box.props("outlined dense debounce=700")
-    ui.html(escape(pretty(row["unit"] or "1") or "1"), sanitize=False)
-    ends = "none" if low is None and high is None else f"{_end(low)} … {_end(high)}"
+    ui.html(escape(typeset_unit(row["unit"] or "1") or "1"), sanitize=False)
+    ends = (
+        "none" if low is None and high is None else f"{_format_bound(low)} … {_format_bound(high)}"
+    )
     ui.html(ends, sanitize=False)
     free = ui.checkbox(value=now().free.get(key, row["free"]))
     free.props["aria-label"] = f"{name} is found by the fit"
     free.on_value_change(lambda e: change(free={**now().free, key: e.value}))
 
 
-def _end(bound: float | None) -> str:
+def _format_bound(bound: float | None) -> str:
     return "" if bound is None else number(bound)

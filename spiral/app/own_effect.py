@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from spiral.app.record_setup import quoted
+from spiral.app.record_setup import quote_value
 from spiral.types.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -24,17 +24,17 @@ _WRAPPED = re.compile(
 VALUES = "NAME=NUMBER for a gap or a width, NAME=UNIT where a unit is open"
 
 
-def own_name(typed: str) -> str:
+def normalize_effect_name(typed: str) -> str:
     """The name of an effect as typed: ``Fifth power`` is ``fifth_power``."""
     return re.sub(r"[\s-]+", "_", typed.strip().lower())
 
 
-def overrides_of(name: str, formula: str, values: str = "") -> list[str]:
-    """What the command line is told of an effect by expression.
+def effect_overrides(name: str, formula: str, values: str = "") -> list[str]:
+    """Overrides, as on the command line, that define an effect by its formula.
 
     Parameters
     ----------
-    name : as ``own_name`` gives it.
+    name : as ``normalize_effect_name`` returns it.
     formula : ``-k*q**3``; for each axis or channel ``x: -k*y; y: k*x``, or such a text in braces;
         or a list in brackets.
     values : ``w=0.003, b=N/m``: the value of a gap or a width, the unit of a coefficient.
@@ -43,7 +43,7 @@ def overrides_of(name: str, formula: str, values: str = "") -> list[str]:
     ------
     ConfigError : no name, no formula, or values that are none.
     """
-    text = _bare(formula, "expression")
+    text = _strip_assignment(formula, "expression")
     if not _NAME.fullmatch(name) or not text:
         raise ConfigError(
             f"an effect {name!r} = {formula.strip()!r}",
@@ -51,15 +51,15 @@ def overrides_of(name: str, formula: str, values: str = "") -> list[str]:
             "hardening and -k3*q**3",
         )
     key = f"effect.{name}"
-    found = [f"{key}.expression={_expression(text)}"]
-    for field, table in zip(("shape", "units"), _values(values), strict=True):
+    lines = [f"{key}.expression={_expression_value(text)}"]
+    for field, table in zip(("shape", "units"), _parse_values(values), strict=True):
         if table:
             inside = ", ".join(f"{k}: {v}" for k, v in table.items())
-            found.append(f"{key}.{field}={{{inside}}}")
-    return found
+            lines.append(f"{key}.{field}={{{inside}}}")
+    return lines
 
 
-def example(system: System) -> dict[str, Any]:
+def example_formula(system: System) -> dict[str, Any]:
     """A formula that works on a system, and what a formula may name there, in words."""
     from spiral.physics.formulas.place import EACH_AXIS, place_of
 
@@ -75,22 +75,23 @@ def example(system: System) -> dict[str, Any]:
     return {"formula": "-k3*q**3", "names": [(k, v) for k, v in named if v]}
 
 
-def _bare(text: str, key: str) -> str:
+def _strip_assignment(text: str, key: str) -> str:
     """A field's text without ``effect.NAME.KEY='...'`` around it."""
-    found = _WRAPPED.fullmatch(text)
-    return (found[3] if found and found[1] == key else text).strip()
+    match = _WRAPPED.fullmatch(text)
+    return (match[3] if match and match[1] == key else text).strip()
 
 
-def _expression(text: str) -> str:
+def _expression_value(text: str) -> str:
     """A formula, or one for each axis, as a value of the overrides' grammar."""
     if text[0] == "[" and text[-1] == "]":
-        return "[" + ", ".join(quoted(p) for p in _parts(text[1:-1])) + "]"
+        return "[" + ", ".join(quote_value(p) for p in _split_pieces(text[1:-1])) + "]"
     inside = text[1:-1] if text[0] == "{" and text[-1] == "}" else text
-    pairs = [p.partition(":") for p in _parts(inside)]
+    pairs = [p.partition(":") for p in _split_pieces(inside)]
     if not all(colon and name.strip().isidentifier() for name, colon, _ in pairs):
-        return quoted(text)
+        return quote_value(text)
     each = (
-        f"{name.strip()}: {quoted(formula.strip().strip(_QUOTES))}" for name, _, formula in pairs
+        f"{name.strip()}: {quote_value(formula.strip().strip(_QUOTES))}"
+        for name, _, formula in pairs
     )
     return "{" + ", ".join(each) + "}"
 
@@ -98,7 +99,7 @@ def _expression(text: str) -> str:
 _QUOTES = "'\""
 
 
-def _parts(text: str) -> Iterator[str]:
+def _split_pieces(text: str) -> Iterator[str]:
     """Pieces between commas, semicolons and new lines that stand in no brackets."""
     depth, begun = 0, 0
     for at, letter in enumerate(text + ";"):
@@ -109,16 +110,16 @@ def _parts(text: str) -> Iterator[str]:
             begun = at + 1
 
 
-def _values(text: str) -> tuple[dict[str, str], dict[str, str]]:
+def _parse_values(text: str) -> tuple[dict[str, str], dict[str, str]]:
     """Values of gaps and widths, and units of coefficients, by name."""
     from spiral.types.units import short_form
 
     for key in ("shape", "units"):
-        text = _bare(text, key)
+        text = _strip_assignment(text, key)
     inside = text[1:-1] if text.startswith("{") and text.endswith("}") else text
     shape: dict[str, str] = {}
     units: dict[str, str] = {}
-    for part in _parts(inside):
+    for part in _split_pieces(inside):
         name, _, given = (p.strip() for p in re.sub(r"^(\w+)\s*:", r"\1=", part).partition("="))
         try:
             number = float(given)
@@ -129,7 +130,7 @@ def _values(text: str) -> tuple[dict[str, str], dict[str, str]]:
                 raise ValueError
             if number is None:
                 short_form(given)
-                units[name] = quoted(given)
+                units[name] = quote_value(given)
             else:
                 shape[name] = repr(number)
         except Exception as error:  # of pint's parser, whatever Python's tokenizer raises

@@ -9,7 +9,7 @@ from typing import Any
 from nicegui import ui
 
 from spiral.app import branches, frame, panels, python_text, studies, tour, unseen
-from spiral.app.address import Address, written
+from spiral.app.address import Address, format_address
 from spiral.app.figures import Figures
 from spiral.app.missing import OWN, Missing
 from spiral.app.session import Scene, Session
@@ -47,7 +47,7 @@ class _Progress:
 class StudyView:
     """One tab of the browser on one study: what it has drawn, so that only what changed is drawn.
 
-    ``parts`` are functions that build a region, with what the region depends on.
+    ``drawn`` holds, by region, what it depended on when it was drawn last.
     """
 
     session: Session
@@ -66,19 +66,21 @@ class StudyView:
         self.client = ui.context.client
         self.tab = self.at.tab or self.tab
         views = {name: dict(view) for name, view in self.at.views.items()}
-        self.figures = Figures(self.session, self.ident, self._tell, views)
+        self.figures = Figures(self.session, self.ident, self._update_address, views)
         self.beside = SideBySide(
-            self.figures, lambda: self.again("beside"), self._tell, self.at.beside
+            self.figures, lambda: self.redraw("beside"), self._update_address, self.at.beside
         )
-        self.missing = Missing(self.session, self.ident, self._ask, lambda: self.again("missing"))
+        self.missing = Missing(
+            self.session, self.ident, self._run_or_notify, lambda: self.redraw("missing")
+        )
 
     def scene(self) -> Scene:
         """The study as it is now."""
         return self.session.scene(self.ident)
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Draw what has changed since the last look; away, where the study was deleted."""
-        if not self.session.there(self.ident):
+        if not self.session.is_loaded(self.ident):
             with self.client:
                 ui.navigate.to("/")
             return
@@ -86,66 +88,70 @@ class StudyView:
         if scene.version == self.version:
             return
         self.version = scene.version
-        for name, build, depends in self._parts(scene):
+        for name, build, depends in self._region_builders(scene):
             if self.drawn.get(name, _NEVER) == depends:
                 continue
             self.drawn[name] = depends
             region = self.regions[name]
-            if name not in (FALLING, WORKING):  # these two change, rather than being drawn anew
+            if name not in (FALLING, WORKING):  # these two are updated in place
                 region.clear()
             with region:
                 build(scene)
-        self._tell()
+        self._update_address()
 
-    def _tell(self) -> None:
+    def _update_address(self) -> None:
         """Have the browser's address say what this tab looks at."""
         turn = self.scene().study.turn
-        views = {k: v for k, v in self.figures.views.items() if k in self._on_show()}
+        views = {k: v for k, v in self.figures.views.items() if k in self._shown_figures()}
         serial = None if turn is None else turn.serial
-        said = written(Address(serial, self.tab, views, self.beside.address()))
+        said = format_address(Address(serial, self.tab, views, self.beside.address()))
         if said != self.told:
             self.told = said
             with self.client:  # what was clicked may have been drawn anew meanwhile
                 ui.navigate.history.replace(said)
 
-    def _on_show(self) -> tuple[str, ...]:
+    def _shown_figures(self) -> tuple[str, ...]:
         """Names of the figures that this tab shows."""
         return (*dict(TABS).get(self.tab, ()), NAME)
 
-    def again(self, name: str) -> None:
+    def redraw(self, name: str) -> None:
         """Draw a region anew at the next look."""
         self.drawn.pop(name, None)
         self.version = -1
-        self.look()
+        self.refresh()
 
-    def _parts(self, scene: Scene) -> list[tuple[str, Callable[[Scene], None], Any]]:
+    def _region_builders(self, scene: Scene) -> list[tuple[str, Callable[[Scene], None], Any]]:
         study, turn = scene.study, scene.study.turn
         busy = scene.busy
         key = None if turn is None else turn.serial
         ranked = turn is not None and turn.candidates is not None
+        candidates = (key, ranked, bool(busy), scene.contrast, scene.plan)
+        if turn is None:
+            trials, figures, links = None, None, study.title
+        else:
+            trials = turn.trials
+            shown = bool(turn.figures or busy)
+            figures = (key, turn.figures, turn.sentence, len(turn.equation), shown)
+            tracked = (turn.run_id, turn.tracked, turn.untracked)
+            links = (study.title, key, tracked, ranked, key in scene.writing)
+        headline = (key, study.at, len(study.turns), bool(busy), study.noise_floor, study.note)
+        line = tuple(t.serial for t in study.line)
         return [
-            (WORKING, self._working, busy),
-            ("tour", self._tour, (study.tour, key, ranked, bool(busy))),
-            ("trouble", self._trouble, (study.trouble, bool(study.turns or busy))),
-            ("hero", self._hero, (key, study.at, len(study.turns), bool(busy), study.noise_floor,
-                                study.note)),
-            (FALLING, self._falling, (tuple(t.serial for t in study.line), study.noise_floor)),
-            ("missing", self.missing.build,
-             (key, ranked, bool(busy), scene.contrast, scene.plan, turn.trials if turn else None,
-              study.trouble)),
-            ("figures", self._figures,
-             None if turn is None else
-             (key, turn.figures, turn.sentence, len(turn.equation), bool(turn.figures or busy))),
+            (WORKING, self._draw_progress, busy),
+            ("tour", self._draw_tour, (study.tour, key, ranked, bool(busy))),
+            ("trouble", self._draw_trouble, (study.trouble, bool(study.turns or busy))),
+            ("hero", self._draw_headline, headline),
+            (FALLING, self._draw_error_curve, (line, study.noise_floor)),
+            ("missing", self.missing.build, (candidates, trials, study.trouble)),
+            ("figures", self._draw_figure_tabs, figures),
             ("beside", self.beside.build, tuple(t.serial for t in study.turns)),
-            ("data", self._data, (len(study.records), key, turn.run_id if turn else "")),
-            ("links", self._links, study.title if turn is None else
-             (study.title, key, turn.run_id, turn.tracked, turn.untracked, ranked,
-              key in scene.writing)),
-        ]  # fmt: skip
+            ("data", self._draw_data, (len(study.records), key, turn.run_id if turn else "")),
+            ("links", self._draw_links, links),
+        ]
 
     # --- regions ---------------------------------------------------------------------------------
 
-    def _working(self, scene: Scene) -> None:
+    def _draw_progress(self, scene: Scene) -> None:
         """What is under way; its button is never replaced, as a click on one just gone is lost."""
         busy = scene.busy
         if busy is None:
@@ -161,23 +167,26 @@ class StudyView:
         with ui.element("div").classes("working"):
             ui.spinner(size="20px")
             words = ui.label("").classes("words")
-            ui.button("Cancel", on_click=self._cancel).props(
+            ui.button("Cancel", on_click=self._cancel_order).props(
                 "outline dense color=negative padding='2px 12px'")  # fmt: skip
         bar = ui.linear_progress(0.0, show_value=False, size="5px").props("instant-feedback")
         return _Progress(words, bar)
 
-    def _tour(self, scene: Scene) -> None:
+    def _draw_tour(self, scene: Scene) -> None:
         turn = scene.study.turn
         serial = 0 if turn is None else turn.serial
 
-        def where() -> None:
+        def show_where() -> None:
             self.tab = WHERE
-            self.again("figures")
+            self.redraw("figures")
 
-        tour.draw(scene, where,
-                  lambda e: self._ask(lambda: self.session.add(self.ident, e, serial)))  # fmt: skip
+        tour.draw_tour_step(
+            scene,
+            show_where,
+            lambda e: self._run_or_notify(lambda: self.session.add(self.ident, e, serial)),
+        )
 
-    def _trouble(self, scene: Scene) -> None:
+    def _draw_trouble(self, scene: Scene) -> None:
         """The last message; one about an own formula stands beside its field."""
         error, begun = scene.study.trouble, scene.study.turns or scene.busy
         if not error and not begun:  # its program ended before the first fit
@@ -186,41 +195,45 @@ class StudyView:
             ).props("unelevated")
         if not error or (error.get("at") == OWN and begun):
             return
-        with frame.told(error):
+        with frame.error_box(error):
             if not scene.study.turns:
                 ui.button("Try again", on_click=lambda: self.session.start(self.ident)).props(
                     "flat"
                 )
 
-    def _hero(self, scene: Scene) -> None:
+    def _draw_headline(self, scene: Scene) -> None:
         study = scene.study
         ui.html(panels.headline(study), sanitize=False)
         if self.said is not None and study.turn is not None:
-            self.said.set_text(panels.spoken(study.turn))
-        ui.html(panels.chips(study), sanitize=False)
+            self.said.set_text(panels.error_announcement(study.turn))
+        ui.html(panels.effect_chips(study), sanitize=False)
         if study.turn is not None:
-            self._step(scene, study.turn)
-            units = panels.units(study.records)
-            ui.html(panels.channels(study.turn, units), sanitize=False).style("margin-top:10px")
-        branches.steps(scene, self._move)
-        branches.tree(scene, self._move)
+            self._draw_step_change(scene, study.turn)
+            units = panels.series_units(study.records)
+            ui.html(panels.channel_error_table(study.turn, units), sanitize=False).style(
+                "margin-top:10px"
+            )
+        branches.draw_undo_redo(scene, self._select_turn)
+        branches.draw_branch_tree(scene, self._select_turn)
         if study.note:
             ui.label(study.note).classes("soft own-note").props["id"] = "note"
 
-    def _step(self, scene: Scene, turn: Turn) -> None:
+    def _draw_step_change(self, scene: Scene, turn: Turn) -> None:
         """What the last step did to predictions of unseen data; undone with one click."""
-        astray, worse = panels.astray(turn), unseen.step(turn)
+        astray, worse = panels.divergence_warning(turn), unseen.worse_step_note(turn)
         if astray or worse:
             with ui.element("div").classes("note worse").props('role="status" id="worse"'):
                 for said in filter(None, (astray, worse)):
                     ui.html(said, sanitize=False)
                 if turn.added:
                     undo = ui.button("Undo this step", icon="undo")
-                    undo.on_click(lambda: self._move(turn.parent)).set_enabled(scene.busy is None)
+                    undo.on_click(lambda: self._select_turn(turn.parent)).set_enabled(
+                        scene.busy is None
+                    )
                     undo.props("unelevated color=primary padding='4px 12px'")
-        ui.html(unseen.errors(turn), sanitize=False)
+        ui.html(unseen.horizon_error_table(turn), sanitize=False)
 
-    def _falling(self, scene: Scene) -> None:
+    def _draw_error_curve(self, scene: Scene) -> None:
         study = scene.study
         rounds = [{**t.result, "round": i} for i, t in enumerate(study.line)]
         result = {"rounds": rounds, "noise_floor": study.noise_floor}
@@ -229,11 +242,11 @@ class StudyView:
             return
         figure.update_layout(height=FALL_HEIGHT, margin={"l": 60, "r": 16, "t": 44, "b": 48})
         if self.fall is None:
-            self.fall = frame.plot(figure.to_plotly_json(), "error-falling", FALLING_SAID)
+            self.fall = frame.draw_plot(figure.to_plotly_json(), "error-falling", FALLING_SAID)
         else:
-            self.fall.update_figure(frame.drawn(figure.to_plotly_json()))
+            self.fall.update_figure(frame.responsive_figure(figure.to_plotly_json()))
 
-    def _figures(self, scene: Scene) -> None:
+    def _draw_figure_tabs(self, scene: Scene) -> None:
         turn = scene.study.turn
         if turn is None or not (turn.figures or scene.busy is None):
             said = "Reading, fitting, drawing: figures come in a few seconds."
@@ -255,15 +268,15 @@ class StudyView:
         panel = ui.element("div").style("width:100%").props('role="tabpanel" tabindex="0"')
         panel.props["id"] = PANEL
         self.regions["tab"] = panel
-        self._tab(shown)
+        self._draw_tab(shown)
 
     def _choose_tab(self, event: Any) -> None:
         if event.value and event.value != self.tab:
             self.tab = event.value
-            self._tab(event.value)
-            self._tell()
+            self._draw_tab(event.value)
+            self._update_address()
 
-    def _tab(self, title: str) -> None:
+    def _draw_tab(self, title: str) -> None:
         """Only the figures of the chosen tab travel to the browser."""
         turn = self.scene().study.turn
         region = self.regions["tab"]
@@ -276,46 +289,46 @@ class StudyView:
                 calm = "level of the noise everywhere" in turn.sentence
                 ui.label(turn.sentence).classes("good" if calm else "sentence")
             if title == MODEL:
-                self.figures.model(turn.serial)
-                ui.html(panels.model(turn), sanitize=False).style("width:100%")
+                self.figures.draw_model_sketch(turn.serial)
+                ui.html(panels.model_table(turn), sanitize=False).style("width:100%")
             for name, heading, caption in turn.figures:
                 if name in dict(TABS)[title]:
-                    self.figures.show(turn.serial, name, heading, caption)
+                    self.figures.show_figure(turn.serial, name, heading, caption)
 
-    def _data(self, scene: Scene) -> None:
+    def _draw_data(self, scene: Scene) -> None:
         study = scene.study
         with ui.expansion("The data, and this as a command and in Python").classes("w-full"):
             if study.records:
-                ui.html(panels.records(study.records), sanitize=False)
-            frame.local_plugins(self.session)
+                ui.html(panels.records_table(study.records), sanitize=False)
+            frame.draw_local_plugins(self.session)
             ui.html("<p class='soft' style='margin:12px 0 4px'>The same from a terminal:</p>",
                     sanitize=False)  # fmt: skip
-            frame.code(frame.command(study))
-            text = python_text.program(study, self.session.out)
+            frame.draw_code(frame.shell_command(study))
+            text = python_text.program_text(study, self.session.out)
             if text:
                 ui.html("<p class='soft' style='margin:12px 0 4px'>In Python:</p>", sanitize=False)
-                frame.code(text)
+                frame.draw_code(text)
 
-    def _links(self, scene: Scene) -> None:
-        frame.links(self.session, scene)
-        studies.menu(self.session, scene.study, ui.navigate.reload, lambda: None)
+    def _draw_links(self, scene: Scene) -> None:
+        frame.draw_run_links(self.session, scene)
+        studies.draw_study_menu(self.session, scene.study, ui.navigate.reload, lambda: None)
 
     # --- clicks ----------------------------------------------------------------------------------
 
-    def _move(self, to: int | None) -> None:
+    def _select_turn(self, to: int | None) -> None:
         turn = self.scene().study.turn
         if turn is not None and to is not None:
-            self._ask(lambda: self.session.move(self.ident, to, turn.serial))
+            self._run_or_notify(lambda: self.session.move(self.ident, to, turn.serial))
 
-    def _cancel(self) -> None:
+    def _cancel_order(self) -> None:
         self.session.cancel(self.ident)
 
-    def _ask(self, what: Callable[[], None]) -> None:
+    def _run_or_notify(self, what: Callable[[], None]) -> None:
         try:
             what()
         except SpiralError as error:
-            frame.refused(error)
-        self.look()
+            frame.notify_error(error)
+        self.refresh()
 
 
 _NEVER = object()
@@ -329,10 +342,10 @@ def study_page(session: Session, ident: str, at: Address) -> None:
         if here and at.turn is not None and not scene.busy and scene.study.turn_of(at.turn):
             session.move(ident, at.turn, here.serial)
     except SpiralError as error:
-        frame.nothing_here(error)
+        frame.not_found_page(error)
         return
     view = StudyView(session, ident, at)
-    with frame.bar(scene.study.title):
+    with frame.header_bar(scene.study.title):
         view.regions["links"] = ui.row().classes("items-center gap-2")
     with frame.progress_bar():
         view.regions[WORKING] = ui.element("div").style("width:100%").props('role="status"')
@@ -349,5 +362,5 @@ def study_page(session: Session, ident: str, at: Address) -> None:
             view.regions["figures"] = ui.element("section").classes("card")
         view.regions["beside"] = ui.element("section").classes("card")
         view.regions["data"] = ui.element("section").classes("card")
-    view.look()
-    ui.timer(_TICK, view.look)
+    view.refresh()
+    ui.timer(_TICK, view.refresh)

@@ -10,8 +10,9 @@ from spiral.app import unseen
 from spiral.app.study import LEARNED, Study, Turn
 from spiral.types.formatting import digits, number, percent, probability
 from spiral.view.report import text
-from spiral.view.report.style import symbols, words
-from spiral.view.terminal.preview import kept_apart, quiet_test
+from spiral.view.report.style import label_words, typeset_formula
+from spiral.view.terminal.preview import is_test_held_out
+from spiral.view.terminal.preview import quiet_test_warning as quiet_test_words
 
 _BOTH = "the larger of the classical p-value and the robust one"
 _NET = (
@@ -31,7 +32,7 @@ ENDINGS = {
 _NAMES = (("displacements, as", ["x"]), ("velocities, as", ["x_rate"]), ("of any axis", ["q", "v"]))
 
 
-def formula(about: Mapping[str, Any]) -> str:
+def formula_help(about: Mapping[str, Any]) -> str:
     """What a formula of one's own may name on this machine."""
     known = "".join(
         f"<br>{escape(kind)}: {', '.join(f'<code>{escape(n)}</code>' for n in names)}"
@@ -46,15 +47,15 @@ def formula(about: Mapping[str, Any]) -> str:
     )
 
 
-def caveats(said: Sequence[str]) -> str:
-    """What is to be held against a verdict; nothing where there is nothing."""
+def caveats_note(said: Sequence[str]) -> str:
+    """The caveats of a verdict as a list; empty where there are none."""
     if not said:
         return ""
     items = "".join(f"<li>{escape(one[:1].upper() + one[1:])}</li>" for one in said)
     return f'<div class="note caveats" id="caveats"><b>Caveats</b><ul>{items}</ul></div>'
 
 
-def ending(study: Study, turn: Turn) -> str:
+def ending_message(study: Study, turn: Turn) -> str:
     """What it means that nothing passes the gates."""
     said = ENDINGS.get(turn.verdict) or escape(turn.advice)
     error, floor = turn.result.get("test_error"), study.noise_floor
@@ -68,7 +69,7 @@ def ending(study: Study, turn: Turn) -> str:
     return said
 
 
-def learnable(study: Study, turn: Turn) -> bool:
+def has_learnable_curve(study: Study, turn: Turn) -> bool:
     """Whether the curve of what is left can be offered as an effect, and is not yet."""
     asked = any(o.partition("=")[0] == LEARNED for o in study.overrides)
     return bool(turn.shape) and turn.verdict == "no_candidate" and not asked
@@ -80,7 +81,11 @@ def headline(study: Study) -> str:
     if not line:
         return '<p class="label">Free-run error on the test record</p><div class="number">…</div>'
     now, first = (line[i].result.get("test_error") for i in (-1, 0))
-    value = _shown(now) if now is not None else f'<span class="words">{_shown(now)}</span>'
+    value = (
+        _error_percent(now)
+        if now is not None
+        else f'<span class="words">{_error_percent(now)}</span>'
+    )
     before = f"<small> from {percent(first)}</small>" if len(line) > 1 else ""
     floor = study.noise_floor
     noise = f" Noise alone makes {percent(floor)}." if floor is not None else ""
@@ -88,46 +93,46 @@ def headline(study: Study) -> str:
         '<p class="label">Free-run error on the test record</p>'
         f'<div class="number" id="error-now">{value}{before}</div>'
         '<p class="soft">As a share of each channel\'s standard deviation, on data that no fit and '
-        f"no choice has seen.{noise}</p>" + quiet(study.records)
+        f"no choice has seen.{noise}</p>" + quiet_test_warning(study.records)
     )
 
 
-def spoken(turn: Turn) -> str:
-    """What those hear who do not see the large number."""
-    return f"Free-run error on the test record: {_shown(turn.result.get('test_error'))}"
+def error_announcement(turn: Turn) -> str:
+    """The free-run error as a sentence for screen readers."""
+    return f"Free-run error on the test record: {_error_percent(turn.result.get('test_error'))}"
 
 
-def quiet(records: Sequence[Mapping[str, Any]]) -> str:
-    """What to hold against a test record that misses what was excited; else nothing."""
-    said = quiet_test(records)
+def quiet_test_warning(records: Sequence[Mapping[str, Any]]) -> str:
+    """A warning where the test record hardly moves what the fitted one moves; else empty."""
+    said = quiet_test_words(records)
     return f'<p class="note quiet">{escape(said)}</p>' if said else ""
 
 
-def _shown(error: float | None) -> str:
+def _error_percent(error: float | None) -> str:
     return "not finite" if error is None else percent(error)
 
 
-def chips(study: Study) -> str:
+def effect_chips(study: Study) -> str:
     """The effects that the model has: the seed's, and those added; below, those let go again."""
     if not study.line:
         return ""
     model = study.line[-1].result.get("model") or {}
     seed = [e for e in model.get("effects", {}) if e not in study.added]
-    found = [f'<span class="chip">{escape(words(e))}</span>' for e in seed]
-    found += [f'<span class="chip added">+ {escape(words(e))}</span>' for e in study.added]
-    gone = ", ".join(words(e) for e in study.gone)
+    items = [f'<span class="chip">{escape(label_words(e))}</span>' for e in seed]
+    items += [f'<span class="chip added">+ {escape(label_words(e))}</span>' for e in study.added]
+    gone = ", ".join(label_words(e) for e in study.gone)
     said = f"Let go: {gone}, superfluous beside what was added later."
     left = f'<p class="soft gone">{escape(said)}</p>' if gone else ""
-    return f'<div class="chips">{"".join(found)}</div>{left}'
+    return f'<div class="chips">{"".join(items)}</div>{left}'
 
 
-def channels(turn: Turn, units: Mapping[str, str]) -> str:
+def channel_error_table(turn: Turn, units: Mapping[str, str]) -> str:
     """Errors of each channel in its unit, chi2 and whiteness of the fit."""
     rows = [
-        (name, text.sized(v["rmse"], units.get(name, "")), _shown(v["relative"]))
+        (name, text.format_with_unit(v["rmse"], units.get(name, "")), _error_percent(v["relative"]))
         for name, v in (turn.result.get("channels") or {}).items()
     ]
-    table = text.table(("channel", "rms error", "of its deviation"), rows,
+    table = text.html_table(("channel", "rms error", "of its deviation"), rows,
                        ("rms error", "of its deviation"))  # fmt: skip
     chi2 = turn.result.get("chi2_per_dof")
     fit = "" if chi2 is None else f"χ² per degree of freedom {digits(chi2)}; "
@@ -135,14 +140,16 @@ def channels(turn: Turn, units: Mapping[str, str]) -> str:
         f"whiteness p {probability(turn.result.get('whiteness_p'))}; fitted over "
         f"{turn.result.get('horizon') or '-'} samples at a time"
     )
-    return plain(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'
+    return (
+        restyle_table(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'
+    )
 
 
-def astray(turn: Turn) -> str:
-    """What it means that a free run leaves all bounds; nothing where it does not."""
+def divergence_warning(turn: Turn) -> str:
+    """A warning where the free run diverges (its error is not finite); else empty."""
     if turn.result.get("test_error") is not None:
         return ""
-    model = f"With {words(turn.added)} the model" if turn.added else "The model"
+    model = f"With {label_words(turn.added)} the model" if turn.added else "The model"
     said = "Undo, or add another effect" if turn.added else "Check units and signs of the channels"
     return (
         f"<div id='astray'><b>{escape(model)} runs away from the record</b> when it runs freely: "
@@ -151,38 +158,38 @@ def astray(turn: Turn) -> str:
     )
 
 
-def units(found: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+def series_units(summaries: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """The unit of every series of the records, each by its first."""
-    rows = [series for record in found for series in record["series"]]
+    rows = [series for record in summaries for series in record["series"]]
     return {s["name"]: s["unit"] for s in reversed(rows)}
 
 
-def plain(table: str) -> str:
-    """A table of the report in the page's look."""
+def restyle_table(table: str) -> str:
+    """A table of the report with the page's CSS class."""
     return table.replace("<table>", '<table class="plain">', 1)
 
 
-def candidate(found: Mapping[str, Any]) -> str:
-    """Name and meaning."""
+def candidate_title(row: Mapping[str, Any]) -> str:
+    """A candidate's name and meaning."""
     return (
-        f'<div class="name">{escape(words(found["effect"]))}</div>'
-        f'<div class="meaning">{meaning(found["meaning"])}</div>'
+        f'<div class="name">{escape(label_words(row["effect"]))}</div>'
+        f'<div class="meaning">{effect_meaning(row["meaning"])}</div>'
     )
 
 
-def meaning(said: str) -> str:
+def effect_meaning(said: str) -> str:
     """A meaning whose formula is not broken where it fits into a line."""
-    name, colon, formula = symbols(said).rpartition(": ")
+    name, colon, formula = typeset_formula(said).rpartition(": ")
     if "=" not in formula or not colon:
-        return escape(symbols(said))
+        return escape(typeset_formula(said))
     return f'{escape(name)}: <span class="formula">{escape(formula)}</span>'
 
 
-def evidence(found: Mapping[str, Any]) -> str:
-    """What orders the candidates, the share of the residual explained, and how sure that is."""
-    net = found.get("net")
-    share = max(0.0, min(1.0, (found["explains"] if net is None else net) or 0.0))
-    worst = max(found["p_value"] or 0.0, found["wald_p_value"] or 0.0)
+def candidate_evidence(row: Mapping[str, Any]) -> str:
+    """A candidate's share of the residual explained (a bar), and the larger of its p-values."""
+    net = row.get("net")
+    share = max(0.0, min(1.0, (row["explains"] if net is None else net) or 0.0))
+    worst = max(row["p_value"] or 0.0, row["wald_p_value"] or 0.0)
     return (
         f'<span class="share" title="{_NET}">explains {percent(share)}</span>'
         f'<div class="meter"><i style="width:{100 * share:.1f}%"></i></div>'
@@ -190,65 +197,66 @@ def evidence(found: Mapping[str, Any]) -> str:
     )
 
 
-def order(turn: Turn) -> str:
+def ranking_order_note(turn: Turn) -> str:
     """What orders the candidates, and why the proposed one stands where it does."""
     said = "Ordered by the share of what the model misses that each explains, all on the same data."
-    effects = [found["effect"] for found in turn.candidates or ()]
+    effects = [row["effect"] for row in turn.candidates or ()]
     first = next((e for e in effects if e in turn.proposed), None)
     above = effects[: effects.index(first)] if first else []
     if above:
-        names = unseen.listed([words(e) for e in above])
+        names = unseen.join_words([label_words(e) for e in above])
         said += (
-            f" {words(first or '').capitalize()} is proposed although {names} "
+            f" {label_words(first or '').capitalize()} is proposed although {names} "
             f"{'explains' if len(above) == 1 else 'explain'} more there: other data, on which "
             "nothing was ordered, decide."
         )
     return escape(said)
 
 
-def proposal(turn: Turn) -> tuple[str, str]:
+def proposal_message(turn: Turn) -> tuple[str, str]:
     """What the trial on the test record says of the proposed effect: a sentence and its kind.
 
     The kind is ``worse``, ``fine``, ``trying`` (not known yet) or nothing where none is proposed.
     """
     if not turn.proposed:
         return "", ""
-    name = words(turn.proposed[0])
+    name = label_words(turn.proposed[0])
     passes = f"<b>{escape(name)}</b> is confirmed on data that took no part in its choice"
     if turn.preview.get("effect") not in turn.proposed:
         return f"{passes}; what it does on the test record is not known yet.", "trying"
-    where = unseen.worse(turn.preview["changes"])
+    where = unseen.worse_horizons(turn.preview["changes"])
     if where:
-        said = f"{passes}, but predicts the test record <b>worse</b>: {unseen.listed(where)}."
+        said = f"{passes}, but predicts the test record <b>worse</b>: {unseen.join_words(where)}."
         return f"{said} Something else may be missing, or the test record differs.", "worse"
     return f"{passes}, and predicts the test record no worse at any horizon.", "fine"
 
 
-def alike(others: Sequence[str]) -> str:
-    """What this record cannot tell apart from it."""
-    names = ", ".join(words(o) for o in others)
+def indistinguishable_note(others: Sequence[str]) -> str:
+    """A sentence on the effects that this record cannot tell from a candidate."""
+    names = ", ".join(label_words(o) for o in others)
     return f"This record cannot tell it from <b>{escape(names)}</b>."
 
 
-def trial(turn: Turn, effect: str) -> Mapping[str, Any]:
+def trial_result(turn: Turn, effect: str) -> Mapping[str, Any]:
     """What came of trying an effect on the test record; nothing where it was not tried."""
     if turn.preview.get("effect") == effect:
         return {**turn.preview, **turn.trials.get(effect, {})}
     return turn.trials.get(effect, {})
 
 
-def plan(found: Mapping[str, Any]) -> str:
+def plan_table(plan_data: Mapping[str, Any]) -> str:
     """Planned tests with the chance that each tells effects apart, and what to do."""
     rows = [
         (row["test"], "-" if row["failure"] else percent(row["probability"]))
-        for row in found["rows"]
+        for row in plan_data["rows"]
     ]
-    table = text.table(("test", "tells them apart"), rows, ("tells them apart",))
-    return f"{plain(table)}<p class='soft' style='margin-top:6px'>{escape(found['advice'])}</p>"
+    table = text.html_table(("test", "tells them apart"), rows, ("tells them apart",))
+    advice = f"<p class='soft' style='margin-top:6px'>{escape(plan_data['advice'])}</p>"
+    return restyle_table(table) + advice
 
 
-def trouble(error: Mapping[str, str]) -> str:
-    """Given, expected, try."""
+def error_message(error: Mapping[str, str]) -> str:
+    """An error as lines: what was given, what was expected, what to try."""
     lines = [f"<b>{escape(error['given'])}</b>"]
     if error.get("expected"):
         lines.append(f"Expected: {escape(error['expected'])}")
@@ -257,48 +265,51 @@ def trouble(error: Mapping[str, str]) -> str:
     return "<br>".join(lines)
 
 
-def contrast(rows: Sequence[Mapping[str, Any]], windows: int) -> str:
+def contrast_table(rows: Sequence[Mapping[str, Any]], windows: int) -> str:
     """Effects side by side, each refitted alone: one row for each figure, all on the same data."""
     figures = [
-        (unseen.horizon(h), [_shown(r["unseen"][i]["error"]) for r in rows])
+        (unseen.horizon_label(h), [_error_percent(r["unseen"][i]["error"]) for r in rows])
         for i, h in enumerate(rows[0]["unseen"])
     ]
     figures += [
-        ("fitted record, free run", [_shown(r["fit_error"]) for r in rows]),
+        ("fitted record, free run", [_error_percent(r["fit_error"]) for r in rows]),
         (f"χ²/dof, over {windows} samples", [digits(r["chi2_per_dof"]) for r in rows]),
     ]
-    columns = ("error on", *(words(r["effect"]) for r in rows))
-    return plain(text.table(columns, [(name, *cells) for name, cells in figures], columns[1:]))
+    columns = ("error on", *(label_words(r["effect"]) for r in rows))
+    return restyle_table(
+        text.html_table(columns, [(name, *cells) for name, cells in figures], columns[1:])
+    )
 
 
-def model(turn: Turn) -> str:
+def model_table(turn: Turn) -> str:
     """The equation and its coefficients with their standard errors."""
     signs = turn.result.get("signs") or {}
-    return plain(text.coefficients_table(turn.result, turn.equation, signs))
+    return restyle_table(text.coefficients_table(turn.result, turn.equation, signs))
 
 
-def doubtful(signs: Mapping[str, str]) -> str:
+def sign_warnings(signs: Mapping[str, str]) -> str:
     """Coefficients whose sign a passive machine does not have; nothing where there is none."""
     rows = [
-        f"<li>{escape(words(k.rpartition('.')[2]))}: {escape(v)}</li>" for k, v in signs.items()
+        f"<li>{escape(label_words(k.rpartition('.')[2]))}: {escape(v)}</li>"
+        for k, v in signs.items()
     ]
     return f"<ul class='signs'>{''.join(rows)}</ul>" if rows else ""
 
 
-def apart(records: Sequence[Mapping[str, Any]]) -> str:
+def test_split_note(records: Sequence[Mapping[str, Any]]) -> str:
     """Where the test record comes from, in a sentence."""
     tests = [r["name"] for r in records if r["part"] == "test"]
-    if not kept_apart(records):
-        return f"No fit sees the test record: {unseen.listed(tests)}."
+    if not is_test_held_out(records):
+        return f"No fit sees the test record: {unseen.join_words(tests)}."
     where = "The last part" if len(tests) == 1 else f"The last part of each of {len(tests)} records"
     where = f"The end of each of {len(tests)} blocks" if "(block " in tests[0] else where
     return f"{where} is kept apart as the test record: no fit sees it."
 
 
-def records(found: Sequence[Mapping[str, Any]]) -> str:
+def records_table(summaries: Sequence[Mapping[str, Any]]) -> str:
     """What was understood of the records; those of a part together."""
     spans: dict[tuple[str, str, str], tuple[float, float]] = {}
-    for record in found:
+    for record in summaries:
         for series in record["series"]:
             key = (record["part"], series["name"], series["unit"])
             low, high = spans.get(key, (series["lowest"], series["highest"]))
@@ -308,12 +319,14 @@ def records(found: Sequence[Mapping[str, Any]]) -> str:
         for (part, name, unit), (low, high) in spans.items()
     ]
     columns = ("part", "series", "range", "unit")
-    sizes = "; ".join(_size([r for r in found if r["part"] == part], part)
-                      for part in dict.fromkeys(r["part"] for r in found))  # fmt: skip
-    return f'<p class="soft">{escape(sizes)}</p>' + plain(text.table(columns, rows, ("range",)))
+    sizes = "; ".join(_record_size([r for r in summaries if r["part"] == part], part)
+                      for part in dict.fromkeys(r["part"] for r in summaries))  # fmt: skip
+    return f'<p class="soft">{escape(sizes)}</p>' + restyle_table(
+        text.html_table(columns, rows, ("range",))
+    )
 
 
-def _size(records: Sequence[Mapping[str, Any]], part: str) -> str:
+def _record_size(records: Sequence[Mapping[str, Any]], part: str) -> str:
     """How much a part holds: ``fit: 9600 samples at 1000 Hz, 9.6 s``."""
     samples = sum(r["samples"] for r in records)
     seconds = sum(r["samples"] / r["rate"] for r in records)

@@ -1,4 +1,4 @@
-"""The processes beside the page: one for fits, one that writes down. Started anew, never forked.
+"""Worker processes beside the page: one fits, one writes runs down. Spawned, never forked.
 
 An order goes in as plain data, events come back as plain data; cancelling ends the process, so that
 no fit can hold the page up, and the next one finds its study on disk. An order may have a limit of
@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from spiral.io.readers.limits import overdue
+from spiral.io.readers.limits import time_limit_error
 from spiral.types.errors import InputError, SpiralError
 
 Event = Mapping[str, Any]
@@ -46,8 +46,8 @@ class Process:
         self._closed = self._cancelled = False
         self._process: Any = None
         self._pipe: Connection | None = None
-        self._spawn()
-        threading.Thread(target=self._work, daemon=True).start()
+        self._spawn_process()
+        threading.Thread(target=self._run_queue, daemon=True).start()
 
     def give(self, order: Mapping[str, Any]) -> None:
         """Queue an order."""
@@ -74,16 +74,18 @@ class Process:
         self._wake.set()
         self._process.kill()
 
-    def _spawn(self) -> None:
+    def _spawn_process(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
-            target=serve, args=(self._kind, str(self._out), theirs, os.getpid()), daemon=True
+            target=run_worker_loop,
+            args=(self._kind, str(self._out), theirs, os.getpid()),
+            daemon=True,
         )
         self._process.start()
         theirs.close()
 
-    def _work(self) -> None:
+    def _run_queue(self) -> None:
         while not self._closed:
             self._wake.wait()
             with self._lock:
@@ -95,12 +97,12 @@ class Process:
                     self._process.join(5)
                     self._cancelled = False
                 if not self._process.is_alive():
-                    self._spawn()
-            self._one(self._under_way)
+                    self._spawn_process()
+            self._run_order(self._under_way)
             with self._lock:
                 self._under_way = None
 
-    def _one(self, order: Mapping[str, Any]) -> None:
+    def _run_order(self, order: Mapping[str, Any]) -> None:
         """Send one order and pass its events on, until it is done or its process is gone."""
         assert self._pipe is not None
         ends = None
@@ -123,8 +125,8 @@ class Process:
                 return
             with self._lock:
                 cancelled, self._cancelled = self._cancelled, False
-                self._spawn()
-            ended = overdue(order["seconds"]).as_dict() if late else _ENDED
+                self._spawn_process()
+            ended = time_limit_error(order["seconds"]).as_dict() if late else _ENDED
             self._on_event(order, *(("cancelled", {}) if cancelled else ("failed", ended)))
 
 
@@ -132,7 +134,7 @@ _now = time.monotonic
 
 
 @contextmanager
-def _within(memory: int | None) -> Iterator[None]:
+def _memory_limit(memory: int | None) -> Iterator[None]:
     """At most so many bytes more than the process has now, where the system can say so.
 
     Raises
@@ -161,35 +163,35 @@ def _within(memory: int | None) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-def serve(kind: str, out: str, pipe: Connection, parent: int) -> None:
+def run_worker_loop(kind: str, out: str, pipe: Connection, parent: int) -> None:
     """The process: take orders until the pipe closes."""
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _leave_with(parent)
+    _exit_with_parent(parent)
 
-    def tell(what: str, data: Event) -> None:
+    def send_event(what: str, data: Event) -> None:
         pipe.send((what, dict(data)))
 
-    worker = _worker(kind, Path(out), tell)
+    worker = _make_worker(kind, Path(out), send_event)
     while True:
         try:
             order = pipe.recv()
         except (EOFError, OSError):
             return
         try:
-            with _within(order.get("memory")):
+            with _memory_limit(order.get("memory")):
                 getattr(worker, order["do"])(order)
         except SpiralError as error:
-            tell("failed", _without(out, error.as_dict()))
+            send_event("failed", _hide_upload_folder(out, error.as_dict()))
         except Exception as error:  # a defect costs one order, and says so
-            tell("failed", _defect(error))
+            send_event("failed", _defect_message(error))
         else:
-            tell("done", {})
-        _give_back()
+            send_event("done", {})
+        _release_memory()
 
 
-def _give_back() -> None:
+def _release_memory() -> None:
     """Return to the system what the order needed and nothing holds any more (glibc keeps it)."""
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
@@ -197,8 +199,8 @@ def _give_back() -> None:
             trim(ctypes.c_size_t(0))
 
 
-def _worker(kind: str, out: Path, tell: Any) -> Any:
-    """The one who does the work, with all that it needs imported."""
+def _make_worker(kind: str, out: Path, tell: Any) -> Any:
+    """The object whose methods carry out orders, with all that it needs imported."""
     from spiral.io.registry import load_registry
 
     load_registry(local=False)  # local plugins are run when an order asks for them
@@ -214,13 +216,13 @@ def _worker(kind: str, out: Path, tell: Any) -> Any:
     return FitWorker(out, tell)
 
 
-def _without(out: str, error: Mapping[str, str]) -> dict[str, str]:
+def _hide_upload_folder(out: str, error: Mapping[str, str]) -> dict[str, str]:
     """The message with the names of uploaded files as the user knows them."""
     folder = re.compile(re.escape(out) + r"/studies/uploads/[0-9a-f-]+/")
     return {k: folder.sub("", v) for k, v in error.items()}
 
 
-def _defect(error: Exception) -> dict[str, str]:
+def _defect_message(error: Exception) -> dict[str, str]:
     import logging
 
     logging.getLogger("spiral.app").exception("an order failed")
@@ -231,12 +233,12 @@ def _defect(error: Exception) -> dict[str, str]:
     }
 
 
-def _leave_with(parent: int) -> None:
-    """Do not outlive the page."""
+def _exit_with_parent(parent: int) -> None:
+    """End this process when the page's process, its parent, has ended."""
 
-    def watch() -> None:
+    def exit_when_orphaned() -> None:
         while os.getppid() == parent:
             time.sleep(0.5)
         os._exit(0)
 
-    threading.Thread(target=watch, daemon=True).start()
+    threading.Thread(target=exit_when_orphaned, daemon=True).start()

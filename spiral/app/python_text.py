@@ -16,28 +16,28 @@ _CHOICES = ("candidates", "without", "values", "free", "fixed", "holdout", "hold
 _FILES = ("file", "csv")
 
 
-def asked(config: Config, registry: Registry) -> dict[str, Any]:
-    """What a configuration says beside the usual: ``system``, ``record``, ``test``, ``choices``.
+def non_default_options(config: Config, registry: Registry) -> dict[str, Any]:
+    """Options that differ from the defaults: ``system``, ``record``, ``test``, ``choices``.
 
-    Empty where something of it has no place among the functions of Python: a formula of one's own.
+    Empty where the functions of Python cannot say one of them, as an effect given by a formula.
     """
     if config.get("expressions") or config["effect"] or config.get("seed") is not None:
         return {}
     usual = {k: v for k, v in vars(Options()).items() if k in _CHOICES}
     choices = {k: config[k] for k in _CHOICES if config[k] and config[k] != usual[k]}
-    levels = _beside(config["settings"] or {}, defaults_of(Settings))
-    strategy = _chosen("strategy", "strategy", config, registry)
+    levels = _non_default_fields(config["settings"] or {}, defaults_of(Settings))
+    strategy = _plugin_options("strategy", "strategy", config, registry)
     if strategy != {"name": USUAL_STRATEGY}:
         choices["strategy"] = strategy if len(strategy) > 1 else strategy["name"]
     return {
-        "system": _chosen("system", GROUPS["system"], config, registry),
-        "record": _chosen("record", GROUPS["record"], config, registry),
+        "system": _plugin_options("system", GROUPS["system"], config, registry),
+        "record": _plugin_options("record", GROUPS["record"], config, registry),
         "test": {k: v for k, v in config["test"].items() if v is not None},
         "choices": {**choices, **({"settings": levels} if levels else {})},
     }
 
 
-def program(study: Study, out: Path) -> str:
+def program_text(study: Study, out: Path) -> str:
     """Lines of Python for the step that is looked at; empty before its first fit."""
     turn = study.turn
     if turn is None:
@@ -49,57 +49,60 @@ def program(study: Study, out: Path) -> str:
     given = study.program
     record, test = dict(given["record"]), dict(given["test"])
     settle = {"settle": test.pop("settle")} if "settle" in test else {}
-    lines = ["import spiral", "", f"system = {_system(given['system'])}",
-             f"record = {_read(record)}"]  # fmt: skip
+    lines = ["import spiral", "", f"system = {_system_argument(given['system'])}",
+             f"record = {_read_call(record)}"]  # fmt: skip
     arguments = {"effects": list(study.added)} if study.added else {}
     arguments |= {**given["choices"], **settle}
-    words = [f"{key}={_told(value)}" for key, value in arguments.items()]
+    words = [f"{key}={_python_literal(value)}" for key, value in arguments.items()]
     if test:
         same = test.get("name") == record["name"]
         shared = {k: v for k, v in record.items() if k != "rows"} if same else {}
-        lines.append(f"test = {_read({**shared, **test})}")
+        lines.append(f"test = {_read_call({**shared, **test})}")
         words.insert(0, "test=test")
-    wanted = _broken(["record", "system", *words])
+    wanted = _wrap_arguments(["record", "system", *words])
     return "\n".join([*lines, f"found = spiral.diagnose({wanted})", "print(found)"])
 
 
-def _chosen(group: str, kind: str, config: Config, registry: Registry) -> dict[str, Any]:
-    """A plugin's name and those of its fields that are not as usual."""
+def _plugin_options(group: str, kind: str, config: Config, registry: Registry) -> dict[str, Any]:
+    """A plugin's name and those of its fields that differ from their defaults."""
     section = {k: v for k, v in config[group].items() if k != "name"}
     name = config[group]["name"]
-    return {"name": name, **_beside(section, defaults_of(registry.entry(kind, name).plugin))}
+    return {
+        "name": name,
+        **_non_default_fields(section, defaults_of(registry.entry(kind, name).plugin)),
+    }
 
 
-def _beside(given: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:
+def _non_default_fields(given: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:
     return {k: v for k, v in given.items() if v != usual.get(k)}
 
 
-def _system(given: Mapping[str, Any]) -> str:
+def _system_argument(given: Mapping[str, Any]) -> str:
     """A file of equations by its path, a plugin by its name, or by name and fields."""
     if set(given) == {"name", "path"}:
-        return _told(given["path"])
-    return _told(given["name"] if len(given) == 1 else given)
+        return _python_literal(given["path"])
+    return _python_literal(given["name"] if len(given) == 1 else given)
 
 
-def _read(fields: Mapping[str, Any]) -> str:
+def _read_call(fields: Mapping[str, Any]) -> str:
     """The call that reads records: of files, or of any other source by its name."""
     own = {k: v for k, v in fields.items() if k not in ("name", "path")}
     if fields["name"] not in _FILES:
-        return f"spiral.read({_told({'name': fields['name'], **own})}, system)"
-    words = [f"{key}={_told(value)}" for key, value in own.items()]
-    return f"spiral.read({_broken([_told(fields['path']), 'system', *words])})"
+        return f"spiral.read({_python_literal({'name': fields['name'], **own})}, system)"
+    words = [f"{key}={_python_literal(value)}" for key, value in own.items()]
+    return f"spiral.read({_wrap_arguments([_python_literal(fields['path']), 'system', *words])})"
 
 
-def _broken(arguments: list[str]) -> str:
+def _wrap_arguments(arguments: list[str]) -> str:
     """Arguments on one line where they fit, else on lines of their own."""
     line = ", ".join(arguments)
     return line if len(line) < 78 else "".join(f"\n    {one}," for one in arguments) + "\n"
 
 
-def _told(value: Any) -> str:
+def _python_literal(value: Any) -> str:
     """A value as Python writes it."""
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{str(k)!r}: {_told(v)}' for k, v in value.items())}}}"
+        return f"{{{', '.join(f'{str(k)!r}: {_python_literal(v)}' for k, v in value.items())}}}"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_told, value))}]"
+        return f"[{', '.join(map(_python_literal, value))}]"
     return repr(value)

@@ -1,4 +1,4 @@
-"""A file on its way to a study: what is in it, and which column is what.
+"""The setup of an uploaded file: what is in it, and which column is which series.
 
 A setup lies in ``OUT/studies/uploads/ID`` beside its file, so that a reload finds it.
 """
@@ -12,9 +12,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from spiral.app.study import FOLDER, UPLOADS, typed
+from spiral.app.study import FOLDER, UPLOADS, data_converter
 from spiral.io.run_id import new_run_id
-from spiral.io.storage import own_text
+from spiral.io.storage import read_text_inside
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError
 
@@ -65,12 +65,13 @@ class RecordSetup:
 
     ``systems`` describes the systems there are; ``seen`` what the last look at the mapped record
     came to; ``drawn`` whether a picture of the columns is there; ``model`` what the
-    model holds (``file_preview.described_model``); ``separator`` and ``decimal`` how
+    model holds (``file_preview.describe_model``); ``separator`` and ``decimal`` how
     a text file writes columns and fractions, where that had to be said; ``others`` are further
     files of the same machine (path, name, use: fit or test); ``equations`` the text of a system of
     one's own, which then stands last among the systems as ``own``; ``foresight`` is whether the
-    record can tell effects apart (``foresight.foreseen``), empty until that is known; ``reading``
-    is what reading changes in the first file's numbers (series, notes), empty where nothing.
+    record can tell effects apart (``foresight.identifiability_forecast``), empty until that is
+    known; ``reading`` is what reading changes in the first file's numbers (series, notes), empty
+    where nothing changes.
     """
 
     ident: str
@@ -101,7 +102,7 @@ class RecordSetup:
         return next((s for s in self.systems if s["name"] == self.choice.system), None)
 
 
-def place(out: Path, ident: str) -> Path:
+def setup_folder(out: Path, ident: str) -> Path:
     """The folder of a setup.
 
     Raises
@@ -113,27 +114,27 @@ def place(out: Path, ident: str) -> Path:
     return out / FOLDER / UPLOADS / ident
 
 
-def begun(out: Path, name: str) -> RecordSetup:
+def new_setup(out: Path, name: str) -> RecordSetup:
     """A setup with a folder for its file, which is not there yet."""
     ident = new_run_id()
-    folder = place(out, ident)
+    folder = setup_folder(out, ident)
     folder.mkdir(parents=True)
-    return RecordSetup(ident, name, str(folder / safe(name)))
+    return RecordSetup(ident, name, str(folder / safe_file_name(name)))
 
 
-def safe(name: str) -> str:
+def safe_file_name(name: str) -> str:
     """A file's name without a path and without what a file system might refuse."""
     last = name.replace("\\", "/").rsplit("/", 1)[-1]
     cleaned = re.sub(r"[^\w.()+ -]", "_", last).strip(". ")[-120:]
     return cleaned or "record"
 
 
-def save(out: Path, setup: RecordSetup) -> None:
+def save_setup(out: Path, setup: RecordSetup) -> None:
     """Write the setup over what was there."""
-    write_whole(place(out, setup.ident) / FILE, to_json(asdict(setup)))
+    write_whole(setup_folder(out, setup.ident) / FILE, to_json(asdict(setup)))
 
 
-def load(out: Path, ident: str) -> RecordSetup:
+def load_setup(out: Path, ident: str) -> RecordSetup:
     """A setup from disk.
 
     Raises
@@ -141,20 +142,20 @@ def load(out: Path, ident: str) -> RecordSetup:
     ConfigError : no such setup.
     """
     try:
-        data = json.loads(own_text(place(out, ident), FILE))
-        return typed().structure({**data, "ident": ident}, RecordSetup)
+        data = json.loads(read_text_inside(setup_folder(out, ident), FILE))
+        return data_converter().structure({**data, "ident": ident}, RecordSetup)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ConfigError(f"file {ident}", "one that was dropped here", "drop it again") from error
 
 
-def guessed(columns: Sequence[Mapping[str, Any]], system: Mapping[str, Any]) -> Choice:
-    """Columns that are named as the system names its series; each column once."""
+def guess_columns(columns: Sequence[Mapping[str, Any]], system: Mapping[str, Any]) -> Choice:
+    """Guess the column of time and of each series, by name, then by unit; each column once."""
     names = [c["name"] for c in columns]
     left = dict.fromkeys(names)
-    found: dict[str, str] = {}
+    matches: dict[str, str] = {}
 
-    def take(wanted: Sequence[str]) -> str:
-        for fits in (_whole, _begins, _holds):
+    def take_column(wanted: Sequence[str]) -> str:
+        for fits in (_equals_word, _starts_with_word, _contains_word):
             for want in wanted:
                 for name in left:
                     if fits(name, want):
@@ -163,72 +164,72 @@ def guessed(columns: Sequence[Mapping[str, Any]], system: Mapping[str, Any]) -> 
         return ""
 
     unit_of = {c["name"]: c["unit"] for c in columns}
-    time = take(_TIMES)
+    time = take_column(_TIMES)
     for series in (*system["channels"], *system["inputs"]):
         name = series["name"]
-        chosen = take(_SPEEDS if name == "speed" else (name.lower(),))
+        chosen = take_column(_SPEEDS if name == "speed" else (name.lower(),))
         if chosen:
-            found[name] = chosen
+            matches[name] = chosen
     for series in (*system["channels"], *system["inputs"]):
-        alike = [c for c in left if _likely(c, unit_of[c], series) == 2]
-        if series["name"] not in found and len(alike) == 1:  # the only one in its unit
-            found[series["name"]] = alike[0]
+        alike = [c for c in left if _unit_match(c, unit_of[c], series) == 2]
+        if series["name"] not in matches and len(alike) == 1:  # the only one in its unit
+            matches[series["name"]] = alike[0]
             del left[alike[0]]
     for channel in system["channels"]:
-        may = [c for c in left if _likely(c, unit_of[c], channel)]
-        if channel["name"] not in found and may:
-            found[channel["name"]] = may[0]
+        may = [c for c in left if _unit_match(c, unit_of[c], channel)]
+        if channel["name"] not in matches and may:
+            matches[channel["name"]] = may[0]
             del left[may[0]]
     units = {
-        k: u for k, c in {**found, "time": time}.items()
-        if c and not unit_of[c] and (u := unit_in(c))
+        k: u for k, c in {**matches, "time": time}.items()
+        if c and not unit_of[c] and (u := unit_from_name(c))
     }  # fmt: skip
-    return Choice(system["name"], time, "", found, units)
+    return Choice(system["name"], time, "", matches, units)
 
 
-def _likely(column: str, unit: str, series: Mapping[str, Any]) -> int:
+def _unit_match(column: str, unit: str, series: Mapping[str, Any]) -> int:
     """How well a column's unit goes with a series: 2 alike, 1 not known, 0 another dimension.
 
     An input that need not be measured is taken by its name alone.
     """
-    said = unit or unit_in(column) or ("rad" if _ANGLES & set(_parts(column)) else "")
+    said = unit or unit_from_name(column) or ("rad" if _ANGLES & set(_name_words(column)) else "")
     if not said:
         return 1
-    alike = _dimension(said) == _dimension(series["unit"])
+    alike = _unit_dimension(said) == _unit_dimension(series["unit"])
     return 2 * (alike and bool(series["unit"]) and series.get("required", True))
 
 
-def _dimension(unit: str) -> Any:
+def _unit_dimension(unit: str) -> Any:
     from spiral.types.units import base_form
 
-    found = base_form(unit)
-    return unit if found is None else found[1]
+    form = base_form(unit)
+    return unit if form is None else form[1]
 
 
-def _parts(name: str) -> list[str]:
+def _name_words(name: str) -> list[str]:
     """The words of a column's name: ``probeX_um`` has probe, x and um."""
     return [w.lower() for w in re.findall(r"[A-Z]*[a-zµ]+|[A-Z]+", name)]
 
 
-def _whole(name: str, want: str) -> bool:
+def _equals_word(name: str, want: str) -> bool:
     return name.lower() == want
 
 
-def _begins(name: str, want: str) -> bool:
-    return _parts(name)[:1] == [want]
+def _starts_with_word(name: str, want: str) -> bool:
+    return _name_words(name)[:1] == [want]
 
 
-def _holds(name: str, want: str) -> bool:
-    return want in _parts(name)
+def _contains_word(name: str, want: str) -> bool:
+    return want in _name_words(name)
 
 
-def unit_in(name: str) -> str:
+def unit_from_name(name: str) -> str:
     """The unit that a column's name says, as ``rpm`` or ``disp_um``; nothing where it says none."""
     last = re.split(r"[^a-zµ]+", name.lower().strip())[-1]
     return _NAMED.get(last, "")
 
 
-def lacking(setup: RecordSetup) -> list[str]:
+def missing_choices(setup: RecordSetup) -> list[str]:
     """What still has to be chosen, in words."""
     system, choice = setup.system(), setup.choice
     if system is None:
@@ -236,28 +237,31 @@ def lacking(setup: RecordSetup) -> list[str]:
     needed = [s["name"] for s in system["channels"]]
     turned = {"speed"} if choice.pulse else set()  # a pulse tells the speed
     needed += [s["name"] for s in system["inputs"] if s["required"] and s["name"] not in turned]
-    found = [f"a column for {n}" for n in needed if not choice.columns.get(n)]
+    missing = [f"a column for {n}" for n in needed if not choice.columns.get(n)]
     if not choice.time and not choice.rate.strip():
-        found.append("a column of time, or the sample rate")
-    return found
+        missing.append("a column of time, or the sample rate")
+    return missing
 
 
-def overrides(setup: RecordSetup) -> tuple[str, ...]:
-    """What the command line would be told."""
+def setup_overrides(setup: RecordSetup) -> tuple[str, ...]:
+    """The overrides of the command line that say the same as a setup."""
     choice, system = setup.choice, setup.system()
     assert system is not None
     channels = {s["name"] for s in system["channels"]}
-    named = quoted(choice.system) if system.get("own") else choice.system
+    named = quote_value(choice.system) if system.get("own") else choice.system
     given = [f"system={named}", "record=file"]
-    given += [_paths(part, setup.files(use)) for part, use in (("record", FIT), ("test", TEST))
-              if setup.files(use)]  # fmt: skip
+    given += [
+        _path_override(part, setup.files(use))
+        for part, use in (("record", FIT), ("test", TEST))
+        if setup.files(use)
+    ]
     if choice.time:
-        given.append(f"record.time={quoted(choice.time)}")
+        given.append(f"record.time={quote_value(choice.time)}")
     else:
         given.append(f"record.rate={choice.rate.strip()}")
     for key, said in (("separator", setup.separator), ("decimal", setup.decimal)):
         if said:
-            given.append(f"record.{key}={quoted(said)}")
+            given.append(f"record.{key}={quote_value(said)}")
     chosen = {k: v for k, v in choice.columns.items() if v}
     for key, part in (
         ("channels", {k: v for k, v in chosen.items() if k in channels}),
@@ -266,21 +270,21 @@ def overrides(setup: RecordSetup) -> tuple[str, ...]:
                    (k in chosen or (k == "time" and choice.time))}),
     ):  # fmt: skip
         if part:
-            inside = ", ".join(f"{k}: {quoted(v)}" for k, v in part.items())
+            inside = ", ".join(f"{k}: {quote_value(v)}" for k, v in part.items())
             given.append(f"record.{key}={{{inside}}}")
-    given += _of_the_series(setup) + _of_the_model(choice)
+    given += _series_overrides(setup) + _model_overrides(choice)
     return (*given, *(line.strip() for line in choice.more.splitlines() if line.strip()))
 
 
-def advised(trouble: Mapping[str, str] | None) -> list[str]:
+def advised_lines(trouble: Mapping[str, str] | None) -> list[str]:
     """Lines for *More* that a message tells to try, as ``record.resample=299.9``; each key once."""
-    found = {
+    lines = {
         key: f"{key}={value}" for key, value in _ADVISED.findall((trouble or {}).get("try", ""))
     }
-    return list(found.values())
+    return list(lines.values())
 
 
-def with_line(more: str, line: str) -> str:
+def replace_line(more: str, line: str) -> str:
     """The text of *More* with a line, in the place of one that says something else of its key."""
     key = line.partition("=")[0]
     kept = [
@@ -289,33 +293,33 @@ def with_line(more: str, line: str) -> str:
     return "\n".join([*kept, line])
 
 
-def _paths(part: str, files: Sequence[str]) -> str:
-    listed = ", ".join(map(quoted, files))
+def _path_override(part: str, files: Sequence[str]) -> str:
+    listed = ", ".join(map(quote_value, files))
     return f"{part}.path={listed if len(files) == 1 else f'[{listed}]'}"
 
 
-def _of_the_series(setup: RecordSetup) -> list[str]:
-    """What the command line is told of rows, of inputs between samples and of a rotor's sensors."""
+def _series_overrides(setup: RecordSetup) -> list[str]:
+    """Overrides for rows, for inputs between samples and for a rotor's sensors."""
     choice = setup.choice
-    found = []
+    lines = []
     if choice.fit_rows:
-        found.append(f"record.rows=[{','.join(map(str, choice.fit_rows))}]")
+        lines.append(f"record.rows=[{','.join(map(str, choice.fit_rows))}]")
     if choice.test_rows and not setup.files(TEST):
-        found.append(f"test.rows=[{','.join(map(str, choice.test_rows))}]")
+        lines.append(f"test.rows=[{','.join(map(str, choice.test_rows))}]")
     hold = {k: v for k, v in choice.hold.items() if v and choice.columns.get(k)}
     angles = {k: v.strip() for k, v in choice.angles.items() if v.strip()}
     for key, values in (("hold", hold), ("probe_angles", angles)):
         if values:
             inside = ", ".join(f"{k}: {v}" for k, v in values.items())
-            found.append(f"record.{key}={{{inside}}}")
+            lines.append(f"record.{key}={{{inside}}}")
     if choice.pulse:
-        found.append(f"record.pulse={quoted(choice.pulse)}")
+        lines.append(f"record.pulse={quote_value(choice.pulse)}")
     if choice.rotation:
-        found.append(f"record.rotation={choice.rotation}")
-    return found
+        lines.append(f"record.rotation={choice.rotation}")
+    return lines
 
 
-def stretches(choice: Choice, use: str, first: int, stop: int, rows: int) -> Choice:
+def mark_stretch(choice: Choice, use: str, first: int, stop: int, rows: int) -> Choice:
     """A choice with a stretch of rows marked for the fit or the test; the two never overlap.
 
     Where they would, the other keeps the longer side of what it had. Marking the test alone leaves
@@ -331,22 +335,22 @@ def stretches(choice: Choice, use: str, first: int, stop: int, rows: int) -> Cho
     return replace(choice, **{mine: (first, stop), other: had})
 
 
-def _of_the_model(choice: Choice) -> list[str]:
-    """What the command line is told of the model that a study begins with."""
-    found = []
+def _model_overrides(choice: Choice) -> list[str]:
+    """Overrides for the model that a study begins with."""
+    lines = []
     if choice.without:
-        found.append(f"without=[{','.join(choice.without)}]")
+        lines.append(f"without=[{','.join(choice.without)}]")
     values = {k: v.strip() for k, v in choice.values.items() if v.strip()}
     if values:
-        found.append("values={" + ", ".join(f"{k}: {v}" for k, v in values.items()) + "}")
+        lines.append("values={" + ", ".join(f"{k}: {v}" for k, v in values.items()) + "}")
     for key, wanted in (("fixed", False), ("free", True)):
         names = [k for k, free in choice.free.items() if free is wanted]
         if names:
-            found.append(f"{key}=[{','.join(names)}]")
-    return found
+            lines.append(f"{key}=[{','.join(names)}]")
+    return lines
 
 
-def quoted(text: str) -> str:
+def quote_value(text: str) -> str:
     """Text as one value of the overrides' grammar, whatever is in it."""
-    ended = text + "\\" * (len(text) - len(text.rstrip("\\")))  # before the quote they are doubled
+    ended = text + "\\" * (len(text) - len(text.rstrip("\\")))  # doubled before the quote
     return "'" + re.sub(r"(\\*)'", lambda m: 2 * m.group(1) + "\\'", ended) + "'"

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from spiral.app.drawing import draw
+from spiral.app.drawing import write_turn_figures
 from spiral.app.fit_worker import FIGURES, STATE, Order, Tell
-from spiral.app.study import turn_place
+from spiral.app.study import turn_folder
 from spiral.inference.problem import Problem
-from spiral.inference.rounds import Checkpoint, concluded
+from spiral.inference.rounds import Checkpoint, conclude_study
 from spiral.io.checkpoint import read_checkpoint
-from spiral.io.curves import FINAL, SEED, Curves, alone, write_curves
-from spiral.io.gather import gather
+from spiral.io.curves import FINAL, SEED, Curves, drop_seed_curves, write_curves
+from spiral.io.gather import gather_curves
 from spiral.io.registry import Registry
 from spiral.io.storage import save_result
 from spiral.types.run import Run
@@ -39,33 +39,33 @@ class RunWriter:
 
     def write(self, order: Order) -> None:
         """Maps and missing force of a turn, its saved run, and MLflow's."""
-        self._open(order)
+        self._load_problem(order)
         assert self.registry is not None
-        folder = turn_place(self.out, order["study"], order["serial"])
+        folder = turn_folder(self.out, order["study"], order["serial"])
         at = read_checkpoint(folder / STATE, self.registry)
-        curves = self._curves(at)
+        curves = self._gather_curves(at)
         if curves is not None:
-            drawn = draw(at, alone(curves), curves, folder / FIGURES)
+            drawn = write_turn_figures(at, drop_seed_curves(curves), curves, folder / FIGURES)
             sentence = curves.meta["models"][FINAL].get("where", {}).get("sentence", "")
             equation = curves.meta["mathml"]
             self.tell("figures", {"figures": drawn, "sentence": sentence, "equation": equation})
-        run_id = self._save(at, order, curves)
+        run_id = self._save_run(at, order, curves)
         self.tell("saved", {"run_id": run_id})
         self.tell("tracked", self._track(run_id))
 
     def foresee(self, order: Order) -> None:
         """Whether the records can tell the model's effects and all candidates apart."""
-        from spiral.app.foresight import foreseen
+        from spiral.app.foresight import identifiability_forecast
 
-        self._open(order)
+        self._load_problem(order)
         assert self.problem is not None
         assert self.config is not None
         assert self.registry is not None
-        self.tell("foresight", foreseen(self.problem, self.config, self.registry))
+        self.tell("foresight", identifiability_forecast(self.problem, self.config, self.registry))
 
-    def _open(self, order: Order) -> None:
+    def _load_problem(self, order: Order) -> None:
         from spiral.io.config import build_problem, compose
-        from spiral.io.custom import bound
+        from spiral.io.custom import registry_for_config
         from spiral.io.registry import load_registry
 
         wanted = f"{order['study']} {order['overrides']}"
@@ -74,25 +74,25 @@ class RunWriter:
         self.ident = ""
         self.registry = load_registry(order.get("plugins"))
         self.config = compose(order["overrides"], self.registry)
-        self.registry = bound(self.config, self.registry)
+        self.registry = registry_for_config(self.config, self.registry)
         self.problem = build_problem(self.config, self.registry)
         self.ident = wanted
 
-    def _curves(self, at: Checkpoint) -> Curves | None:
+    def _gather_curves(self, at: Checkpoint) -> Curves | None:
         assert self.problem is not None
         models = {FINAL: at.rounds[-1].comparison}
         if len(at.rounds) > 1:
             models = {SEED: at.rounds[0].comparison, **models}
         try:
-            return gather(self.problem, models)
+            return gather_curves(self.problem, models)
         except (ArithmeticError, ValueError):  # LinAlgError is a ValueError
             return None
 
-    def _save(self, at: Checkpoint, order: Order, curves: Curves | None) -> str:
+    def _save_run(self, at: Checkpoint, order: Order, curves: Curves | None) -> str:
         assert self.problem is not None
         assert self.registry is not None
         assert self.config is not None
-        run = _run(at, self.problem)
+        run = _run_up_to_turn(at, self.problem)
         verb = "add" if len(at.rounds) > 1 else "diagnose"
         data = {"records": self.problem.records, "test": self.problem.test}
         config = {**self.config, "out": str(self.out)}
@@ -107,23 +107,23 @@ class RunWriter:
     def _track(self, run_id: str) -> dict[str, Any]:
         """MLflow's id of the run, or why it does not know of it.
 
-        Where runs are told to is what the page was started with, whatever the study's file says.
+        The tracking server is the one the page was started with, whatever the study's file says.
         """
-        from spiral.io.tracking.store import tracking_of
+        from spiral.io.tracking.store import tracking_options
         from spiral.io.tracking.track import track
-        from spiral.view.report.page import report_of
+        from spiral.view.report.page import report_html
 
         assert self.config is not None
-        found = track(replace(tracking_of(self.config), uri=None), self.out, (run_id,),
-                      catch_up=False, draw=report_of, registry=self.registry)  # fmt: skip
-        number = found.runs.get(run_id)
-        place = f"experiments/{found.experiment}/runs/{number}" if number else ""
-        return {"tracked": place, "untracked": found.failure or ""}
+        tracking = track(replace(tracking_options(self.config), uri=None), self.out, (run_id,),
+                      catch_up=False, draw=report_html, registry=self.registry)  # fmt: skip
+        number = tracking.runs.get(run_id)
+        place = f"experiments/{tracking.experiment}/runs/{number}" if number else ""
+        return {"tracked": place, "untracked": tracking.failure or ""}
 
 
-def _run(at: Checkpoint, problem: Problem) -> Run:
+def _run_up_to_turn(at: Checkpoint, problem: Problem) -> Run:
     """The history up to this turn; its advice names what was added by hand."""
-    run = concluded(at, "max_rounds", problem.settings, _BY_HAND)
+    run = conclude_study(at, "max_rounds", problem.settings, _BY_HAND)
     first = at.rounds[0]
     if len(at.rounds) > 1:
         return run

@@ -23,7 +23,7 @@ TOKEN_VARIABLE = "SPIRAL_TOKEN"
 _TOKEN = re.compile(r"[A-Za-z0-9_.~-]{16,200}")
 
 
-def begin(
+def start_app(
     names: tuple[str, ...],
     overrides: tuple[str, ...],
     port: str | None,
@@ -37,9 +37,9 @@ def begin(
     ------
     ConfigError : another key than ``out``, a port that is none or taken, or a weak token.
     """
-    from spiral.io.overrides import parse
+    from spiral.io.overrides import parse_overrides
 
-    given = {".".join(i.path): i.value for i in parse(overrides)}
+    given = {".".join(i.path): i.value for i in parse_overrides(overrides)}
     for key in (*names, *given):
         if key != "out":
             raise ConfigError(
@@ -49,7 +49,9 @@ def begin(
     if port is not None and not (port.isdigit() and int(port) < 65536):
         raise ConfigError(f"--port {port}", "a number from 0 to 65535", "leave it out")
     out = Path(str(given.get("out") or "runs")).expanduser()
-    run(out, None if port is None else int(port), browser, plugins, token_for(token))
+    serve_until_interrupt(
+        out, None if port is None else int(port), browser, plugins, token_for(token)
+    )
     return 0
 
 
@@ -70,7 +72,9 @@ def token_for(given: str | None) -> str:
     return token
 
 
-def run(out: Path, port: int | None, browser: bool, plugins: str | None, token: str) -> None:
+def serve_until_interrupt(
+    out: Path, port: int | None, browser: bool, plugins: str | None, token: str
+) -> None:
     """Serve the page until Ctrl-C.
 
     Raises
@@ -78,13 +82,13 @@ def run(out: Path, port: int | None, browser: bool, plugins: str | None, token: 
     ConfigError : a port that is taken, or a folder that another page works in.
     InputError : a folder that cannot be written.
     """
-    with alone(out):
-        _serve(out, port, browser, plugins, token)
+    with lock_folder(out):
+        _run_server(out, port, browser, plugins, token)
 
 
 @contextmanager
-def alone(out: Path) -> Iterator[None]:
-    """Hold a folder of runs for one page: two would overwrite each other's studies.
+def lock_folder(out: Path) -> Iterator[None]:
+    """Lock a folder of runs for one page: two would overwrite each other's studies.
 
     Raises
     ------
@@ -92,7 +96,7 @@ def alone(out: Path) -> Iterator[None]:
     """
     from filelock import FileLock, Timeout
 
-    from spiral.io.storage import unwritable
+    from spiral.io.storage import unwritable_folder_error
 
     lock = FileLock(out / LOCK, blocking=False)
     try:
@@ -104,15 +108,17 @@ def alone(out: Path) -> Iterator[None]:
             "open the address that the first one printed, end it, or out=FOLDER",
         ) from error  # fmt: skip
     except OSError as error:
-        raise unwritable(out, error) from error
+        raise unwritable_folder_error(out, error) from error
     try:
         yield
     finally:
         lock.release()
 
 
-def _serve(out: Path, port: int | None, browser: bool, plugins: str | None, token: str) -> None:
-    listening = _listening(port)
+def _run_server(
+    out: Path, port: int | None, browser: bool, plugins: str | None, token: str
+) -> None:
+    listening = _listening_socket(port)
     number = int(listening.getsockname()[1])
     import uvicorn
 
@@ -125,7 +131,7 @@ def _serve(out: Path, port: int | None, browser: bool, plugins: str | None, toke
     address = f"http://{HOST}:{number}/?{TOKEN}={token}"
     server = uvicorn.Server(
         uvicorn.Config(
-            Guard(application(session, viewer), number, token),
+            Guard(build_application(session, viewer), number, token),
             log_level="warning",
             ws="websockets-sansio",
             timeout_graceful_shutdown=1,
@@ -133,7 +139,7 @@ def _serve(out: Path, port: int | None, browser: bool, plugins: str | None, toke
     )
     print(f"spiral app: {address}   (Ctrl-C ends it; studies are kept in {out})", flush=True)
     try:
-        with door(address) as file:
+        with redirect_file(address) as file:
             if browser:
                 threading.Timer(0.8, webbrowser.open, (file.as_uri(),)).start()
             server.run(sockets=[listening])
@@ -145,7 +151,7 @@ def _serve(out: Path, port: int | None, browser: bool, plugins: str | None, toke
 
 
 @contextmanager
-def door(address: str) -> Iterator[Path]:
+def redirect_file(address: str) -> Iterator[Path]:
     """A file of this user alone that leads a browser to the address with its token.
 
     What a browser is told to open shows in the list of processes, which all users of a machine see.
@@ -156,23 +162,23 @@ def door(address: str) -> Iterator[Path]:
         yield file
 
 
-def application(session: Any, viewer: Any) -> Any:
+def build_application(session: Any, viewer: Any) -> Any:
     """The page as an ASGI application."""
     from fastapi import FastAPI
     from nicegui import app, ui
 
-    from spiral.app.address import read
-    from spiral.app.downloads import routes
+    from spiral.app.address import parse_address
+    from spiral.app.downloads import add_download_routes
     from spiral.app.mapping import file_page
     from spiral.app.page import study_page
     from spiral.app.start import start_page
-    from spiral.app.upload import route
+    from spiral.app.upload import add_upload_route
 
     # No bar at the window's edge for each request: it has no name for a screen reader.
     app.config.quasar_config["loadingBar"]["skipHijack"] = True
     web = FastAPI(openapi_url=None)
-    routes(web, session, viewer)
-    route(web, session)
+    add_download_routes(web, session, viewer)
+    add_upload_route(web, session)
 
     @ui.page("/", title="SPIRAL")
     def _start() -> None:
@@ -180,7 +186,7 @@ def application(session: Any, viewer: Any) -> Any:
 
     @ui.page("/study/{ident}", title="SPIRAL")
     def _study(ident: str, turn: str = "", tab: str = "", zoom: str = "", beside: str = "") -> None:
-        study_page(session, ident, read(turn, tab, zoom, beside))
+        study_page(session, ident, parse_address(turn, tab, zoom, beside))
 
     @ui.page("/file/{ident}", title="SPIRAL")
     def _file(ident: str) -> None:
@@ -191,16 +197,16 @@ def application(session: Any, viewer: Any) -> Any:
     return web
 
 
-def _listening(port: int | None) -> socket.socket:
-    """A socket on the port asked for; without a wish, on the usual one or any that is free."""
+def _listening_socket(port: int | None) -> socket.socket:
+    """A listening socket on the port asked for; if none was, on the default or any free one."""
     for wanted in (port,) if port is not None else (PORT, 0):
-        found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            found.bind((HOST, wanted))
-            found.listen(128)  # a browser that comes early waits instead of being refused
+            listener.bind((HOST, wanted))
+            listener.listen(128)  # a browser that comes early waits instead of being refused
         except (OSError, OverflowError):
-            found.close()
+            listener.close()
             continue
-        return found
+        return listener
     raise ConfigError(f"--port {port}", "a port that is free", "leave it out, or --port 0")

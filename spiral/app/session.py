@@ -1,7 +1,7 @@
 """What the page knows and may ask. One session serves all tabs: what one changes, all see.
 
-The session alone writes ``study.json``. Orders go to the processes of ``crew``; their events change
-the study here, and every change has a number by which a tab sees that it is behind.
+The session alone writes ``study.json``. Orders go to two ``processes``; their events change the
+study here, and every change has a number by which a tab sees that it is behind.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any
 from spiral.app import study as kept
 from spiral.app import unseen
 from spiral.app.file_setup import DOES, FORESEE, FileSetup
-from spiral.app.own_effect import overrides_of, own_name
-from spiral.app.panels import words
+from spiral.app.own_effect import effect_overrides, normalize_effect_name
+from spiral.app.panels import label_words
 from spiral.app.processes import Event, Process
 from spiral.app.study import LEARNED, Study, Turn
 from spiral.io.registry import local_sources
@@ -29,7 +29,7 @@ _RANKS = ("start", "add", "rank", "invent")  # orders that end with a ranking
 _OF_A_TURN = ("invent", "rank", "preview", "plan")  # orders that make no new one
 _FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send
 _LONG = 2000  # letters of a name or a note
-_PLANNED = 40  # and the judging of planned tests
+_PLANNED = 40  # messages that planning usually sends, one for each test it judges
 _EXPECTED = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRST,
              "rank": _FIRST, "preview": _AGAIN, "plan": _PLANNED}  # fmt: skip
 
@@ -77,9 +77,11 @@ class Session:
         self._lock = threading.RLock()
         self._scenes: dict[str, Scene] = {}
         self._expected = dict(_EXPECTED)
-        self._fits = Process("fits", out, self._on_fits)
-        self._writer = Process("writer", out, self._on_writer)
-        self.file_setup = FileSetup(out, self._give_on, self._writer.cancel, plugins, self._lock)
+        self._fits = Process("fits", out, self._on_fit_event)
+        self._writer = Process("writer", out, self._on_writer_event)
+        self.file_setup = FileSetup(
+            out, self._route_file_order, self._writer.cancel, plugins, self._lock
+        )
         self.broken: tuple[str, ...] = ()
 
     def close(self) -> None:
@@ -95,10 +97,10 @@ class Session:
 
     def studies(self) -> list[Study]:
         """All studies on disk, the latest first."""
-        return kept.studies(self.out)
+        return kept.list_studies(self.out)
 
-    def there(self, ident: str) -> bool:
-        """Whether a study that was opened is still there."""
+    def is_loaded(self, ident: str) -> bool:
+        """Whether a study is open; one that was deleted is not."""
         return ident in self._scenes
 
     def scene(self, ident: str) -> Scene:
@@ -110,8 +112,8 @@ class Session:
         """
         with self._lock:
             if ident not in self._scenes:
-                self._scenes[ident] = Scene(kept.load(self.out, ident))
-                self._catch_up(ident)
+                self._scenes[ident] = Scene(kept.load_study(self.out, ident))
+                self._queue_unsaved_turns(ident)
             return self._scenes[ident]
 
     # --- what may be asked -----------------------------------------------------------------------
@@ -141,7 +143,7 @@ class Session:
             scene = self.scene(ident)
             if scene.busy or scene.study.turns:
                 return
-            self._ask(scene, "start", "Fitting the model as it is")
+            self._start_order(scene, "start", "Fitting the model as it is")
 
     def add(self, ident: str, effect: str, serial: int) -> None:
         """Add an effect to the turn that the asking tab shows; or show it again.
@@ -151,7 +153,7 @@ class Session:
         ConfigError : the study has moved on, or is busy.
         """
         with self._lock:
-            scene = self._free(ident, serial)
+            scene = self._idle_scene(ident, serial)
             again = [
                 t
                 for t in scene.study.after(serial)
@@ -160,17 +162,23 @@ class Session:
             if again and name_of(effect) not in scene.study.own:  # a formula may differ
                 self.move(ident, again[-1].serial, serial)
                 return
-            self._ask(scene, "add", f"Adding {words(effect)}", effect=effect, base=serial,
-                      first=scene.study.turns[0].serial)  # fmt: skip
+            self._start_order(
+                scene,
+                "add",
+                f"Adding {label_words(effect)}",
+                effect=effect,
+                base=serial,
+                first=scene.study.turns[0].serial,
+            )
 
     def rank(self, ident: str, serial: int) -> None:
         """Rank what a turn lacks, where that was cancelled or failed."""
         with self._lock:
-            scene = self._free(ident, serial)
-            self._ask(scene, "rank", "Looking for what is missing", base=serial)
+            scene = self._idle_scene(ident, serial)
+            self._start_order(scene, "rank", "Looking for what is missing", base=serial)
 
     def invent(self, ident: str, name: str, formula: str, serial: int, shape: str = "") -> None:
-        """Rank anew with a candidate that a formula defines (``own_effect.overrides_of``).
+        """Rank anew with a candidate that a formula defines (``own_effect.effect_overrides``).
 
         ``shape`` is text such as ``w=0.003, b=N/m``: values of gaps and widths, units.
 
@@ -178,12 +186,12 @@ class Session:
         ------
         ConfigError : no name, no formula, no numbers, or a study that has moved on.
         """
-        name = own_name(name)
-        wanted = overrides_of(name, formula, shape)
+        name = normalize_effect_name(name)
+        wanted = effect_overrides(name, formula, shape)
         with self._lock:
-            scene = self._free(ident, serial)
+            scene = self._idle_scene(ident, serial)
             given = [o for o in scene.study.overrides if not o.startswith(f"effect.{name}.")]
-            self._ask(scene, "invent", f"Testing {words(name)}", base=serial,
+            self._start_order(scene, "invent", f"Testing {label_words(name)}", base=serial,
                       overrides=[*given, *wanted], name=name)  # fmt: skip
 
     def learn(self, ident: str, serial: int) -> None:
@@ -194,42 +202,51 @@ class Session:
         ConfigError : the study has moved on, or is busy.
         """
         with self._lock:
-            scene = self._free(ident, serial)
+            scene = self._idle_scene(ident, serial)
             wanted = [o for o in scene.study.overrides if o.partition("=")[0] != LEARNED]
-            self._ask(scene, "invent", "Learning its curve", base=serial,
+            self._start_order(scene, "invent", "Learning its curve", base=serial,
                       overrides=[*wanted, f"{LEARNED}=true"], name="")  # fmt: skip
 
     def preview(self, ident: str, effect: str, serial: int) -> None:
         """Try an effect on the test record; adding it afterwards refits nothing."""
         with self._lock:
-            self._try(self._free(ident, serial), effect, serial)
+            self._start_preview(self._idle_scene(ident, serial), effect, serial)
 
     def contrast(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
         """Refit with each of these, to see the difference; the study stays as it is."""
         with self._lock:
-            scene = self._free(ident, serial)
-            self._ask(scene, "contrast", f"Comparing {' and '.join(map(words, effects))}",
-                      effects=list(effects), base=serial)  # fmt: skip
+            scene = self._idle_scene(ident, serial)
+            self._start_order(
+                scene,
+                "contrast",
+                f"Comparing {' and '.join(map(label_words, effects))}",
+                effects=list(effects),
+                base=serial,
+            )
 
     def plan(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
         """Look for the test that would tell these apart; the study stays as it is."""
         with self._lock:
-            scene = self._free(ident, serial)
-            what = f"Planning a test for {' and '.join(map(words, effects))}"
-            self._ask(scene, "plan", what, effects=list(effects), base=serial)
+            scene = self._idle_scene(ident, serial)
+            what = f"Planning a test for {' and '.join(map(label_words, effects))}"
+            self._start_order(scene, "plan", what, effects=list(effects), base=serial)
 
     def move(self, ident: str, to: int, serial: int) -> None:
         """Look at another turn: undo, do again, another branch; every turn is kept."""
         with self._lock:
-            scene = self._free(ident, serial)
-            self._put(replace(scene, study=kept.moved(scene.study, to), contrast=(), plan={}))
+            scene = self._idle_scene(ident, serial)
+            self._store_scene(
+                replace(scene, study=kept.select_turn(scene.study, to), contrast=(), plan={})
+            )
 
     def revise(self, ident: str, title: str, note: str) -> None:
         """Another name of a study, where one is given, and another note."""
         with self._lock:
             scene = self.scene(ident)
             title = title.strip()[:_LONG] or scene.study.title
-            self._put(replace(scene, study=replace(scene.study, title=title, note=note[:_LONG])))
+            self._store_scene(
+                replace(scene, study=replace(scene.study, title=title, note=note[:_LONG]))
+            )
 
     def delete(self, ident: str) -> None:
         """Delete a study at rest; the runs of its turns stay."""
@@ -237,7 +254,7 @@ class Session:
             scene = self.scene(ident)
             if scene.busy or scene.writing:
                 raise ConfigError("a study at work", "a study at rest", "wait, or cancel it first")
-            kept.forget(self.out, ident)
+            kept.delete_study(self.out, ident)
             del self._scenes[ident]
 
     def cancel(self, ident: str) -> None:
@@ -247,7 +264,7 @@ class Session:
 
     # --- how it is done --------------------------------------------------------------------------
 
-    def _free(self, ident: str, serial: int) -> Scene:
+    def _idle_scene(self, ident: str, serial: int) -> Scene:
         scene = self.scene(ident)
         if scene.busy:
             raise ConfigError(f"a click while {scene.busy.what.lower()}", "a study at rest",
@@ -257,34 +274,34 @@ class Session:
                               "the study as it is now, shown here", "look again")  # fmt: skip
         return scene
 
-    def _ask(self, scene: Scene, do: str, what: str, **more: Any) -> None:
+    def _start_order(self, scene: Scene, do: str, what: str, **more: Any) -> None:
         serial = scene.study.serials
         study = replace(scene.study, serials=serial + 1, trouble=None)
-        busy = Busy(what, serial, self._awaited(), expected=self._expected[do])
-        self._put(replace(scene, study=study, contrast=(), plan={}, busy=busy))
-        self._fits.give({**self._order(study, do, serial), **more})
+        busy = Busy(what, serial, self._waiting_message(), expected=self._expected[do])
+        self._store_scene(replace(scene, study=study, contrast=(), plan={}, busy=busy))
+        self._fits.give({**self._study_order(study, do, serial), **more})
 
-    def _awaited(self) -> str:
+    def _waiting_message(self) -> str:
         """What an order given now waits for, in words: one process does one thing at a time."""
         ahead = [f"“{s.study.title}”" for s in self._scenes.values() if s.busy]
-        return f"waits for {unseen.listed(ahead)}" if ahead else ""
+        return f"waits for {unseen.join_words(ahead)}" if ahead else ""
 
-    def _try(self, scene: Scene, effect: str, serial: int) -> None:
-        self._ask(scene, "preview", f"Trying {words(effect)} on the test record",
+    def _start_preview(self, scene: Scene, effect: str, serial: int) -> None:
+        self._start_order(scene, "preview", f"Trying {label_words(effect)} on the test record",
                   effect=effect, base=serial)  # fmt: skip
 
-    def _order(self, study: Study, do: str, serial: int) -> dict[str, Any]:
+    def _study_order(self, study: Study, do: str, serial: int) -> dict[str, Any]:
         return {"do": do, "study": study.ident, "serial": serial, "plugins": self.plugins,
                 "overrides": list(study.overrides)}  # fmt: skip
 
-    def _put(self, scene: Scene, save: bool = True) -> Scene:
+    def _store_scene(self, scene: Scene, save: bool = True) -> Scene:
         scene = replace(scene, version=scene.version + 1)
         self._scenes[scene.study.ident] = scene
         if save:
-            kept.save(self.out, scene.study)
+            kept.save_study(self.out, scene.study)
         return scene
 
-    def _on_fits(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+    def _on_fit_event(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
         if kind == "broken":
             self.broken = tuple(data["broken"])
             return
@@ -296,32 +313,32 @@ class Session:
             if kind == "progress":
                 if scene.busy:
                     busy = replace(scene.busy, words=data["words"], said=scene.busy.said + 1)
-                    self._put(replace(scene, busy=busy), save=False)
+                    self._store_scene(replace(scene, busy=busy), save=False)
                 return
             if kind in ("done", "failed", "cancelled"):
-                self._ended(order, kind, data, scene)
+                self._finish_order(order, kind, data, scene)
                 return
-            scene = self._changed(order, kind, data, scene)
+            scene = self._apply_event(order, kind, data, scene)
             if kind == "ranked" and order["do"] == "invent":
                 own = tuple(dict.fromkeys((*scene.study.own, order["name"])))
                 own = tuple(name for name in own if name)
                 given = tuple(order["overrides"])
                 scene = replace(scene, study=replace(scene.study, overrides=given, own=own))
-            self._put(scene)
+            self._store_scene(scene)
             if kind == "ranked" and order["do"] != "invent":
-                self._write(order["study"], _about(order))
+                self._queue_run_writing(order["study"], _target_serial(order))
 
-    def _changed(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> Scene:
-        """The scene after an event that brought something."""
+    def _apply_event(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> Scene:
+        """The scene after an event that brought a result."""
         study = scene.study
-        serial = _about(order)
+        serial = _target_serial(order)
         if kind == "records":
             values = {k: data.get(k, {}) for k in ("example", "program")}
             values["records"] = tuple(data["records"])
             return replace(scene, study=replace(study, **values))
         if kind == "turn":
             turn = Turn(serial, data["added"], data["result"])
-            study = replace(kept.added(study, turn), noise_floor=data["noise_floor"])
+            study = replace(kept.add_turn(study, turn), noise_floor=data["noise_floor"])
             busy = replace(scene.busy, landed=True) if scene.busy else None
             return replace(scene, study=study, busy=busy)
         if kind == "contrast":
@@ -332,45 +349,47 @@ class Session:
         if kind == "ranked":
             values |= {"preview": {}, "trials": {}}  # another ranking proposes anew
         if kind == "preview":
-            values = _tried(study.turn_of(serial), data["preview"])
+            values = _trial_update(study.turn_of(serial), data["preview"])
         for name in ("candidates", "proposed", "equation", "caveats", "alike"):
             if name in values:
                 values[name] = tuple(values[name])
         if "figures" in values:
             values["figures"] = tuple((n, h, c) for n, h, c in values["figures"])
-        return replace(scene, study=kept.changed(study, serial, **values))
+        return replace(scene, study=kept.update_turn(study, serial, **values))
 
-    def _ended(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> None:
+    def _finish_order(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> None:
         busy, study = scene.busy, scene.study
         if kind == "done" and busy:
             self._expected[order["do"]] = max(busy.said, 1)
         if kind == "failed":
             study = replace(study, trouble={**data, "at": order["do"]})
         if kind == "cancelled":
-            study = kept.without(study, order["serial"])  # it may have landed, not yet ranked
+            study = kept.remove_newest_turn(
+                study, order["serial"]
+            )  # it may have landed, not yet ranked
             said = f"Cancelled: {busy.what.lower()}" if busy else "Cancelled"
             study = replace(study, trouble={"given": said, "at": kind})
-        scene = self._put(replace(scene, study=study, busy=None))
+        scene = self._store_scene(replace(scene, study=study, busy=None))
         turn = study.turn
         if kind == "done" and turn and turn.proposed and not turn.preview and order["do"] in _RANKS:
-            self._try(scene, turn.proposed[0], turn.serial)
+            self._start_preview(scene, turn.proposed[0], turn.serial)
 
-    def _give_on(self, order: Mapping[str, Any]) -> None:
-        """An order about a file: what a person waits for to the one process, else to the other."""
+    def _route_file_order(self, order: Mapping[str, Any]) -> None:
+        """Send an order about a file: a forecast to the writer, all else to the fit process."""
         (self._writer if order["do"] == FORESEE else self._fits).give(order)
 
-    def _write(self, ident: str, serial: int) -> None:
+    def _queue_run_writing(self, ident: str, serial: int) -> None:
         scene = self.scene(ident)
-        self._put(replace(scene, writing=(*scene.writing, serial)), save=False)
-        self._writer.give(self._order(scene.study, "write", serial))
+        self._store_scene(replace(scene, writing=(*scene.writing, serial)), save=False)
+        self._writer.give(self._study_order(scene.study, "write", serial))
 
-    def _catch_up(self, ident: str) -> None:
-        """Write down the turns that the program did not come to before it ended."""
+    def _queue_unsaved_turns(self, ident: str) -> None:
+        """Queue the ranked turns that an earlier program did not save as runs before it ended."""
         for turn in self._scenes[ident].study.turns:
             if turn.candidates is not None and not turn.run_id:
-                self._write(ident, turn.serial)
+                self._queue_run_writing(ident, turn.serial)
 
-    def _on_writer(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
+    def _on_writer_event(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
         if order["do"] == FORESEE:
             self.file_setup.on_event(order, kind, data)
             return
@@ -379,21 +398,21 @@ class Session:
             serial = order["serial"]
             if kind in ("done", "failed", "cancelled"):
                 left = tuple(s for s in scene.writing if s != serial)
-                study = kept.changed(scene.study, serial, complete=kind == "done")
-                self._put(replace(scene, study=study, writing=left))
+                study = kept.update_turn(scene.study, serial, complete=kind == "done")
+                self._store_scene(replace(scene, study=study, writing=left))
             elif kind != "progress":
-                self._put(self._changed(order, kind, data, scene))
+                self._store_scene(self._apply_event(order, kind, data, scene))
 
 
-def _tried(turn: Turn | None, found: Mapping[str, Any]) -> dict[str, Any]:
-    """What a turn knows once an effect was tried: its own trial, and the proposal's where it is."""
+def _trial_update(turn: Turn | None, trial: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a turn after an effect was tried: its trials, and the preview of a proposed one."""
     if turn is None:
         return {}
-    effect = found["effect"]
-    known = {"trials": {**turn.trials, effect: found}}
-    return {**known, "preview": found} if effect in turn.proposed else known
+    effect = trial["effect"]
+    known = {"trials": {**turn.trials, effect: trial}}
+    return {**known, "preview": trial} if effect in turn.proposed else known
 
 
-def _about(order: Mapping[str, Any]) -> int:
-    """The turn that an order's ranking belongs to: a new one, or one that is there."""
+def _target_serial(order: Mapping[str, Any]) -> int:
+    """Serial of the turn that an order's results belong to: its base, or the new turn."""
     return order["base" if order["do"] in _OF_A_TURN else "serial"]

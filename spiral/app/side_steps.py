@@ -1,4 +1,4 @@
-"""What a person may ask of a step without taking another: why an effect, and which test to run."""
+"""What is computed beside a study: figures of an effect's trial, and tests that discriminate."""
 
 from __future__ import annotations
 
@@ -7,66 +7,69 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from spiral.app.study import why_file
+from spiral.app.study import trial_figure_file
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.where.latent import MissingForce, missing_force
-from spiral.inference.where.own_force import own_force
+from spiral.inference.where.own_force import effect_own_force
 from spiral.io.curves import Curves
 from spiral.io.registry import Registry
-from spiral.io.writing import finite, write_whole
-from spiral.physics.passivity import implausible
+from spiral.io.writing import replace_nonfinite, write_whole
+from spiral.physics.passivity import implausible_signs
 from spiral.types.errors import SpiralError
 from spiral.types.model import Model
 from spiral.types.record import Record
 
-_SHOWN = 4  # planned tests that are told, beside the record at hand
+_SHOWN = 4  # planned tests that are listed, beside the record at hand
 _KEPT = 8  # steps, and tried effects, that stay in memory: some 10 MB each
 
 
-def drawn_why(figures: Path, effect: str, before: Curves | None, after: Curves) -> bool:
+def draw_benefit_figure(figures: Path, effect: str, before: Curves | None, after: Curves) -> bool:
     """Draw where an effect helps on the test record; whether there was anything to draw."""
-    from spiral.view.report.style import hovering
-    from spiral.view.report.trial import helped
+    from spiral.view.report.style import add_hover_text
+    from spiral.view.report.trial import residual_comparison
 
-    figure = None if before is None else helped(before, after)
+    figure = None if before is None else residual_comparison(before, after)
     if figure is None:
         return False
     figures.mkdir(parents=True, exist_ok=True)
-    write_whole(why_file(figures, effect), hovering(figure).to_json())
+    write_whole(trial_figure_file(figures, effect), add_hover_text(figure).to_json())
     return True
 
 
-def tried(
+def trial_details(
     figures: Path, effect: str, before: Model, after: Model, record: Record, serial: int,
     known: dict[int, MissingForce | None],
 ) -> dict[str, Any]:  # fmt: skip
-    """What else a trial of an effect shows: its force over the missing one, signs to doubt.
+    """Draw an effect's force over the missing one; whether it has one, and its doubtful signs.
 
     ``known`` keeps the missing force of the last step that was asked, by its ``serial``.
     """
     if serial not in known:
         known.clear()
-        known[serial] = _lacking(before, record)
-    signs = {k: v for k, v in implausible(after).items() if k.rsplit(".", 1)[0] == effect}
-    return {"pushes": _drawn_force(figures, effect, known[serial], after, record), "signs": signs}
+        known[serial] = _missing_force_or_none(before, record)
+    signs = {k: v for k, v in implausible_signs(after).items() if k.rsplit(".", 1)[0] == effect}
+    return {
+        "pushes": _draw_effect_force(figures, effect, known[serial], after, record),
+        "signs": signs,
+    }
 
 
-def _lacking(model: Model, record: Record) -> MissingForce | None:
+def _missing_force_or_none(model: Model, record: Record) -> MissingForce | None:
     try:
         return missing_force(model, record)
     except (SpiralError, ArithmeticError, ValueError):  # LinAlgError is a ValueError
         return None
 
 
-def _drawn_force(
+def _draw_effect_force(
     figures: Path, effect: str, missing: MissingForce | None, after: Model, record: Record
 ) -> bool:
     """Draw an effect's own force over the missing one; whether it has one."""
-    from spiral.view.report.style import hovering
-    from spiral.view.report.trial import over_missing
+    from spiral.view.report.style import add_hover_text
+    from spiral.view.report.trial import missing_force_comparison
 
     try:
-        own = None if missing is None else own_force(missing, after, effect)
+        own = None if missing is None else effect_own_force(missing, after, effect)
     except (SpiralError, ArithmeticError, ValueError):
         own = None
     if own is None or missing is None:
@@ -77,16 +80,16 @@ def _drawn_force(
         s.name: (s.unit, missing.states[own.rows, missing.task.states.index(s.name)])
         for s in system.states
     }
-    figure = over_missing(
+    figure = missing_force_comparison(
         time, missing.force[own.rows], missing.deviation[own.rows], own.alone, own.refitted,
         missing.axes, missing.unit, states,
     )  # fmt: skip
     figures.mkdir(parents=True, exist_ok=True)
-    write_whole(why_file(figures, effect, "force"), hovering(figure).to_json())
+    write_whole(trial_figure_file(figures, effect, "force"), add_hover_text(figure).to_json())
     return True
 
 
-def planned(
+def rank_discriminating_tests(
     problem: Problem, model: Model, effects: Sequence[str], registry: Registry, progress: Progress
 ) -> Mapping[str, Any]:
     """The tests that tell effects apart best, the record at hand first, in plain data."""
@@ -97,17 +100,17 @@ def planned(
     chosen, question = plan_options({}), replace(problem, model=model)
     wanted = Wanted(tuple(registry.effect_from_label(e) for e in effects), "", None)
     tests = planned_tests(question, chosen)
-    found = plan(question, wanted, tests, simulator(question, registry.simulation), progress)
-    names = ("the record at hand", *(o.test.words for o in found.tests))
+    ranking = plan(question, wanted, tests, simulator(question, registry.simulation), progress)
+    names = ("the record at hand", *(o.test.words for o in ranking.tests))
     rows = [
         {"test": name, "probability": o.probability, "rise": o.noncentrality, "failure": o.failure}
-        for name, o in zip(names, (found.now, *found.tests[:_SHOWN]), strict=False)
+        for name, o in zip(names, (ranking.now, *ranking.tests[:_SHOWN]), strict=False)
     ]
-    return finite({"effects": list(effects), "rows": rows, "advice": found.advice})
+    return replace_nonfinite({"effects": list(effects), "rows": rows, "advice": ranking.advice})
 
 
-def keep(found: dict[Any, Any], key: Any, value: Any) -> None:
+def keep_latest(store: dict[Any, Any], key: Any, value: Any) -> None:
     """Keep a value among the latest few; an earlier one is made anew from disk when asked for."""
-    found[key] = value
-    for old in list(found)[:-_KEPT]:
-        del found[old]
+    store[key] = value
+    for old in list(store)[:-_KEPT]:
+        del store[old]

@@ -1,4 +1,4 @@
-"""The first page: an embedded record, a file of one's own, or a study begun before."""
+"""The first page: begin with an embedded record or a file, or go on with an earlier study."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from spiral.types.errors import InputError, SpiralError
 
 def start_page(session: Session) -> None:
     """Build the first page."""
-    with frame.bar(""):
+    with frame.header_bar(""):
         pass
     with ui.element("div").classes("wrap"):
         ui.html(
@@ -26,43 +26,43 @@ def start_page(session: Session) -> None:
             "physical effect is missing, add it, and watch the error fall.</p>",
             sanitize=False,
         )
-        _tour(session)
+        _draw_tour_button(session)
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Begin with an embedded record</h2>", sanitize=False)
             known_presets = presets()
             here = [p for p in known_presets if p.lacks is None]
             with ui.element("div").classes("choices"):
                 for preset in here:
-                    _choice(session, preset.name, preset.said)
-            _elsewhere([p for p in known_presets if p.lacks is not None])
+                    _draw_preset_button(session, preset.name, preset.said)
+            _draw_absent_presets([p for p in known_presets if p.lacks is not None])
         with ui.element("section").classes("card"):
             ui.html("<h2 class='head'>Or bring your own measurements</h2>", sanitize=False)
             drop_zone()
             drop_script()
-            _path(session)
-        frame.local_plugins(session)
-        studies.listed(session)
+            _draw_path_input(session)
+        frame.draw_local_plugins(session)
+        studies.draw_study_list(session)
 
 
-def _tour(session: Session) -> None:
-    def begin() -> None:
-        ui.navigate.to(f"/study/{tour.begin(session)}")
+def _draw_tour_button(session: Session) -> None:
+    def start_tour() -> None:
+        ui.navigate.to(f"/study/{tour.begin_tour(session)}")
 
     with ui.row().style("align-items:center;gap:12px"):
-        button = ui.button("Take the tour", icon="play_arrow", on_click=begin)
+        button = ui.button("Take the tour", icon="play_arrow", on_click=start_tour)
         button.props("unelevated color=primary")
         said = "A rotor in two to three minutes: one button to click, and what you see in words."
         ui.html(f"<span class='soft'>{said}</span>", sanitize=False)
 
 
-def _path(session: Session) -> None:
+def _draw_path_input(session: Session) -> None:
     """A file that is on this machine already is read where it lies, whatever its size."""
 
-    def read() -> None:
+    def read_path() -> None:
         try:
-            ident = session.file_setup.there(where.value or "")
+            ident = session.file_setup.open_local_file(where.value or "")
         except SpiralError as error:
-            frame.refused(error)
+            frame.notify_error(error)
             return
         ui.navigate.to(f"/file/{ident}")
 
@@ -70,8 +70,8 @@ def _path(session: Session) -> None:
         where = ui.input(placeholder="or the path of a file on this machine").props(
             "outlined dense clearable"
         )
-        where.style("flex:1 1 420px;max-width:560px").on("keydown.enter", read)
-        ui.button("Read", on_click=read).props("outline")
+        where.style("flex:1 1 420px;max-width:560px").on("keydown.enter", read_path)
+        ui.button("Read", on_click=read_path).props("outline")
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def presets() -> list[Preset]:
 
     from spiral.io.config import PACKAGE, experiments
 
-    found = []
+    embedded = []
     for name in sorted(experiments(), key=lambda n: (n != "rotor_coastdown", n)):
         text = (files(PACKAGE) / "experiment" / f"{name}.yaml").read_text("utf-8")
         lines = text.splitlines()
@@ -104,11 +104,13 @@ def presets() -> list[Preset]:
         told = [x[1:].strip() for x in lines[1:] if x.startswith("#")]
         said = " ".join(told).split(". ")[0].rstrip(".") + "."
         needed = (yaml.safe_load(text).get("record") or {}).get("path")
-        found.append(Preset(name, said, needed if needed and not _is_here(needed) else None))
-    return found
+        embedded.append(
+            Preset(name, said, needed if needed and not _is_available(needed) else None)
+        )
+    return embedded
 
 
-def _is_here(path: str) -> bool:
+def _is_available(path: str) -> bool:
     try:
         find_file(path)
     except InputError:
@@ -116,26 +118,26 @@ def _is_here(path: str) -> bool:
     return True
 
 
-def _elsewhere(absent: list[Preset]) -> None:
+def _draw_absent_presets(absent: list[Preset]) -> None:
     """Presets on measured data that is not on this machine, and how they come to run."""
     if not absent:
         return
-    names = ", ".join(f"{panels.words(p.name)} ({p.lacks})" for p in absent)
+    names = ", ".join(f"{panels.label_words(p.name)} ({p.lacks})" for p in absent)
     ui.label(
         f"With measured data that is not on this machine: {names}. Set SPIRAL_DATA to the folder "
         "that holds these files; experiments/NAME/README.md says where each comes from."
     ).classes("soft").props["id"] = "absent"
 
 
-def _choice(session: Session, name: str, said: str) -> None:
-    def begin() -> None:
+def _draw_preset_button(session: Session, name: str, said: str) -> None:
+    def create_study() -> None:
         try:
-            ident = session.create(panels.words(name).capitalize(), (f"experiment={name}",))
+            ident = session.create(panels.label_words(name).capitalize(), (f"experiment={name}",))
         except SpiralError as error:
-            frame.refused(error)
+            frame.notify_error(error)
             return
         ui.navigate.to(f"/study/{ident}")
 
-    with ui.element("button").classes("choice").props('type="button"').on("click", begin):
-        title = panels.words(name).capitalize()
+    with ui.element("button").classes("choice").props('type="button"').on("click", create_study):
+        title = panels.label_words(name).capitalize()
         ui.html(f"<b>{escape(title)}</b><span>{escape(said)}</span>", sanitize=False)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spiral.io.run_id import new_run_id
-from spiral.io.storage import own_file, own_text, unwritable
+from spiral.io.storage import read_text_inside, resolve_inside_folder, unwritable_folder_error
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError, InputError
 
@@ -38,9 +38,8 @@ class Turn:
     """One state of a study, in plain data.
 
     ``parent`` is the serial of the turn that it was made from; ``added`` the effect that made it;
-    ``caveats`` are sentences to hold against its verdict, ``alike`` effects of the model with what
-    they cannot be told from; ``result`` its figures as a
-    round of the JSON contract;
+    ``caveats`` are sentences that limit its verdict, ``alike`` effects of the model with those they
+    cannot be told from; ``result`` its numbers as a round of the JSON contract;
     ``candidates`` what may be missing next, best first; ``proposed`` what the gates would admit;
     ``shape`` what the force is like that none of them explains, in words, ``memory`` what it
     depends on besides the present state;
@@ -82,8 +81,8 @@ class Study:
     ``own`` are candidates that a formula of the user's defines, among the overrides; ``example``
     is such a formula that works here, and what one may name. ``trouble`` is the last message, and
     at which order it arose; ``note`` what a person wrote of the study;
-    ``program`` what its overrides ask for, as ``python_text.asked`` has it; ``tour`` whether it
-    tells what to do next.
+    ``program`` the options that its overrides change (``python_text.non_default_options``);
+    ``tour`` whether it is a guided one.
     """
 
     ident: str
@@ -110,13 +109,13 @@ class Study:
     @property
     def line(self) -> tuple[Turn, ...]:
         """The turns from the first to the one that is looked at."""
-        found: list[Turn] = []
+        turns: list[Turn] = []
         turn = self.turn
         while turn is not None:
-            found.insert(0, turn)
+            turns.insert(0, turn)
             before = turn.parent
             turn = None if before is None else self.turn_of(before)
-        return tuple(found)
+        return tuple(turns)
 
     def after(self, serial: int | None) -> tuple[Turn, ...]:
         """The turns made from a turn, one for each branch; those made from none with ``None``."""
@@ -149,30 +148,30 @@ class Study:
         return next((t for t in self.turns if t.serial == serial), None)
 
 
-def added(study: Study, turn: Turn) -> Study:
-    """One turn more, made from the one that is looked at, and looked at from now on."""
+def add_turn(study: Study, turn: Turn) -> Study:
+    """The study with one more turn, made from the selected one and selected itself."""
     parent = None if study.turn is None else study.turn.serial
     turns = (*study.turns, replace(turn, parent=parent))
     return replace(study, turns=turns, at=len(turns) - 1, trouble=None)
 
 
-def changed(study: Study, serial: int, **values: Any) -> Study:
-    """A turn with other values; one that is no longer part of the study stays away."""
+def update_turn(study: Study, serial: int, **values: Any) -> Study:
+    """The study with new values in one turn; unchanged where it has no such turn any more."""
     turns = tuple(replace(t, **values) if t.serial == serial else t for t in study.turns)
     return replace(study, turns=turns)
 
 
-def without(study: Study, serial: int) -> Study:
+def remove_newest_turn(study: Study, serial: int) -> Study:
     """A study whose newest turn is taken back, where it has that number and is not the first."""
     turn = study.turn
     if turn is None or turn.serial != serial or turn.parent is None:
         return study
-    back = moved(study, turn.parent)
+    back = select_turn(study, turn.parent)
     return replace(back, turns=tuple(t for t in back.turns if t.serial != serial))
 
 
-def moved(study: Study, serial: int) -> Study:
-    """The study looked at where that turn stands; nothing is fitted, since every turn is kept."""
+def select_turn(study: Study, serial: int) -> Study:
+    """The study with that turn selected; nothing is fitted, since every turn is kept."""
     at = next((i for i, t in enumerate(study.turns) if t.serial == serial), study.at)
     return replace(study, at=at, trouble=None)
 
@@ -189,14 +188,14 @@ def new_study(out: Path, title: str, overrides: tuple[str, ...], tour: bool = Fa
     ident, begun = new_run_id(now, there), now.isoformat(timespec="seconds")
     study = Study(ident, title, overrides, begun, tour=tour)
     try:
-        place(out, study.ident).mkdir(parents=True)
-        save(out, study)
+        study_folder(out, study.ident).mkdir(parents=True)
+        save_study(out, study)
     except OSError as error:
-        raise unwritable(out, error) from error
+        raise unwritable_folder_error(out, error) from error
     return study
 
 
-def place(out: Path, ident: str) -> Path:
+def study_folder(out: Path, ident: str) -> Path:
     """The folder of a study.
 
     Raises
@@ -210,58 +209,58 @@ def place(out: Path, ident: str) -> Path:
     return out / FOLDER / ident
 
 
-def turn_place(out: Path, ident: str, serial: int) -> Path:
+def turn_folder(out: Path, ident: str, serial: int) -> Path:
     """The folder of one turn: its checkpoint, its curves, its figures."""
-    return place(out, ident) / f"turn-{serial}"
+    return study_folder(out, ident) / f"turn-{serial}"
 
 
-def why_file(figures: Path, effect: str, what: str = "why") -> Path:
-    """Where a figure of an effect's trial lies: ``why`` it helps, or its own ``force``."""
+def trial_figure_file(figures: Path, effect: str, what: str = "why") -> Path:
+    """The file of a figure of an effect's trial: ``why`` it helps, or its ``force``."""
     return figures / f"{what}-{re.sub(r'[^a-z0-9_]', '-', effect)}.json"
 
 
-def save(out: Path, study: Study) -> None:
+def save_study(out: Path, study: Study) -> None:
     """Write the study over what was there, or leave that as it was."""
-    write_whole(place(out, study.ident) / FILE, to_json(asdict(study)))
+    write_whole(study_folder(out, study.ident) / FILE, to_json(asdict(study)))
 
 
-def load(out: Path, ident: str) -> Study:
+def load_study(out: Path, ident: str) -> Study:
     """A study from disk.
 
     Raises
     ------
     ConfigError : no such study. InputError : a file that is none.
     """
-    file = own_file(place(out, ident), FILE)
+    file = resolve_inside_folder(study_folder(out, ident), FILE)
     if not file.is_file():
         raise ConfigError(
             f"study {ident}", f"a study in {out / FOLDER}", "choose one from the list"
         )
     try:
-        data = json.loads(own_text(file.parent, file.name))
-        study = typed().structure({**data, "ident": ident}, Study)
+        data = json.loads(read_text_inside(file.parent, file.name))
+        study = data_converter().structure({**data, "ident": ident}, Study)
         for turn in study.turns:
-            float(turn.result.get("test_error") or 0.0)  # which the list of all studies shows
-        turns = _grown(study.turns)
+            float(turn.result.get("test_error") or 0.0)  # a number: the list of studies shows it
+        turns = _repair_parents(study.turns)
         return replace(study, turns=turns, at=min(max(study.at, 0), max(len(turns) - 1, 0)))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{file}: {error}", "a study saved by this program") from error
 
 
-def _grown(turns: tuple[Turn, ...]) -> tuple[Turn, ...]:
-    """Turns of which each but the first comes from an earlier one; from that before, if not said.
+def _repair_parents(turns: tuple[Turn, ...]) -> tuple[Turn, ...]:
+    """Turns with their parents checked: an earlier turn, else the one before; none for the first.
 
     Files of version 0.2 name no parents: there, turns were a line.
     """
-    found: list[Turn] = []
+    repaired: list[Turn] = []
     for turn in turns:
-        earlier = [t.serial for t in found]
+        earlier = [t.serial for t in repaired]
         parent = turn.parent if turn.parent in earlier else (earlier or [None])[-1]
-        found.append(replace(turn, parent=parent))
-    return tuple(found)
+        repaired.append(replace(turn, parent=parent))
+    return tuple(repaired)
 
 
-def forget(out: Path, ident: str) -> None:
+def delete_study(out: Path, ident: str) -> None:
     """Delete a study; the runs that its turns were saved as stay.
 
     Raises
@@ -269,25 +268,25 @@ def forget(out: Path, ident: str) -> None:
     InputError : a folder that cannot be deleted.
     """
     try:
-        shutil.rmtree(place(out, ident))
+        shutil.rmtree(study_folder(out, ident))
     except OSError as error:
-        raise unwritable(out, error) from error
+        raise unwritable_folder_error(out, error) from error
 
 
-def studies(out: Path) -> list[Study]:
+def list_studies(out: Path) -> list[Study]:
     """All studies, the latest first; files that are none are passed over."""
-    found = []
+    loaded = []
     for file in sorted((out / FOLDER).glob(f"*/{FILE}"), reverse=True):
         try:
-            found.append(load(out, file.parent.name))
+            loaded.append(load_study(out, file.parent.name))
         except (ConfigError, InputError):
             continue
-    return found
+    return loaded
 
 
 @lru_cache(maxsize=1)
-def typed() -> Converter:
-    """Plain data to the types of a study; text where text belongs, numbers where numbers do."""
+def data_converter() -> Converter:
+    """Converter of plain data to the dataclasses of a study, which casts values to their types."""
     from cattrs import Converter
 
     return Converter(detailed_validation=False)

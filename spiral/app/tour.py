@@ -1,4 +1,4 @@
-"""A guided study: what is seen at each step, in words, and one button that takes the next one."""
+"""A guided study: each step explained in words, and one button for the next."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _END = (
 )
 
 
-def begin(session: Session) -> str:
+def begin_tour(session: Session) -> str:
     """A study on the embedded rotor that tells what to do; returns its name."""
     return session.create("A tour: the rotor", (f"experiment={PRESET}",), tour=True)
 
 
-def draw(scene: Scene, where: Callable[[], None], add: Callable[[str], None]) -> None:
+def draw_tour_step(scene: Scene, where: Callable[[], None], add: Callable[[str], None]) -> None:
     """What this step shows, and the next click; nothing where the study is no tour.
 
     ``where`` shows where the model fails; ``add`` admits an effect.
@@ -43,46 +43,54 @@ def draw(scene: Scene, where: Callable[[], None], add: Callable[[str], None]) ->
         return
     with ui.element("section").classes("card tour").props('id="tour" role="status"'):
         ui.html(f"<h2 class='head'>Tour, step {len(study.line) + 1}</h2>", sanitize=False)
-        ui.html(f"<p>{_said(study, turn, scene.busy is not None)}</p>", sanitize=False)
+        ui.html(f"<p>{_step_text(study, turn, scene.busy is not None)}</p>", sanitize=False)
         if turn is None or turn.candidates is None or scene.busy is not None:
             return
         with ui.row().classes("gap-2"):
             if turn.proposed:
                 effect = turn.proposed[0]
-                button = ui.button(f"Add {panels.words(effect)}", on_click=lambda: add(effect))
+                button = ui.button(
+                    f"Add {panels.label_words(effect)}", on_click=lambda: add(effect)
+                )
                 button.props("unelevated padding='4px 14px'")
                 ui.button("Where does it fail?", on_click=where).props("outline")
             else:
                 ui.link("To the first page", "/").classes("quiet")
 
 
-def _said(study: Study, turn: Turn | None, busy: bool) -> str:
+def _step_text(study: Study, turn: Turn | None, busy: bool) -> str:
     """What is seen now, as HTML text."""
     if turn is None:
         return _BEGIN
-    error = _error(turn)
+    error = _error_percent(turn)
     if turn.candidates is None:
-        return f"{_fell(study)} {_LOOK}" if len(study.line) == 1 else _fell(study)
+        return (
+            f"{_error_change_text(study)} {_LOOK}"
+            if len(study.line) == 1
+            else _error_change_text(study)
+        )
     if not turn.proposed:
         noise = f" Noise alone makes {percent(study.noise_floor)}." if study.noise_floor else ""
-        return f"{_fell(study)}{noise} {_END}"
-    name = f"<b>{escape(panels.words(turn.proposed[0]))}</b>"
+        return f"{_error_change_text(study)}{noise} {_END}"
+    name = f"<b>{escape(panels.label_words(turn.proposed[0]))}</b>"
     first = "The list to the left says what may be missing, by how much of the error it explains."
-    said = first if len(study.line) == 1 else f"{_fell(study)} The list was made anew."
+    said = first if len(study.line) == 1 else f"{_error_change_text(study)} The list was made anew."
     if busy:
         return f"{said} Being tried: {name}, on data that took no part in its choice."
     return f"{said} {name} is confirmed: add it, and watch the error take a step down from {error}."
 
 
-def _fell(study: Study) -> str:
+def _error_change_text(study: Study) -> str:
     line = study.line
     if len(line) < 2:
-        return "".join(f"The error is {_error(one)}." for one in line)
+        return "".join(f"The error is {_error_percent(one)}." for one in line)
     before, now = line[-2], line[-1]
-    name = escape(panels.words(now.added))
-    return f"With <b>{name}</b> the error went from {_error(before)} to {_error(now)}."
+    name = escape(panels.label_words(now.added))
+    return (
+        f"With <b>{name}</b> the error went from {_error_percent(before)} to {_error_percent(now)}."
+    )
 
 
-def _error(turn: Turn) -> str:
+def _error_percent(turn: Turn) -> str:
     value = turn.result.get("test_error")
     return "not finite" if value is None else percent(value)

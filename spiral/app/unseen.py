@@ -1,7 +1,7 @@
 """What a step does to predictions of data that it did not see, as HTML text.
 
-Each horizon has a word (better, same, worse), an arrow and a colour, so that none is needed to
-understand the others. All that is put in is escaped.
+Each horizon has a word (better, same, worse), an arrow and a colour, so that each of them
+alone tells it. All that is put in is escaped.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from html import escape
 from typing import Any
 
 from spiral.app.study import Turn
-from spiral.view.report.style import words
+from spiral.view.report.style import label_words
 from spiral.view.terminal.parts import percent
 
 Rows = Sequence[Mapping[str, Any]]
@@ -24,34 +24,42 @@ _HINT = (
 )
 
 
-def horizon(row: Mapping[str, Any]) -> str:
+def horizon_label(row: Mapping[str, Any]) -> str:
     """How far ahead, in words: ``next sample``, ``0.1 s ahead``, ``free run``."""
     if row["horizon"] == "ahead":
         return f"{row['seconds']:.2g} s ahead"
     return {"one_sample": "next sample", "free_run": "free run"}[row["horizon"]]
 
 
-def worse(changes: Rows) -> list[str]:
+def worse_horizons(changes: Rows) -> list[str]:
     """The horizons at which a step predicts worse, in words."""
-    return [horizon(row) for row in changes if row["judged"] == "worse"]
+    return [horizon_label(row) for row in changes if row["judged"] == "worse"]
 
 
-def listed(names: Sequence[str]) -> str:
+def join_words(names: Sequence[str]) -> str:
     """``a``, ``a and b``, ``a, b and c``."""
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
-def errors(turn: Turn) -> str:
-    """The turn's errors at every horizon; where it is a step, what they were and what that says."""
+def horizon_error_table(turn: Turn) -> str:
+    """Table of a turn's errors at every horizon; of an added effect before, after, and judged."""
     changes = turn.result.get("changes") or ()
     if changes:
         head = ("on unseen data", "before", "now", "<span class='unseen'>change</span>")
         rows = [
-            (horizon(c), _error(c["before"]), _error(c["after"]), _judged(c)) for c in changes
-        ]  # fmt: skip
+            (
+                horizon_label(c),
+                _error_percent(c["before"]),
+                _error_percent(c["after"]),
+                _judgement_label(c),
+            )
+            for c in changes
+        ]
     else:
         head = ("on unseen data", "error")
-        rows = [(horizon(h), _error(h["error"])) for h in turn.result.get("unseen") or ()]
+        rows = [
+            (horizon_label(h), _error_percent(h["error"])) for h in turn.result.get("unseen") or ()
+        ]
     if not rows:
         return ""
     cells = "".join(
@@ -64,32 +72,33 @@ def errors(turn: Turn) -> str:
     return f'<table class="plain" id="horizons" title="{_HINT}"><tr>{names}</tr>{cells}</table>'
 
 
-def step(turn: Turn) -> str:
+def worse_step_note(turn: Turn) -> str:
     """One sentence where a step made predictions worse; nothing where it did not."""
-    where = worse(turn.result.get("changes") or ())
+    where = worse_horizons(turn.result.get("changes") or ())
     if not where:
         return ""
     return (
-        f"<b>Worse on data it did not see:</b> with {escape(words(turn.added))} the model predicts "
-        f"worse: {escape(listed(where))}."
+        f"<b>Worse on data it did not see:</b> with {escape(label_words(turn.added))} the model "
+        f"predicts worse: {escape(join_words(where))}."
     )
 
 
-def tried(changes: Rows) -> str:
+def trial_changes(changes: Rows) -> str:
     """What a candidate would do, tried on the test record, on one line for each horizon."""
     lines = [
-        f"<span>{escape(horizon(c))}</span>"
-        f"<span>{_error(c['before'])} → {_error(c['after'])}</span>{_judged(c)}"
+        f"<span>{escape(horizon_label(c))}</span>"
+        f"<span>{_error_percent(c['before'])} → {_error_percent(c['after'])}</span>"
+        f"{_judgement_label(c)}"
         for c in changes
     ]
     return f'<div class="tried" title="{_HINT}">{"".join(lines)}</div>' if lines else ""
 
 
-def _judged(row: Mapping[str, Any]) -> str:
+def _judgement_label(row: Mapping[str, Any]) -> str:
     said, spread = row["judged"], row["standard_error"]
     about = "" if spread is None else f' title="± {percent(spread)}"'
     return f'<span class="judged {said}"{about}>{_ARROWS[said]} {said}</span>'
 
 
-def _error(value: float | None) -> str:
+def _error_percent(value: float | None) -> str:
     return "not finite" if value is None else percent(value)

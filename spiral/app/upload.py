@@ -19,7 +19,7 @@ MOST = 10**9  # bytes
 _BLOCK = 1 << 20
 
 
-def too_large(size: int | None) -> InputError:
+def too_large_error(size: int | None) -> InputError:
     """The message for a file over the limit."""
     said = f"a file of {size / 1e9:.3g} GB" if size else "a file over the limit"
     return InputError(
@@ -28,17 +28,17 @@ def too_large(size: int | None) -> InputError:
     )  # fmt: skip
 
 
-def route(web: FastAPI, session: Session) -> None:
+def add_upload_route(web: FastAPI, session: Session) -> None:
     """Add ``POST /upload`` to the application: the body is the file, ``x-file-name`` its name.
 
     ``x-file-beside`` names the setup of another file of the same machine, where there is one.
     """
     from fastapi.responses import JSONResponse
 
-    async def upload(request: Any) -> Any:
+    async def receive_upload(request: Any) -> Any:
         size = request.headers.get("content-length", "")
         try:
-            ident = await taken(
+            ident = await receive_file(
                 session, unquote(request.headers.get("x-file-name", "record")),
                 int(size) if size.isdigit() else None, request.stream(),
                 request.headers.get("x-file-beside", ""),
@@ -48,10 +48,10 @@ def route(web: FastAPI, session: Session) -> None:
             return JSONResponse({"error": error.as_dict()}, status_code=413 if large else 400)
         return JSONResponse({"page": f"/file/{ident}"})
 
-    web.add_route("/upload", upload, methods=["POST"])
+    web.add_route("/upload", receive_upload, methods=["POST"])
 
 
-async def taken(
+async def receive_file(
     session: Session, name: str, size: int | None, stream: AsyncIterator[bytes], beside: str = ""
 ) -> str:
     """Write a stream to disk and have it read; returns the setup's name.
@@ -62,12 +62,12 @@ async def taken(
     ConfigError : no setup of the name ``beside``.
     """
     if size is not None and size > MOST:
-        raise too_large(size)
+        raise too_large_error(size)
     files = session.file_setup
-    setup = None if beside else files.begin(name)
-    file = files.room(beside, name) if setup is None else Path(setup.path)
+    setup = None if beside else files.create_setup(name)
+    file = files.free_file_path(beside, name) if setup is None else Path(setup.path)
     try:
-        written = await _written(file, stream)
+        written = await _write_stream(file, stream)
         if not written:
             raise InputError(f"{name}: an empty file", "a file with rows of numbers")
         if size is not None and written != size:
@@ -75,16 +75,16 @@ async def taken(
     except BaseException:
         file.unlink(missing_ok=True)
         if setup is not None:
-            files.forget(setup)
+            files.discard_setup(setup)
         raise
     if setup is None:
-        files.join(beside, file, kept.safe(name))
+        files.join_file(beside, file, kept.safe_file_name(name))
         return beside
-    files.arrived(setup)
+    files.read_arrived_file(setup)
     return setup.ident
 
 
-async def _written(file: Path, stream: AsyncIterator[bytes]) -> int:
+async def _write_stream(file: Path, stream: AsyncIterator[bytes]) -> int:
     """Number of bytes that came; the disk is written by another thread."""
     written, block = 0, bytearray()
     try:
@@ -92,7 +92,7 @@ async def _written(file: Path, stream: AsyncIterator[bytes]) -> int:
             async for part in stream:
                 written += len(part)
                 if written > MOST:
-                    raise too_large(None)
+                    raise too_large_error(None)
                 block += part
                 if len(block) >= _BLOCK:
                     await asyncio.to_thread(target.write, bytes(block))

@@ -37,7 +37,7 @@ class Viewer:
             running = self._server is not None and self._server.poll() is None
             if not running or self._store != store:
                 self.close()
-                self._start(store)
+                self._start_server(store)
         return f"{self._address}/#/{place}"
 
     def close(self) -> None:
@@ -46,7 +46,7 @@ class Viewer:
             self._server.terminate()
         self._server = None
 
-    def _start(self, store: str) -> None:
+    def _start_server(self, store: str) -> None:
         with socket.socket() as free:
             free.bind((HOST, 0))
             port = free.getsockname()[1]

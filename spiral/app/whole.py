@@ -1,4 +1,4 @@
-"""A whole study as one ZIP file: its steps as saved runs, what it was asked, its uploaded files."""
+"""A whole study as one ZIP file: its steps as saved runs, its command, its uploaded files."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from spiral.app.frame import command
-from spiral.app.study import FILE, FOLDER, UPLOADS, Study, place
+from spiral.app.frame import shell_command
+from spiral.app.study import FILE, FOLDER, UPLOADS, Study, study_folder
 from spiral.io.storage import run_folder
 
 ARCHIVE = "study.zip"
@@ -21,37 +21,37 @@ command.txt   the last step from a terminal; paths in it are those of the machin
 """
 
 
-def archived(out: Path, study: Study) -> Path:
+def write_archive(out: Path, study: Study) -> Path:
     """Write the ZIP file of a study into its folder.
 
     Raises
     ------
     ConfigError : no such study.
     """
-    folder = place(out, study.ident)
+    folder = study_folder(out, study.ident)
     target = folder / ARCHIVE
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("README.txt", _READ_ME.format(title=study.title, note=study.note))
-        archive.writestr("command.txt", command(study) + "\n")
+        archive.writestr("command.txt", shell_command(study) + "\n")
         archive.write(folder / FILE, FILE)
-        for name, file in _parts(out, study):
+        for name, file in _archive_entries(out, study):
             archive.write(file, name)
     return target
 
 
-def _parts(out: Path, study: Study) -> Iterator[tuple[str, Path]]:
+def _archive_entries(out: Path, study: Study) -> Iterator[tuple[str, Path]]:
     """Names in the archive and files: those of its runs, and those uploaded for it; no links."""
     for turn in study.turns:
         if not turn.run_id:
             continue
         folder = run_folder(out, turn.run_id)
-        yield from ((f"runs/{turn.run_id}/{f.name}", f) for f in _files(folder))
+        yield from ((f"runs/{turn.run_id}/{f.name}", f) for f in _regular_files(folder))
     given = "\n".join(study.overrides)
     for folder in sorted((out / FOLDER / UPLOADS).glob("*")):
         if str(folder) in given:
-            yield from ((f"records/{f.name}", f) for f in _files(folder) if str(f) in given)
+            yield from ((f"records/{f.name}", f) for f in _regular_files(folder) if str(f) in given)
 
 
-def _files(folder: Path) -> list[Path]:
+def _regular_files(folder: Path) -> list[Path]:
     inside = sorted(folder.iterdir()) if folder.is_dir() else []  # a run may be deleted since
     return [f for f in inside if f.is_file() and not f.is_symlink()]

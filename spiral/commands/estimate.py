@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     from spiral.types.record import Record
 
 
-def reconstruct(study: Command) -> Outcome:
+def reconstruct_states(study: Command) -> Outcome:
     """Reconstruct all states of the configured records; exit 3 where the observer diverged."""
     from spiral.inference.reconstruction.estimate import estimate
-    from spiral.inference.reconstruction.uncertain import fitted as fitted_prior
-    from spiral.io.config import build_model, build_observer, build_sources, options
+    from spiral.inference.reconstruction.uncertain import fitted_prior as fitted_prior
+    from spiral.io.config import build_model, build_observer, build_sources, top_level_options
 
     config, registry = study.config, study.registry
     observer = build_observer(config, registry)
     model = build_model(config, registry)
     source, _ = build_sources({**config, "test": {"name": None}}, registry)
     records = source.load(model.system)
-    fitted = _calibrated(study, model, records)
+    fitted = _calibrate_if_needed(study, model, records)
     models = fitted.models if fitted else (model,) * len(records)
-    uncertain = options(study.config).uncertain
+    uncertain = top_level_options(study.config).uncertain
     if fitted and uncertain:
         raise ConfigError(
             "uncertain= of a model that is fitted first", "one of them",
@@ -37,30 +37,39 @@ def reconstruct(study: Command) -> Outcome:
         )  # fmt: skip
     known = tuple(fitted_prior(fitted, i) for i in range(len(records))) if fitted else ()
     grids = fitted.grids if fitted else ()
-    found = estimate(models, records, observer, study.tell, grids, uncertain, known)
-    written = _written(study.request.out, found)
-    result: dict[str, Any] = found.as_dict()
+    estimation = estimate(models, records, observer, study.tell, grids, uncertain, known)
+    written = _write_state_tables(study.request.out, estimation)
+    result: dict[str, Any] = estimation.as_dict()
     result["calibration"] = _calibration_dict(fitted) if fitted else None
     result["files"] = [w.as_dict() for w in written]
     result["run_id"] = study.save(result, fitted.model if fitted else model, records)
-    if found.diverged:
-        result["error"] = _refusal(found)
-    parts = {"estimation": found, "calibration": fitted, "written": written, "records": records,
-             "request": study.request, "config": config, "registry": registry}  # fmt: skip
-    return Outcome(REFUSED if found.diverged else OK, result, parts)
+    if estimation.diverged:
+        result["error"] = _divergence_error(estimation)
+    parts = {
+        "estimation": estimation,
+        "calibration": fitted,
+        "written": written,
+        "records": records,
+        "request": study.request,
+        "config": config,
+        "registry": registry,
+    }
+    return Outcome(REFUSED if estimation.diverged else OK, result, parts)
 
 
-def _calibrated(study: Command, model: Model, records: tuple[Record, ...]) -> Calibration | None:
-    """The model fitted first: where that was asked for, or a parameter has no value."""
+def _calibrate_if_needed(
+    study: Command, model: Model, records: tuple[Record, ...]
+) -> Calibration | None:
+    """Fit the model first where asked for, or where a parameter has no value; else ``None``."""
     from spiral.inference.problem import Problem
     from spiral.inference.reconstruction.calibrate import calibrate
-    from spiral.io.config import options, settings
+    from spiral.io.config import statistics_settings, top_level_options
 
-    wanted = options(study.config).calibrate
+    wanted = top_level_options(study.config).calibrate
     unknown = any(p.start is None and k not in model.values for k, p in model.pairs)
     if not (unknown if wanted is None else wanted):
         return None
-    problem = Problem(model, records, (), settings=settings(study.config))
+    problem = Problem(model, records, (), settings=statistics_settings(study.config))
     return calibrate(problem, study.tell)
 
 
@@ -76,24 +85,24 @@ def _calibration_dict(fitted: Calibration) -> dict[str, Any]:
     }
 
 
-def _written(out: str | None, found: Estimation) -> tuple[Written, ...]:
+def _write_state_tables(out: str | None, estimation: Estimation) -> tuple[Written, ...]:
     from spiral.io.tables import write_states
 
     if out is None:
         return ()
-    several = len(found.parts) > 1
+    several = len(estimation.parts) > 1
     return tuple(
         written
-        for i, part in enumerate(found.parts)
+        for i, part in enumerate(estimation.parts)
         for written in write_states(part, out, i if several else None)
     )
 
 
-def _refusal(found: Estimation) -> dict[str, str]:
-    part = next(p for p in found.parts if p.diverged)
+def _divergence_error(estimation: Estimation) -> dict[str, str]:
+    part = next(p for p in estimation.parts if p.diverged)
     stop = part.stable * part.record.dt
     return {
-        "given": f"{found.observer} loses {part.record.name} after {stop:.3g} s",
+        "given": f"{estimation.observer} loses {part.record.name} after {stop:.3g} s",
         "expected": "a filter that predicts each sample better than no motion at all",
         "try": f"use the states up to {stop:.3g} s; calibrate=true fits the model first, and "
         "observer=ekf tunes its process noise",

@@ -23,12 +23,12 @@ def export(request: Request, registry: Registry, tell: Tell) -> Outcome:
         a local plugin that is not the one that the run recorded.
     InputError : a file that cannot be written.
     """
-    from spiral.io.export.kinds import KINDS, kind_of
+    from spiral.io.export.kinds import KINDS, export_kind
     from spiral.io.export.kinds import export as written
-    from spiral.io.overrides import parse
+    from spiral.io.overrides import parse_overrides
     from spiral.io.storage import load_run
 
-    given = {".".join(i.path): i.value for i in parse(request.overrides)}
+    given = {".".join(i.path): i.value for i in parse_overrides(request.overrides)}
     usage = "spiral export RUN --to KIND [--out FILE] [out=FOLDER]"
     for key in given:
         if key not in _KEYS:
@@ -38,7 +38,7 @@ def export(request: Request, registry: Registry, tell: Tell) -> Outcome:
         raise ConfigError(f"export of {', '.join(runs)}", "one run", usage)
     if request.to is None:
         raise ConfigError("export without a kind", f"--to one of {', '.join(KINDS)}", usage)
-    kind = kind_of(request.to)
+    kind = export_kind(request.to)
     saved = load_run(runs[0] if runs else "latest", str(given.get("out") or "runs"))
     saved.local_files(registry)  # refused where a plugin is not the one that the run recorded
     model = saved.model(registry)

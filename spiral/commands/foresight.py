@@ -18,18 +18,19 @@ def identify(study: Command) -> Outcome:
     from spiral.io.config import build_derivative
 
     problem = study.problem()
-    found = judge(problem, build_derivative(study.config, study.registry), study.tell)
-    result = found.as_dict()
+    identification = judge(problem, build_derivative(study.config, study.registry), study.tell)
+    result = identification.as_dict()
     result["run_id"] = study.save(result, problem.model, problem)
-    refused = found.verdict == "not_identifiable"
+    refused = identification.verdict == "not_identifiable"
     if refused:
-        groups = "; ".join(", ".join(g) for g in found.aliases)
+        groups = "; ".join(", ".join(g) for g in identification.aliases)
         result["error"] = {
-            "given": f"a record that shows {found.found.rank} of {found.found.columns} terms apart",
+            "given": f"a record that shows {identification.richness.rank} of "
+            f"{identification.richness.columns} terms apart",
             "expected": f"excitation that tells apart {groups}",
-            "try": found.advice,
+            "try": identification.advice,
         }
-    return Outcome(REFUSED if refused else OK, result, study.parts(problem, found=found))
+    return Outcome(REFUSED if refused else OK, result, study.parts(problem, found=identification))
 
 
 def plan(study: Command) -> Outcome:
@@ -40,28 +41,30 @@ def plan(study: Command) -> Outcome:
 
     problem = study.problem()
     wishes = plan_options(study.config.get("plan"))
-    wanted = _wanted(study, wishes)
+    wanted = _planning_question(study, wishes)
     tests = planned_tests(problem, wishes)
-    found = judge(problem, wanted, tests, simulator(problem, study.registry.simulation), study.tell)
-    result = _planned(found, wishes.shown)
-    result["run_id"] = study.save(result, found.model, problem)
-    refused = found.verdict == "not_answered" and not _open_question(wanted)
+    test_plan = judge(
+        problem, wanted, tests, simulator(problem, study.registry.simulation), study.tell
+    )
+    result = _plan_dict(test_plan, wishes.shown)
+    result["run_id"] = study.save(result, test_plan.model, problem)
+    refused = test_plan.verdict == "not_answered" and not _is_ranking_only(wanted)
     if refused:
         result["error"] = {
-            "given": f"{len(found.tests)} planned tests, of which none answers the question",
+            "given": f"{len(test_plan.tests)} planned tests, of which none answers the question",
             "expected": "one that does",
-            "try": found.advice,
+            "try": test_plan.advice,
         }
-    parts = study.parts(problem, plan=found, shown=wishes.shown)
+    parts = study.parts(problem, plan=test_plan, shown=wishes.shown)
     return Outcome(REFUSED if refused else OK, result, parts)
 
 
-def _open_question(wanted: Wanted) -> bool:
+def _is_ranking_only(wanted: Wanted) -> bool:
     """Whether tests are only ranked: a parameter without an error that it should have."""
     return not wanted.effects and wanted.standard_error is None
 
 
-def _wanted(study: Command, wishes: PlanOptions) -> Wanted:
+def _planning_question(study: Command, wishes: PlanOptions) -> Wanted:
     """The question, from names after the verb or the section ``plan``."""
     from spiral.inference.plan import Wanted
     from spiral.types.errors import ConfigError
@@ -85,31 +88,31 @@ def _wanted(study: Command, wishes: PlanOptions) -> Wanted:
     return Wanted(effects, wishes.parameter or "", wishes.standard_error)
 
 
-def _planned(found: Plan, shown: int) -> dict[str, Any]:
+def _plan_dict(test_plan: Plan, shown: int) -> dict[str, Any]:
     """As the JSON contract writes it."""
-    wanted = found.wanted
+    wanted = test_plan.wanted
     return {
-        "verdict": found.verdict,
+        "verdict": test_plan.verdict,
         "question": {
             "effects": [e.label for e in wanted.effects],
             "parameter": wanted.parameter or None,
             "standard_error": wanted.standard_error,
-            "unit": found.unit or None,
+            "unit": test_plan.unit or None,
         },
-        "now": _outlook(found.now, found),
-        "tests": [_outlook(o, found) for o in found.tests],
-        "suffices": found.suffices,
+        "now": _outlook_dict(test_plan.now, test_plan),
+        "tests": [_outlook_dict(o, test_plan) for o in test_plan.tests],
+        "suffices": test_plan.suffices,
         "shown": shown,
-        "advice": found.advice,
-        "notes": list(found.notes),
+        "advice": test_plan.advice,
+        "notes": list(test_plan.notes),
     }
 
 
-def _outlook(outlook: Outlook, found: Plan) -> dict[str, Any]:
-    from spiral.inference.planned_tests import overrides_of
+def _outlook_dict(outlook: Outlook, test_plan: Plan) -> dict[str, Any]:
+    from spiral.inference.planned_tests import record_overrides
 
     test = outlook.test
-    words = overrides_of(test, outlook.noise_share, found.model) if test.inputs else ()
+    words = record_overrides(test, outlook.noise_share, test_plan.model) if test.inputs else ()
     return {
         "test": test.words,
         "inputs": dict(test.inputs),

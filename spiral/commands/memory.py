@@ -1,4 +1,4 @@
-"""Too little memory, told in words: before the heavy libraries are imported, and after all."""
+"""Errors for too little memory: a check before heavy libraries load, a message afterwards."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ NEEDED = 10**9
 a short record on two cores; every core more takes some for its thread)."""
 
 
-def check_limit() -> None:
+def check_memory_limit() -> None:
     """Refuse to start under a limit of memory in which importing fails.
 
     Raises
@@ -29,8 +29,8 @@ def check_limit() -> None:
         )
 
 
-def exhausted() -> InputError:
-    """The message for work that needed more memory than there is."""
+def out_of_memory_error() -> InputError:
+    """The error for work that needed more memory than there is."""
     return InputError(
         "a record and model that need more memory than there is",
         "memory for all of their windows and parameters",

@@ -1,4 +1,4 @@
-"""Carry out one request of the command line: composed, asked, answered; nothing is printed.
+"""Carry out one request of the command line and return its outcome; nothing is printed.
 
 The same function serves the terminal, ``--json`` and the workers of a sweep.
 """
@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from spiral.commands.memory import exhausted
-from spiral.io.request import BAD_INPUT, Outcome, Request, configured
+from spiral.commands.memory import out_of_memory_error
+from spiral.io.request import BAD_INPUT, Outcome, Request, compose_request
 from spiral.types.errors import ConfigError, SpiralError
 
 if TYPE_CHECKING:
@@ -24,29 +24,29 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     SpiralError : bad input; the caller makes it exit 2.
     """
     from spiral.commands import estimate, export, foresight, plugins, report, study
-    from spiral.io.custom import bound
+    from spiral.io.custom import registry_for_config
     from spiral.io.programs import programs_named
     from spiral.io.registry import load_registry
 
     if request.verb == "new":
-        return plugins.new(request)
+        return plugins.create_plugin(request)
     if request.verb == "report":
         return report.report(request, tell)
     registry = load_registry(request.plugins)
     if request.verb == "plugins":
         return plugins.list_plugins(request, registry)
     if request.verb == "check":
-        return plugins.check(request, registry, tell)
+        return plugins.check_plugins(request, registry, tell)
     for failure in registry.failures:
         tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
     registry = replace(registry, programs=programs_named(request.overrides))
     if request.verb == "export":
         return export.export(request, registry, tell)
-    config = configured(request, registry)
-    registry = bound(config, registry)
+    config = compose_request(request, registry)
+    registry = registry_for_config(config, registry)
     steps = {
         "discover": study.discover, "compare": study.compare, "diagnose": study.diagnose,
-        "add": study.add, "estimate": estimate.reconstruct, "identify": foresight.identify,
+        "add": study.add, "estimate": estimate.reconstruct_states, "identify": foresight.identify,
         "plan": foresight.plan,
     }  # fmt: skip
     if request.verb == "simulate":
@@ -59,17 +59,17 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
         )
     tell("reading the records")
     asked = study.Command(request, config, registry, tell, on_round)
-    return report.with_curves(asked, steps[request.verb])
+    return report.run_and_save_curves(asked, steps[request.verb])
 
 
-def in_worker(
+def perform_sweep_job(
     verb: str, names: tuple[str, ...], overrides: tuple[str, ...], plugins: str | None
 ) -> tuple[int, dict[str, Any]]:
-    """A request as a job of a sweep: exit code and result."""
+    """Carry out one request as a job of a sweep; returns exit code and result."""
     try:
         outcome = perform(Request(verb, names, overrides, plugins), lambda message: None)
     except SpiralError as error:
         return BAD_INPUT, {"error": error.as_dict()}
     except MemoryError:
-        return BAD_INPUT, {"error": exhausted().as_dict()}
+        return BAD_INPUT, {"error": out_of_memory_error().as_dict()}
     return outcome.exit, outcome.result

@@ -27,7 +27,7 @@ def list_plugins(request: Request, registry: Registry) -> Outcome:
     asked = set(request.names)
     entries = [e for e in registry.entries if not asked or {e.kind, e.name} & asked]
     result = {
-        "plugins": [_described(e) for e in entries],
+        "plugins": [_plugin_dict(e) for e in entries],
         "failures": [
             {"name": f.name, "file": f.file, "message": f.message} for f in registry.failures
         ],
@@ -35,11 +35,11 @@ def list_plugins(request: Request, registry: Registry) -> Outcome:
     return Outcome(OK, result, {"entries": entries, "failures": registry.failures, "asked": asked})
 
 
-def check(request: Request, registry: Registry, tell: Tell) -> Outcome:
-    """The conformance suite on the plugins asked for; exit 2 where a check fails."""
+def check_plugins(request: Request, registry: Registry, tell: Tell) -> Outcome:
+    """Run the conformance suite on the plugins asked for; exit 2 where a check fails."""
     from spiral.io.testing import check_plugin, failed
 
-    _only_names(request, "spiral check NAME", "spiral plugins")
+    _require_names_only(request, "spiral check NAME", "spiral plugins")
     checked = []
     for entry in (e for name in request.names for e in registry.named(name)):
         tell(f"checking {entry.kind} {entry.name}")
@@ -65,24 +65,24 @@ def check(request: Request, registry: Registry, tell: Tell) -> Outcome:
 def _first_failure(checked: Sequence[tuple[Entry, list[Check]]]) -> dict[str, str]:
     from spiral.io.testing import failed
 
-    entry, found = next((e, failed(checks)) for e, checks in checked if failed(checks))
-    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+    entry, failures = next((e, failed(checks)) for e, checks in checked if failed(checks))
+    more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
     return {
-        "given": f"{entry.kind} {found[0].on}, in {entry.file}: {found[0].seen}",
-        "expected": f"a plugin that passes {found[0].name!r}{more}",
-        "try": found[0].try_,
+        "given": f"{entry.kind} {failures[0].on}, in {entry.file}: {failures[0].seen}",
+        "expected": f"a plugin that passes {failures[0].name!r}{more}",
+        "try": failures[0].try_,
     }
 
 
-def new(request: Request) -> Outcome:
-    """A skeleton of a plugin and its test, written into the folder of local plugins."""
+def create_plugin(request: Request) -> Outcome:
+    """Write a skeleton of a plugin and its test into the folder of local plugins."""
     import os
     from pathlib import Path
 
     from spiral.io.registry import DEFAULT_FOLDER, FOLDER_VARIABLE, NO_FOLDER, load_registry
-    from spiral.io.scaffold import KINDS, new_plugin, similar
+    from spiral.io.scaffold import KINDS, new_plugin, similar_plugins
 
-    _only_names(request, "spiral new KIND NAME", f"KIND is one of {', '.join(KINDS)}")
+    _require_names_only(request, "spiral new KIND NAME", f"KIND is one of {', '.join(KINDS)}")
     if len(request.names) != 2:
         raise ConfigError(
             f"new {' '.join(request.names)}", "spiral new KIND NAME", "spiral new effect my_spring"
@@ -92,19 +92,19 @@ def new(request: Request) -> Outcome:
     folder = Path(given).expanduser()
     registry = load_registry(folder, local=folder.is_dir() and request.plugins != NO_FOLDER)
     files = new_plugin(kind, name, folder, registry)
-    near = similar(name, registry)
+    near = similar_plugins(name, registry)
     result = {"kind": kind, "name": name, "files": [str(f) for f in files], "similar": near}
     parts = {"files": files, "name": name, "similar": near, "plugins": request.plugins}
     return Outcome(OK, result, parts)
 
 
-def _only_names(request: Request, expected: str, try_: str) -> None:
+def _require_names_only(request: Request, expected: str, try_: str) -> None:
     if not request.names or request.overrides:
         words = " ".join([request.verb, *request.names, *request.overrides])
         raise ConfigError(words, expected, try_)
 
 
-def _described(entry: Any) -> dict[str, Any]:
+def _plugin_dict(entry: Any) -> dict[str, Any]:
     from spiral.types.fields import defaults_of, field_meanings
 
     fields = {k: v for k, v in defaults_of(entry.plugin).items() if k != "variant"}

@@ -1,4 +1,4 @@
-"""The verb ``report``, and the curves that a run keeps for it."""
+"""The verb ``report``, and the curves that other verbs save for it beside a run."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ PAGE = "report.html"
 _KEYS = ("run", "out")
 
 
-def with_curves(study: Command, step: Callable[[Command], Outcome]) -> Outcome:
-    """Do what a verb does; then keep the curves that a report needs beside its saved run.
+def run_and_save_curves(study: Command, step: Callable[[Command], Outcome]) -> Outcome:
+    """Carry out a verb, then write the curves that a report needs beside its saved run.
 
-    The result is saved before: curves that cannot be made cost nothing but themselves. Jobs of a
-    sweep keep none.
+    The result is saved first: where the curves cannot be computed, only they are missing. Jobs of
+    a sweep write none.
     """
-    from spiral.io.config import options
+    from spiral.io.config import top_level_options
 
     outcome = step(study)
-    compared = _compared(outcome.parts)
+    compared = _comparisons_by_model(outcome.parts)
     sweeping = bool((study.config.get("sweep") or {}).get("id"))
     if "run_id" not in outcome.result or not compared or sweeping:
         return outcome
-    if not options(study.config).curves:
+    if not top_level_options(study.config).curves:
         return outcome
     from spiral.io.curves import write_curves
-    from spiral.io.gather import gather
+    from spiral.io.gather import gather_curves
 
     folder = Path(study.config["out"]).expanduser() / outcome.result["run_id"]
     try:
-        write_curves(gather(outcome.parts["problem"], compared, study.tell), folder)
+        write_curves(gather_curves(outcome.parts["problem"], compared, study.tell), folder)
     except (ArithmeticError, ValueError, OSError) as error:  # LinAlgError is a ValueError
         study.tell(f"no curves for the report: {error}")
     return outcome
 
 
-def _compared(parts: Mapping[str, Any]) -> dict[str, Comparison]:
-    """The models of an outcome: before and after, or the one there is."""
+def _comparisons_by_model(parts: Mapping[str, Any]) -> dict[str, Comparison]:
+    """The comparisons of an outcome by model: seed and final, or the final one alone."""
     from spiral.io.curves import FINAL, SEED
 
     run = parts.get("run")
@@ -64,12 +64,12 @@ def report(request: Request, tell: Tell) -> Outcome:
     ConfigError : an option it has not, or no such run. InputError : a file that cannot be written.
     """
     from spiral.io.curves import read_curves
-    from spiral.io.overrides import parse
+    from spiral.io.overrides import parse_overrides
     from spiral.io.storage import load_run
     from spiral.io.writing import write_whole
     from spiral.view.report.page import page
 
-    given = {".".join(i.path): i.value for i in parse(request.overrides)}
+    given = {".".join(i.path): i.value for i in parse_overrides(request.overrides)}
     for key in (*given, *request.names):
         if key not in _KEYS:
             raise ConfigError(

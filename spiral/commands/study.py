@@ -47,8 +47,8 @@ class Command:
 
         return build_problem(self.config, self.registry)
 
-    def saved(self, run: Run, problem: Problem) -> Run:
-        """The run with its id, written to the folder of runs."""
+    def save_with_id(self, run: Run, problem: Problem) -> Run:
+        """Write the run to the folder of runs; returns it with its id."""
         return replace(run, run_id=self.save(run.as_dict(), run.model, problem))
 
     def save(self, result: Mapping[str, Any], model: Model, of: Problem | Records) -> str:
@@ -66,47 +66,47 @@ class Command:
 
 
 def discover(study: Command) -> Outcome:
-    """The whole loop; exit 3 where it is refused."""
+    """The whole discovery loop; exit 3 where the record cannot tell or a fit diverged."""
     problem = study.problem()
-    run = study.saved(_through_the_loop(study, problem), problem)
+    run = study.save_with_id(_run_discovery_loop(study, problem), problem)
     result = run.as_dict()
     refused = run.stopped in ("not_identifiable", "diverged")
     if refused:
-        result["error"] = _refusal(run.stopped, run.advice)
+        result["error"] = _refusal_error(run.stopped, run.advice)
     return Outcome(REFUSED if refused else OK, result, study.parts(problem, run=run))
 
 
-def _through_the_loop(study: Command, problem: Problem) -> Run:
-    """The loop, its rounds kept on disk, from where an unfinished study stopped."""
+def _run_discovery_loop(study: Command, problem: Problem) -> Run:
+    """Run the discovery loop from where an unfinished study stopped; rounds are saved on disk."""
     from spiral.inference.discover import discover
-    from spiral.io.checkpoint import keeper
+    from spiral.io.checkpoint import checkpoint_keeper
 
-    with keeper(study.config, problem, study.registry, study.config["out"]) as kept:
-        last = kept.last()
+    with checkpoint_keeper(study.config, problem, study.registry, study.config["out"]) as kept:
+        last = kept.read_last()
         if last is not None:
             study.tell(f"taking up this study, left unfinished in round {len(last.rounds)}")
-        run = discover(problem, study.tell, study.on_round, kept.keep, last)
-        kept.done()
+        run = discover(problem, study.tell, study.on_round, kept.write, last)
+        kept.remove()
     return run
 
 
 def compare(study: Command) -> Outcome:
     """The model as configured against the test record; exit 3 where the fit did not converge."""
     from spiral.inference.compare import compare
-    from spiral.view.terminal.preview import described
+    from spiral.view.terminal.preview import describe_records
 
     problem = study.problem()
     comparison = compare(problem, study.tell)
-    result = {**comparison.as_dict(), "records": described(problem)}
+    result = {**comparison.as_dict(), "records": describe_records(problem)}
     result["run_id"] = study.save(result, comparison.model, problem)
-    if error := _not_a_fit(comparison):
+    if error := _fit_failure(comparison):
         result["error"] = error
     code = REFUSED if error else OK
     return Outcome(code, result, study.parts(problem, comparison=comparison))
 
 
 def diagnose(study: Command) -> Outcome:
-    """The verdict on the model as it is; exit 3 where it is refused."""
+    """The verdict on the model as it is; exit 3 where the record cannot tell or a fit diverged."""
     from spiral.inference.diagnose import diagnose
 
     problem = study.problem()
@@ -116,7 +116,7 @@ def diagnose(study: Command) -> Outcome:
     refused = diagnosis.verdict == "not_identifiable" or diagnosis.diverged
     if refused:
         reason = "diverged" if diagnosis.diverged else diagnosis.verdict
-        result["error"] = _refusal(reason, diagnosis.advice)
+        result["error"] = _refusal_error(reason, diagnosis.advice)
     return Outcome(REFUSED if refused else OK, result, study.parts(problem, diagnosis=diagnosis))
 
 
@@ -137,20 +137,20 @@ def add(study: Command) -> Outcome:
                 f"at another port: {effect.plugin_name()}@PORT",
             )
     before, after, run = add(problem, effects, study.tell)
-    run = study.saved(run, problem)
+    run = study.save_with_id(run, problem)
     result = {
         "before": before.as_dict(),
         "after": after.as_dict(),
         "model": estimates_dict(run.model),
         "run_id": run.run_id,
     }
-    if error := _not_a_fit(after):
+    if error := _fit_failure(after):
         result["error"] = error
     parts = study.parts(problem, before=before, after=after, run=run)
     return Outcome(REFUSED if error else OK, result, parts)
 
 
-def _refusal(verdict: str, advice: str) -> dict[str, str]:
+def _refusal_error(verdict: str, advice: str) -> dict[str, str]:
     given = {
         "not_identifiable": "a record in which the model's effects look alike",
         "diverged": "a model whose motion runs away from the record",
@@ -162,8 +162,8 @@ def _refusal(verdict: str, advice: str) -> dict[str, str]:
     return {"given": given, "expected": expected, "try": advice}
 
 
-def _not_a_fit(comparison: Comparison) -> dict[str, str]:
-    """Why a comparison has no fit to stand on; empty where it has."""
+def _fit_failure(comparison: Comparison) -> dict[str, str]:
+    """The error for a fit that did not converge, or whose free run diverges; else empty."""
     if comparison.converged and isfinite(comparison.fit_error):
         return {}
     where = "" if comparison.random is not None else f" on windows of {comparison.horizon} samples"

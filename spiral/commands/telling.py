@@ -1,4 +1,4 @@
-"""MLflow is told of the run that a command saved, by a process that nobody waits for.
+"""Log the run that a command saved to MLflow, in a process that the command does not wait for.
 
 ``python -m spiral.commands.telling`` is that process; its order is JSON on standard input.
 """
@@ -16,44 +16,44 @@ if TYPE_CHECKING:
     from spiral.io.tracking.track import Tracked
 
 
-def tell_mlflow(outcome: Outcome) -> Tracked | None:
-    """Tell MLflow about the run that was saved, where there is one, after the answer is given."""
+def log_run_to_mlflow(outcome: Outcome) -> Tracked | None:
+    """Log the saved run, if any, to MLflow: in the background unless the environment says wait."""
     if "run_id" not in outcome.result:
         return None
-    from spiral.io.tracking.store import tracking_of
+    from spiral.io.tracking.store import tracking_options
 
     config, run_id = outcome.parts["config"], outcome.result["run_id"]
-    tracking = tracking_of(config)
+    tracking = tracking_options(config)
     if not tracking.enabled:
         return None
     from spiral.io.tracking import background
 
-    if background.waited_for():
-        return _in_the_foreground(outcome, tracking)
-    earlier = background.last_failure(config["out"])
+    if background.is_foreground():
+        return _log_in_foreground(outcome, tracking)
+    earlier = background.take_last_failure(config["out"])
     if earlier:
         print(f"spiral: an earlier run was saved, but not told to MLflow: {earlier}\n"
               "it is told now; tracking.enabled=false does without", file=sys.stderr)  # fmt: skip
     out = str(Path(config["out"]).expanduser().resolve())
     plugins = outcome.parts["request"].plugins
     order = background.Order(config.get("tracking") or {}, out, run_id, plugins)
-    return background.start(order, "spiral.commands.telling")
+    return background.start_process(order, "spiral.commands.telling")
 
 
-def _in_the_foreground(outcome: Outcome, tracking: Tracking) -> Tracked:
+def _log_in_foreground(outcome: Outcome, tracking: Tracking) -> Tracked:
     from spiral.io.tracking.track import track
-    from spiral.view.report.page import report_of
-    from spiral.view.terminal.parts import progress
+    from spiral.view.report.page import report_html
+    from spiral.view.terminal.parts import progress_line
 
     config = outcome.parts["config"]
-    with progress() as tell:
+    with progress_line() as tell:
         tell("telling MLflow")
         known, wanted = outcome.parts["registry"], (outcome.result["run_id"],)
-        return track(tracking, config["out"], wanted, draw=report_of, registry=known)
+        return track(tracking, config["out"], wanted, draw=report_html, registry=known)
 
 
-def say_told(tracked: Tracked | None, target: str | None) -> None:
-    """Where MLflow shows the run, or why it does not know of it."""
+def print_tracking_outcome(tracked: Tracked | None, target: str | None) -> None:
+    """Print where MLflow shows the run, or why it could not be logged."""
     if tracked is None:
         return
     if tracked.failure is not None:
@@ -67,11 +67,11 @@ def say_told(tracked: Tracked | None, target: str | None) -> None:
 
 
 def main() -> None:
-    """Carry out the order that standard input holds."""
-    from spiral.io.tracking.background import Order, carry_out
-    from spiral.view.report.page import report_of
+    """Log the run that the order on standard input names."""
+    from spiral.io.tracking.background import Order, execute_order
+    from spiral.view.report.page import report_html
 
-    carry_out(Order(**json.load(sys.stdin)), report_of)
+    execute_order(Order(**json.load(sys.stdin)), report_html)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import numpy as np
 
 from spiral.engine.elimination import triangle_of
 from spiral.engine.fit import Fitted, damped_step
-from spiral.engine.sensitivities import Reduction, reduce
+from spiral.engine.sensitivities import Reduction, reduce_windows
 from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
 from spiral.types.record import Array
 
@@ -31,7 +31,7 @@ class Mix:
 
     matrix: Array
 
-    def reduced(self, reduction: Reduction) -> Reduction:
+    def mix_columns(self, reduction: Reduction) -> Reduction:
         """The pass as one over the k mixed columns."""
         triangle = reduction.triangle
         rows = np.column_stack([triangle[:, :-1] @ self.matrix, triangle[:, -1]])
@@ -48,26 +48,26 @@ def descend(
     iterations: int = _ITERATIONS,
 ) -> Fitted:
     """Minimise the weighted squared prediction error; converged where no step promises a fall."""
-    reduction = reduce(study, layouts, point, columns)
+    reduction = reduce_windows(study, layouts, point, columns)
     if not reduction.finite:
         return Fitted(point, np.inf, reduction.samples, reduction.nuisances, False, 0, None)
     for iteration in range(iterations):
         worth = max(_ENOUGH, _RELATIVE * reduction.cost)
-        seen = mix.reduced(reduction) if mix else reduction
+        seen = mix.mix_columns(reduction) if mix else reduction
         promised = reduction.cost - float(seen.triangle[-1, -1] ** 2)
         if promised < worth:
-            return Fitted.of(point, reduction, True, iteration)
-        found = _searched(study, layouts, point, columns, bounds, reduction, mix)
-        if found is None:
-            return Fitted.of(point, reduction, promised < 10 * worth, iteration)
-        fall = reduction.cost - found[1].cost
-        point, reduction = found
+            return Fitted.from_reduction(point, reduction, True, iteration)
+        better = _find_descent_step(study, layouts, point, columns, bounds, reduction, mix)
+        if better is None:
+            return Fitted.from_reduction(point, reduction, promised < 10 * worth, iteration)
+        fall = reduction.cost - better[1].cost
+        point, reduction = better
         if fall < 0.1 * worth:
-            return Fitted.of(point, reduction, promised < 10 * worth, iteration)
-    return Fitted.of(point, reduction, False, iterations)
+            return Fitted.from_reduction(point, reduction, promised < 10 * worth, iteration)
+    return Fitted.from_reduction(point, reduction, False, iterations)
 
 
-def _searched(
+def _find_descent_step(
     study: CompiledStudy,
     layouts: Layouts,
     point: Point,
@@ -78,20 +78,20 @@ def _searched(
 ) -> tuple[Point, Reduction] | None:
     """The first share of the first damped step that lowers the cost."""
     for damping in _DAMPINGS:
-        step = _direction(point, columns, bounds, reduction, mix, damping)
+        step = _damped_direction(point, columns, bounds, reduction, mix, damping)
         for share in _SHARES:
             starts = tuple(
                 x + share * (e[:, :, -1] - e[:, :, :-1] @ step)
                 for x, e in zip(point.starts, reduction.elimination, strict=True)
             )
-            trial = Point(columns.moved(point.values, share * step), starts)
-            reached = reduce(study, layouts, trial, columns)
+            trial = Point(columns.apply_step(point.values, share * step), starts)
+            reached = reduce_windows(study, layouts, trial, columns)
             if reached.cost < reduction.cost:
                 return trial, reached
     return None
 
 
-def _direction(
+def _damped_direction(
     point: Point,
     columns: ParameterColumns,
     bounds: tuple[Array, Array],
@@ -101,7 +101,7 @@ def _direction(
 ) -> Array:
     if mix is None:
         return damped_step(reduction, columns, point, bounds, damping)[0]
-    triangle = mix.reduced(reduction).triangle
+    triangle = mix.mix_columns(reduction).triangle
     matrix, target = triangle[:-1, :-1], triangle[:-1, -1]
     scale = np.linalg.norm(matrix, axis=0)
     scale[scale == 0] = 1.0

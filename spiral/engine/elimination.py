@@ -9,7 +9,7 @@ from spiral.types.record import Array
 RANK = 1e-9  # relative singular value under which a direction of the initial state is unseen
 
 
-def eliminate(triangle: Array, n: int) -> tuple[Array, Array, int]:
+def eliminate_initial_states(triangle: Array, n: int) -> tuple[Array, Array, int]:
     """Project the first n columns out of each window's triangle, as far as they have rank."""
     head, tail = triangle[:, :n, :n], triangle[:, :n, n:]
     scale = np.linalg.norm(head, axis=1, keepdims=True)
@@ -25,7 +25,7 @@ def eliminate(triangle: Array, n: int) -> tuple[Array, Array, int]:
     return rows.reshape(-1, tail.shape[2]), eliminated, int(seen.sum())
 
 
-def grams(rows: Array, size: int) -> Array:
+def gram_matrices(rows: Array, size: int) -> Array:
     """Gram matrices of consecutive groups of ``size`` rows in each window."""
     count, total, width = rows.shape
     size = min(size, total)
@@ -39,14 +39,14 @@ def grams(rows: Array, size: int) -> Array:
     return np.concatenate([np.swapaxes(body, -1, -2) @ body, joined], axis=1)
 
 
-def project(grams: Array, eliminated: Array) -> Array:
+def project_gram_matrices(grams: Array, eliminated: Array) -> Array:
     """T^T G T with T = [-elimination; identity], for every block of every window."""
     count, _, size = eliminated.shape
     transform = np.concatenate([-eliminated, np.broadcast_to(np.eye(size), (count, size, size))], 1)
     return np.swapaxes(transform, 1, 2)[:, None] @ grams @ transform[:, None]
 
 
-def merged(grams: Array, block: int, length: int) -> Array:
+def merge_blocks(grams: Array, block: int, length: int) -> Array:
     """Blocks of all windows in order; short windows are added up to whole blocks."""
     flat = grams.reshape(-1, *grams.shape[2:])
     group = max(1, block // length)
@@ -57,7 +57,7 @@ def merged(grams: Array, block: int, length: int) -> Array:
     return np.add.reduceat(flat, edges, axis=0)
 
 
-def scattered(rows: Array, seen: Array, width: int) -> Array:
+def scatter_columns(rows: Array, seen: Array, width: int) -> Array:
     """Rows of one record's columns among all columns."""
     if len(seen) == width:
         return rows
@@ -66,7 +66,7 @@ def scattered(rows: Array, seen: Array, width: int) -> Array:
     return full
 
 
-def scattered_blocks(grams: Array, seen: Array, width: int) -> Array:
+def scatter_blocks(grams: Array, seen: Array, width: int) -> Array:
     """Gram blocks of one record's columns among all columns."""
     if len(seen) == width:
         return grams

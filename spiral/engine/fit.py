@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.sensitivities import Reduction, reduce
+from spiral.engine.sensitivities import Reduction, reduce_windows
 from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
 from spiral.types.record import Array
 
 _ITERATIONS = 30
-_ENOUGH = 0.02  # predicted fall of the sum of squares (in sigma^2) that is not worth a step
+_ENOUGH = 0.02  # predicted fall of the sum of squares (in sigma^2) below which a fit has converged
 _RELATIVE = 1e-6  # the same as a share of the sum of squares
 
 
@@ -28,7 +28,9 @@ class Fitted:
     reduction: Reduction | None
 
     @classmethod
-    def of(cls, point: Point, reduction: Reduction, converged: bool, iterations: int) -> Fitted:
+    def from_reduction(
+        cls, point: Point, reduction: Reduction, converged: bool, iterations: int
+    ) -> Fitted:
         """The result at a point, with its pass."""
         return cls(
             point, reduction.cost, reduction.samples, reduction.nuisances, converged, iterations,
@@ -56,10 +58,10 @@ def fit(
     norms (Levenberg-Marquardt, scaled), then moves every window's start by its own linear map.
     """
     damping = 1e-6
-    reduction = reduce(study, layouts, point, columns)
-    held = _held(study, layouts, columns, reduction)
+    reduction = reduce_windows(study, layouts, point, columns)
+    held = _hold_loose_columns(study, layouts, columns, reduction)
     if held is not columns:
-        columns, reduction = held, reduce(study, layouts, point, held)
+        columns, reduction = held, reduce_windows(study, layouts, point, held)
     if not reduction.finite:
         return Fitted(point, np.inf, reduction.samples, reduction.nuisances, False, 0, None)
     for iteration in range(1, iterations + 1):
@@ -69,26 +71,26 @@ def fit(
         for _ in range(8):
             step, promised = damped_step(reduction, columns, point, bounds, damping)
             if promised < worth:
-                return Fitted.of(point, reduction, True, iteration)
-            trial = _move(point, columns, reduction, step)
-            reached = reduce(study, layouts, trial, columns)
+                return Fitted.from_reduction(point, reduction, True, iteration)
+            trial = _move_point(point, columns, reduction, step)
+            reached = reduce_windows(study, layouts, trial, columns)
             if reached.cost <= cost:
                 better = reached
                 break
             damping = max(damping * 10.0, 1e-4)
         if better is None:
-            return Fitted.of(point, reduction, promised < 10 * worth, iteration)
+            return Fitted.from_reduction(point, reduction, promised < 10 * worth, iteration)
         point, reduction = trial, better
         damping = max(damping / 10.0, 1e-12)
         if cost - reduction.cost < worth:
-            return Fitted.of(point, reduction, True, iteration)
-    return Fitted.of(point, reduction, False, iterations)
+            return Fitted.from_reduction(point, reduction, True, iteration)
+    return Fitted.from_reduction(point, reduction, False, iterations)
 
 
-def _held(
+def _hold_loose_columns(
     study: CompiledStudy, layouts: Layouts, columns: ParameterColumns, reduction: Reduction
 ) -> ParameterColumns:
-    """The columns with a weak hold on those that are loose (coefficients of a curve).
+    """The columns with a weak Gaussian prior at zero on ``loose`` ones (coefficients of a curve).
 
     Of an effect whose best seen coefficient moves the response by s (in sigma, for one unit), each
     is held at zero with the standard deviation |y| / s.
@@ -145,12 +147,14 @@ def damped_step(
     return step, free
 
 
-def _move(point: Point, columns: ParameterColumns, reduction: Reduction, step: Array) -> Point:
+def _move_point(
+    point: Point, columns: ParameterColumns, reduction: Reduction, step: Array
+) -> Point:
     starts = tuple(
         x + e[:, :, -1] - e[:, :, :-1] @ step
         for x, e in zip(point.starts, reduction.elimination, strict=True)
     )
-    return Point(columns.moved(point.values, step), starts)
+    return Point(columns.apply_step(point.values, step), starts)
 
 
 def standard_deviations(fitted: Fitted) -> Array:

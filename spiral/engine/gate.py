@@ -142,7 +142,7 @@ class Gate(Plugin):
         """Which of ``trial.kept`` pass, with the figures that decided it."""
 
 
-def through(
+def run_gates(
     gates: Sequence[Gate], trial: Trial, log: dict[str, Any], progress: Callable[[str], None]
 ) -> tuple[Trial, Judgement]:
     """The trial after its gates, and what the last of them said; figures go into the log."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.fit import Fitted, fit
-from spiral.engine.sensitivities import driven, run_windows
-from spiral.engine.start import motion
+from spiral.engine.sensitivities import drive_effect_states, run_windows
+from spiral.engine.start import smoothed_motion
 from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
-from spiral.engine.windows import cut, stage_lengths
+from spiral.engine.windows import cut_windows, stage_lengths
 from spiral.types.record import Array
 
 _RUNAWAY = 100.0
@@ -29,7 +29,9 @@ class Stage:
 
 def layouts_for(study: CompiledStudy, length: int, masks: tuple[Array | None, ...]) -> Layouts:
     """Windows of one length in every record."""
-    return tuple(cut(s.samples, length, m) for s, m in zip(study.series, masks, strict=True))
+    return tuple(
+        cut_windows(s.samples, length, m) for s, m in zip(study.series, masks, strict=True)
+    )
 
 
 def lengths_for(study: CompiledStudy, block: int) -> list[int]:
@@ -47,26 +49,30 @@ def first_starts(
     """
     rows = zip(study.series, layouts, strict=True)
     return tuple(
-        driven(study, record, motion(study, series, window).states, values[record])[layout.starts]
+        drive_effect_states(
+            study, record, smoothed_motion(study, series, window).states, values[record]
+        )[layout.starts]
         for record, (series, layout) in enumerate(rows)
     )
 
 
-def carried_starts(study: CompiledStudy, stage: Stage, layouts: Layouts) -> tuple[Array, ...]:
+def transfer_window_starts(
+    study: CompiledStudy, stage: Stage, layouts: Layouts
+) -> tuple[Array, ...]:
     """States of a stage's fitted windows at the samples where other windows begin.
 
     A sample before the stage's first window takes the state that window starts with.
     """
-    found = []
+    starts = []
     for record, (layout, old) in enumerate(zip(layouts, stage.layouts, strict=True)):
         reach = np.diff(np.append(old.starts, study.series[record].samples))
         covering = replace(old, lengths=np.maximum(reach, old.lengths))
         states, _ = run_windows(study, record, covering, stage.fitted.point)
-        found.append(states[np.maximum(layout.starts, old.starts[0])])
-    return tuple(found)
+        starts.append(states[np.maximum(layout.starts, old.starts[0])])
+    return tuple(starts)
 
 
-def _ran_away(before: Fitted, after: Fitted, columns: ParameterColumns) -> bool:
+def _has_run_away(before: Fitted, after: Fitted, columns: ParameterColumns) -> bool:
     """Whether a parameter that was well determined has moved by a factor of a hundred.
 
     A model that cannot follow long windows may flee to where its input no longer matters (an
@@ -80,7 +86,7 @@ def _ran_away(before: Fitted, after: Fitted, columns: ParameterColumns) -> bool:
     return bool(np.any(np.abs(new[firm]) > _RUNAWAY * np.abs(old[firm])))
 
 
-def grow(
+def grow_windows(
     study: CompiledStudy,
     values: Array,
     columns: ParameterColumns,
@@ -105,10 +111,10 @@ def grow(
             if first is not None:
                 starts = fit(study, layouts, Point(values, starts), *first).point.starts
         else:
-            starts = carried_starts(study, stage, layouts)
+            starts = transfer_window_starts(study, stage, layouts)
             values = stage.fitted.point.values
         fitted = fit(study, layouts, Point(values, starts), columns, bounds)
-        if stage is not None and _ran_away(stage.fitted, fitted, columns):
+        if stage is not None and _has_run_away(stage.fitted, fitted, columns):
             fitted = replace(fitted, converged=False)
         stage = Stage(length, layouts, fitted)
         yield stage

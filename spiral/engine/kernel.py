@@ -25,7 +25,7 @@ _I1 = types.int64[::1]
     error_model="numpy",
     fastmath={"contract", "reassoc"},
 )
-def slope_of(
+def sensitivity_rates(
     a: np.ndarray, b: np.ndarray, columns: np.ndarray, s: np.ndarray, out: np.ndarray
 ) -> None:
     """out = A S + [0 | B[:, columns]]; structural zeros of A are skipped."""
@@ -43,7 +43,7 @@ def slope_of(
 
 
 @nb.njit(types.void(_F2, _I1, _I1, _F2, types.int64), cache=True, nogil=True)
-def _correct(
+def _add_correction_columns(
     b: np.ndarray, phase: np.ndarray, first: np.ndarray, basis: np.ndarray, at: int
 ) -> None:
     """Columns of the phase correction: that of the phase origin times each spline."""
@@ -82,7 +82,7 @@ def _correct(
     error_model="numpy",
     fastmath={"contract"},
 )
-def advance(
+def advance_windows(
     rate, output, x, s, starts, length, p, columns, phase, first, basis, inputs, substeps, dt, y,
     weight, rows,
 ):  # fmt: skip
@@ -131,7 +131,7 @@ def advance(
         for k in range(length):
             sample = starts[w] + k
             output(xw, inputs[sample * 2 * substeps], p, h, cx, cp)
-            _correct(cp, phase, first, basis, sample * 2 * substeps)
+            _add_correction_columns(cp, phase, first, basis, sample * 2 * substeps)
             for j in range(channels):
                 scale = weight[sample, j]
                 row = rows[w, k * channels + j]
@@ -165,8 +165,8 @@ def advance(
                         for c in range(width):
                             ss[i, c] = sw[i, c] + point * step * slope[i, c]
                     rate(xs, inputs[at + (stage + 1) // 2], p, f, a, b)
-                    _correct(b, phase, first, basis, at + (stage + 1) // 2)
-                    slope_of(a, b, columns, ss, slope)
+                    _add_correction_columns(b, phase, first, basis, at + (stage + 1) // 2)
+                    sensitivity_rates(a, b, columns, ss, slope)
                     for i in range(n):
                         total[i] += gain * f[i]
                         for c in range(width):
@@ -261,7 +261,7 @@ def trajectories(rate, output, x, starts, lengths, p, inputs, substeps, dt, stat
     nogil=True,
     error_model="numpy",
 )
-def drive(rate, states, own, p, inputs, substeps, dt):
+def drive_states(rate, states, own, p, inputs, substeps, dt):
     """Fill the columns ``own`` of states (samples, n), integrated along the other columns.
 
     What drives them is taken as linear between samples; the first sample holds their start.

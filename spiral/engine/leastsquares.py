@@ -58,30 +58,30 @@ class Fit:
     @property
     def t(self) -> Array:
         """b / se; 0 for dropped columns."""
-        return ratio(self.b, self.se)
+        return t_values(self.b, self.se)
 
 
-def ratio(b: Array, se: Array) -> Array:
+def t_values(b: Array, se: Array) -> Array:
     """b / se, with 0 where nothing was estimated and infinity where there is no error at all."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.where(np.isinf(se), 0.0, b / se)
-    return np.where(np.isnan(found), 0.0, found)
+        values = np.where(np.isinf(se), 0.0, b / se)
+    return np.where(np.isnan(values), 0.0, values)
 
 
 def triangle(rows: Iterable[Array]) -> tuple[Array, int]:
     """R (k, k) of the QR of stacked blocks (n_i, k), one block in memory at a time; and n."""
-    found: Any = None
+    upper: Any = None
     count = 0
     for block in rows:
         count += len(block)
-        block = _shortened(block)
-        stacked = block if found is None else np.concatenate([found, block])
-        found = np.linalg.qr(stacked, mode="r")
-    short = found.shape[1] - found.shape[0]
-    return (np.pad(found, ((0, short), (0, 0))) if short > 0 else found), count
+        block = _compress_rows(block)
+        stacked = block if upper is None else np.concatenate([upper, block])
+        upper = np.linalg.qr(stacked, mode="r")
+    short = upper.shape[1] - upper.shape[0]
+    return (np.pad(upper, ((0, short), (0, 0))) if short > 0 else upper), count
 
 
-def _shortened(block: Array) -> Array:
+def _compress_rows(block: Array) -> Array:
     """Fewer rows with the same R: pieces that a processor's cache holds, each by its own R."""
     size = max(_PIECE, _TALL * block.shape[1])
     whole = len(block) // size * size
@@ -107,7 +107,7 @@ def solve_triangle(upper: Array, rows: int, columns: tuple[int, ...] | None = No
     if not kept.all():  # factorise again without the dropped ones
         left = np.flatnonzero(kept)
         smaller = solve_triangle(upper, rows, tuple(chosen[i] for i in left))
-        return _widened(smaller, left, kept)
+        return _restore_dropped_columns(smaller, left, kept)
     b = linalg.solve_triangular(r[:k] / scale, target[:k]) / scale if k else np.zeros(0)
     inverse = (
         linalg.solve_triangular(r[:k] / scale, np.eye(k)) / scale[:, None]
@@ -118,7 +118,7 @@ def solve_triangle(upper: Array, rows: int, columns: tuple[int, ...] | None = No
     return Fit(b, inverse, kept, float(rest @ rest), rows)
 
 
-def _widened(smaller: Fit, left: Array, kept: Array) -> Fit:
+def _restore_dropped_columns(smaller: Fit, left: Array, kept: Array) -> Fit:
     b = np.zeros(len(kept))
     b[left] = smaller.b
     inverse = np.zeros((len(kept), smaller.inverse.shape[1]))
@@ -157,12 +157,12 @@ def variance_inflation(x: Array) -> Array:
     norms = np.linalg.norm(centred, axis=0)
     scaled = centred / np.where(norms > 0, norms, 1.0)
     upper, rows = triangle([np.column_stack([scaled, np.zeros(len(x))])])
-    found = np.empty(x.shape[1])
+    factors = np.empty(x.shape[1])
     for j in range(x.shape[1]):
         others = tuple(i for i in range(x.shape[1]) if i != j)
         part = solve_triangle(np.column_stack([upper[:, :-1], upper[:, j]]), rows, others)
-        found[j] = 1.0 / part.rss if norms[j] > 0 and part.rss > 1e-15 else np.inf
-    return found
+        factors[j] = 1.0 / part.rss if norms[j] > 0 and part.rss > 1e-15 else np.inf
+    return factors
 
 
 def adjusted_r2(y: Array, fit: Fit) -> float:

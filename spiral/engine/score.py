@@ -24,7 +24,7 @@ from spiral.types.record import Array
 MINIMUM_BLOCKS = 40
 MOST_BLOCKS = 512  # keeps memory bounded whatever the record's length
 _RANK = 1e-7
-_NOTHING = 1e-30  # of the largest column of a group: far beyond what units make between two
+_NOTHING = 1e-30  # share of a group's largest column: less than units can account for
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,11 @@ class ScoreTable:
     blocks: Array
 
 
-def tabulate(reduction: Reduction, active: int) -> ScoreTable:
+def build_score_table(reduction: Reduction, active: int) -> ScoreTable:
     """Project the first ``active`` columns out of all others."""
     triangle = reduction.triangle
     norms = np.linalg.norm(triangle[:, :-1], axis=0)
-    blocks = _without_active(reduction, active)
+    blocks = _project_out_active(reduction, active)
     inner = triangle[active:, active:]
     rest = float(inner[:, -1] @ inner[:, -1])
     dof = reduction.samples - reduction.nuisances - active
@@ -75,7 +75,7 @@ def tabulate(reduction: Reduction, active: int) -> ScoreTable:
     )  # fmt: skip
 
 
-def _without_active(reduction: Reduction, active: int) -> Array:
+def _project_out_active(reduction: Reduction, active: int) -> Array:
     """Gram blocks in coordinates where active columns are projected out of the others and r."""
     blocks = reduction.blocks
     if not len(blocks) or active == 0:
@@ -97,7 +97,7 @@ def score(table: ScoreTable, columns: tuple[int, ...], one_sided: tuple[bool, ..
     """
     kept = list(columns)
     while True:
-        group = projected(table, kept)
+        group = project_group(table, kept)
         wrong = [
             c
             for c, d in zip(kept, group.step, strict=True)
@@ -114,7 +114,7 @@ def score(table: ScoreTable, columns: tuple[int, ...], one_sided: tuple[bool, ..
     rest = max(table.rest - group.gain, 1e-300)
     statistic = (group.gain / q) / (rest / dof)
     log_p = log_tail(statistic, q, dof)
-    wald, wald_log_p = _wald(table, kept, group)
+    wald, wald_log_p = _wald_statistic(table, kept, group)
     if 0 < len(table.blocks) < MINIMUM_BLOCKS // 2:
         wald, wald_log_p = statistic, log_p  # too short for a robust test; the gates remain
     return Score(
@@ -146,7 +146,7 @@ class ProjectedGroup:
     basis: Array
 
 
-def projected(table: ScoreTable, kept: list[int]) -> ProjectedGroup:
+def project_group(table: ScoreTable, kept: list[int]) -> ProjectedGroup:
     """Step, gain and independent directions of some columns; rank 0 where nothing is left."""
     none = ProjectedGroup(np.zeros(len(kept)), 0.0, 1.0, 0, np.zeros((len(kept), 0)))
     if not kept:
@@ -167,7 +167,9 @@ def projected(table: ScoreTable, kept: list[int]) -> ProjectedGroup:
     return ProjectedGroup(basis @ along, float(along @ along), alias, int(large.sum()), basis)
 
 
-def _wald(table: ScoreTable, kept: list[int], group: ProjectedGroup) -> tuple[float, float]:
+def _wald_statistic(
+    table: ScoreTable, kept: list[int], group: ProjectedGroup
+) -> tuple[float, float]:
     """Robust Wald statistic over q, and the log of its p-value (Hotelling, blocks as cases)."""
     blocks = table.blocks
     count, q = len(blocks), group.rank
@@ -225,7 +227,7 @@ def block_samples(correlation: int, counted: int) -> int:
     return int(min(wanted, 2 ** int(np.log2(most))))
 
 
-def block_for(residual: tuple[Array, ...]) -> int:
+def residual_block_samples(residual: tuple[Array, ...]) -> int:
     """Samples in a block over which these residuals are no longer alike."""
     counted = sum(int(np.any(r != 0, axis=1).sum()) for r in residual)
     return block_samples(correlation_samples(residual), counted)

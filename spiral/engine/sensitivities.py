@@ -14,15 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.engine.elimination import (
-    eliminate,
-    grams,
-    merged,
-    project,
-    scattered,
-    scattered_blocks,
+    eliminate_initial_states,
+    gram_matrices,
+    merge_blocks,
+    project_gram_matrices,
+    scatter_blocks,
+    scatter_columns,
     triangle_of,
 )
-from spiral.engine.kernel import advance, drive, trajectories
+from spiral.engine.kernel import advance_windows, drive_states, trajectories
 from spiral.engine.series import Series
 from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
 from spiral.engine.threads import THREADS
@@ -77,13 +77,13 @@ class _Reduced:
     rank: int
 
     @classmethod
-    def diverged(cls) -> _Reduced:
+    def diverged_batch(cls) -> _Reduced:
         """A batch whose model did not stay finite."""
         none = np.zeros((0, 0))
         return cls(none, none, none, np.inf, 0)
 
 
-def reduce(
+def reduce_windows(
     study: CompiledStudy, layouts: Layouts, point: Point, columns: ParameterColumns, block: int = 0
 ) -> Reduction:
     """Integrate all windows with sensitivities and reduce them.
@@ -93,38 +93,38 @@ def reduce(
     columns : the parameters differentiated.
     block : samples in a Gram block; 0 makes none.
     """
-    point.fits(study)
+    point.check_study(study)
     weights = [s.weight(layout.mask) for s, layout in zip(study.series, layouts, strict=True)]
-    batches = list(_batches(layouts))
+    batches = list(_window_batches(layouts))
 
     grids = [study.inputs(r, row) for r, row in enumerate(point.values)]
 
-    def work(batch: _Batch) -> _Reduced:
+    def reduce_batch(batch: _Batch) -> _Reduced:
         weight, grid = weights[batch.record], grids[batch.record]
         return _reduce_batch(study, layouts, point, columns, batch, weight, grid, block)
 
-    results = list(zip(batches, _parallel(work, batches), strict=True))
+    results = list(zip(batches, _map_batches(reduce_batch, batches), strict=True))
     width, n = columns.count + 1, study.state_count
     samples = int(sum(np.count_nonzero(w) for w in weights))
     elimination = tuple(np.zeros((len(x), n, width)) for x in point.starts)
     priors = (curvature_prior(study, columns, point.values), columns.prior(point.values))
     prior = np.concatenate(priors)
-    cost = sum(found.cost for _, found in results) + float(np.sum(prior[:, -1] ** 2))
+    cost = sum(reduced.cost for _, reduced in results) + float(np.sum(prior[:, -1] ** 2))
     if not np.isfinite(cost):
         empty = np.zeros((0, width, width))
         return Reduction(np.zeros((width, width)), np.inf, samples, 0, elimination, empty)
     parts, blocks = [prior], []
-    for batch, found in results:
+    for batch, reduced in results:
         seen = np.append(columns.local(batch.record), width - 1)
         at = np.ix_(batch.windows, np.arange(n), seen)
-        elimination[batch.record][at] = found.eliminated
-        parts.append(triangle_of(scattered(found.rows, seen, width)))
-        blocks.append(scattered_blocks(found.grams, seen, width))
+        elimination[batch.record][at] = reduced.eliminated
+        parts.append(triangle_of(scatter_columns(reduced.rows, seen, width)))
+        blocks.append(scatter_blocks(reduced.grams, seen, width))
     return Reduction(
         triangle=triangle_of(np.concatenate(parts)),
         cost=cost,
         samples=samples,
-        nuisances=sum(found.rank for _, found in results),
+        nuisances=sum(reduced.rank for _, reduced in results),
         elimination=elimination,
         blocks=np.concatenate(blocks),
     )
@@ -149,21 +149,21 @@ def curvature_prior(study: CompiledStudy, columns: ParameterColumns, values: Arr
 
 def residuals(study: CompiledStudy, layouts: Layouts, point: Point) -> tuple[Array, ...]:
     """Weighted residuals (samples, channels) of each record; zero where nothing counts."""
-    found = []
+    weighted = []
     for record, (series, layout) in enumerate(zip(study.series, layouts, strict=True)):
         states, readings = run_windows(study, record, layout, point)
         weight = series.weight(layout.mask)
         written = np.isfinite(readings) if np.isfinite(states[layout.starts]).all() else True
         with np.errstate(invalid="ignore", over="ignore"):
-            found.append(np.where(written & (weight > 0), weight * (series.y - readings), 0.0))
-    return tuple(found)
+            weighted.append(np.where(written & (weight > 0), weight * (series.y - readings), 0.0))
+    return tuple(weighted)
 
 
 def run_windows(
     study: CompiledStudy, record: int, layout: WindowLayout, point: Point
 ) -> tuple[Array, Array]:
     """States and readings of one record, window by window; infinite throughout on divergence."""
-    point.fits(study)
+    point.check_study(study)
     series = study.series[record]
     states = np.full((series.samples, study.state_count), np.nan)
     readings = np.full_like(series.y, np.nan)
@@ -178,32 +178,32 @@ def run_windows(
     return states, readings
 
 
-def driven(study: CompiledStudy, record: int, states: Array, row: Array) -> Array:
-    """States (samples, n) of a record with those that effects bring driven by the others.
+def drive_effect_states(study: CompiledStudy, record: int, states: Array, row: Array) -> Array:
+    """States (samples, n) of a record, those that effects bring integrated along all others.
 
     They begin at zero; where one of them runs away they are left at zero.
     """
     own = study.own
     if not len(own):
         return states
-    series, found = study.series[record], np.ascontiguousarray(states)
-    ok = drive(
-        study.compiled.rate_value, found, own, np.ascontiguousarray(row[None, :]),
+    series, filled = study.series[record], np.ascontiguousarray(states)
+    ok = drive_states(
+        study.compiled.rate_value, filled, own, np.ascontiguousarray(row[None, :]),
         study.inputs(record, row), series.substeps, series.dt,
     )  # fmt: skip
     if not ok:
-        found[:, own] = 0.0
-    return found
+        filled[:, own] = 0.0
+    return filled
 
 
-def _parallel(work, batches: list[_Batch]) -> list:
+def _map_batches(work, batches: list[_Batch]) -> list:
     if len(batches) < 2 * THREADS:
         return [work(batch) for batch in batches]
     with ThreadPoolExecutor(THREADS) as pool:
         return list(pool.map(work, batches))
 
 
-def _batches(layouts: Layouts) -> Iterator[_Batch]:
+def _window_batches(layouts: Layouts) -> Iterator[_Batch]:
     for record, layout in enumerate(layouts):
         for length in np.unique(layout.lengths):
             same = np.flatnonzero(layout.lengths == length)
@@ -212,7 +212,7 @@ def _batches(layouts: Layouts) -> Iterator[_Batch]:
                 yield _Batch(record, same[first : first + group], int(length))
 
 
-def _advance(
+def _advance_batch(
     study: CompiledStudy,
     series: Series,
     grid: Array,
@@ -226,7 +226,7 @@ def _advance(
     rows: Array,
 ) -> bool:
     splines = series.splines
-    return advance(
+    return advance_windows(
         study.compiled.rate, study.compiled.output, x, s, np.ascontiguousarray(starts), length,
         np.ascontiguousarray(values), local, study.phase, splines.first, splines.weights, grid,
         series.substeps, series.dt, series.y, weight, rows,
@@ -260,16 +260,16 @@ def _reduce_batch(
         rows = np.empty((count, piece * channels, width))
         values = point.values[batch.record]
         at = starts + first
-        ok = _advance(study, series, grid, x, s, at, piece, values, local, weight, rows)
+        ok = _advance_batch(study, series, grid, x, s, at, piece, values, local, weight, rows)
         if not ok or not np.isfinite(rows).all():
-            return _Reduced.diverged()
+            return _Reduced.diverged_batch()
         cost += float(np.sum(rows[:, :, -1] ** 2))
         if block:
-            raw.append(grams(rows, block * channels))
+            raw.append(gram_matrices(rows, block * channels))
         triangle = triangle_of(np.concatenate([triangle, rows], axis=1))
-    left, eliminated, rank = eliminate(triangle, n)
+    left, eliminated, rank = eliminate_initial_states(triangle, n)
     kept = np.zeros((0, width - n, width - n))
     if block:
-        projected = project(np.concatenate(raw, axis=1), eliminated)
-        kept = merged(projected, block, batch.length)
+        projected = project_gram_matrices(np.concatenate(raw, axis=1), eliminated)
+        kept = merge_blocks(projected, block, batch.length)
     return _Reduced(left, eliminated, kept, cost, rank)

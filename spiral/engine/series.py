@@ -46,8 +46,8 @@ class Series:
     ``y`` (samples, channels), ``sigma`` (channels,), ``inputs`` ((samples - 1) * 2 * substeps + 1,
     input columns) on the half-step grid of the integrator, ``dt`` in s; ``held`` are columns whose
     value stays from one sample to the next. ``seen`` (samples, channels) is False where a reading
-    is no measurement (``y`` is bridged there), or nothing where all are; ``growth`` is the record's
-    for each channel.
+    is no measurement (``y`` is bridged there), or nothing where all are; ``growth`` by channel is
+    (centre, height, mean) of a noise variance that grows with the reading (``grown``).
     """
 
     record: Record
@@ -66,7 +66,7 @@ class Series:
         """Number of samples."""
         return self.y.shape[0]
 
-    def smoothed(self, window: int) -> tuple[Array, ...]:
+    def smooth_readings(self, window: int) -> tuple[Array, ...]:
         """Local cubics through the readings: value, first and second derivative.
 
         The last window's are kept, because one fit after another begins with them.
@@ -102,30 +102,30 @@ class Series:
         On the half-step grid a step shares its end with the start of the next, where a held value
         jumps; here each step has its own. Those of the record's own grid are kept.
         """
-        return self._own_stages if grid is self.inputs else self._staged(grid)
+        return self._own_stages if grid is self.inputs else self._stage_inputs(grid)
 
     @cached_property
     def _own_stages(self) -> Array:
-        return self._staged(self.inputs)
+        return self._stage_inputs(self.inputs)
 
-    def _staged(self, grid: Array) -> Array:
-        found = np.empty((3 * (len(grid) // 2), grid.shape[1]))
-        found[0::3], found[1::3], found[2::3] = grid[:-1:2], grid[1::2], grid[2::2]
+    def _stage_inputs(self, grid: Array) -> Array:
+        stages = np.empty((3 * (len(grid) // 2), grid.shape[1]))
+        stages[0::3], stages[1::3], stages[2::3] = grid[:-1:2], grid[1::2], grid[2::2]
         for column in self.held:
-            found[0::3, column] = found[2::3, column] = grid[1::2, column]
-        return found
+            stages[0::3, column] = stages[2::3, column] = grid[1::2, column]
+        return stages
 
     @cached_property
     def grown(self) -> Array | None:
-        """(samples, channels) shares of the noise's variance where it grows with the reading."""
+        """(samples, channels) factors (1 + ((y - c) / h)^2) / m of the noise variance."""
         if not any(self.growth):
             return None
-        found, smooth = np.ones_like(self.y), self.smoothed(min(_SMOOTH, self.samples))[0]
+        shares, smooth = np.ones_like(self.y), self.smooth_readings(min(_SMOOTH, self.samples))[0]
         for j, growth in enumerate(self.growth):
             if growth is not None:
                 centre, height, mean = growth
-                found[:, j] = (1 + ((smooth[:, j] - centre) / height) ** 2) / mean
-        return found
+                shares[:, j] = (1 + ((smooth[:, j] - centre) / height) ** 2) / mean
+        return shares
 
     def weight(self, mask: Array | None) -> Array:
         """(samples, channels): 1/sigma where the mask holds, else 0."""
@@ -137,29 +137,29 @@ class Series:
         return weight
 
 
-def prepare(system: System, record: Record, substeps: int, knot: float = 0.0) -> Series:
-    """Make the arrays of a record; inputs run between samples as it says, else as the system's do.
+def prepare_series(system: System, record: Record, substeps: int, knot: float = 0.0) -> Series:
+    """The arrays of a record; inputs between samples as the record says, else as the system does.
 
     ``knot`` (s) spaces the knots of a smooth phase correction, which a record gets where its phase
-    was integrated from a measured speed; 0 makes none. Arrays that are still in use, and small
-    ones among the last, are not made a second time.
+    was integrated from a measured speed; 0 makes none. Cached: a series that is still in use, or a
+    small one among the last 16, is not built again.
     """
     key = (id(record), system.observed, system.inputs, substeps, knot)
     known = _IN_USE.get(key)
     if known is None or known.record is not record:
-        known = _IN_USE[key] = _prepared(system, record, substeps, knot)
+        known = _IN_USE[key] = _build_series(system, record, substeps, knot)
         if known.inputs.size <= _SMALL:
             _LAST.append(known)
     return known
 
 
 _IN_USE: WeakValueDictionary[Any, Series] = WeakValueDictionary()
-"""Series by what they were made of, as long as anybody holds them."""
+"""Cache of series by their arguments, as long as something refers to them."""
 _LAST: deque[Series] = deque(maxlen=16)
-_SMALL = 2**20  # values of inputs up to which one of the last is held: 8 MB, 128 MB for all
+_SMALL = 2**20  # input values up to which a series stays in _LAST: 8 MB each, 128 MB in all
 
 
-def _prepared(system: System, record: Record, substeps: int, knot: float) -> Series:
+def _build_series(system: System, record: Record, substeps: int, knot: float) -> Series:
     derived = [i.name for i in system.inputs if i.derived_from in record.measured]
     wanted = knot > 0 and "phase" in derived and "phase" not in record.measured
     sigma = record.sigma()
@@ -170,14 +170,14 @@ def _prepared(system: System, record: Record, substeps: int, knot: float) -> Ser
         inputs=half_step_inputs(system, record, substeps),
         dt=record.dt,
         substeps=substeps,
-        splines=splines(record, substeps, knot if wanted else 0.0),
+        splines=correction_splines(record, substeps, knot if wanted else 0.0),
         held=tuple(k for k, i in enumerate(system.inputs) if record.between(i) == "zero_order"),
-        seen=seen_readings(record, system.observed),
+        seen=measured_mask(record, system.observed),
         growth=tuple(record.growth.get(c) for c in system.observed),
     )
 
 
-def seen_readings(record: Record, channels: Sequence[str]) -> Array | None:
+def measured_mask(record: Record, channels: Sequence[str]) -> Array | None:
     """(samples, channels) False where a reading is no measurement; nothing where all are."""
     gone = [record.gone(c) for c in channels]
     if all(g is None for g in gone):
@@ -186,7 +186,7 @@ def seen_readings(record: Record, channels: Sequence[str]) -> Array | None:
     return ~np.column_stack([none if g is None else g for g in gone])
 
 
-def splines(record: Record, substeps: int, knot: float) -> Splines:
+def correction_splines(record: Record, substeps: int, knot: float) -> Splines:
     """Cubic B-splines on the half-step grid, knots about ``knot`` seconds apart (at most 60)."""
     from scipy.interpolate import BSpline
 
@@ -209,7 +209,7 @@ def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
     coarse = np.arange(record.samples, dtype=float)
     fine = np.arange(count) / (2.0 * substeps)
     columns = [
-        between_samples(record.inputs[i.name], coarse, fine, record.between(i), substeps)
+        interpolate_input(record.inputs[i.name], coarse, fine, record.between(i), substeps)
         for i in system.inputs
     ]
     columns += [
@@ -221,10 +221,10 @@ def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
     return np.ascontiguousarray(np.column_stack(columns))
 
 
-def between_samples(values: Array, coarse: Array, fine: Array, how: str, substeps: int) -> Array:
+def interpolate_input(values: Array, coarse: Array, fine: Array, how: str, substeps: int) -> Array:
     """An input on the half-step grid, run between its samples as ``Input.interpolation`` says."""
     if how == "zero_order":
-        return held_values(values, substeps)
+        return zero_order_hold(values, substeps)
     if how == "linear":
         return np.interp(fine, coarse, values)
     if how == "band_limited":
@@ -237,7 +237,7 @@ def between_samples(values: Array, coarse: Array, fine: Array, how: str, substep
     return CubicSpline(coarse, values)(fine)
 
 
-def held_values(values: Array, substeps: int) -> Array:
+def zero_order_hold(values: Array, substeps: int) -> Array:
     """Each value until the next one; at the jump the mean of both, which keeps the integral.
 
     A Runge-Kutta step weighs its two ends alike: with the later value there, every step would begin
@@ -256,7 +256,9 @@ def rate_per_sample(values: Array, coarse: Array, fine: Array) -> Array:
     """
     from scipy.interpolate import make_lsq_spline
 
-    noise = estimate_noise(values) if len(values) > 12 else 0.0  # of so high differences
+    noise = (
+        estimate_noise(values) if len(values) > 12 else 0.0
+    )  # the estimate is of high-order differences
     most = max(2.0 * noise, 1e-6 * np.std(values))
     spacing = SPEED_RATE_KNOTS
     while True:

@@ -18,7 +18,7 @@ class Stopped(BaseException):
 
 
 class Signals:
-    """Within it the first SIGINT or SIGTERM raises ``Stopped``; a second acts as it used to.
+    """Within it the first SIGINT or SIGTERM raises ``Stopped``; a second acts as without it.
 
     Only the main thread can listen; elsewhere nothing changes.
     """
@@ -33,7 +33,7 @@ class Signals:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
                 if signal.getsignal(number) is not signal.SIG_IGN:
-                    self._before[number] = signal.signal(number, self._hear)
+                    self._before[number] = signal.signal(number, self._handle_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -41,8 +41,8 @@ class Signals:
         self._restore()
 
     @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """What is inside is done to its end first."""
+    def defer_signals(self) -> Iterator[None]:
+        """Defer a signal until the block has ended, then raise ``Stopped``."""
         self._held = True
         try:
             yield
@@ -50,7 +50,7 @@ class Signals:
             self._held = False
         self._raise()
 
-    def _hear(self, number: int, _: object) -> None:
+    def _handle_signal(self, number: int, _: object) -> None:
         self._waiting = number
         self._restore()
         if not self._held:

@@ -33,42 +33,42 @@ class Motion:
     acceleration: Array
 
 
-def motion(study: CompiledStudy, series: Series, window: int) -> Motion:
+def smoothed_motion(study: CompiledStudy, series: Series, window: int) -> Motion:
     """Local polynomials of degree 3 (Savitzky-Golay) through the measured coordinates.
 
-    A coordinate whose acceleration is measured is that, integrated twice, less cubics in time. A
-    state of which nothing is measured is taken as zero, or as the measured one, or the input, that
-    it is said to be like.
+    A coordinate of which only the acceleration is measured is that integrated twice, cubics in time
+    removed. A state without a measurement is zero, or the measured state or the input that it is
+    declared ``like``.
     """
     traced = study.compiled.traced
     states = np.zeros((series.samples, len(traced.states)))
     acceleration = np.zeros((series.samples, len(traced.acceleration)))
-    smooth = series.smoothed(window)
+    smooth = series.smooth_readings(window)
     for name, channel in traced.shown.items():
         states[:, traced.states.index(name)] = smooth[0][:, channel]
         if traced.rate_name(name) in traced.states:
             states[:, traced.states.index(traced.rate_name(name))] = smooth[1][:, channel]
             acceleration[:, traced.states.index(name)] = smooth[2][:, channel]
     for name, channel in traced.accelerated.items():
-        rate = _integrated(smooth[0][:, channel], series)
+        rate = _integrate_rate(smooth[0][:, channel], series)
         states[:, traced.states.index(traced.rate_name(name))] = rate
-        states[:, traced.states.index(name)] = _integrated(rate, series)
+        states[:, traced.states.index(name)] = _integrate_rate(rate, series)
         acceleration[:, traced.states.index(name)] = smooth[0][:, channel]
-    follow(traced, states, series.inputs[:: 2 * series.substeps])
+    fill_like_states(traced, states, series.inputs[:: 2 * series.substeps])
     return Motion(states, acceleration)
 
 
-def _integrated(rate: Array, series: Series) -> Array:
-    """A rate integrated by trapezes, less the cubic in time that what is unknown of it leaves."""
+def _integrate_rate(rate: Array, series: Series) -> Array:
+    """Trapezoidal integral of a rate, less its cubic in time (unknown start values and drift)."""
     from scipy.integrate import cumulative_trapezoid
 
-    found = cumulative_trapezoid(rate, dx=series.dt, initial=0.0)
-    time = np.linspace(-1.0, 1.0, len(found))
-    return found - np.polynomial.Polynomial.fit(time, found, 3)(time)
+    integral = cumulative_trapezoid(rate, dx=series.dt, initial=0.0)
+    time = np.linspace(-1.0, 1.0, len(integral))
+    return integral - np.polynomial.Polynomial.fit(time, integral, 3)(time)
 
 
-def follow(traced: Traced, states: Array, inputs: Array) -> None:
-    """Set states (..., n) to the measured ones, or inputs (..., columns), that they are like."""
+def fill_like_states(traced: Traced, states: Array, inputs: Array) -> None:
+    """Copy into states (..., n) the measured state or input (..., columns) each is ``like``."""
     for name, shown in traced.like:
         if shown not in (*traced.inputs, *traced.states):  # a reading that is no state
             continue
@@ -97,31 +97,32 @@ class Balance:
     rows: int
 
 
-def balances(traced: Traced) -> bool:
+def has_balance(traced: Traced) -> bool:
     """Whether forces can be balanced: a mechanical model all of whose coordinates are measured.
 
-    Their accelerations will do as well. A program tells accelerations at given values alone.
+    Measured accelerations will do as well. An outside program has no balance: it only returns
+    accelerations at given values.
     """
     coordinates = {n for n in traced.states if traced.rate_name(n) in traced.states}
     known = not any(sp.sympify(row).has(ProgramValue) for row in traced.balance)
     return bool(traced.balance) and known and coordinates <= {*traced.shown, *traced.accelerated}
 
 
-def balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> Balance:
+def prepare_balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> Balance:
     """Prepare the balance of a model traced without its candidates.
 
     Raises
     ------
     ConfigError : a parameter without a start, of a program or where coordinates are hidden.
     """
-    if not balances(traced):
+    if not has_balance(traced):
         raise ConfigError(
             f"no value for {', '.join(unknown)}",
             "a start for every parameter of a system with hidden coordinates, or of a program",
             f"give one: values='{{{unknown[0]}: 1.0}}'",
         )
     origin = "system.phase_origin" if "system.phase_origin" in traced.keys else None
-    columns, rest, turning = _linear(traced, unknown, origin)
+    columns, rest, turning = _linear_balance(traced, unknown, origin)
     return Balance(
         unknown=tuple(study.index(k) for k in unknown),
         origin=study.index(origin) if origin else None,
@@ -135,7 +136,7 @@ def balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> B
 
 
 @kept(32)
-def _linear(
+def _linear_balance(
     traced: Traced, unknown: tuple[str, ...], origin: str | None
 ) -> tuple[Callable[..., list[Any]], Callable[..., list[Any]], int | None]:
     """Columns of the unknowns, the rest, and which unknown turns."""
@@ -144,16 +145,16 @@ def _linear(
     rest = sp.Matrix(traced.balance).subs(dict.fromkeys(symbols, 0))
     arguments = [*traced.x, *traced.u, *traced.p, *traced.acceleration]
     made = [sp.lambdify(arguments, list(part), "numpy", cse=True) for part in (linear, rest)]
-    return made[0], made[1], _turning(traced, linear, origin)
+    return made[0], made[1], _turning_unknown(traced, linear, origin)
 
 
-def _turning(traced: Traced, linear: sp.Matrix, origin: str | None) -> int | None:
+def _turning_unknown(traced: Traced, linear: sp.Matrix, origin: str | None) -> int | None:
     """The one unknown whose column turns with the phase origin, if there is just one."""
     if origin is None:
         return None
     symbol = traced.p[traced.keys.index(origin)]
-    found = [j for j in range(linear.cols) if symbol in linear.col(j).free_symbols]
-    return found[0] if len(found) == 1 else None
+    matches = [j for j in range(linear.cols) if symbol in linear.col(j).free_symbols]
+    return matches[0] if len(matches) == 1 else None
 
 
 def first_values(study: CompiledStudy, equations: Balance, values: Array, window: int) -> Array:
@@ -163,7 +164,7 @@ def first_values(study: CompiledStudy, equations: Balance, values: Array, window
     phase was not measured have a pair of their own, because their angles have nothing in common.
     """
     parts = [
-        _equations(equations, series, motion(study, series, window), row, window)
+        _balance_rows(equations, series, smoothed_motion(study, series, window), row, window)
         for series, row in zip(study.series, values, strict=True)
     ]
     target = np.concatenate([t for _, t in parts])
@@ -173,7 +174,10 @@ def first_values(study: CompiledStudy, equations: Balance, values: Array, window
     if turning is not None:
         pairs = max(group) + 1
         matrix = np.concatenate(
-            [_own_pair(m, turning, g, pairs) for (m, _), g in zip(parts, group, strict=True)]
+            [
+                _expand_turning_pair(m, turning, g, pairs)
+                for (m, _), g in zip(parts, group, strict=True)
+            ]
         )
     solution = _scaled_least_squares(matrix, target)
     new = values.copy()
@@ -201,7 +205,7 @@ def angle_groups(study: CompiledStudy) -> list[int]:
     return groups
 
 
-def _own_pair(matrix: Array, turning: int, group: int, pairs: int) -> Array:
+def _expand_turning_pair(matrix: Array, turning: int, group: int, pairs: int) -> Array:
     """One record's rows with its turning column and quadrature moved to its group's pair."""
     steady = np.delete(matrix[:, :-1], turning, axis=1)
     wide = np.zeros((len(matrix), 2 * pairs))
@@ -210,14 +214,14 @@ def _own_pair(matrix: Array, turning: int, group: int, pairs: int) -> Array:
     return np.concatenate([steady, wide], axis=1)
 
 
-def _equations(
+def _balance_rows(
     equations: Balance, series: Series, moving: Motion, row: Array, window: int
 ) -> tuple[Array, Array]:
     """Rows (samples * coordinates) of the regression of one record, its ends left out."""
     u = series.inputs[:: 2 * series.substeps]
     edge = slice(window, -window)
 
-    def at(function: Callable[..., list[Any]], shift: float, width: int) -> Array:
+    def evaluate_rows(function: Callable[..., list[Any]], shift: float, width: int) -> Array:
         shifted = row.copy()
         if equations.origin is not None:
             shifted[equations.origin] += shift
@@ -228,11 +232,11 @@ def _equations(
         return np.moveaxis(flat.reshape(equations.rows, width, -1), -1, 0).reshape(-1, width)
 
     count = len(equations.unknown)
-    matrix = at(equations.columns, 0.0, count)
+    matrix = evaluate_rows(equations.columns, 0.0, count)
     if equations.turning is not None:
-        quadrature = at(equations.columns, np.pi / 2, count)[:, [equations.turning]]
+        quadrature = evaluate_rows(equations.columns, np.pi / 2, count)[:, [equations.turning]]
         matrix = np.concatenate([matrix, quadrature], axis=1)
-    return matrix, -at(equations.rest, 0.0, 1)[:, 0]
+    return matrix, -evaluate_rows(equations.rest, 0.0, 1)[:, 0]
 
 
 def _scaled_least_squares(matrix: Array, target: Array) -> Array:

@@ -104,6 +104,6 @@ def _block_sums(values: Array, block: int) -> Array:
     return np.add.reduceat(values, edges)
 
 
-def spent(level: float, round_number: int) -> float:
-    """What a round (from 1) may spend of a study's level: 6 / (pi r)^2, summing to one."""
+def round_level(level: float, round_number: int) -> float:
+    """Significance level of round r (from 1): level * 6 / (pi r)^2, all rounds sum to ``level``."""
     return level * 6.0 / (np.pi * round_number) ** 2

@@ -46,7 +46,7 @@ class CompiledStudy:
 
     @property
     def correction_keys(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the coefficients of the phase correction."""
         return tuple(f"{CORRECTION}.{k}" for k in range(self.corrections))
 
     @property
@@ -74,7 +74,7 @@ class CompiledStudy:
 
 @dataclass(frozen=True)
 class Point:
-    """Where a fit stands.
+    """Parameter values and window starts of a fit.
 
     ``values`` (records, parameters): machine parameters are equal in all rows; ``starts``: for
     each record (windows, states), the state at each window's first sample.
@@ -83,8 +83,8 @@ class Point:
     values: Array
     starts: tuple[Array, ...]
 
-    def fits(self, study: CompiledStudy) -> None:
-        """Refuse a point of another study: compiled loops do not look where they write.
+    def check_study(self, study: CompiledStudy) -> None:
+        """Raise for a point of another study: compiled loops check no array bounds.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class ParameterColumns:
         """Global columns that a record sees."""
         return np.flatnonzero((self.record < 0) | (self.record == record))
 
-    def moved(self, values: Array, step: Array) -> Array:
+    def apply_step(self, values: Array, step: Array) -> Array:
         """Values after a step in these columns."""
         new = values.copy()
         for column, delta in enumerate(step):
@@ -131,7 +131,7 @@ class ParameterColumns:
                 new[self.record[column], self.index[column]] += delta
         return new
 
-    def joined(self, values: Array) -> Array:
+    def average_shared_values(self, values: Array) -> Array:
         """Values (records, keys) with one value, the records' mean, where all share a column.
 
         A step moves all rows of a shared column alike: rows which begin apart would stay apart.
@@ -142,7 +142,7 @@ class ParameterColumns:
         return new
 
     def prior(self, values: Array) -> Array:
-        """Rows [J | r] of what holds columns at zero."""
+        """Rows [J | r] of the Gaussian prior at zero on columns of finite ``width``."""
         held = np.zeros(0, dtype=np.int64)
         if self.width is not None:
             held = np.flatnonzero(np.isfinite(self.width))

@@ -22,10 +22,10 @@ def one_blas_thread(step: Callable[P, R]) -> Callable[P, R]:
     """Run a step with BLAS and LAPACK limited to one thread."""
 
     @functools.wraps(step)
-    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+    def run_limited(*args: P.args, **kwargs: P.kwargs) -> R:
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(limits=1, user_api="blas"):
             return step(*args, **kwargs)
 
-    return limited
+    return run_limited

@@ -21,7 +21,7 @@ class WindowLayout:
     mask: Array | None
 
 
-def cut(samples: int, length: int, mask: Array | None = None) -> WindowLayout:
+def cut_windows(samples: int, length: int, mask: Array | None = None) -> WindowLayout:
     """Windows of ``length`` samples that begin where the mask holds.
 
     Windows without a sample that counts are left out; a last window too short to determine

@@ -16,27 +16,27 @@ _STATES = {"observed": "the measured states", "hidden": "the hidden states"}
 _SENSITIVE = 0.3  # error of a free run from which no model is asked to follow the motion
 
 
-def random_of(found: Comparison, *kinds: str) -> dict[str, float]:
-    """What acts at random of some kinds, by name."""
-    return {k: v for k, v in (found.random or {}).items() if k.partition(".")[0] in kinds}
+def random_shares(comparison: Comparison, *kinds: str) -> dict[str, float]:
+    """Shares of what acts at random, by name, of the given kinds (``force``, ``drift``, ...)."""
+    return {k: v for k, v in (comparison.random or {}).items() if k.partition(".")[0] in kinds}
 
 
-def random_forces(found: Comparison) -> dict[str, float]:
+def random_forces(comparison: Comparison) -> dict[str, float]:
     """Forces that act at random beside the model, by name, as shares of the machine's own."""
-    return random_of(found, "force", "gust")
+    return random_shares(comparison, "force", "gust")
 
 
-def coloured_noise(found: Comparison) -> dict[str, float]:
+def coloured_noise(comparison: Comparison) -> dict[str, float]:
     """Noise of sensors that is not white, by name, as shares of what these show."""
-    return random_of(found, *COLOURED)
+    return random_shares(comparison, *COLOURED)
 
 
-def random_sentence(found: Comparison) -> str:
+def random_sentence(comparison: Comparison) -> str:
     """What acts at random beside white noise of the sensors; empty where nothing does."""
     said = []
-    for name, share in (found.random or {}).items():
+    for name, share in (comparison.random or {}).items():
         kind, _, where = name.partition(".")
-        time = found.random_times.get(name)
+        time = comparison.random_times.get(name)
         lasting = "" if time is None else f", correlated over {number(time, 2)} s"
         if kind in ("force", "gust"):
             said.append(
@@ -52,25 +52,28 @@ def random_sentence(found: Comparison) -> str:
             said.append(
                 f"the noise of sensor {where} is not white: {percent(share)} of its motion{lasting}"
             )
-    if random_forces(found) and np.isfinite(found.disturbed):
-        much = found.disturbed >= 1.0
-        share = "all" if much else percent(found.disturbed)
+    if random_forces(comparison) and np.isfinite(comparison.disturbed):
+        much = comparison.disturbed >= 1.0
+        share = "all" if much else percent(comparison.disturbed)
         said.append(f"random forces make {share} of {'a free run' if much else 'the motion'}")
     text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
 
 
-def record_sentence(found: Comparison) -> str:
+def record_sentence(comparison: Comparison) -> str:
     """What of the readings is no measurement, and how the record departs from model and noise."""
     said = (
-        *found.spoilt, *inputs_said(found.between), *found.departures, *_sensitive(found),
-        *_bounded(found.model),
-    )  # fmt: skip
+        *comparison.spoilt,
+        *input_sentences(comparison.between),
+        *comparison.departures,
+        *_sensitivity_sentences(comparison),
+        *_bound_sentences(comparison.model),
+    )
     text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
 
 
-def inputs_said(between: Mapping[str, Interpolation]) -> tuple[str, ...]:
+def input_sentences(between: Mapping[str, Interpolation]) -> tuple[str, ...]:
     """How inputs were found to run between their samples, a sentence for each."""
     said = []
     for name, way in between.items():
@@ -82,8 +85,8 @@ def inputs_said(between: Mapping[str, Interpolation]) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _bounded(model: Model) -> tuple[str, ...]:
-    """Parameters of the system itself that a fit has moved to a bound."""
+def _bound_sentences(model: Model) -> tuple[str, ...]:
+    """A sentence for every parameter of the system itself that a fit has moved to a bound."""
     table, said = model.estimates().get("system", {}), []
     for key, parameter in model.pairs:
         owner, name = key.rsplit(".", 1)
@@ -100,14 +103,17 @@ def _bounded(model: Model) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _sensitive(found: Comparison) -> tuple[str, ...]:
-    """What becomes of a free run where little that is not known grows large, as in chaos.
+def _sensitivity_sentences(comparison: Comparison) -> tuple[str, ...]:
+    """A sentence where uncertain starts and values grow to all of a free run, as in chaos.
 
-    It is not said of one that follows its record all the same.
+    None for a free run that follows its record all the same.
     """
-    lost = found.test_error > 3 * found.noise_floor
-    if not (lost and found.uncertain > max(_SENSITIVE, found.disturbed, 3 * found.noise_floor)):
+    lost = comparison.test_error > 3 * comparison.noise_floor
+    if not (
+        lost
+        and comparison.uncertain > max(_SENSITIVE, comparison.disturbed, 3 * comparison.noise_floor)
+    ):
         return ()
-    made = percent(found.uncertain)
+    made = percent(comparison.uncertain)
     return (f"what is not known of start and values alone makes {made} of a free run: no model "
             "follows such a motion for so long",)  # fmt: skip

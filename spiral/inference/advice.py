@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from spiral.inference.acting import random_forces
-from spiral.inference.nearness import near_noise
+from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Settings
-from spiral.inference.unknown.memory import memory_said
+from spiral.inference.unknown.memory import memory_sentence
 from spiral.inference.verdict import noise_sentence
 from spiral.types.run import Comparison, Round, Stopped, Verdict
 
@@ -37,8 +37,8 @@ def advice_for(
     last = rounds[-1].comparison
     shape = next((r.details["unknown"] for r in reversed(rounds) if "unknown" in r.details), None)
     if shape is not None and stopped != "max_rounds" and "unknown" in rounds[-1].details:
-        return _shape_said(shape)
-    if memory_said(rounds):
+        return _curve_advice(shape)
+    if memory_sentence(rounds):
         return (
             "Offer effects with states of their own (bouc_wen, jenkins, lag), or write one "
             "(spiral new effect NAME)."
@@ -48,12 +48,12 @@ def advice_for(
             "See where the residual lives with `spiral diagnose`, and add an effect of your own "
             "(a file in ./plugins)."
         )
-    return " ".join(s for s in (_ending(verdict, stopped, last, settings),
+    return " ".join(s for s in (_ending_sentence(verdict, stopped, last, settings),
                                 noise_sentence(last, settings)) if s)  # fmt: skip
 
 
-def _shape_said(shape: Mapping[str, Any]) -> str:
-    """What to do with a curve that was found."""
+def _curve_advice(shape: Mapping[str, Any]) -> str:
+    """What to do with a learned curve that explains what is left."""
     how = "settings.learned=true"
     if not shape.get("replaces"):
         how = f"spiral add {shape['effect']} run=latest, or {how}"
@@ -63,9 +63,11 @@ def _shape_said(shape: Mapping[str, Any]) -> str:
     )
 
 
-def _ending(verdict: Verdict, stopped: Stopped, last: Comparison, settings: Settings) -> str:
+def _ending_sentence(
+    verdict: Verdict, stopped: Stopped, last: Comparison, settings: Settings
+) -> str:
     """Why the loop ended."""
-    near = near_noise(last, settings)
+    near = is_near_noise(last, settings)
     if verdict == "nothing_missing":
         beside = " and what acts at random" if random_forces(last) else ""
         return f"The model explains this record down to its noise{beside}."

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from spiral.engine.threads import one_blas_thread
-from spiral.inference.evidence.assembly import assemble, first_row
-from spiral.inference.evidence.comparison import judged, last_stage, prepared, test_run
+from spiral.inference.evidence.assembly import assemble, initial_values
+from spiral.inference.evidence.comparison import (
+    compare_fit,
+    free_run_on_test,
+    last_stage,
+    prepare_study,
+)
 from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.evidence.judge import FreeRun
 from spiral.inference.problem import Problem, Progress, silent
@@ -20,12 +25,14 @@ def compare(problem: Problem, progress: Progress = silent) -> Comparison:
     return strategy_for(problem).compare(problem, progress)
 
 
-def on_windows(problem: Problem, progress: Progress) -> Comparison:
+def compare_on_windows(problem: Problem, progress: Progress) -> Comparison:
     """The model fitted to all samples on growing windows, compared with the test record."""
-    assembly, standing = prepared(problem, ())
+    assembly, fit_state = prepare_study(problem, ())
     progress("fitting on growing windows")
-    stage = last_stage(assembly, standing, all_samples(assembly))
-    return judged(assembly, FitState(standing.labels, stage.fitted.point.values), stage, progress)
+    stage = last_stage(assembly, fit_state, all_samples(assembly))
+    return compare_fit(
+        assembly, FitState(fit_state.labels, stage.fitted.point.values), stage, progress
+    )
 
 
 @one_blas_thread
@@ -36,6 +43,6 @@ def predict(model: Model, records: tuple[Record, ...], settle: float | None = No
     nuisances, its initial state among them; the parameters stay as they are.
     """
     assembly = assemble(Problem(model, records, records, settle))
-    run = test_run(assembly, model.labels, first_row(assembly))
+    run = free_run_on_test(assembly, model.labels, initial_values(assembly))
     assert run is not None
     return run

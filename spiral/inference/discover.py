@@ -11,12 +11,12 @@ from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.rounds import (
     Checkpoint,
-    concluded,
-    looked,
-    refused,
-    started,
+    admit_step,
+    conclude_study,
+    rank_last_round,
+    refuse_study,
+    start_study,
     strategy_for,
-    turned,
 )
 from spiral.inference.strategies.base import Added, Settled, Strategy
 from spiral.types.effect import Effect
@@ -54,19 +54,19 @@ def discover(
     strategy = strategy_for(problem)
     clock = time.perf_counter()
     begun = strategy.begin(problem, progress)
-    at = resume or started(begun, time.perf_counter() - clock)
+    at = resume or start_study(begun, time.perf_counter() - clock)
     if begun.refused:
         tell(at.rounds[0])
-        return refused(begun, at.rounds[0])
-    for found in at.rounds[:-1]:
-        tell(found)
-    run = _loop(strategy, begun.assembly, at, progress, tell, keep)
+        return refuse_study(begun, at.rounds[0])
+    for earlier in at.rounds[:-1]:
+        tell(earlier)
+    run = _run_rounds(strategy, begun.assembly, at, progress, tell, keep)
     if begun.doubtful and not any(r.admitted for r in run.rounds):
-        return refused(begun, run.rounds[-1])
+        return refuse_study(begun, run.rounds[-1])
     return run
 
 
-def _loop(
+def _run_rounds(
     strategy: Strategy,
     assembly: Assembly,
     at: Checkpoint,
@@ -82,13 +82,13 @@ def _loop(
         if len(at.rounds) > settings.max_rounds:
             tell(at.rounds[-1])
             break
-        at, step = looked(strategy, assembly, at, progress)
+        at, step = rank_last_round(strategy, assembly, at, progress)
         tell(at.rounds[-1])
         if not step.admitted:
             stopped = step.stopped
             break
-        at = turned(strategy, assembly, at, step, progress, time.perf_counter() - clock)
-    return concluded(at, stopped, settings)
+        at = admit_step(strategy, assembly, at, step, progress, time.perf_counter() - clock)
+    return conclude_study(at, stopped, settings)
 
 
 @one_blas_thread
@@ -98,7 +98,9 @@ def add(
     """Fit the model, then the model plus the effects, on all samples; before and after."""
     clock = time.perf_counter()
     strategy = strategy_for(problem)
-    added = strategy.add(problem, effects, progress) or _added(strategy, problem, effects, progress)
+    added = strategy.add(problem, effects, progress) or _add_by_name(
+        strategy, problem, effects, progress
+    )
     before, after, spent = added.before, added.after, added.seconds
     rounds = [Round(0, (), {}, {}, (), before, spent)]
     labels = tuple(e.label for e in effects)
@@ -116,19 +118,19 @@ def add(
     return before, after, run
 
 
-def _added(
+def _add_by_name(
     strategy: Strategy, problem: Problem, effects: tuple[Effect, ...], progress: Progress
 ) -> Added:
-    _check_admits(strategy, problem, [e.label for e in effects])
+    _check_can_add(strategy, problem, [e.label for e in effects])
     clock = time.perf_counter()
     begun = strategy.begin(replace(problem, candidates=effects), progress)
-    settled, spent = Settled(begun.standing, begun.comparison), time.perf_counter() - clock
+    settled, spent = Settled(begun.fit_state, begun.comparison), time.perf_counter() - clock
     for effect in effects:
-        settled = strategy.admit(begun.assembly, settled.standing, effect.label, progress)
+        settled = strategy.admit(begun.assembly, settled.fit_state, effect.label, progress)
     return Added(begun.comparison, settled.comparison, spent)
 
 
-def _check_admits(strategy: Strategy, problem: Problem, labels: list[str]) -> None:
+def _check_can_add(strategy: Strategy, problem: Problem, labels: list[str]) -> None:
     """Refuse, before anything is fitted, what a strategy cannot add."""
     given = f"add {' '.join(labels)} with strategy={strategy.plugin_name()}"
     if not strategy.by_name:

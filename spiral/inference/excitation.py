@@ -40,11 +40,11 @@ def excite(name: str, description: Any, time: Array, unit: str, rng: np.random.G
     """
     if isinstance(description, int | float) and not isinstance(description, bool):
         description = {"constant": description}
-    form, description = _form(name, description)
+    form, description = _parse_form(name, description)
     given = description.get("unit")
     scale, zero = conversion(str(given), unit, name) if given else (1.0, 0.0)
-    size = _numbers(name, form, description[form], 2 if form == "sweep" else 1)
-    offset = zero + scale * _numbers(name, "offset", description.get("offset", 0.0), 1)[0]
+    size = _check_numbers(name, form, description[form], 2 if form == "sweep" else 1)
+    offset = zero + scale * _check_numbers(name, "offset", description.get("offset", 0.0), 1)[0]
     return offset + scale * _waveform(name, form, size, description.get("band"), time, rng)
 
 
@@ -56,14 +56,14 @@ def _waveform(
         return size[0] + (size[1] - size[0]) * time / duration
     if form == "constant":
         return np.full(len(time), size[0])
-    low, high = _band(name, band, time, duration)
+    low, high = _band_limits(name, band, time, duration)
     if form == "chirp":
         turns = low * time + 0.5 * (high - low) * time**2 / duration
         return size[0] * np.sin(2 * np.pi * turns)
-    return size[0] * _random(form, len(time), duration, low, high, rng)
+    return size[0] * _random_signal(form, len(time), duration, low, high, rng)
 
 
-def _form(name: str, description: Any) -> tuple[str, Mapping[str, Any]]:
+def _parse_form(name: str, description: Any) -> tuple[str, Mapping[str, Any]]:
     if not isinstance(description, Mapping):
         raise ConfigError(
             f"input {name!r} described as {description!r}", f"for instance {_EXAMPLE}"
@@ -86,7 +86,7 @@ def _form(name: str, description: Any) -> tuple[str, Mapping[str, Any]]:
     return forms[0], description
 
 
-def _numbers(name: str, key: str, value: Any, count: int) -> list[float]:
+def _check_numbers(name: str, key: str, value: Any, count: int) -> list[float]:
     values = list(value) if isinstance(value, list | tuple) else [value]
     fit = all(
         isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in values
@@ -100,11 +100,11 @@ def _numbers(name: str, key: str, value: Any, count: int) -> list[float]:
     return [float(v) for v in values]
 
 
-def _band(name: str, band: Any, time: Array, duration: float) -> tuple[float, float]:
+def _band_limits(name: str, band: Any, time: Array, duration: float) -> tuple[float, float]:
     rate = len(time) / duration
     if band is None:
         return 1.0 / duration, 0.4 * rate
-    low, high = _numbers(name, "band", band, 2)
+    low, high = _check_numbers(name, "band", band, 2)
     if not 0 <= low < high <= 0.5 * rate:
         raise ConfigError(
             f"band {band} Hz of input {name!r}",
@@ -114,7 +114,7 @@ def _band(name: str, band: Any, time: Array, duration: float) -> tuple[float, fl
     return low, high
 
 
-def _random(
+def _random_signal(
     form: str, samples: int, duration: float, low: float, high: float, rng: np.random.Generator
 ) -> Array:
     """Lines of one period of ``duration`` in the band, root mean square 1."""

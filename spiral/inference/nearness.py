@@ -21,202 +21,236 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.inference.acting import coloured_noise, random_forces, random_of
+from spiral.inference.acting import coloured_noise, random_forces, random_shares
 from spiral.inference.problem import Settings
 from spiral.types.formatting import number, percent
 from spiral.types.horizon import Change, changes
 from spiral.types.run import Comparison
 
 _STRETCHES = 6.6  # times the variance that random forces are expected to make of one free run
-LASTING = 0.1  # of a record, beyond which noise has few values in it
-_HALF = 0.5  # of all that moves, missed one sample ahead: no model of a machine that runs away
+LASTING = 0.1  # of a record: longest correlation time of noise with many independent values
+_HALF = 0.5  # of all motion: largest error one sample ahead where the free run is no witness
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
 _CHANCE = 2.0  # standard errors that an error ahead grows by chance once in forty
 _COLOUR = 0.25  # share of what is left, half its deviation, up to which its own past may tell it
 
 
-def white(found: Comparison, settings: Settings) -> bool:
+def is_residual_white(comparison: Comparison, settings: Settings) -> bool:
     """Whether what is left is white, or its colour harmless.
 
-    It is where it is smaller than any effect, or its own past alone tells it, neither motion nor
-    inputs; or where it belongs to a sensor whose noise is not white: no random force acts, and the
-    free run is as near to the record as that noise lets it.
+    Colour is harmless where it is smaller than any effect, or predicted by its own past alone, not
+    by motion or inputs; or where it belongs to a sensor whose noise is not white: no random force
+    acts, and the free run is as near to the record as that noise lets it.
     """
-    small = found.whiteness_effect <= settings.smallest**2
-    if found.whiteness_p >= settings.whiteness_level or small or own_colour(found, settings):
+    small = comparison.whiteness_effect <= settings.smallest**2
+    if (
+        comparison.whiteness_p >= settings.whiteness_level
+        or small
+        or has_own_colour(comparison, settings)
+    ):
         return True
-    at_floor = found.test_error <= _AT_FLOOR * found.noise_floor
-    return bool(coloured_noise(found)) and at_floor and not random_forces(found)
+    at_floor = comparison.test_error <= _AT_FLOOR * comparison.noise_floor
+    return bool(coloured_noise(comparison)) and at_floor and not random_forces(comparison)
 
 
-def own_colour(found: Comparison, settings: Settings) -> bool:
+def has_own_colour(comparison: Comparison, settings: Settings) -> bool:
     """Whether what is left has a colour that counts, and neither motion nor inputs explain it."""
     least = settings.smallest**2
-    counts = found.whiteness_p < settings.whiteness_level and found.whiteness_effect > least
-    alone = found.followed is not None and found.followed <= least
-    return counts and alone and found.whiteness_effect <= _COLOUR
+    counts = (
+        comparison.whiteness_p < settings.whiteness_level and comparison.whiteness_effect > least
+    )
+    alone = comparison.followed is not None and comparison.followed <= least
+    return counts and alone and comparison.whiteness_effect <= _COLOUR
 
 
-def chi2_of(found: Comparison) -> float:
+def evidence_chi2(comparison: Comparison) -> float:
     """Chi2 per degree of freedom in the currency of the evidence: innovations, or windows."""
-    chi2 = found.innovation_chi2
-    return found.chi2_per_dof if chi2 is None else chi2
+    chi2 = comparison.innovation_chi2
+    return comparison.chi2_per_dof if chi2 is None else chi2
 
 
-def noise_factor(found: Comparison, settings: Settings) -> float:
-    """The noise over what the record says of it; 1 where the two do not contradict one another.
+def noise_factor(comparison: Comparison, settings: Settings) -> float:
+    """The noise over what the record declares; 1 where the two do not contradict one another.
 
     What is left is white, and as large as the model-free estimate of the noise (or smaller than
     the noise is said to be): then it is the noise, and the statement is off.
     """
-    chi2, limit = chi2_of(found), settings.chi2_limit
-    if found.random is not None:  # the noise was fitted: its size against what is declared
-        fitted = found.noise_ratio or 1.0
+    chi2, limit = evidence_chi2(comparison), settings.chi2_limit
+    if comparison.random is not None:  # the noise was fitted: its size against what is declared
+        fitted = comparison.noise_ratio or 1.0
         return 1.0 if 1 / limit <= fitted**2 <= limit else fitted
-    if not white(found, settings) or not np.isfinite(chi2) or 1 / limit <= chi2 <= limit:
+    if (
+        not is_residual_white(comparison, settings)
+        or not np.isfinite(chi2)
+        or 1 / limit <= chi2 <= limit
+    ):
         return 1.0
-    seen = found.noise_ratio
+    seen = comparison.noise_ratio
     agrees = seen is not None and 1 / limit <= chi2 / seen**2 <= limit
     return float(np.sqrt(chi2)) if chi2 < 1 / limit or agrees else 1.0
 
 
-def shortfalls(found: Comparison, settings: Settings) -> tuple[str, ...]:
+def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
     """Why a model is not near its noise, one phrase with its figure for each reason."""
     limit = settings.chi2_limit
-    factor = _factor(found, settings)
+    factor = _scale_of_noise(comparison, settings)
     reasons = []
-    if not found.converged:
-        where = "" if found.random is not None else f" on windows of {found.horizon} samples"
+    if not comparison.converged:
+        where = (
+            "" if comparison.random is not None else f" on windows of {comparison.horizon} samples"
+        )
         reasons.append(f"the fit did not converge{where}")
-    if not chi2_of(found) <= limit * factor**2:
-        reasons.append(f"chi2 per degree of freedom is {number(chi2_of(found))}, noise is 1")
-    if not white(found, settings):
-        share = percent(min(found.whiteness_effect, 1.0))
+    if not evidence_chi2(comparison) <= limit * factor**2:
+        reasons.append(
+            f"chi2 per degree of freedom is {number(evidence_chi2(comparison))}, noise is 1"
+        )
+    if not is_residual_white(comparison, settings):
+        share = percent(min(comparison.whiteness_effect, 1.0))
         reasons.append(f"what is left is not white (its past predicts about {share} of it)")
-    forces = random_forces(found)
+    forces = random_forces(comparison)
     if forces and max(forces.values()) > settings.random_limit:
         share = percent(max(forces.values()))
         reasons.append(
             f"beside it a random force of {share} of the machine's own would have to act"
         )
-    for name, share in coloured_noise(found).items():
+    for name, share in coloured_noise(comparison).items():
         if share > settings.noise_limit:
             where = name.partition(".")[2]
             reasons.append(f"the noise of {where} would be {percent(share)} of what it shows")
-    if errs(found, settings) and runs_away(found):
-        ahead = percent(next_sample(found) or 0.0)
+    if is_error_unexplained(comparison, settings) and is_free_run_carried_away(comparison):
+        ahead = percent(next_sample_error(comparison) or 0.0)
         reasons.append(f"one sample ahead the error on unseen data is {ahead}")
-    elif errs(found, settings):
-        made = percent(float(np.hypot(_floor(found, settings), _carried(found))))
-        reasons.append(f"the test error is {percent(found.test_error)} where noise makes {made}")
+    elif is_error_unexplained(comparison, settings):
+        made = percent(
+            float(np.hypot(_free_run_floor(comparison, settings), _random_spread(comparison)))
+        )
+        reasons.append(
+            f"the test error is {percent(comparison.test_error)} where noise makes {made}"
+        )
     return tuple(reasons)
 
 
-def _factor(found: Comparison, settings: Settings) -> float:
-    return 1.0 if found.random is not None else noise_factor(found, settings)
+def _scale_of_noise(comparison: Comparison, settings: Settings) -> float:
+    return 1.0 if comparison.random is not None else noise_factor(comparison, settings)
 
 
-def _floor(found: Comparison, settings: Settings) -> float:
+def _free_run_floor(comparison: Comparison, settings: Settings) -> float:
     """The error of a free run that noise of the sensors alone makes."""
-    return float(np.hypot(_factor(found, settings) * found.noise_floor, _drifting(found)))
+    return float(
+        np.hypot(
+            _scale_of_noise(comparison, settings) * comparison.noise_floor, _drift_error(comparison)
+        )
+    )
 
 
-def _carried(found: Comparison) -> float:
+def _random_spread(comparison: Comparison) -> float:
     """What random forces, and values and starts that are uncertain, make of a free run's error."""
-    return float(np.hypot(found.disturbed, found.uncertain))
+    return float(np.hypot(comparison.disturbed, comparison.uncertain))
 
 
-def errs(found: Comparison, settings: Settings) -> bool:
-    """Whether the error on unseen data is larger than noise, and what it carries on, make it.
+def is_error_unexplained(comparison: Comparison, settings: Settings) -> bool:
+    """Whether the error on unseen data exceeds what noise and random forces make of a free run.
 
-    It is not asked where random forces were not modelled: they move what runs freely. Of a machine
-    that ``runs_away`` the next sample is asked: half of all that moves may not be missed there.
+    (test error)^2 > L (floor^2 - drift^2) + 6.6 (spread^2 + drift^2) as in the module's text. It is
+    never so where random forces were not modelled: they move what runs freely. Where
+    ``is_free_run_carried_away``, the error one sample ahead may not exceed half of all motion.
     """
-    if found.innovation_chi2 is not None and found.random is None:
+    if comparison.innovation_chi2 is not None and comparison.random is None:
         return False
-    floor, drifting = _floor(found, settings), _drifting(found)
-    if runs_away(found):
-        ahead = next_sample(found)
+    floor, drifting = _free_run_floor(comparison, settings), _drift_error(comparison)
+    if is_free_run_carried_away(comparison):
+        ahead = next_sample_error(comparison)
         return ahead is not None and not ahead <= max(_HALF, 2 * floor)
-    few = _carried(found) ** 2 + drifting**2  # of which a record has few values
+    few = _random_spread(comparison) ** 2 + drifting**2  # of which a record has few values
     allowed = settings.chi2_limit * (floor**2 - drifting**2) + _STRETCHES * few
-    return not found.test_error**2 <= allowed
+    return not comparison.test_error**2 <= allowed
 
 
-def runs_away(found: Comparison) -> bool:
-    """Whether what is at random, or uncertain, carries a free run as far as all that moves.
+def is_free_run_carried_away(comparison: Comparison) -> bool:
+    """Whether random forces or uncertainty make the error of a free run as large as the motion.
 
-    As of a machine that only its controller holds: a free run is no witness of any model there.
+    As of a machine that only its controller stabilises: a free run judges no model there.
     """
-    return found.random is not None and not _carried(found) < 1.0
+    return comparison.random is not None and not _random_spread(comparison) < 1.0
 
 
-def next_sample(found: Comparison) -> float | None:
+def next_sample_error(comparison: Comparison) -> float | None:
     """The error on unseen data one sample ahead; nothing where there are none."""
-    return next((h.error for h in found.unseen if h.samples == 1), None)
+    return next((h.error for h in comparison.unseen if h.samples == 1), None)
 
 
-def _drifting(found: Comparison) -> float:
+def _drift_error(comparison: Comparison) -> float:
     """What drifting sensors add to the error of a free run: rms of their shares over channels.
 
-    Noise of a sensor that lasts long drifts as well.
+    Noise whose correlation time exceeds a tenth of the record counts as drift.
     """
-    lasts = LASTING * found.horizon * _sample(found)
-    slow = {n: v for n, v in coloured_noise(found).items() if found.random_times.get(n, 0) > lasts}
-    shares = (*random_of(found, "drift").values(), *slow.values())
-    return float(np.sqrt(sum(v**2 for v in shares) / max(len(found.channels), 1)))
+    lasts = LASTING * comparison.horizon * _sample_seconds(comparison)
+    slow = {
+        n: v
+        for n, v in coloured_noise(comparison).items()
+        if comparison.random_times.get(n, 0) > lasts
+    }
+    shares = (*random_shares(comparison, "drift").values(), *slow.values())
+    return float(np.sqrt(sum(v**2 for v in shares) / max(len(comparison.channels), 1)))
 
 
-def _sample(found: Comparison) -> float:
+def _sample_seconds(comparison: Comparison) -> float:
     """Seconds of a sample; infinite where no horizon says."""
-    each = (h.seconds / h.samples for h in found.unseen if h.samples and h.seconds)
+    each = (h.seconds / h.samples for h in comparison.unseen if h.samples and h.seconds)
     return next(each, np.inf)
 
 
-def near_noise(found: Comparison, settings: Settings) -> bool:
+def is_near_noise(comparison: Comparison, settings: Settings) -> bool:
     """Whether the noise explains all that a model leaves, on seen and unseen samples."""
-    return not shortfalls(found, settings)
+    return not shortfalls(comparison, settings)
 
 
-def predicts_nothing(found: Comparison, settings: Settings) -> bool:
-    """Whether a free run on unseen data errs by all that moves there, more than noise explains.
+def predicts_nothing(comparison: Comparison, settings: Settings) -> bool:
+    """Whether a free run on unseen data errs by all the motion, and noise does not explain it.
 
     Noise that would be most of what a sensor shows explains nothing.
     """
-    return not found.test_error < 1.0 and (drowned(found, settings) or errs(found, settings))
+    return not comparison.test_error < 1.0 and (
+        is_drowned_in_noise(comparison, settings) or is_error_unexplained(comparison, settings)
+    )
 
 
-def drowned(found: Comparison, settings: Settings) -> bool:
+def is_drowned_in_noise(comparison: Comparison, settings: Settings) -> bool:
     """Whether the noise of a sensor would be most of what it shows: such noise explains nothing."""
-    return any(v > settings.noise_limit for v in coloured_noise(found).values())
+    return any(v > settings.noise_limit for v in coloured_noise(comparison).values())
 
 
-def grown(before: Comparison, after: Comparison, settings: Settings) -> Change | None:
-    """Where the error on unseen data grew from one model to another, if chance does not say why.
+def unexplained_error_growth(
+    before: Comparison, after: Comparison, settings: Settings
+) -> Change | None:
+    """The first horizon at which the error on unseen data grew and nothing random explains it.
 
-    Random forces move what runs freely, whatever the model: where they, and noise, make as much of
-    it as is seen, and the model predicts better over shorter times, the free run is no witness.
-    Forces above ``settings.random_limit`` are no explanation, of this neither.
-    The other way round, what wanders at random follows readings more closely than what is constant
-    does: where the free run is better and explained by noise, so is a next reading that is missed
-    by no more than the sensors' noise.
+    Growth of a free run is explained where noise and random forces up to ``settings.random_limit``
+    make as much of its error, and shorter horizons are better and none worse. Growth at a shorter
+    horizon is explained where the free run is better and explained by noise, and the error there
+    is no more than the sensors' noise: a random walk in the former model follows readings more
+    closely than the constant that took its place.
     """
     judged = changes(before.unseen, after.unseen)
-    told = not errs(after, settings)
+    told = not is_error_unexplained(after, settings)
     shorter = {c.judged for c in judged if c.samples is not None}
     free = {c.judged for c in judged if c.samples is None}
     forces = max(random_forces(after).values(), default=0.0)
     chance = told and forces <= settings.random_limit
     chance = chance and "better" in shorter and "worse" not in shorter
-    noise = settings.chi2_limit * _floor(after, settings) ** 2 if told and "better" in free else 0.0
-    for change in (c for c in judged if c.judged == "worse" and not _by_chance(c)):
+    noise = (
+        settings.chi2_limit * _free_run_floor(after, settings) ** 2
+        if told and "better" in free
+        else 0.0
+    )
+    for change in (c for c in judged if c.judged == "worse" and not _is_chance_growth(c)):
         explained = chance if change.samples is None else change.after**2 <= noise
         if not explained:
             return change
     return None
 
 
-def _by_chance(change: Change) -> bool:
+def _is_chance_growth(change: Change) -> bool:
     """Whether a finite error some time ahead grew by no more than it does by chance.
 
     A free run is excused by what noise and random forces make of it, and by nothing else.

@@ -16,11 +16,17 @@ from spiral.engine.growth import layouts_for
 from spiral.engine.study import Layouts, Point
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.evidence.admission import with_effects
-from spiral.inference.evidence.assembly import Assembly, assemble, first_row, to_model, with_records
-from spiral.inference.evidence.comparison import last_stage, prepared, refined
+from spiral.inference.evidence.assembly import (
+    Assembly,
+    assemble,
+    initial_values,
+    to_model,
+    with_records,
+)
+from spiral.inference.evidence.comparison import last_stage, prepare_study, refine_substeps
 from spiral.inference.evidence.fit_state import FitState, all_samples
-from spiral.inference.evidence.judge import whole
-from spiral.inference.identifiability.information import Pair, View, separation
+from spiral.inference.evidence.judge import fit_whole_records
+from spiral.inference.identifiability.information import Pair, View, separation_probability
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
@@ -151,21 +157,21 @@ def plan(
     ------
     ConfigError : an unknown parameter, or no effect that can be fitted.
     """
-    truths, notes = _truths(problem, wanted, progress)
-    now = _outlook_now(problem, truths, wanted)
-    found = []
+    truths, notes = _fit_truths(problem, wanted, progress)
+    now = _outlook_at_hand(problem, truths, wanted)
+    outlooks = []
     for count, test in enumerate(tests, 1):
         progress(f"test {count} of {len(tests)}: {test.words}")
-        found.append(_outlook(problem, truths, wanted, test, simulate))
-    order = sorted(found, key=lambda o: _order(o, wanted))
-    suffices = sum(_answers(o, wanted) for o in order)
+        outlooks.append(_outlook_of_test(problem, truths, wanted, test, simulate))
+    order = sorted(outlooks, key=lambda o: _sort_key(o, wanted))
+    suffices = sum(_is_answer(o, wanted) for o in order)
     model = truths[0].model
     unit = model.unit(wanted.parameter) if wanted.parameter else ""
-    advice = _advice(order[0] if order else None, now, wanted, suffices)
+    advice = _plan_advice(order[0] if order else None, now, wanted, suffices)
     return Plan(wanted, model, unit, now, tuple(order), suffices, advice, notes)
 
 
-def _answers(outlook: Outlook, wanted: Wanted) -> bool:
+def _is_answer(outlook: Outlook, wanted: Wanted) -> bool:
     if outlook.failure:
         return False
     if wanted.effects:
@@ -174,10 +180,10 @@ def _answers(outlook: Outlook, wanted: Wanted) -> bool:
     return wanted.standard_error is not None and outlook.error <= wanted.standard_error
 
 
-def _order(outlook: Outlook, wanted: Wanted) -> tuple[float, ...]:
+def _sort_key(outlook: Outlook, wanted: Wanted) -> tuple[float, ...]:
     """Tests that answer first, the shortest of them; then the others by what they tell."""
     told = -outlook.noncentrality if wanted.effects else (outlook.error or np.inf)
-    if _answers(outlook, wanted):
+    if _is_answer(outlook, wanted):
         return (0, outlook.test.duration, outlook.test.unbalance, told)
     return (2 if outlook.failure else 1, told, outlook.test.duration, 0.0)
 
@@ -185,7 +191,7 @@ def _order(outlook: Outlook, wanted: Wanted) -> tuple[float, ...]:
 # --- truths --------------------------------------------------------------------------------------
 
 
-def _truths(
+def _fit_truths(
     problem: Problem, wanted: Wanted, progress: Progress
 ) -> tuple[tuple[_Truth, ...], tuple[str, ...]]:
     if wanted.parameter:
@@ -197,7 +203,7 @@ def _truths(
                 did_you_mean(wanted.parameter, known),
             )
         progress("fitting the model")
-        return (_truth(problem, _fitted(problem, None, progress), "", ()),), ()
+        return (_compile_truth(problem, _fit_model(problem, None, progress), "", ()),), ()
     seeded = [e.label for e in problem.model.system.seed]
     base = problem.model
     for effect in wanted.effects:
@@ -209,66 +215,74 @@ def _truths(
         present = effect.label in problem.model.labels
         model = problem.model if present else base
         try:
-            fitted = _fitted(replace(problem, model=model), None if present else effect, progress)
+            fitted = _fit_model(
+                replace(problem, model=model), None if present else effect, progress
+            )
         except SpiralError as error:
             notes.append(f"{effect.label} could not be fitted: {error.given}")
             continue
         others = tuple(e for e in wanted.effects if e is not effect)
-        truths.append(_truth(problem, fitted, effect.label, others))
+        truths.append(_compile_truth(problem, fitted, effect.label, others))
     if not truths:
         raise ConfigError("; ".join(notes), "an effect that can be fitted to the record at hand")
     return tuple(truths), tuple(notes)
 
 
-def _truth(problem: Problem, model: Model, effect: str, others: tuple[Effect, ...]) -> _Truth:
-    """Compiled with the others beside it."""
+def _compile_truth(
+    problem: Problem, model: Model, effect: str, others: tuple[Effect, ...]
+) -> _Truth:
+    """A fitted machine compiled with the effects that could be taken for its own."""
     beside = tuple(e for e in others if e.label not in model.labels)
     assembly = assemble(replace(problem, model=model, candidates=beside))
-    assembly = refined(assembly, FitState(model.labels, first_row(assembly)))
+    assembly = refine_substeps(assembly, FitState(model.labels, initial_values(assembly)))
     return _Truth(model, effect, others, assembly)
 
 
-def _fitted(problem: Problem, effect: Effect | None, progress: Progress) -> Model:
+def _fit_model(problem: Problem, effect: Effect | None, progress: Progress) -> Model:
     """The model, with one more effect where asked, with a value for every parameter."""
     model = problem.model
-    missing = [k for k in model.active if k not in model.values and not _of_record(model, k)]
+    missing = [
+        k for k in model.active if k not in model.values and not _is_record_parameter(model, k)
+    ]
     if effect is None and not missing:
         return model
     wider = () if effect is None else (effect,)
-    assembly, standing = prepared(problem, wider)
-    stage = last_stage(assembly, standing, all_samples(assembly))
-    standing = replace(standing, values=stage.fitted.point.values)
+    assembly, fit_state = prepare_study(problem, wider)
+    stage = last_stage(assembly, fit_state, all_samples(assembly))
+    fit_state = replace(fit_state, values=stage.fitted.point.values)
     if effect is not None:
-        standing = with_effects(assembly, standing, wider, progress)
-        stage = last_stage(assembly, standing, all_samples(assembly))
+        fit_state = with_effects(assembly, fit_state, wider, progress)
+        stage = last_stage(assembly, fit_state, all_samples(assembly))
     if not np.isfinite(stage.fitted.cost):
-        raise ConfigError(f"{' '.join(standing.labels)}, which diverges on the record", "a fit")
-    return to_model(assembly, standing.labels, stage.fitted.point.values, {}, standing.freed)
+        raise ConfigError(f"{' '.join(fit_state.labels)}, which diverges on the record", "a fit")
+    return to_model(assembly, fit_state.labels, stage.fitted.point.values, {}, fit_state.freed)
 
 
-def _of_record(model: Model, key: str) -> bool:
+def _is_record_parameter(model: Model, key: str) -> bool:
     return dict(model.pairs)[key].scope == "record"
 
 
 # --- what a test tells ---------------------------------------------------------------------------
 
 
-def _outlook_now(problem: Problem, truths: tuple[_Truth, ...], wanted: Wanted) -> Outlook:
+def _outlook_at_hand(problem: Problem, truths: tuple[_Truth, ...], wanted: Wanted) -> Outlook:
     """What the records at hand tell, each truth on their own inputs and fitted initial states."""
     first = problem.records[0]
     test = PlannedTest("the record at hand", {}, first.samples * first.dt, 1.0 / first.dt)
     pairs: list[Pair] = []
     error = None
     for truth in truths:
-        values = first_row(truth.assembly)
-        stage = whole(truth.assembly, truth.model.labels, values)
+        values = initial_values(truth.assembly)
+        stage = fit_whole_records(truth.assembly, truth.model.labels, values)
         view = View.of(truth.assembly, stage.layouts, stage.fitted.point)
         pairs += view.pairs(truth.effect, truth.others)
-        error = view.error(wanted.parameter) if wanted.parameter else None
-    return Outlook(test, tuple(pairs), separation(pairs, problem.settings.alias_level), error)
+        error = view.standard_error(wanted.parameter) if wanted.parameter else None
+    return Outlook(
+        test, tuple(pairs), separation_probability(pairs, problem.settings.alias_level), error
+    )
 
 
-def _outlook(
+def _outlook_of_test(
     problem: Problem,
     truths: tuple[_Truth, ...],
     wanted: Wanted,
@@ -280,7 +294,7 @@ def _outlook(
     error, shares = None, []
     for truth in truths:
         try:
-            record, model = _planned(problem, truth, test, simulate)
+            record, model = _simulate_planned(problem, truth, test, simulate)
         except SpiralError as failed:
             return Outlook(test, failure=failed.given)
         shares.append(np.mean([s / np.std(record.channels[c]) for c, s in record.sigma().items()]))
@@ -288,17 +302,21 @@ def _outlook(
         one = replace(truth.assembly.problem, model=model, records=(record,))
         steps = truth.assembly.study.series[0].substeps
         assembly = with_records(replace(truth.assembly, problem=one), (record,), steps, knot)
-        assembly = refined(assembly, FitState(model.labels, first_row(assembly)))
-        view = View.of(assembly, *_at_truth(assembly, record))
+        assembly = refine_substeps(assembly, FitState(model.labels, initial_values(assembly)))
+        view = View.of(assembly, *_window_from_truth(assembly, record))
         pairs += view.pairs(truth.effect, truth.others)
-        error = view.error(wanted.parameter) if wanted.parameter else None
+        error = view.standard_error(wanted.parameter) if wanted.parameter else None
     share = float(np.mean(shares))
     return Outlook(
-        test, tuple(pairs), separation(pairs, problem.settings.alias_level), error, share
+        test,
+        tuple(pairs),
+        separation_probability(pairs, problem.settings.alias_level),
+        error,
+        share,
     )
 
 
-def _planned(
+def _simulate_planned(
     problem: Problem, truth: _Truth, test: PlannedTest, simulate: Simulate
 ) -> tuple[Record, Model]:
     """The noise-free record of a test with the noise declared, and the model it came from."""
@@ -315,15 +333,15 @@ def _planned(
     return replace(record, noise=noise), model
 
 
-def _at_truth(assembly: Assembly, record: Record) -> tuple[Layouts, Point]:
+def _window_from_truth(assembly: Assembly, record: Record) -> tuple[Layouts, Point]:
     """One window over the whole record, started from its true state."""
     traced = assembly.study.compiled.traced
     start = [float(record.truth[s][0]) if s in record.truth else 0.0 for s in traced.states]
     layouts = layouts_for(assembly.study, record.samples, (None,))
-    return layouts, Point(first_row(assembly), (np.array([start]),))
+    return layouts, Point(initial_values(assembly), (np.array([start]),))
 
 
-def _advice(best: Outlook | None, now: Outlook, wanted: Wanted, suffices: int) -> str:
+def _plan_advice(best: Outlook | None, now: Outlook, wanted: Wanted, suffices: int) -> str:
     if best is None or best.failure:
         return "No planned test could be simulated."
     if wanted.effects:

@@ -49,16 +49,16 @@ def plan_options(section: Mapping[str, Any] | None) -> PlanOptions:
     ------
     ConfigError : an unknown field, or a value that cannot be.
     """
-    found = construct(
+    options = construct(
         PlanOptions, {k: v for k, v in (section or {}).items() if v is not None}, "plan"
     )
     for name in ("durations", "rates", "amplitudes", "unbalances"):
-        for value in getattr(found, name):
+        for value in getattr(options, name):
             if not value > 0:
                 raise ConfigError(f"plan.{name}: {value:g}", "numbers above zero")
-    for form in found.forms:
+    for form in options.forms:
         if form not in FORMS[2:]:
             raise ConfigError(f"plan.forms: {form!r}", f"some of {', '.join(FORMS[2:])}")
-    if found.standard_error is not None and not found.standard_error > 0:
-        raise ConfigError(f"plan.standard_error={found.standard_error:g}", "a number above zero")
-    return found
+    if options.standard_error is not None and not options.standard_error > 0:
+        raise ConfigError(f"plan.standard_error={options.standard_error:g}", "a number above zero")
+    return options

@@ -38,24 +38,26 @@ def planned_tests(problem: Problem, wishes: PlanOptions) -> tuple[PlannedTest, .
     durations = wishes.durations or (0.5 * duration, duration, 2 * duration)
     rates = wishes.rates or (1.0 / problem.records[0].dt,)
     turning = next((i for i in inputs if i.name == "speed"), None)
-    drives = _turning(problem, wishes) if turning else _driven(problem, wishes, inputs[0])
+    drives = (
+        _speed_drives(problem, wishes) if turning else _waveform_drives(problem, wishes, inputs[0])
+    )
     weights = (wishes.unbalances or (1.0, 3.0)) if turning else (1.0,)
     if not any(e.undirected() for e in problem.model.effects):
         weights = (1.0,)
-    found = tuple(
-        _test(words, given, seconds, rate, weight)
+    tests = tuple(
+        _planned_test(words, given, seconds, rate, weight)
         for (words, given), seconds, rate, weight in itertools.product(
             drives, durations, rates, weights
         )
     )
-    if len(found) > _MOST:
+    if len(tests) > _MOST:
         raise ConfigError(
-            f"a plan of {len(found)} tests", f"at most {_MOST}", "fewer speeds, durations, rates"
+            f"a plan of {len(tests)} tests", f"at most {_MOST}", "fewer speeds, durations, rates"
         )
-    return found
+    return tests
 
 
-def _test(
+def _planned_test(
     words: str, inputs: Mapping[str, Any], seconds: float, rate: float, weight: float
 ) -> PlannedTest:
     told = f"{words} in {seconds:.4g} s, {rate:.4g}/s"
@@ -64,53 +66,59 @@ def _test(
     return PlannedTest(told, inputs, float(seconds), float(rate), float(weight))
 
 
-def _turning(problem: Problem, wishes: PlanOptions) -> list[tuple[str, dict[str, Any]]]:
-    """Speeds: the range at hand, half of it and half as much again, from standstill and back."""
+def _speed_drives(problem: Problem, wishes: PlanOptions) -> list[tuple[str, dict[str, Any]]]:
+    """Speed sweeps in words and as inputs: the range at hand, half of it, half as much again."""
     speed = np.concatenate([r.inputs["speed"] for r in problem.records]) / (2 * np.pi)
     top = float(np.max(np.abs(speed)))
     usual = ([0.5 * top, 0.0], [top, 0.0], [1.5 * top, 0.0], [0.5 * top, 1.5 * top], [top, top])
-    found = []
+    drives = []
     for given in wishes.speeds or usual:
         ends = list(given) if isinstance(given, list | tuple) else [given, given]
         if len(ends) != 2 or not all(isinstance(e, int | float) for e in ends):
             raise ConfigError(f"plan.speeds: {given!r}", "[from, to] in Hz", "plan.speeds=[[40,0]]")
         first, last = (float(f"{e:.4g}") for e in ends)
         words = f"{first:g} to {last:g} Hz" if first != last else f"steady {first:g} Hz"
-        found.append((words, {"speed": {"sweep": [first, last], "unit": "Hz"}}))
-    return found
+        drives.append((words, {"speed": {"sweep": [first, last], "unit": "Hz"}}))
+    return drives
 
 
-def _driven(problem: Problem, wishes: PlanOptions, item: Input) -> list[tuple[str, dict[str, Any]]]:
+def _waveform_drives(
+    problem: Problem, wishes: PlanOptions, item: Input
+) -> list[tuple[str, dict[str, Any]]]:
     """Waveforms of the first input, about its mean; other inputs stay at their means."""
     rest = {
-        i.name: {"constant": _mean(problem, i.name)}
+        i.name: {"constant": _input_mean(problem, i.name)}
         for i in problem.model.system.inputs
         if i.derived_from is None and i.name != item.name
     }
-    size, mean, band = _spread(problem, item.name), _mean(problem, item.name), _band(problem, item)
+    size, mean, band = (
+        _input_deviation(problem, item.name),
+        _input_mean(problem, item.name),
+        _occupied_band(problem, item),
+    )
     offset = {"offset": float(f"{mean:.4g}")} if abs(mean) > 0.05 * size else {}
     top = 0.45 / problem.records[0].dt
     bands = wishes.bands or (band, (band[0], min(2 * band[1], top)))
-    found = []
+    drives = []
     for form, factor, (low, high) in itertools.product(
         wishes.forms or ("noise", "chirp"), wishes.amplitudes or (0.5, 1.0, 2.0), bands
     ):
         level = float(f"{factor * size * (1.0 if form in _RANDOM else np.sqrt(2)):.4g}")
         edges = [float(f"{low:.3g}"), float(f"{high:.3g}")]
         words = f"{item.name}: {form} of {level:g} {item.unit}, {edges[0]:g} to {edges[1]:g} Hz"
-        found.append((words, {item.name: {form: level, "band": edges, **offset}, **rest}))
-    return found
+        drives.append((words, {item.name: {form: level, "band": edges, **offset}, **rest}))
+    return drives
 
 
-def _mean(problem: Problem, name: str) -> float:
+def _input_mean(problem: Problem, name: str) -> float:
     return float(np.mean(np.concatenate([r.inputs[name] for r in problem.records])))
 
 
-def _spread(problem: Problem, name: str) -> float:
+def _input_deviation(problem: Problem, name: str) -> float:
     return float(np.std(np.concatenate([r.inputs[name] for r in problem.records])))
 
 
-def _band(problem: Problem, item: Input) -> tuple[float, float]:
+def _occupied_band(problem: Problem, item: Input) -> tuple[float, float]:
     """Frequencies between which nine tenths of the first record's input lie, Hz."""
     record = problem.records[0]
     values = record.inputs[item.name] - np.mean(record.inputs[item.name])
@@ -127,25 +135,33 @@ def simulator(problem: Problem, make: MakeSource, seed: int = 0) -> Simulate:
     """
     measured = all("phase" in r.measured for r in problem.records)
 
-    def simulated(model: Model, test: PlannedTest) -> Record:
-        fields = {**fields_of(model, test, problem), "seed": seed, "measured_phase": measured}
-        fields |= {"effects": _added(model), "without": _removed(model), "noise_level": 0.0}
+    def simulate_test(model: Model, test: PlannedTest) -> Record:
+        fields = {
+            **simulation_fields(model, test, problem),
+            "seed": seed,
+            "measured_phase": measured,
+        }
+        fields |= {
+            "effects": _unseeded_effects(model),
+            "without": _removed_labels(model),
+            "noise_level": 0.0,
+        }
         try:
-            return _loaded(make(fields), model)
+            return _load_single_record(make(fields), model)
         except ConfigError as error:
             if "settled" not in error.given:
                 raise
-            return _loaded(make({**fields, "settled": False}), model)
+            return _load_single_record(make({**fields, "settled": False}), model)
 
-    return simulated
+    return simulate_test
 
 
-def _loaded(source: Source, model: Model) -> Record:
+def _load_single_record(source: Source, model: Model) -> Record:
     (record,) = source.load(model.system)
     return replace(record, name="planned")
 
 
-def fields_of(model: Model, test: PlannedTest, problem: Problem) -> dict[str, Any]:
+def simulation_fields(model: Model, test: PlannedTest, problem: Problem) -> dict[str, Any]:
     """Fields of ``record=simulation`` that make a test of a model."""
     known = {k for k, _ in model.pairs}
     return {
@@ -157,18 +173,18 @@ def fields_of(model: Model, test: PlannedTest, problem: Problem) -> dict[str, An
     }
 
 
-def _added(model: Model) -> tuple[Any, ...]:
+def _unseeded_effects(model: Model) -> tuple[Any, ...]:
     seeded = [e.label for e in model.system.seed]
     return tuple(e for e in model.effects if e.label not in seeded)
 
 
-def _removed(model: Model) -> tuple[str, ...]:
+def _removed_labels(model: Model) -> tuple[str, ...]:
     return tuple(e.label for e in model.system.seed if e.label not in model.labels)
 
 
-def overrides_of(test: PlannedTest, noise_level: float, model: Model) -> tuple[str, ...]:
+def record_overrides(test: PlannedTest, noise_level: float, model: Model) -> tuple[str, ...]:
     """The same test on the command line: ``record.FIELD=VALUE`` of ``record=simulation``."""
-    words = [f"record.inputs={_written(test.inputs)}", f"record.duration={test.duration:g}"]
+    words = [f"record.inputs={_format_plain(test.inputs)}", f"record.duration={test.duration:g}"]
     words += [f"record.rate={test.rate:g}", f"record.noise_level={noise_level:.4g}"]
     words += ["record.settled=true"] if "speed" in test.inputs else []
     for effect in model.effects:
@@ -178,10 +194,10 @@ def overrides_of(test: PlannedTest, noise_level: float, model: Model) -> tuple[s
     return tuple(words)
 
 
-def _written(value: Any) -> str:
+def _format_plain(value: Any) -> str:
     """Plain data as the command line's grammar writes it."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{k}: {_written(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{k}: {_format_plain(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_written(v) for v in value) + "]"
+        return "[" + ", ".join(_format_plain(v) for v in value) + "]"
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,7 +1,7 @@
-"""One turn of a study in its two halves: rank what may be missing, then admit one of it.
+"""One round of a study in two steps: rank what may be missing, then admit a candidate.
 
-``discover`` turns until nothing passes the gates, admitting what the strategy proposes; a person
-may turn by hand and admit another candidate. Both go through these functions.
+``discover`` goes on until nothing passes the gates and admits what the strategy proposes; a person
+may go on by hand and admit another candidate. Both go through these functions.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from spiral.inference.advice import advice_for
 from spiral.inference.evidence.assembly import Assembly, to_model
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.identifiability.held import groups_of
+from spiral.inference.identifiability.held import tied_groups
 from spiral.inference.problem import Problem, Progress, Settings
 from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
-from spiral.inference.verdict import missing, study_verdict, summary
+from spiral.inference.verdict import missing_effects, study_summary, study_verdict
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.horizon import changes
 from spiral.types.model import Model
@@ -29,7 +29,7 @@ class Checkpoint:
     """All that a study needs to go on: the rounds so far and where the study stands."""
 
     rounds: tuple[Round, ...]
-    standing: FitState
+    fit_state: FitState
 
 
 def strategy_for(problem: Problem) -> Strategy:
@@ -48,20 +48,20 @@ def strategy_for(problem: Problem) -> Strategy:
     return problem.strategy
 
 
-def started(begun: Begun, seconds: float) -> Checkpoint:
+def start_study(begun: Begun, seconds: float) -> Checkpoint:
     """The seed as round 0."""
     first = Round(0, (), {}, {}, (), begun.comparison, seconds, details=begun.details)
-    return Checkpoint((first,), begun.standing)
+    return Checkpoint((first,), begun.fit_state)
 
 
-def looked(
+def rank_last_round(
     strategy: Strategy, assembly: Assembly, at: Checkpoint, progress: Progress
 ) -> tuple[Checkpoint, Step]:
     """The last round with its candidates ranked, and what the strategy would admit next."""
-    last, standing = at.rounds[-1], at.standing
-    step = strategy.propose(assembly, standing, last.comparison, len(at.rounds), progress)
+    last, fit_state = at.rounds[-1], at.fit_state
+    step = strategy.propose(assembly, fit_state, last.comparison, len(at.rounds), progress)
     if step.again is not None:
-        standing, details = step.again.standing, {**last.details, **step.again.details}
+        fit_state, details = step.again.fit_state, {**last.details, **step.again.details}
         last = replace(last, comparison=step.again.comparison, details=details)
     ranked = replace(
         last,
@@ -69,16 +69,21 @@ def looked(
         rejected={**assembly.left_out, **step.rejected},
         details={**last.details, **step.details},
     )
-    at = Checkpoint((*at.rounds[:-1], ranked), standing)
-    return (at, step) if step.admitted else _asked_again(strategy, assembly, at, step, progress)
+    at = Checkpoint((*at.rounds[:-1], ranked), fit_state)
+    return (
+        (at, step)
+        if step.admitted
+        else _recheck_look_alikes(strategy, assembly, at, step, progress)
+    )
 
 
-def _asked_again(
+def _recheck_look_alikes(
     strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, progress: Progress
 ) -> tuple[Checkpoint, Step]:
-    """Look-alikes of earlier rounds, beside the effects that were found since.
+    """Drop look-alikes of earlier rounds that the final model tells apart; perhaps a likelier one.
 
-    What is told apart by now is no look-alike of a round any more; its details say which were.
+    The details of a round keep those that were dropped as ``told_apart``; the step returned puts
+    a likelier look-alike in the place of its effect, where there is one.
     """
     *earlier, last = at.rounds
     held = last.comparison.model.labels
@@ -88,13 +93,13 @@ def _asked_again(
     }  # fmt: skip
     if not any(r.admitted for r in at.rounds):
         return at, step
-    promising = _promising(at.rounds)
-    again = strategy.ask_again(assembly, at.standing, last.comparison, asked, promising, progress)
-    rounds = tuple(_told_apart(r, asked, again.aliases) for r in earlier)
-    return Checkpoint((*rounds, last), at.standing), again.step or step
+    promising = _promising_labels(at.rounds)
+    again = strategy.ask_again(assembly, at.fit_state, last.comparison, asked, promising, progress)
+    rounds = tuple(_drop_told_apart(r, asked, again.aliases) for r in earlier)
+    return Checkpoint((*rounds, last), at.fit_state), again.step or step
 
 
-def _promising(rounds: Sequence[Round]) -> dict[str, tuple[str, ...]]:
+def _promising_labels(rounds: Sequence[Round]) -> dict[str, tuple[str, ...]]:
     """By effect of the final model, what promised more than its price when it was admitted."""
     held = rounds[-1].comparison.model.labels
     return {
@@ -105,7 +110,7 @@ def _promising(rounds: Sequence[Round]) -> dict[str, tuple[str, ...]]:
     }  # fmt: skip
 
 
-def _told_apart(
+def _drop_told_apart(
     one: Round, asked: Mapping[str, tuple[str, ...]], left: Mapping[str, tuple[str, ...]]
 ) -> Round:
     gone = {
@@ -121,7 +126,9 @@ def _told_apart(
     return replace(one, aliases=aliases, details={**one.details, "told_apart": gone})
 
 
-def chosen(strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, label: str) -> Step:
+def choose_candidate(
+    strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, label: str
+) -> Step:
     """The step with a candidate of a person's choice in place of the strategy's own.
 
     Raises
@@ -135,10 +142,10 @@ def chosen(strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, l
         raise ConfigError(
             f"add {label}", f"one of {', '.join(known) or 'none'}", did_you_mean(label, known)
         )
-    return strategy.choose(assembly, at.standing, step, label)
+    return strategy.choose(assembly, at.fit_state, step, label)
 
 
-def turned(
+def admit_step(
     strategy: Strategy,
     assembly: Assembly,
     at: Checkpoint,
@@ -153,11 +160,11 @@ def turned(
     clock = time.perf_counter()
     settled = strategy.settle(assembly, step, progress)
     seconds = spent + time.perf_counter() - clock
-    return Checkpoint((*at.rounds, _round(at.rounds[-1], step, settled, seconds)),
-                      settled.standing)  # fmt: skip
+    return Checkpoint((*at.rounds, _round_after(at.rounds[-1], step, settled, seconds)),
+                      settled.fit_state)  # fmt: skip
 
 
-def _round(before: Round, step: Step, settled: Settled, seconds: float) -> Round:
+def _round_after(before: Round, step: Step, settled: Settled, seconds: float) -> Round:
     return Round(
         number=before.number + 1,
         admitted=step.admitted,
@@ -174,29 +181,35 @@ def _round(before: Round, step: Step, settled: Settled, seconds: float) -> Round
     )
 
 
-def concluded(
+def conclude_study(
     at: Checkpoint, stopped: Stopped, settings: Settings, advice: str | None = None
 ) -> Run:
     """The history of a study that ends here."""
     rounds = at.rounds
-    verdict, groups = study_verdict(rounds, stopped, settings), groups_of(rounds[0].details)
+    verdict, groups = study_verdict(rounds, stopped, settings), tied_groups(rounds[0].details)
     if verdict == "not_identifiable":
         stopped = "not_identifiable"
     said = advice_for(verdict, stopped, rounds, (), settings) if advice is None else advice
     return Run(
-        verdict, stopped, rounds, rounds[-1].comparison.model, said, groups,
-        missing=missing(rounds, settings), summary=summary(rounds, verdict, stopped, settings),
-    )  # fmt: skip
+        verdict,
+        stopped,
+        rounds,
+        rounds[-1].comparison.model,
+        said,
+        groups,
+        missing=missing_effects(rounds, settings),
+        summary=study_summary(rounds, verdict, stopped, settings),
+    )
 
 
-def refused(begun: Begun, first: Round) -> Run:
+def refuse_study(begun: Begun, first: Round) -> Run:
     """The history of a study whose record cannot tell its seed's effects apart."""
-    standing = begun.standing
-    model: Model = to_model(begun.assembly, standing.labels, standing.values, {})
+    fit_state = begun.fit_state
+    model: Model = to_model(begun.assembly, fit_state.labels, fit_state.values, {})
     verdict: Verdict = "not_identifiable"
     settings = begun.assembly.problem.settings
     return Run(
         verdict, "not_identifiable", (first,), model,
         advice_for(verdict, "not_identifiable", [first], begun.groups, settings), begun.groups,
-        summary=summary([first], verdict, "not_identifiable", settings),
+        summary=study_summary([first], verdict, "not_identifiable", settings),
     )  # fmt: skip

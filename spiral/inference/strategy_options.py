@@ -44,11 +44,11 @@ class LikelihoodOptions:
 
     def __post_init__(self) -> None:
         """Refuse values out of range."""
-        _at_least("rivals", self.rivals, 1)
-        _at_least("judged", self.judged, 1)
-        _at_least("odds", self.odds, 1.0)
-        _at_least("random_limit", self.random_limit, 0.0)
-        _at_least("listed", self.listed, 1)
+        _check_at_least("rivals", self.rivals, 1)
+        _check_at_least("judged", self.judged, 1)
+        _check_at_least("odds", self.odds, 1.0)
+        _check_at_least("random_limit", self.random_limit, 0.0)
+        _check_at_least("listed", self.listed, 1)
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,11 @@ class ShootingOptions:
 
     def __post_init__(self) -> None:
         """Refuse values out of range."""
-        _at_least("rivals", self.rivals, 0)
-        _share("rival_share", self.rival_share)
-        _share("memory_share", self.memory_share)
-        _at_least("tried", self.tried, 1)
-        _at_least("listed", self.listed, 1)
+        _check_at_least("rivals", self.rivals, 0)
+        _check_share("rival_share", self.rival_share)
+        _check_share("memory_share", self.memory_share)
+        _check_at_least("tried", self.tried, 1)
+        _check_at_least("listed", self.listed, 1)
 
 
 @dataclass(frozen=True)
@@ -101,9 +101,9 @@ class InnovationOptions:
 
     def __post_init__(self) -> None:
         """Refuse values out of range."""
-        _train(self.train)
-        _at_least("block", self.block, 16)
-        _at_least("listed", self.listed, 1)
+        _check_train_share(self.train)
+        _check_at_least("block", self.block, 16)
+        _check_at_least("listed", self.listed, 1)
 
 
 @dataclass(frozen=True)
@@ -141,11 +141,11 @@ class PaperOptions:
 
     def __post_init__(self) -> None:
         """Refuse values out of range, and gates that need a likelihood."""
-        _train(self.train)
-        _at_least("block", self.block, 16)
-        _at_least("points", self.points, 1000)
-        _at_least("seed", self.seed, 0)
-        _at_least("listed", self.listed, 1)
+        _check_train_share(self.train)
+        _check_at_least("block", self.block, 16)
+        _check_at_least("points", self.points, 1000)
+        _check_at_least("seed", self.seed, 0)
+        _check_at_least("listed", self.listed, 1)
         for gate in self.gate:
             if gate.likelihood:
                 raise ConfigError(
@@ -155,16 +155,16 @@ class PaperOptions:
                 )
 
 
-def _train(share: float) -> None:
+def _check_train_share(share: float) -> None:
     if not 0.1 <= share <= 0.95:
         raise ConfigError(f"strategy.train={share:g}", "a share between 0.1 and 0.95")
 
 
-def _share(name: str, value: float) -> None:
+def _check_share(name: str, value: float) -> None:
     if not 0 < value <= 1:
         raise ConfigError(f"strategy.{name}={value:g}", "a share above 0, up to 1")
 
 
-def _at_least(name: str, value: float, least: float) -> None:
+def _check_at_least(name: str, value: float, least: float) -> None:
     if not value >= least:
         raise ConfigError(f"strategy.{name}={value:g}", f"at least {least:g}")

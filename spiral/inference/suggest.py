@@ -10,12 +10,12 @@ from scipy import special
 
 from spiral.engine.growth import Stage
 from spiral.engine.score import cosine
-from spiral.engine.statistics import Paired, paired_errors, spent
-from spiral.inference.evidence.admission import Admitted, admit
+from spiral.engine.statistics import Paired, paired_errors, round_level
+from spiral.inference.evidence.admission import Admitted, admit_candidate
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.farstart import from_afar
-from spiral.inference.evidence.fit_state import FitState, Masks, grown
-from spiral.inference.evidence.judge import held_out
+from spiral.inference.evidence.farstart import rescore_from_far_starts
+from spiral.inference.evidence.fit_state import FitState, Masks, fit_growing_windows
+from spiral.inference.evidence.judge import fit_held_out
 from spiral.inference.evidence.scoring import Evidence, Ranked, Ranking, score_stage
 from spiral.inference.problem import Progress, Settings, silent
 from spiral.inference.strategy_options import ShootingOptions
@@ -51,8 +51,8 @@ class Proposal:
         """Candidates that the model's own parameters can take over, in part or whole, and whose."""
         if self.evidence is None:
             return {}
-        found = {r.variant.original.label: r.tied for r in self.evidence.ranked if r.tied}
-        return dict(sorted(found.items()))
+        tied = {r.variant.original.label: r.tied for r in self.evidence.ranked if r.tied}
+        return dict(sorted(tied.items()))
 
     @property
     def diverged(self) -> bool:
@@ -60,10 +60,10 @@ class Proposal:
         return self.evidence is None
 
 
-def propose(
+def propose_on_windows(
     options: ShootingOptions,
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     masks: tuple[Masks, Masks],
     round_number: int,
     progress: Progress = silent,
@@ -76,36 +76,36 @@ def propose(
     round_number : from 1; decides the share of the study's error rate that is spent.
     """
     settings = assembly.problem.settings
-    evidence, stages = _longest_that_agrees(
-        options, assembly, standing, masks[0], round_number, progress
+    evidence, stages = _score_growing_windows(
+        options, assembly, fit_state, masks[0], round_number, progress
     )
     if evidence is None:
         return Proposal(None, stages, None, (), ())
     rejected: dict[str, str] = {}
     chosen: Admitted | None = None
     aliases: tuple[str, ...] = ()
-    tests = _tests(assembly, evidence)
-    passing = [r for r in evidence.ranked if _significant(r, tests, settings, round_number)]
+    tests = _test_count(assembly, evidence)
+    passing = [r for r in evidence.ranked if _is_significant(r, tests, settings, round_number)]
     for ranked in passing[: options.rivals + 1]:
         if ranked.variant.original.label in rejected:
             continue
         progress(f"refitting with {ranked.variant.original.label} and its rivals")
-        first, aliases = _contest(
-            options, assembly, standing, evidence, ranked, passing, masks[1], rejected
+        first, aliases = _refit_rivals(
+            options, assembly, fit_state, evidence, ranked, passing, masks[1], rejected
         )
-        reason = _refused(assembly, standing, evidence, first, masks[1])
+        reason = _refusal_reason(assembly, fit_state, evidence, first, masks[1])
         if not reason:
             chosen = first
             break
         rejected[first.variant.original.label] = reason
-    shown = listed(options, evidence, chosen, aliases)
+    shown = top_suggestions(options, evidence, chosen, aliases)
     return Proposal(evidence, stages, chosen, aliases, shown, rejected)
 
 
-def _longest_that_agrees(
+def _score_growing_windows(
     options: ShootingOptions,
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     mask: Masks,
     round_number: int,
     progress: Progress,
@@ -114,20 +114,24 @@ def _longest_that_agrees(
     settings = assembly.problem.settings
     kept: Evidence | None = None
     stages: list[Stage] = []
-    for stage in grown(assembly, standing, mask):
+    for stage in fit_growing_windows(assembly, fit_state, mask):
         stages.append(stage)
         if not np.isfinite(stage.fitted.cost) or (kept is not None and not stage.fitted.converged):
             break
         progress(f"scoring candidates on windows of {stage.length} samples")
-        evidence = from_afar(assembly, standing, score_stage(assembly, standing, stage))
-        tests = _tests(assembly, evidence)
-        if kept is not None and not _agree(options, kept, evidence, tests, settings, round_number):
+        evidence = rescore_from_far_starts(
+            assembly, fit_state, score_stage(assembly, fit_state, stage)
+        )
+        tests = _test_count(assembly, evidence)
+        if kept is not None and not _leaders_agree(
+            options, kept, evidence, tests, settings, round_number
+        ):
             break
         kept = evidence
     return kept, tuple(stages)
 
 
-def _leaders(
+def _leading_labels(
     options: ShootingOptions, evidence: Evidence, tests: int, settings: Settings, round_number: int
 ) -> list[str]:
     """The significant ones of the top three that come near the first (as rivals do)."""
@@ -135,12 +139,12 @@ def _leaders(
     return [
         r.variant.original.label
         for r in top
-        if _significant(r, tests, settings, round_number)
+        if _is_significant(r, tests, settings, round_number)
         and r.score.gain >= options.rival_share * top[0].score.gain
     ]
 
 
-def _agree(
+def _leaders_agree(
     options: ShootingOptions, before: Evidence, after: Evidence, tests: int, settings: Settings,
     round_number: int,
 ) -> bool:  # fmt: skip
@@ -149,16 +153,16 @@ def _agree(
     Where nothing was significant before, or where the model is nearly right on the longer windows
     (so that they cannot have led it into a wrong basin), the first suggestion alone must stay.
     """
-    old = _leaders(options, before, tests, settings, round_number)
-    new = _leaders(options, after, tests, settings, round_number)
+    old = _leading_labels(options, before, tests, settings, round_number)
+    new = _leading_labels(options, after, tests, settings, round_number)
     if not old:
         return True
     nearly_right = after.stage.fitted.chi2_per_dof < settings.chi2_limit
-    kept = old[0] in new[:1] or (bool(new) and old[0] in _twins(after))
+    kept = old[0] in new[:1] or (bool(new) and old[0] in _twin_labels(after))
     return kept and (nearly_right or set(old) <= set(new))
 
 
-def _twins(evidence: Evidence) -> list[str]:
+def _twin_labels(evidence: Evidence) -> list[str]:
     """Those of the top three whose signatures and gains are the first one's: either may lead."""
     first, *others = evidence.ranked[:3]
     return [
@@ -169,23 +173,23 @@ def _twins(evidence: Evidence) -> list[str]:
     ]
 
 
-def _tests(assembly: Assembly, evidence: Evidence) -> int:
-    """Tests of a round: its candidates, those that wait for their turn too, at every stage."""
+def _test_count(assembly: Assembly, evidence: Evidence) -> int:
+    """Tests of a round: its candidates, and those that it may call for later, at every stage."""
     names = {r.variant.original.label for r in evidence.ranked}
     waiting = sum(e.label not in names for e in assembly.later)
     return (len(evidence.ranked) + waiting) * _STAGES
 
 
-def _significant(ranked: Ranked, tests: int, settings: Settings, round_number: int) -> bool:
+def _is_significant(ranked: Ranked, tests: int, settings: Settings, round_number: int) -> bool:
     """Classical and robust p-values below the candidate's share of the round's level."""
-    level = np.log(spent(settings.level, round_number) / tests)
+    level = np.log(round_level(settings.level, round_number) / tests)
     return max(ranked.log_p) < level
 
 
-def _contest(
+def _refit_rivals(
     options: ShootingOptions,
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     evidence: Evidence,
     ranked: Ranked,
     passing: list[Ranked],
@@ -200,33 +204,33 @@ def _contest(
         if r.score.gain >= options.rival_share * gain and r.variant.original.label not in rejected
     ]
     rivals = sorted(rivals, key=lambda r: r is not ranked)[: options.rivals + 1]
-    refits = [admit(assembly, standing, evidence.stage, r) for r in rivals]
-    errors = [held_out(assembly, a.standing.labels, a.stage, mask)[1] for a in refits]
+    refits = [admit_candidate(assembly, fit_state, evidence.stage, r) for r in rivals]
+    errors = [fit_held_out(assembly, a.fit_state.labels, a.stage, mask)[1] for a in refits]
     winner = 0
     for i in range(1, len(refits)):
         if paired_errors(errors[winner], errors[i], evidence.block).p_fall < _alias_level(assembly):
             winner = i
 
-    def alike(i: int) -> bool:
-        return _alike(assembly, paired_errors(errors[winner], errors[i], evidence.block))
+    def is_alike(i: int) -> bool:
+        return _is_alike(assembly, paired_errors(errors[winner], errors[i], evidence.block))
 
-    equals = [i for i in range(len(refits)) if i != winner and alike(i)]
-    if _is_reading(refits[winner]):  # a change of the machine goes before one of a sensor
-        machine = next((i for i in equals if not _is_reading(refits[i])), winner)
+    equals = [i for i in range(len(refits)) if i != winner and is_alike(i)]
+    if _acts_on_sensor(refits[winner]):  # a change of the machine goes before one of a sensor
+        machine = next((i for i in equals if not _acts_on_sensor(refits[i])), winner)
         equals, winner = [winner, *(i for i in equals if i != machine)], machine
         equals = [i for i in equals if i != winner]
     return refits[winner], tuple(refits[i].variant.original.label for i in equals)
 
 
-def _is_reading(found: Admitted) -> bool:
-    return isinstance(found.variant.original, SensorEffect)
+def _acts_on_sensor(admitted: Admitted) -> bool:
+    return isinstance(admitted.variant.original, SensorEffect)
 
 
 def _alias_level(assembly: Assembly) -> float:
     return assembly.problem.settings.alias_level
 
 
-def _alike(assembly: Assembly, paired: Paired) -> bool:
+def _is_alike(assembly: Assembly, paired: Paired) -> bool:
     """Not significantly different, or so near that no draw of the noise could tell them apart.
 
     Twins differ by what their fits left to converge, of which a paired test may make anything.
@@ -235,8 +239,8 @@ def _alike(assembly: Assembly, paired: Paired) -> bool:
     return paired.p_differ >= level or paired.energy < 4 * float(special.ndtri(level / 2)) ** 2
 
 
-def _refused(
-    assembly: Assembly, standing: FitState, evidence: Evidence, first: Admitted, mask: Masks
+def _refusal_reason(
+    assembly: Assembly, fit_state: FitState, evidence: Evidence, first: Admitted, mask: Masks
 ) -> str:
     """Why the gates refuse a refitted candidate; empty where they let it pass."""
     settings = assembly.problem.settings
@@ -250,8 +254,8 @@ def _refused(
             f"significant, but too small to matter: it changes the prediction by {size:.2g} noise "
             f"standard deviations (least {settings.smallest:g})"
         )
-    before = held_out(assembly, standing.labels, evidence.stage, mask)[1]
-    after = held_out(assembly, first.standing.labels, first.stage, mask)[1]
+    before = fit_held_out(assembly, fit_state.labels, evidence.stage, mask)[1]
+    after = fit_held_out(assembly, first.fit_state.labels, first.stage, mask)[1]
     paired = paired_errors(before, after, evidence.block)
     if paired.p_fall >= settings.level:
         fall = "no significant fall of the error on held-out blocks"
@@ -259,16 +263,16 @@ def _refused(
     return ""
 
 
-def listed(
+def top_suggestions(
     options: ShootingOptions, evidence: Evidence, chosen: Admitted | None, aliases: tuple[str, ...]
 ) -> tuple[Suggestion, ...]:
-    """The best candidates as suggestions: the admitted one, then the others by ``by_evidence``."""
-    found = by_evidence(evidence, chosen, aliases)
+    """The best candidates as suggestions: the admitted one, then the others by their evidence."""
+    suggestions = suggestions_by_evidence(evidence, chosen, aliases)
     label = None if chosen is None else chosen.variant.original.label
-    return tuple(sorted(found, key=lambda s: s.effect != label)[: options.listed])
+    return tuple(sorted(suggestions, key=lambda s: s.effect != label)[: options.listed])
 
 
-def by_evidence(
+def suggestions_by_evidence(
     evidence: Ranking, chosen: Admitted | None, aliases: tuple[str, ...]
 ) -> tuple[Suggestion, ...]:
     """All candidates as suggestions in one order: by ``net``, on the same windows for all.
@@ -278,7 +282,7 @@ def by_evidence(
     order = sorted(evidence.ranked, key=lambda r: r.rank)
     label = None if chosen is None else chosen.variant.original.label
     near = [r for i, r in enumerate(order) if i < _NEAR or r.variant.original.label == label]
-    found = []
+    suggestions = []
     for ranked in order:
         hint = tuple(
             r.variant.original.label
@@ -287,11 +291,11 @@ def by_evidence(
         )
         is_first = ranked.variant.original.label == label
         net = 1.0 - float(np.exp(ranked.rank / evidence.table.samples))
-        found.append(_suggestion(ranked, aliases if is_first else (), hint, net))
-    return tuple(found)
+        suggestions.append(_make_suggestion(ranked, aliases if is_first else (), hint, net))
+    return tuple(suggestions)
 
 
-def _suggestion(
+def _make_suggestion(
     ranked: Ranked, aliases: tuple[str, ...], hint: tuple[str, ...], net: float
 ) -> Suggestion:
     scored = ranked.score

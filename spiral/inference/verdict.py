@@ -14,22 +14,26 @@ from spiral.inference.acting import (
     random_sentence,
     record_sentence,
 )
-from spiral.inference.identifiability.held import effects_tied, held_said, untold_said
+from spiral.inference.identifiability.held import (
+    describe_held_parameters,
+    describe_undetermined_parameters,
+    has_tied_effects,
+)
 from spiral.inference.nearness import (
-    chi2_of,
-    errs,
-    grown,
-    near_noise,
-    next_sample,
+    evidence_chi2,
+    has_own_colour,
+    is_error_unexplained,
+    is_free_run_carried_away,
+    is_near_noise,
+    is_residual_white,
+    next_sample_error,
     noise_factor,
-    own_colour,
     predicts_nothing,
-    runs_away,
     shortfalls,
-    white,
+    unexplained_error_growth,
 )
 from spiral.inference.problem import Settings
-from spiral.inference.unknown.memory import memory_said, stand_ins
+from spiral.inference.unknown.memory import memory_sentence, memory_stand_ins
 from spiral.types.effect import ForceEffect
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model
@@ -49,7 +53,7 @@ _VERDICTS = {
 }
 
 
-def doubts(last: Round, label: str, settings: Settings) -> str:
+def reasons_for_doubt(last: Round, label: str, settings: Settings) -> str:
     """Why the model of a round does not determine one of its effects; empty where it does.
 
     Amplitudes with a standard error are asked; an effect that was not fitted is as it was given.
@@ -73,35 +77,39 @@ def doubts(last: Round, label: str, settings: Settings) -> str:
     return " and ".join(reasons)
 
 
-def determined(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
+def determined_effects(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
     """Effects admitted and still held that the final model determines."""
-    return tuple(x for x in _admitted(rounds) if not doubts(rounds[-1], x, settings))
+    return tuple(
+        x for x in _admitted_labels(rounds) if not reasons_for_doubt(rounds[-1], x, settings)
+    )
 
 
-def missing(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
+def missing_effects(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
     """The effects that were missing: determined ones, where they lower the error on unseen data.
 
     Where what is left has memory, effects that give way to it have only stood in for it; so have
     those in whose place one curve makes the record more likely. A model that predicts nothing of
     an unseen record names nothing.
     """
-    doubted = _worse(rounds, settings) or _replaced(rounds)
+    doubted = _has_error_grown(rounds, settings) or _is_replaced_by_curve(rounds)
     if doubted or predicts_nothing(rounds[-1].comparison, settings):
         return ()
-    return tuple(x for x in determined(rounds, settings) if x not in stand_ins(rounds))
+    return tuple(
+        x for x in determined_effects(rounds, settings) if x not in memory_stand_ins(rounds)
+    )
 
 
-def _replaced(rounds: Sequence[Round]) -> bool:
+def _is_replaced_by_curve(rounds: Sequence[Round]) -> bool:
     """Whether one learned curve explains more than the effects that were admitted do together."""
     return bool(rounds[-1].details.get("unknown", {}).get("replaces"))
 
 
-def _admitted(rounds: Sequence[Round]) -> tuple[str, ...]:
+def _admitted_labels(rounds: Sequence[Round]) -> tuple[str, ...]:
     held = rounds[-1].comparison.model.labels
     return tuple(dict.fromkeys(x for r in rounds for x in r.admitted if x in held))
 
 
-def _worse(rounds: Sequence[Round], settings: Settings) -> bool:
+def _has_error_grown(rounds: Sequence[Round], settings: Settings) -> bool:
     """Whether the error on unseen data grew over the study.
 
     It has not where it lies within what noise makes of it before and after: then it cannot fall,
@@ -110,9 +118,9 @@ def _worse(rounds: Sequence[Round], settings: Settings) -> bool:
     first, last = rounds[0].comparison, rounds[-1].comparison
     if len(rounds) < 2 or last.test_error <= first.test_error:
         return False
-    if errs(last, settings) or not last.unseen:
+    if is_error_unexplained(last, settings) or not last.unseen:
         return True
-    return grown(first, last, settings) is not None
+    return unexplained_error_growth(first, last, settings) is not None
 
 
 # --- verdicts ------------------------------------------------------------------------------------
@@ -125,7 +133,7 @@ def study_verdict(rounds: Sequence[Round], stopped: Stopped, settings: Settings)
     something is missing and nothing explains it; likewise where they only stand in for memory.
     """
     if stopped != "not_identifiable" and len(rounds) > 1 and "unknown" not in rounds[0].details:
-        return "effect_missing" if missing(rounds, settings) else "unknown_structure"
+        return "effect_missing" if missing_effects(rounds, settings) else "unknown_structure"
     return seed_verdict(rounds[0], stopped, settings)
 
 
@@ -144,24 +152,28 @@ def seed_verdict(
         return "effect_missing"
     if stopped == "diverged" or {"unknown", "memory"} & set(seed.details):
         return "unknown_structure"
-    if near_noise(seed.comparison, settings):
-        return "not_identifiable" if effects_tied(seed.details) else "nothing_missing"
+    if is_near_noise(seed.comparison, settings):
+        return "not_identifiable" if has_tied_effects(seed.details) else "nothing_missing"
     return "unknown_structure"
 
 
 # --- words ---------------------------------------------------------------------------------------
 
 
-def verdict_sentence(verdict: Verdict, found: Comparison, settings: Settings) -> str:
+def verdict_sentence(verdict: Verdict, comparison: Comparison, settings: Settings) -> str:
     """A verdict on one model with its figures."""
     words = _VERDICTS[verdict]
     if words.endswith("."):
         return words
-    random = " ".join(filter(None, (random_sentence(found), record_sentence(found))))
+    random = " ".join(filter(None, (random_sentence(comparison), record_sentence(comparison))))
     if verdict == "nothing_missing":
-        return f"{words}: {_figures(found, settings)}.{' ' + random if random else ''}"
-    reasons = shortfalls(found, settings)
-    if len(reasons) == 1 and not found.test_error <= found.fit_error and _fits(found, settings):
+        return f"{words}: {_figures_clause(comparison, settings)}.{' ' + random if random else ''}"
+    reasons = shortfalls(comparison, settings)
+    if (
+        len(reasons) == 1
+        and not comparison.test_error <= comparison.fit_error
+        and _explains_fitted(comparison, settings)
+    ):
         return (
             f"The model explains what it was fitted to, but not the test record: {reasons[0]}. "
             "Another machine or setting, or motions that the fitted record does not hold?"
@@ -170,72 +182,85 @@ def verdict_sentence(verdict: Verdict, found: Comparison, settings: Settings) ->
     return f"{told} {random}".strip()
 
 
-def _fits(found: Comparison, settings: Settings) -> bool:
+def _explains_fitted(comparison: Comparison, settings: Settings) -> bool:
     """Whether what was fitted is explained, whatever the test record says."""
-    explained = max(random_forces(found).values(), default=0.0) <= settings.random_limit
-    return explained and chi2_of(found) <= settings.chi2_limit and white(found, settings)
+    explained = max(random_forces(comparison).values(), default=0.0) <= settings.random_limit
+    return (
+        explained
+        and evidence_chi2(comparison) <= settings.chi2_limit
+        and is_residual_white(comparison, settings)
+    )
 
 
-def _figures(found: Comparison, settings: Settings) -> str:
-    floor = percent(found.noise_floor)
-    error = f"the test error is {percent(found.test_error)} (noise floor {floor})"
-    if runs_away(found) and (ahead := next_sample(found)) is not None:
+def _figures_clause(comparison: Comparison, settings: Settings) -> str:
+    floor = percent(comparison.noise_floor)
+    error = f"the test error is {percent(comparison.test_error)} (noise floor {floor})"
+    if (
+        is_free_run_carried_away(comparison)
+        and (ahead := next_sample_error(comparison)) is not None
+    ):
         error = (
             f"one sample ahead the error on unseen data is {percent(ahead)} (noise floor {floor}); "
             "a free run is no witness, as what is at random or uncertain carries it away"
         )
-    if found.random is not None:
-        kind = "white noise" if found.whiteness_p >= settings.whiteness_level else "noise"
-        if own_colour(found, settings):
-            share = percent(found.whiteness_effect)
+    if comparison.random is not None:
+        kind = "white noise" if comparison.whiteness_p >= settings.whiteness_level else "noise"
+        if has_own_colour(comparison, settings):
+            share = percent(comparison.whiteness_effect)
             kind += f" (its own past predicts about {share} of it, motion and inputs do not)"
         return f"what is left is {kind}, and {error}"
     return (
-        f"chi2 per degree of freedom is {number(chi2_of(found), 3)}, what is left is white, "
-        f"and {error}"
+        f"chi2 per degree of freedom is {number(evidence_chi2(comparison), 3)}, what is left is "
+        f"white, and {error}"
     )
 
 
-def summary(rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, settings: Settings) -> str:
-    """What a study found, with its figures, in sentences to be signed."""
-    admitted = _admitted(rounds)
+def study_summary(
+    rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, settings: Settings
+) -> str:
+    """What a study found, with its figures, in sentences for a report."""
+    admitted = _admitted_labels(rounds)
     last = rounds[-1].comparison
     if not admitted:
         if stopped == "diverged":
             return "The fit diverged."
-        return seed_said(verdict, rounds, settings)
-    if _replaced(rounds):
-        return _in_place(rounds, admitted)
-    said = [_change(rounds, admitted, settings)]
+        return seed_sentence(verdict, rounds, settings)
+    if _is_replaced_by_curve(rounds):
+        return _curve_summary(rounds, admitted)
+    said = [_change_sentence(rounds, admitted, settings)]
     said += [
         f"This record does not determine {label}: {doubt}."
         for label in admitted
-        if (doubt := doubts(rounds[-1], label, settings))
+        if (doubt := reasons_for_doubt(rounds[-1], label, settings))
     ]
-    said += [memory_said(rounds), held_said(rounds[0].details), untold_said(rounds[-1].details)]
+    said += [
+        memory_sentence(rounds),
+        describe_held_parameters(rounds[0].details),
+        describe_undetermined_parameters(rounds[-1].details),
+    ]
     if reasons := shortfalls(last, settings):
         more = "More is missing" if last.converged else "Whether more is missing cannot be told"
         said.append(f"{more}: {'; '.join(reasons)}.")
     return " ".join(filter(None, [*said, random_sentence(last), record_sentence(last)]))
 
 
-def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:
+def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:
     """What the admitted effects did to the error on unseen data."""
     first, last = rounds[0].comparison, rounds[-1].comparison
-    change = _error_said(first, last)
+    change = _error_clause(first, last)
     them = "it" if len(admitted) == 1 else "them"
-    if _worse(rounds, settings):
+    if _has_error_grown(rounds, settings):
         return (
             f"The model now holds {', '.join(admitted)}, but on data that no fit has seen the "
             f"error grew: {change}. Do not take {them} for what is missing."
         )
-    change += _grown_within_noise(first, last)
+    change += _growth_excuse(first, last)
     if predicts_nothing(last, settings):
         return (
             f"The model now holds {', '.join(admitted)}, and predicts nothing of data that no fit "
             f"has seen: {change}. Do not take {them} for what is missing."
         )
-    named, doubtful = missing(rounds, settings), stand_ins(rounds)
+    named, doubtful = missing_effects(rounds, settings), memory_stand_ins(rounds)
     if doubtful and not named:
         return (
             f"{_VERDICTS['unknown_structure']}. The model now holds {', '.join(admitted)}, which "
@@ -243,17 +268,23 @@ def _change(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settin
         )
     if not named:
         return f"The model now holds {', '.join(admitted)}: {change}."
-    words = ", ".join(placed(last.model, x) + _or_else(rounds, x, admitted) for x in named)
+    words = ", ".join(
+        label_with_place(last.model, x) + _look_alikes_clause(rounds, x, admitted) for x in named
+    )
     said = f"Missing {'was' if len(named) == 1 else 'were'} {words}: {change}."
     if doubtful:
         said += f" The model also holds {', '.join(doubtful)}: what stands in for memory."
     return said
 
 
-def _error_said(first: Comparison, last: Comparison) -> str:
+def _error_clause(first: Comparison, last: Comparison) -> str:
     """The error on unseen data before and after; that one sample ahead where no run is free."""
-    before, after, floor = next_sample(first), next_sample(last), percent(last.noise_floor)
-    if runs_away(last) and before is not None and after is not None:
+    before, after, floor = (
+        next_sample_error(first),
+        next_sample_error(last),
+        percent(last.noise_floor),
+    )
+    if is_free_run_carried_away(last) and before is not None and after is not None:
         return (
             f"error one sample ahead {percent(before)} -> {percent(after)} (noise floor {floor}; a "
             "free run is carried away)"
@@ -262,9 +293,9 @@ def _error_said(first: Comparison, last: Comparison) -> str:
     return f"test error {errors} (noise floor {floor})"
 
 
-def _grown_within_noise(first: Comparison, last: Comparison) -> str:
+def _growth_excuse(first: Comparison, last: Comparison) -> str:
     """What excuses a free run that grew; empty where none did."""
-    before, after = next_sample(first), next_sample(last)
+    before, after = next_sample_error(first), next_sample_error(last)
     if not last.test_error > first.test_error or before is None or after is None:
         return ""
     return (
@@ -273,7 +304,7 @@ def _grown_within_noise(first: Comparison, last: Comparison) -> str:
     )
 
 
-def _or_else(rounds: Sequence[Round], label: str, admitted: tuple[str, ...]) -> str:
+def _look_alikes_clause(rounds: Sequence[Round], label: str, admitted: tuple[str, ...]) -> str:
     """What the records do not tell from an effect, in brackets; empty where there is nothing."""
     alike = dict.fromkeys(a for r in rounds for a in r.aliases.get(label, ()) if a not in admitted)
     if not alike:
@@ -283,7 +314,7 @@ def _or_else(rounds: Sequence[Round], label: str, admitted: tuple[str, ...]) -> 
     return f" (or {', '.join(names)}{more}: this record cannot tell)"
 
 
-def placed(model: Model, label: str) -> str:
+def label_with_place(model: Model, label: str) -> str:
     """An effect of a model with its place, where its label leaves out that it is the first."""
     effect = next((e for e in model.effects if e.label == label), None)
     if effect is None or effect.port or len(at_every_place(model.system, effect)) < 2:
@@ -293,7 +324,7 @@ def placed(model: Model, label: str) -> str:
     return f"{label} at {name}" if name else label
 
 
-def _in_place(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:
+def _curve_summary(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:
     """A curve that explains more than what was admitted: what it does to the unseen error."""
     first, last, shape = rounds[0].comparison, rounds[-1].comparison, rounds[-1].details["unknown"]
     what = shape["sentence"].partition(":")[0]
@@ -306,21 +337,21 @@ def _in_place(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:
     )
 
 
-def seed_said(verdict: Verdict, rounds: Sequence[Round], settings: Settings) -> str:
-    """What was found of a model to which nothing was added."""
-    seed, held = rounds[0].comparison, held_said(rounds[0].details)
+def seed_sentence(verdict: Verdict, rounds: Sequence[Round], settings: Settings) -> str:
+    """The verdict in words on a model to which nothing was added."""
+    seed, held = rounds[0].comparison, describe_held_parameters(rounds[0].details)
     if held and verdict == "not_identifiable":
-        return f"{held} Beside that, nothing is missing: {_figures(seed, settings)}."
+        return f"{held} Beside that, nothing is missing: {_figures_clause(seed, settings)}."
     about = verdict_sentence(verdict, seed, settings)
-    return " ".join(filter(None, (about, memory_said(rounds), held)))
+    return " ".join(filter(None, (about, memory_sentence(rounds), held)))
 
 
-def noise_sentence(found: Comparison, settings: Settings) -> str:
+def noise_sentence(comparison: Comparison, settings: Settings) -> str:
     """What the noise is where the record says otherwise; empty where it does not."""
-    factor = noise_factor(found, settings)
+    factor = noise_factor(comparison, settings)
     if factor == 1.0:
         return ""
-    stated = "the record declares" if found.noise_ratio is not None else "was estimated"
+    stated = "the record declares" if comparison.noise_ratio is not None else "was estimated"
     return (
         f"The noise is {number(factor, 2)} times what {stated}: what is left is white and of that "
         "size. Correct record.noise; standard errors here are for the noise that was seen."

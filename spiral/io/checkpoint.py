@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spiral.inference.rounds import Checkpoint
-from spiral.io.storage import model_data, model_from, unwritable
+from spiral.io.storage import model_data, rebuild_model, unwritable_folder_error
 from spiral.io.writing import write_whole
 
 if TYPE_CHECKING:
@@ -36,12 +36,12 @@ _NO_INFLUENCE = ("out", "n_jobs", "run", "tracking", "sweep")  # on the result o
 
 @dataclass(frozen=True)
 class Keeper:
-    """Keeps the checkpoints of one study; ``folder`` is ``None`` where a twin runs right now."""
+    """Stores a study's checkpoints; ``folder`` is ``None`` while the same study runs elsewhere."""
 
     folder: Path | None
     registry: Registry
 
-    def keep(self, checkpoint: Checkpoint) -> None:
+    def write(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint over the last one.
 
         Raises
@@ -54,9 +54,9 @@ class Keeper:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_checkpoint(checkpoint, self.folder / FILE, self.registry)
         except OSError as error:
-            raise unwritable(self.folder.parent.parent, error) from error
+            raise unwritable_folder_error(self.folder.parent.parent, error) from error
 
-    def last(self) -> Checkpoint | None:
+    def read_last(self) -> Checkpoint | None:
         """The checkpoint that an unfinished study left, or nothing."""
         if self.folder is None or not (self.folder / FILE).is_file():
             return None
@@ -65,32 +65,32 @@ class Keeper:
         except Exception:  # damaged, or written by another version: the study starts anew
             return None
 
-    def done(self) -> None:
-        """The study is saved; its checkpoint goes."""
+    def remove(self) -> None:
+        """Remove the checkpoint of a study that is now saved."""
         if self.folder is not None:
             shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def write_checkpoint(checkpoint: Checkpoint, file: Path, registry: Registry) -> None:
     """Write a checkpoint over the last one, whole or not at all."""
-    plain = _converter(registry).unstructure(checkpoint)
-    write_whole(file, json.dumps(plain, default=_number))
+    plain = _json_converter(registry).unstructure(checkpoint)
+    write_whole(file, json.dumps(plain, default=_to_python_number))
 
 
 def read_checkpoint(file: Path, registry: Registry) -> Checkpoint:
     """A checkpoint from its file; whatever is wrong with it raises."""
     text = file.read_text(encoding="utf-8")
-    return _converter(registry).structure(json.loads(text), Checkpoint)
+    return _json_converter(registry).structure(json.loads(text), Checkpoint)
 
 
 @contextmanager
-def keeper(
+def checkpoint_keeper(
     config: Mapping[str, Any], problem: Problem, registry: Registry, out: str | os.PathLike[str]
 ) -> Iterator[Keeper]:
-    """The keeper of a study, locked against a twin that runs at the same time."""
+    """The ``Keeper`` of a study, locked against the same study in another process."""
     from filelock import FileLock, Timeout
 
-    place = Path(out).expanduser() / FOLDER / fingerprint(config, problem, registry)
+    place = Path(out).expanduser() / FOLDER / study_fingerprint(config, problem, registry)
     lock = FileLock(f"{place}.lock", blocking=False)
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -99,9 +99,9 @@ def keeper(
         yield Keeper(None, registry)
         return
     except OSError as error:
-        raise unwritable(out, error) from error
+        raise unwritable_folder_error(out, error) from error
     try:
-        _remove_left(place.parent)
+        _remove_stale_locks(place.parent)
         yield Keeper(place, registry)
     finally:
         lock.release()
@@ -110,7 +110,7 @@ def keeper(
         _remove_empty(place.parent.parent)  # made here, and nothing was saved
 
 
-def _remove_left(folder: Path) -> None:
+def _remove_stale_locks(folder: Path) -> None:
     """Remove the lock files that killed processes left: those of some age that nobody holds."""
     from filelock import FileLock, Timeout
 
@@ -124,8 +124,8 @@ def _remove_left(folder: Path) -> None:
             continue
 
 
-def fingerprint(config: Mapping[str, Any], problem: Problem, registry: Registry) -> str:
-    """Of everything that the result of a study depends on."""
+def study_fingerprint(config: Mapping[str, Any], problem: Problem, registry: Registry) -> str:
+    """SHA-256 (20 digits) of everything that the result of a study depends on."""
     from spiral.version import __version__
 
     content = {
@@ -139,7 +139,7 @@ def fingerprint(config: Mapping[str, Any], problem: Problem, registry: Registry)
     return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
-def _number(value: Any) -> Any:
+def _to_python_number(value: Any) -> Any:
     """A number or array of NumPy's as Python's own."""
     return value.tolist()
 
@@ -151,7 +151,7 @@ def _remove_empty(folder: Path) -> None:
         return  # another study is unfinished
 
 
-def _converter(registry: Registry) -> Converter:
+def _json_converter(registry: Registry) -> Converter:
     """Frozen dataclasses to JSON and back; models by their plugins' names, arrays as lists."""
     import numpy as np
     from cattrs import Converter
@@ -162,7 +162,7 @@ def _converter(registry: Registry) -> Converter:
 
     converter = Converter()
     converter.register_unstructure_hook(Model, model_data)
-    converter.register_structure_hook(Model, lambda data, _: model_from(data, registry))
+    converter.register_structure_hook(Model, lambda data, _: rebuild_model(data, registry))
     converter.register_unstructure_hook(np.ndarray, lambda a: a.tolist())
     converter.register_structure_hook(np.ndarray, lambda data, _: np.asarray(data, dtype=float))
     none = override(omit=True)

@@ -15,7 +15,7 @@ from typing import Any
 from spiral.inference.plan_options import PlanOptions
 from spiral.inference.problem import Problem, Settings
 from spiral.io import custom, question, strategy_config
-from spiral.io.overrides import Assignment, parse, set_value
+from spiral.io.overrides import Assignment, parse_overrides, set_value
 from spiral.io.registry import Registry
 from spiral.io.strategy_config import build_strategy, gate_fields
 from spiral.io.system_files import plugin_of_file
@@ -35,7 +35,7 @@ GROUPS = {
     "learner": "learner",
     "library": "library",
 }
-# Of groups that runs saved before them lack.
+# Default plugin of each group that configurations of older saved runs lack.
 USUAL = {
     "derivative": "total_variation", "learner": "tanh_network", "library": "paper",
     "observer": "ekf",
@@ -75,16 +75,20 @@ def experiments() -> tuple[str, ...]:
     return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".yaml")))
 
 
-def register(registry: Registry) -> None:
+def register_with_hydra(registry: Registry) -> None:
     """Tell Hydra about the plugins, so that presets can choose them."""
     from hydra.core.config_store import ConfigStore
 
     store = ConfigStore.instance()
     for name in registry.names("strategy"):
-        store.store(name=name, group="strategy", node=strategy_config.section(name, registry))
+        store.store(
+            name=name,
+            group="strategy",
+            node=strategy_config.default_strategy_section(name, registry),
+        )
     for group, kind in GROUPS.items():
         for name in registry.names(kind):
-            store.store(name=name, group=group, node=_section(group, name, registry))
+            store.store(name=name, group=group, node=_default_plugin_section(group, name, registry))
 
 
 def compose(overrides: Sequence[str], registry: Registry, base: Config | None = None) -> Config:
@@ -94,59 +98,63 @@ def compose(overrides: Sequence[str], registry: Registry, base: Config | None = 
     ------
     ConfigError : an unknown key, name or field, with near misses; a value that does not parse.
     """
-    items = parse(overrides)
-    config = copy.deepcopy(base) if base is not None else _from_hydra(_preset(items), registry)
-    if base is not None and _preset(items):
+    items = parse_overrides(overrides)
+    config = (
+        copy.deepcopy(base) if base is not None else _compose_preset(_preset_name(items), registry)
+    )
+    if base is not None and _preset_name(items):
         raise ConfigError(
-            f"experiment={_preset(items)} together with run=", "one of them", "leave one out"
+            f"experiment={_preset_name(items)} together with run=", "one of them", "leave one out"
         )
-    items, registry = custom.routed(config, items, registry)
-    strategy_config.normalised(config, registry)
-    strategy_config.chosen(config, items, registry)
-    _normalise(config, registry)
+    items, registry = custom.route_expression_overrides(config, items, registry)
+    strategy_config.normalise_strategy_section(config, registry)
+    strategy_config.apply_strategy_choice(config, items, registry)
+    _normalise_sections(config, registry)
     taken = (("experiment",), ("strategy",))
-    rest = strategy_config.routed((i for i in items if i.path not in taken), config, registry)
+    rest = strategy_config.rewrite_strategy_aliases(
+        (i for i in items if i.path not in taken), config, registry
+    )
     for item in [i for i in rest if len(i.path) == 1]:
-        _apply(config, item, registry)
+        _apply_override(config, item, registry)
     for item in [i for i in rest if len(i.path) > 1]:
-        _apply(config, item, registry)
-    options(config)
+        _apply_override(config, item, registry)
+    top_level_options(config)
     build_strategy(config, registry)  # refused before anything is read
     return config
 
 
-def options(config: Config) -> Options:
+def top_level_options(config: Config) -> Options:
     """The top-level values, checked."""
     given = {k: config[k] for k in field_names(Options) if k in config}
-    found = construct(Options, given, "")
-    question.check_holdout(found.holdout, found.holdout_blocks)
-    return found
+    checked = construct(Options, given, "")
+    question.check_holdout(checked.holdout, checked.holdout_blocks)
+    return checked
 
 
-def settings(config: Config) -> Settings:
+def statistics_settings(config: Config) -> Settings:
     """Levels and sizes of the statistics."""
-    found = construct(Settings, config["settings"], "settings")
+    checked = construct(Settings, config["settings"], "settings")
     for name in ("level", "alias_level", "whiteness_level", "share", "miss"):
-        if not 0 < getattr(found, name) < 1:
+        if not 0 < getattr(checked, name) < 1:
             raise ConfigError(
-                f"settings.{name}={getattr(found, name):g}", "a probability between 0 and 1"
+                f"settings.{name}={getattr(checked, name):g}", "a probability between 0 and 1"
             )
-    return found
+    return checked
 
 
 def build_system(config: Config, registry: Registry) -> Any:
     """The system of a configuration."""
-    return _plugin("system", config, registry)
+    return _make_group_plugin("system", config, registry)
 
 
 def build_derivative(config: Config, registry: Registry) -> Any:
     """The estimator of derivatives of a configuration."""
-    return _plugin("derivative", config, registry)
+    return _make_group_plugin("derivative", config, registry)
 
 
 def build_observer(config: Config, registry: Registry) -> Any:
     """The state estimator of a configuration."""
-    return _plugin("observer", config, registry)
+    return _make_group_plugin("observer", config, registry)
 
 
 def build_sources(config: Config, registry: Registry) -> tuple[Any, Any | None]:
@@ -154,8 +162,8 @@ def build_sources(config: Config, registry: Registry) -> tuple[Any, Any | None]:
 
     A field of the test that is left out is as in the record where both have one source.
     """
-    registry = custom.bound(config, registry)
-    record = _plugin("record", config, registry)
+    registry = custom.registry_for_config(config, registry)
+    record = _make_group_plugin("record", config, registry)
     section = config["test"]
     if not section.get("name"):
         return record, None
@@ -168,8 +176,8 @@ def build_sources(config: Config, registry: Registry) -> tuple[Any, Any | None]:
 
 def build_effects(config: Config, registry: Registry, system: Any) -> tuple[Any, ...]:
     """The effects of the model: its seed and those added, less those left out."""
-    registry = custom.bound(config, registry)
-    chosen = options(config)
+    registry = custom.registry_for_config(config, registry)
+    chosen = top_level_options(config)
     if chosen.seed is None:
         effects = list(system.seed)
     else:
@@ -187,44 +195,44 @@ def build_effects(config: Config, registry: Registry, system: Any) -> tuple[Any,
 
 
 def build_model(config: Config, registry: Registry) -> Any:
-    """The model of a configuration; a system's nominal values are first values."""
+    """The model of a configuration; a system's nominal values are start values."""
     from spiral.inference.simulate import with_defaults
     from spiral.types.model import Model
 
-    registry = custom.bound(config, registry)
+    registry = custom.registry_for_config(config, registry)
     system = build_system(config, registry)
-    chosen = options(config)
+    chosen = top_level_options(config)
     effects = build_effects(config, registry, system)
     values = dict(chosen.values or {})
     free, fixed = chosen.free, chosen.fixed
-    if chosen.run:  # numbers of effects that its model had and this one has not
+    if chosen.run:  # values of effects that are no longer in the model are dropped
         gone = set(registry.names("effect"))
 
-        def kept(key: str) -> bool:
+        def is_present(key: str) -> bool:
             owner = key.rsplit(".", 1)[0]
             return owner in {e.label for e in effects} or name_of(owner) not in gone
 
-        values = {k: v for k, v in values.items() if kept(k)}
-        free, fixed = tuple(filter(kept, free)), tuple(filter(kept, fixed))
+        values = {k: v for k, v in values.items() if is_present(k)}
+        free, fixed = tuple(filter(is_present, free)), tuple(filter(is_present, fixed))
     return with_defaults(Model(system, effects, values=values, freed=free, fixed=fixed))
 
 
 def build_problem(config: Config, registry: Registry) -> Problem:
-    """The question of a study: its model, with the records loaded and the test kept apart."""
-    chosen, levels = options(config), settings(config)
+    """The ``Problem`` of a study: its model, with the records loaded and the test kept apart."""
+    chosen, levels = top_level_options(config), statistics_settings(config)
     model = build_model(config, registry)
     record, test_source = build_sources(config, registry)
     records = record.load(model.system)
     test = None if test_source is None else test_source.load(model.system)
-    return question.put(
-        custom.bound(config, registry), model, records, test,
+    return question.pose_problem(
+        custom.registry_for_config(config, registry), model, records, test,
         holdout=chosen.holdout, holdout_blocks=chosen.holdout_blocks,
         settle=config["test"].get("settle"), candidates=chosen.candidates,
         settings=levels, strategy=build_strategy(config, registry),
     )  # fmt: skip
 
 
-def _preset(items: Iterable[Assignment]) -> str | None:
+def _preset_name(items: Iterable[Assignment]) -> str | None:
     name = None
     for item in items:
         if item.path == ("experiment",):
@@ -239,19 +247,19 @@ def _preset(items: Iterable[Assignment]) -> str | None:
     return name
 
 
-def _from_hydra(preset: str | None, registry: Registry) -> Config:
+def _compose_preset(preset: str | None, registry: Registry) -> Config:
     """``config.yaml`` with a preset, as plain data of the caller's own."""
-    return copy.deepcopy(_composed(preset, registry))
+    return copy.deepcopy(_compose_with_hydra(preset, registry))
 
 
 @kept(16)
-def _composed(preset: str | None, registry: Registry) -> Config:
-    """As Hydra composes it; the jobs of a sweep, and a page's questions, ask for the same."""
+def _compose_with_hydra(preset: str | None, registry: Registry) -> Config:
+    """The composition by Hydra, cached: jobs of a sweep and requests of the page repeat it."""
     import hydra
     from hydra.core.global_hydra import GlobalHydra
     from omegaconf import OmegaConf
 
-    register(registry)
+    register_with_hydra(registry)
     given = [f"experiment={preset}"] if preset else []
     shared = GlobalHydra.instance()
     outer, shared.hydra = shared.hydra, None  # a Hydra application may be running around us
@@ -265,7 +273,7 @@ def _composed(preset: str | None, registry: Registry) -> Config:
     return {"experiment": preset, "system": None, "record": None, **config}  # type: ignore[dict-item]
 
 
-def _section(group: str, name: str, registry: Registry) -> Config:
+def _default_plugin_section(group: str, name: str, registry: Registry) -> Config:
     """A plugin's fields with their defaults; a test's are empty, to be as in the record."""
     fields = defaults_of(registry.entry(GROUPS[group], name).plugin)
     if group == "test":
@@ -273,11 +281,11 @@ def _section(group: str, name: str, registry: Registry) -> Config:
     return {"name": name, **fields}
 
 
-def _normalise(config: Config, registry: Registry) -> None:
-    """One shape inside: ``test`` with all its fields, ``effect`` as label -> fields."""
+def _normalise_sections(config: Config, registry: Registry) -> None:
+    """Bring sections to one form: ``test`` with all its fields, ``effect`` as label -> fields."""
     for group, name in USUAL.items():
         if not config.get(group):
-            config[group] = _section(group, name, registry)
+            config[group] = _default_plugin_section(group, name, registry)
     test = config["test"] or {}
     extra = [k for k in test if k not in _TEST_SEED_FIELDS]
     if extra and not test.get("name"):
@@ -292,25 +300,25 @@ def _test_like_record(config: Config, registry: Registry, test: Config) -> Confi
     if not config["record"]:
         raise ConfigError("a test without a record", "record=NAME", "record=csv record.path=FILE")
     name = config["record"]["name"]
-    return {**_section("test", name, registry), **test, "name": name}
+    return {**_default_plugin_section("test", name, registry), **test, "name": name}
 
 
 def _effect_fields(given: Any, registry: Registry) -> Config:
     """``[a, b@PORT]``, ``a`` or ``{a: {field: value}}`` -> label -> all its fields."""
-    found = {}
+    sections = {}
     for label, fields in by_name(given, "effect", "effect=[cubic_stiffness]").items():
         name, port = split_port(label)
         defaults = defaults_of(registry.entry("effect", name).plugin)
         for hidden in ("variant", *(["port"] if port else [])):
             defaults.pop(hidden)
-        found[label] = {**defaults, **fields}
-    return found
+        sections[label] = {**defaults, **fields}
+    return sections
 
 
-def _apply(config: Config, item: Assignment, registry: Registry) -> None:
+def _apply_override(config: Config, item: Assignment, registry: Registry) -> None:
     first = item.path[0]
     if len(item.path) == 1 and first in GROUPS:
-        _choose(config, first, None if item.delete else item.value, registry)
+        _choose_group_plugin(config, first, None if item.delete else item.value, registry)
         return
     if item.path == ("effect",):
         config["effect"] = _effect_fields(None if item.delete else item.value, registry)
@@ -329,8 +337,8 @@ def _apply(config: Config, item: Assignment, registry: Registry) -> None:
     set_value(config, item, _open_keys(config, registry))
 
 
-def _choose(config: Config, group: str, name: Any, registry: Registry) -> None:
-    """Take another plugin for a group; the fields a preset gave the same one are kept."""
+def _choose_group_plugin(config: Config, group: str, name: Any, registry: Registry) -> None:
+    """Choose a group's plugin; one that is chosen already keeps the fields that a preset set."""
     if name is None:
         settle = (config["test"] or {}).get("settle")
         config[group] = {"name": None, "settle": settle} if group == "test" else None
@@ -338,7 +346,7 @@ def _choose(config: Config, group: str, name: Any, registry: Registry) -> None:
     file = str(name) if group == "system" and plugin_of_file(str(name)) else ""
     if config[group] and config[group].get("name") == name:
         return
-    chosen = _section(group, plugin_of_file(file) or str(name), registry)
+    chosen = _default_plugin_section(group, plugin_of_file(file) or str(name), registry)
     if file:
         chosen["path"] = file
     if group == "test":
@@ -347,15 +355,15 @@ def _choose(config: Config, group: str, name: Any, registry: Registry) -> None:
 
 
 def _open_keys(config: Config, registry: Registry) -> tuple[str, ...]:
-    found = ["values", *custom.open_keys(config)]
+    keys = ["values", *custom.open_expression_keys(config)]
     for group, kind in GROUPS.items():
         if config[group] and config[group].get("name"):
             plugin = registry.entry(kind, config[group]["name"]).plugin
-            found += [f"{group}.{f}" for f in field_names(plugin) if is_open(plugin, f)]
-    return tuple(found)
+            keys += [f"{group}.{f}" for f in field_names(plugin) if is_open(plugin, f)]
+    return tuple(keys)
 
 
-def _plugin(group: str, config: Config, registry: Registry) -> Any:
+def _make_group_plugin(group: str, config: Config, registry: Registry) -> Any:
     kind = GROUPS[group]
     section = config[group]
     if not section:

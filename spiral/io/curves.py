@@ -17,7 +17,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from spiral.io.readers.containers import npz_arrays
-from spiral.io.storage import own_file
+from spiral.io.storage import resolve_inside_folder
 from spiral.types.errors import InputError
 from spiral.types.record import Array
 
@@ -34,8 +34,8 @@ class Curves:
 
     def get(self, *key: Any) -> Array | None:
         """One array in double precision, or nothing."""
-        found = self.arrays.get(".".join(map(str, key)))
-        return None if found is None else np.asarray(found, dtype=float)
+        array = self.arrays.get(".".join(map(str, key)))
+        return None if array is None else np.asarray(array, dtype=float)
 
     @property
     def tested(self) -> int:
@@ -71,7 +71,7 @@ def read_curves(folder: Path) -> Curves | None:
     ------
     InputError : a file that is none of this program's, or a link out of the folder.
     """
-    file = own_file(folder, FILE)
+    file = resolve_inside_folder(folder, FILE)
     if not file.is_file():
         return None
     try:
@@ -82,15 +82,15 @@ def read_curves(folder: Path) -> Curves | None:
     return Curves(meta, arrays)
 
 
-def beside(first: Curves, last: Curves) -> Curves:
-    """The curves of the model that a study began with, beside those of a later one."""
+def add_seed_curves(first: Curves, last: Curves) -> Curves:
+    """Curves of a later model, with those of the study's first model added as ``seed``."""
     arrays = {k.replace(f".{FINAL}.", f".{SEED}."): v for k, v in first.arrays.items()
               if f".{FINAL}." in k}  # fmt: skip
     models = {SEED: first.meta["models"][FINAL], **last.meta["models"]}
     return Curves({**last.meta, "models": models}, {**arrays, **last.arrays})
 
 
-def alone(curves: Curves) -> Curves:
-    """The curves without the model that a study began with."""
+def drop_seed_curves(curves: Curves) -> Curves:
+    """Curves without those of ``seed``, the model that a study began with."""
     models = {k: v for k, v in curves.meta["models"].items() if k != SEED}
     return Curves({**curves.meta, "models": models}, curves.arrays)

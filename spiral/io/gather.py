@@ -1,4 +1,4 @@
-"""The curves of models that were compared: what ``curves`` keeps, computed."""
+"""Computes the curves of compared models that ``spiral.io.curves`` saves for the report."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.task import linearised
+from spiral.engine.filter.task import state_jacobian
 from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import residuals
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.evidence.assembly import (
     Assembly,
     assemble,
-    first_row,
-    placed,
+    initial_values,
     to_model,
+    with_model_values,
 )
-from spiral.inference.evidence.comparison import refined, test_run
+from spiral.inference.evidence.comparison import free_run_on_test, refine_substeps
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.judge import run_free, whole
+from spiral.inference.evidence.judge import fit_whole_records, free_run_from_stage
 from spiral.inference.problem import Problem, Progress, silent
-from spiral.inference.where.latent import LatentForce, smoothed_states, with_latent
-from spiral.inference.where.regions import Seen, seen, where
-from spiral.inference.where.surface import shapes
+from spiral.inference.where.latent import LatentForce, add_latent_force, smoothed_states
+from spiral.inference.where.regions import Seen, locate_failure, worst_record_failure
+from spiral.inference.where.surface import rank_force_shapes
 from spiral.io.curves import FINAL, Curves
 from spiral.physics.couplings import couplings_of
-from spiral.physics.passivity import implausible
+from spiral.physics.passivity import implausible_signs
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
@@ -39,14 +39,14 @@ _FORMAT = 1
 
 
 @one_blas_thread
-def gather(
+def gather_curves(
     problem: Problem, comparisons: Mapping[str, Comparison], progress: Progress = silent
 ) -> Curves:
     """All curves of the models that these comparisons judged.
 
-    Only the records' own nuisances are estimated again; the parameters stand as they are.
+    Only initial states and phases of the records are estimated again; parameters are kept.
     """
-    wide = _wide(problem.model, [c.model for c in comparisons.values()])
+    wide = _union_model(problem.model, [c.model for c in comparisons.values()])
     final = list(comparisons)[-1]
     asked = problem.running(comparisons[final].between)
     whole = replace(asked, model=wide, candidates=())
@@ -56,48 +56,48 @@ def gather(
     about: dict[str, Any] = {}
     for name, comparison in comparisons.items():
         narrow = replace(assembly, problem=replace(whole, model=comparison.model))
-        values = _zeroed(narrow, first_row(narrow), comparison.model)
-        narrow = refined(narrow, FitState(comparison.model.labels, values))
-        stage = _settled(
+        values = _zero_absent_amplitudes(narrow, initial_values(narrow), comparison.model)
+        narrow = refine_substeps(narrow, FitState(comparison.model.labels, values))
+        stage = _fit_nuisances(
             narrow, comparison.model.labels, comparison.model, values, comparison.horizon
         )
         about[name] = _free_curves(kept, narrow, comparison, comparison.model.labels, stage, name)
         about[name] |= _where_curves(kept, narrow, stage, name, wide)
         if name == final:
-            about["modes"] = _modes(kept, narrow, stage)
-    return _whole(kept, about, problem, comparisons[final].model)
+            about["modes"] = _mode_curves(kept, narrow, stage)
+    return _assemble_curves(kept, about, problem, comparisons[final].model)
 
 
 @one_blas_thread
 def free_curves(
-    assembly: Assembly, name: str, standing: FitState, comparison: Comparison
+    assembly: Assembly, name: str, fit_state: FitState, comparison: Comparison
 ) -> Curves:
-    """The curves of one model that need no missing force, with a study's own compilation.
+    """Free runs, residuals and modes of one model, with a study's compiled equations.
 
-    Free runs, residuals and modes: all there is to draw at once, before ``gather`` does the rest.
+    They need no missing force and can be drawn at once, before ``gather_curves`` does the rest.
     """
     kept: dict[str, Array] = {}
-    values = placed(assembly, standing.labels, standing.values, comparison.model)
-    stage = _settled(assembly, standing.labels, comparison.model, values, comparison.horizon)
-    labels = standing.labels
+    values = with_model_values(assembly, fit_state.labels, fit_state.values, comparison.model)
+    stage = _fit_nuisances(assembly, fit_state.labels, comparison.model, values, comparison.horizon)
+    labels = fit_state.labels
     about: dict[str, Any] = {name: _free_curves(kept, assembly, comparison, labels, stage, name)}
-    about["modes"] = _modes(kept, assembly, stage)
-    return _whole(kept, about, assembly.problem, comparison.model, equation=False)
+    about["modes"] = _mode_curves(kept, assembly, stage)
+    return _assemble_curves(kept, about, assembly.problem, comparison.model, equation=False)
 
 
-def _whole(
+def _assemble_curves(
     kept: dict[str, Array], about: dict[str, Any], problem: Problem, model: Model,
     equation: bool = True,
 ) -> Curves:  # fmt: skip
     """Curves with their records and all that is said of them."""
-    records = _records(kept, problem)
+    records = _record_curves(kept, problem)
     tests = [a.pop("settled") for a in about.values() if isinstance(a, dict) and "settled" in a]
     for record in records:
         record["settled"] = tests[0] if record["part"] == "test" and tests else 0
-    return Curves(_meta(problem, records, about, model, equation), kept)
+    return Curves(_curves_meta(problem, records, about, model, equation), kept)
 
 
-def _wide(model: Model, models: list[Model]) -> Model:
+def _union_model(model: Model, models: list[Model]) -> Model:
     """One model with every effect of all, and an unknown force: compiled once."""
     effects = {e.label: e for m in reversed(models) for e in m.effects}
     bare = Model(model.system, tuple(effects.values()))
@@ -107,10 +107,10 @@ def _wide(model: Model, models: list[Model]) -> Model:
             zero[key] = next((m.values[key] for m in models if key in m.values), zero[key] or 1.0)
         elif not key.startswith("system."):
             zero[key] = 0.0
-    return with_latent(replace(bare, values=zero))
+    return add_latent_force(replace(bare, values=zero))
 
 
-def _zeroed(assembly: Assembly, row: Array, model: Model) -> Array:
+def _zero_absent_amplitudes(assembly: Assembly, row: Array, model: Model) -> Array:
     """Amplitudes of effects that a model does not have are zero."""
     traced = assembly.study.compiled.traced
     for at, (key, parameter) in enumerate(zip(traced.keys, traced.parameters, strict=True)):
@@ -120,13 +120,13 @@ def _zeroed(assembly: Assembly, row: Array, model: Model) -> Array:
     return row
 
 
-def _settled(
+def _fit_nuisances(
     assembly: Assembly, labels: tuple[str, ...], model: Model, values: Array, longest: int
 ) -> Stage:
     """Initial states, phase origins and phase corrections of the fitted records."""
     turning = any("phase" in e.inputs for e in model.effects)
     corrected = assembly.study.correction_keys if turning else ()
-    return whole(assembly, labels, values, longest, beside=corrected)
+    return fit_whole_records(assembly, labels, values, longest, beside=corrected)
 
 
 def _free_curves(
@@ -134,25 +134,25 @@ def _free_curves(
     stage: Stage, name: str,
 ) -> dict[str, Any]:  # fmt: skip
     """Free runs and residuals of one model: those that were compared, where they are at hand."""
-    found = comparison.traces or _traced(assembly, labels, stage)
-    for number in range(min(len(found.fitted), _RECORDS)):
-        kept[f"{number}.{name}.free"] = found.fitted[number].astype(np.float32)
-        kept[f"{number}.{name}.left"] = found.left[number].astype(np.float32)
-    shown = min(len(found.fitted), _RECORDS)
+    traces = comparison.traces or _model_traces(assembly, labels, stage)
+    for number in range(min(len(traces.fitted), _RECORDS)):
+        kept[f"{number}.{name}.free"] = traces.fitted[number].astype(np.float32)
+        kept[f"{number}.{name}.left"] = traces.left[number].astype(np.float32)
+    shown = min(len(traces.fitted), _RECORDS)
     about: dict[str, Any] = {"horizon": int(stage.length)}
-    if found.test:
-        about["settled"] = int(found.settled)
-    for number, predicted in enumerate(found.test[:_RECORDS]):
+    if traces.test:
+        about["settled"] = int(traces.settled)
+    for number, predicted in enumerate(traces.test[:_RECORDS]):
         kept[f"{shown + number}.{name}.free"] = predicted.astype(np.float32)
     return about
 
 
-def _traced(assembly: Assembly, labels: tuple[str, ...], stage: Stage) -> Traces:
+def _model_traces(assembly: Assembly, labels: tuple[str, ...], stage: Stage) -> Traces:
     """Free runs and residuals of a model whose windows were fitted."""
     study = assembly.study
-    free = run_free(assembly, stage, (0,) * len(study.series))
+    free = free_run_from_stage(assembly, stage, (0,) * len(study.series))
     left = residuals(study, stage.layouts, stage.fitted.point)
-    run = test_run(assembly, labels, stage.fitted.point.values)
+    run = free_run_on_test(assembly, labels, stage.fitted.point.values)
     if run is None:
         return Traces(free.predicted, (), 0, left)
     return Traces(free.predicted, run.predicted, run.settled[0], left)
@@ -163,12 +163,12 @@ def _where_curves(
 ) -> dict[str, Any]:
     """The missing force of one model; where it fails, in words."""
     about: dict[str, Any] = {}
-    found = seen(assembly, stage, wide)
-    about["where"] = where(assembly, stage, found).as_dict()
-    if found.missing is not None and found.number < _RECORDS:
-        about |= _force_curves(kept, assembly, found, name)
-    elif name == FINAL and found.number < _RECORDS:
-        about |= _state_curves(kept, assembly, stage, found.number)
+    region = worst_record_failure(assembly, stage, wide)
+    about["where"] = locate_failure(assembly, stage, region).as_dict()
+    if region.missing is not None and region.number < _RECORDS:
+        about |= _force_curves(kept, assembly, region, name)
+    elif name == FINAL and region.number < _RECORDS:
+        about |= _state_curves(kept, assembly, stage, region.number)
     return about
 
 
@@ -182,32 +182,32 @@ def _state_curves(
     model = to_model(assembly, assembly.problem.model.labels, values[number : number + 1], {})
     series = study.series[number]
     grid = study.inputs(number, values[number])
-    found = smoothed_states(model, series.record, grid, series.substeps)
-    if found is None:
+    smoothed = smoothed_states(model, series.record, grid, series.substeps)
+    if smoothed is None:
         return {}
-    for name, array in zip(("states", "states_sd"), found, strict=True):
+    for name, array in zip(("states", "states_sd"), smoothed, strict=True):
         kept[f"{number}.{FINAL}.{name}"] = array.astype(np.float32)
     return {"hidden": {"record": number, "first": 0}}
 
 
 def _force_curves(
-    kept: dict[str, Array], assembly: Assembly, found: Seen, name: str
+    kept: dict[str, Array], assembly: Assembly, region: Seen, name: str
 ) -> dict[str, Any]:
-    missing = found.missing
+    missing = region.missing
     assert missing is not None
-    prefix = f"{found.number}.{name}"
+    prefix = f"{region.number}.{name}"
     single = {"force": missing.force, "force_sd": missing.deviation,
               "states": missing.states, "states_sd": missing.spreads}  # fmt: skip
     kept.update({f"{prefix}.{k}": v.astype(np.float32) for k, v in single.items()})
     labels = assembly.problem.model.labels
     owned = [k for k in assembly.study.keys if k.rsplit(".", 1)[0] in labels]
-    ranked = shapes(missing, tuple(owned))[:6]
+    ranked = rank_force_shapes(missing, tuple(owned))[:6]
     words = [{**vars(s)} for s in ranked]
-    return {"record": found.number, "first": missing.start, "shapes": words,
+    return {"record": region.number, "first": missing.start, "shapes": words,
             "axes": list(missing.axes), "force_unit": missing.unit}  # fmt: skip
 
 
-def _modes(kept: dict[str, Array], assembly: Assembly, stage: Stage) -> dict[str, Any]:
+def _mode_curves(kept: dict[str, Array], assembly: Assembly, stage: Stage) -> dict[str, Any]:
     """Natural frequencies (Hz) and damping ratios at rest, over speed: eigenvalues of f_x."""
     study = assembly.study
     names = study.compiled.traced.inputs
@@ -222,7 +222,7 @@ def _modes(kept: dict[str, Array], assembly: Assembly, stage: Stage) -> dict[str
         u = np.zeros(len(names))
         if "speed" in names:
             u[names.index("speed")] = speed
-        roots = np.linalg.eigvals(linearised(study.compiled, values, u))
+        roots = np.linalg.eigvals(state_jacobian(study.compiled, values, u))
         roots = roots[roots.imag > 0]
         roots = roots[np.argsort(np.abs(roots))][:count]
         frequency[row, : len(roots)] = roots.imag / (2 * np.pi)
@@ -231,7 +231,7 @@ def _modes(kept: dict[str, Array], assembly: Assembly, stage: Stage) -> dict[str
     return {"over_speed": "speed" in names}
 
 
-def _records(kept: dict[str, Array], problem: Problem) -> list[dict[str, Any]]:
+def _record_curves(kept: dict[str, Array], problem: Problem) -> list[dict[str, Any]]:
     system = problem.model.system
     chosen = [("fit", r) for r in problem.records[:_RECORDS]]
     chosen += [("test", r) for r in problem.test[:_RECORDS]]
@@ -241,10 +241,10 @@ def _records(kept: dict[str, Array], problem: Problem) -> list[dict[str, Any]]:
         for name, values in record.inputs.items():
             exact = name == "phase"  # a phase of thousands of turns needs all its digits
             kept[f"{number}.{name}"] = values if exact else values.astype(np.float32)
-    return [_about(part, record) for part, record in chosen]
+    return [_describe_record(part, record) for part, record in chosen]
 
 
-def _about(part: str, record: Record) -> dict[str, Any]:
+def _describe_record(part: str, record: Record) -> dict[str, Any]:
     return {
         "part": part, "name": record.name, "samples": record.samples, "dt": record.dt,
         "start": float(record.time[0]), "sigma": record.sigma(), "sha256": record.sha256,
@@ -252,14 +252,14 @@ def _about(part: str, record: Record) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _meta(
+def _curves_meta(
     problem: Problem,
     records: list[dict[str, Any]],
     about: dict[str, Any],
     final: Model,
     equation: bool,
 ) -> dict[str, Any]:
-    from spiral.io.export.equation import equation as written
+    from spiral.io.export.equation import equation_text as written
     from spiral.io.mathml import mathml
 
     system = problem.model.system
@@ -278,7 +278,7 @@ def _meta(
         "models": about,
         "equation": written(final) if equation else "",
         "mathml": mathml(final) if equation else [],
-        "signs": implausible(final) if equation else {},
+        "signs": implausible_signs(final) if equation else {},
         "sketch": asdict(couplings_of(final)) if equation else {},
         "latent": LatentForce.meaning(),
     }

@@ -26,65 +26,65 @@ class Assignment:
     delete: bool = False
 
 
-def parse(texts: Sequence[str]) -> tuple[Assignment, ...]:
+def parse_overrides(texts: Sequence[str]) -> tuple[Assignment, ...]:
     """Overrides without sweeps.
 
     Raises
     ------
     ConfigError : what Hydra's grammar does not read, or a sweep.
     """
-    found = []
-    for text, override in zip(texts, _parsed(texts), strict=True):
+    assignments = []
+    for text, override in zip(texts, _parse_with_hydra(texts), strict=True):
         if override.is_sweep_override():
             raise ConfigError(
                 f"{text!r}, several values",
                 "one value, or a sweep over them",
                 "add -m to run once for each value, or write a list as [a,b]",
             )
-        path = tuple(_key(override).split("."))
-        found.append(Assignment(path, override.value(), text, override.is_delete()))
-    return tuple(found)
+        path = tuple(_full_key(override).split("."))
+        assignments.append(Assignment(path, override.value(), text, override.is_delete()))
+    return tuple(assignments)
 
 
-def expand(texts: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+def expand_sweep(texts: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     """The jobs of a sweep in order: every combination of the values given."""
     from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 
-    batches = BasicSweeper.split_arguments(_parsed(texts), max_batch_size=None)
+    batches = BasicSweeper.split_arguments(_parse_with_hydra(texts), max_batch_size=None)
     return tuple(tuple(job) for batch in batches for job in batch)
 
 
-def _parsed(texts: Sequence[str]) -> list[Any]:
+def _parse_with_hydra(texts: Sequence[str]) -> list[Any]:
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 
     parser = OverridesParser.create()
-    found = []
+    parsed = []
     for text in texts:
-        if len(text) > _LONGEST or _depth(text) > _DEEPEST:
+        if len(text) > _LONGEST or _bracket_depth(text) > _DEEPEST:
             raise ConfigError(
                 f"an override of {len(text)} letters, {text[:40]}...",
                 f"at most {_LONGEST} letters, and {_DEEPEST} brackets in one another",
                 "a preset: a file in experiment/",
             )
         try:
-            found.append(parser.parse_override(_formula_quoted(text)))
+            parsed.append(parser.parse_override(_quote_formula(text)))
         except (HydraException, ValueError) as error:  # a number of thousands of digits
             raise ConfigError(
                 f"{text[:200]!r}: {str(error).splitlines()[0]}",
                 "KEY=VALUE, KEY=[a,b] or KEY='{a: b}'",
                 "quote values with special characters: KEY='\"...\"'",
             ) from error
-    return found
+    return parsed
 
 
-def _depth(text: str) -> int:
+def _bracket_depth(text: str) -> int:
     """How deep brackets of any kind lie in one another, at most."""
     steps = ((letter in "[{(") - (letter in "]})") for letter in text)
     return max(accumulate(steps), default=0)
 
 
-def _formula_quoted(text: str) -> str:
+def _quote_formula(text: str) -> str:
     """A formula in quotes, so that its brackets are not the grammar's: effect.NAME.expression=f(x).
 
     Commas outside brackets still part the values of a sweep.
@@ -103,7 +103,7 @@ def _formula_quoted(text: str) -> str:
     return f"{key}={','.join(quoted)}"
 
 
-def _key(override: Any) -> str:
+def _full_key(override: Any) -> str:
     """The key as typed: Hydra takes ``effect.NAME@PORT.field`` for a group and its package."""
     package = f"@{override.package}" if override.package else ""
     return f"{override.key_or_group}{package}"
@@ -126,16 +126,16 @@ def set_value(tree: dict[str, Any], item: Assignment, is_open: tuple[str, ...]) 
         if not isinstance(node, dict):
             raise ConfigError(f"{item.text!r}", f"{here}=VALUE, which has no fields")
         if word not in node:
-            raise _unknown(item, here, tuple(node))
+            raise _unknown_key_error(item, here, tuple(node))
         if last:
-            _assign(node, word, item, ".".join(item.path) in is_open)
+            _assign_value(node, word, item, ".".join(item.path) in is_open)
             return
         if node[word] is None and ".".join(item.path[: depth + 1]) in is_open:
             node[word] = {}
         node = node[word]
 
 
-def _assign(node: dict[str, Any], word: str, item: Assignment, mapping: bool) -> None:
+def _assign_value(node: dict[str, Any], word: str, item: Assignment, mapping: bool) -> None:
     plugin = len(item.path) > 1 and isinstance(node[word], dict) and "name" in node[word]
     if item.delete:
         node[word] = {} if isinstance(node[word], dict) else None
@@ -163,7 +163,7 @@ def _set_open(node: dict[str, Any], item: Assignment, depth: int) -> None:
         node[key] = item.value
 
 
-def _unknown(item: Assignment, here: str, known: tuple[str, ...]) -> ConfigError:
+def _unknown_key_error(item: Assignment, here: str, known: tuple[str, ...]) -> ConfigError:
     names = tuple(k for k in known if k != "name")
     word = item.path[len(here.split(".")) if here else 0]
     what = f"a field of {here}" if here else "a key of the configuration"

@@ -17,7 +17,7 @@ FIELDS = {
     "fmu": {"ports": "forces", "inputs": "recorded", "observed": "measured", "free": "free"},
     "robot": {"ports": "places", "inputs": "recorded", "observed": "measured", "free": "free"},
 }
-"""Of files that take them: arguments of ``system`` -> fields of the plugin."""
+"""Plugin that reads a file -> (argument of ``system`` -> field of the plugin)."""
 Quantity = str | float | Sequence[Any] | Mapping[str, Any]
 
 
@@ -123,26 +123,28 @@ def system(
     }  # fmt: skip
     given = {k: v for k, v in given.items() if v is not None}
     if callable(source):
-        return _of_function(source, given)
+        return _system_from_function(source, given)
     if isinstance(source, Mapping | list | tuple):
-        return _of_equations(source, given)
-    return _of_file(str(source), given)
+        return _system_from_equations(source, given)
+    return _system_from_file(str(source), given)
 
 
-def _of_equations(source: Mapping[str, Any] | Sequence[str], given: Mapping[str, Any]) -> System:
-    """Equations and what belongs to them, told in Python as in a file."""
-    from spiral.physics.formulas.function import written
+def _system_from_equations(
+    source: Mapping[str, Any] | Sequence[str], given: Mapping[str, Any]
+) -> System:
+    """A system from equations given in Python, under the same keys as in a file."""
+    from spiral.physics.formulas.function import dump_sections
 
     whole = dict(source) if isinstance(source, Mapping) else {"equations": list(source)}
     more = {k: v for k, v in given.items() if v}
     if twice := sorted(set(whole) & set(more)):
         raise ConfigError(f"{', '.join(twice)}, in the mapping and beside it", "one of them")
-    text = written({**whole, **more})
+    text = dump_sections({**whole, **more})
     return load_registry(NO_FOLDER).make("system", "equations", {"text": text})
 
 
-def _of_file(file: str, given: Mapping[str, Any]) -> System:
-    """A file, and what of an FMU it does not hold."""
+def _system_from_file(file: str, given: Mapping[str, Any]) -> System:
+    """A system from a file; an FMU or a robot also takes ports, inputs and free parameters."""
     plugin = plugin_of_file(file) or "equations"
     left = {k: v for k, v in given.items() if v}
     known = FIELDS.get(plugin, {})
@@ -156,21 +158,25 @@ def _of_file(file: str, given: Mapping[str, Any]) -> System:
     return registry.make("system", plugin, {"path": file, **fields})
 
 
-def _of_function(rhs: Callable[..., Any], given: Mapping[str, Any]) -> System:
+def _system_from_function(rhs: Callable[..., Any], given: Mapping[str, Any]) -> System:
     """A right-hand side as equations; one that cannot be traced as compiled code.
 
     Raises
     ------
     ConfigError : a function that can be neither, with both reasons.
     """
-    from spiral.physics.formulas.function import CannotTraceError, definition_from, written
+    from spiral.physics.formulas.function import CannotTraceError, definition_from, dump_sections
 
     registry = load_registry(NO_FOLDER)
     try:
-        return registry.make("system", "equations", {"text": written(definition_from(rhs, given))})
+        return registry.make(
+            "system", "equations", {"text": dump_sections(definition_from(rhs, given))}
+        )
     except CannotTraceError as traced:
         try:
-            found = registry.make("system", "function", {"function": rhs, "text": written(given)})
+            compiled_system = registry.make(
+                "system", "function", {"function": rhs, "text": dump_sections(given)}
+            )
         except ConfigError as compiled:
             hint = f"{traced.try_}; {compiled.given}".removeprefix("; ")
             raise ConfigError(traced.given, traced.expected, hint) from compiled
@@ -179,4 +185,4 @@ def _of_function(rhs: Callable[..., Any], given: Mapping[str, Any]) -> System:
             f"To have it traced: {traced.try_ or traced.expected}",
             stacklevel=3,
         )
-        return found
+        return compiled_system

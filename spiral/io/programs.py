@@ -33,8 +33,8 @@ def refuse_program(
 
 def programs_named(overrides: Sequence[str]) -> frozenset[str]:
     """The programs that a command line names: ``system=FILE`` and ``system.path=FILE``."""
-    from spiral.io.overrides import parse
+    from spiral.io.overrides import parse_overrides
 
-    given = [(i.path, str(i.value)) for i in parse(overrides) if not i.delete]
-    found = {v for path, v in given if path == ("system",) and plugin_of_file(v) in PROGRAMS}
-    return frozenset(found | {v for path, v in given if path == ("system", "path")})
+    given = [(i.path, str(i.value)) for i in parse_overrides(overrides) if not i.delete]
+    named = {v for path, v in given if path == ("system",) and plugin_of_file(v) in PROGRAMS}
+    return frozenset(named | {v for path, v in given if path == ("system", "path")})

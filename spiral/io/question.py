@@ -1,4 +1,4 @@
-"""From a model, records and choices to a ``Problem``: the one place where a question is put.
+"""A ``Problem`` from a model, records and choices: the one place where it is assembled.
 
 The command line composes these arguments by Hydra (``spiral.io.config``), a program gives them as
 they are (``spiral.api``).
@@ -36,14 +36,14 @@ def candidates_for(
     ConfigError : an effect that does not fit the system.
     """
     if named is None:
-        found = registry.candidates(model.system, everywhere)
+        effects = registry.candidates(model.system, everywhere)
     else:
-        found = tuple(
+        effects = tuple(
             registry.effect_from_label(e) if isinstance(e, str) else e for e in dict.fromkeys(named)
         )
-        for effect in found:
+        for effect in effects:
             check_effect(model.system, effect)
-    return tuple(e for e in found if e.label not in model.labels)
+    return tuple(e for e in effects if e.label not in model.labels)
 
 
 def check_holdout(share: float, blocks: int) -> None:
@@ -55,12 +55,12 @@ def check_holdout(share: float, blocks: int) -> None:
 
 
 def check_settle(settle: float | None) -> None:
-    """Refuse what is no time."""
+    """Refuse a settling time that is not a number of seconds, zero or above."""
     if settle is not None and not (isinstance(settle, int | float) and settle >= 0):
         raise ConfigError(f"test.settle={settle!r}", "seconds, zero or above")
 
 
-def split(
+def split_records(
     records: tuple[Record, ...], test: tuple[Record, ...] | None, holdout: float, blocks: int = 1
 ) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
     """Records to fit and to test; without a test the last share of each record is kept apart.
@@ -79,7 +79,7 @@ def split(
     return tuple(f for f, _ in pairs), tuple(t for _, t in pairs)
 
 
-def put(
+def pose_problem(
     registry: Registry,
     model: Model,
     records: tuple[Record, ...],
@@ -92,7 +92,7 @@ def put(
     settings: Settings | None = None,
     strategy: Strategy | str = USUAL_STRATEGY,
 ) -> Problem:
-    """The question of a study.
+    """The ``Problem`` of a study: records to fit and to test, candidates, settings, strategy.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def put(
     asked = chosen.candidates(model, named)
     if asked is None:
         asked = candidates_for(registry, model, candidates, chosen.everywhere)
-    fitted, kept = split(records, test, holdout, holdout_blocks)
+    fitted, kept = split_records(records, test, holdout, holdout_blocks)
     model, scaled = with_scaled_shapes(model, fitted)
     problem = Problem(
         model, fitted, kept, settle, asked, settings or Settings(), strategy=chosen, scaled=scaled

@@ -111,12 +111,12 @@ class Registry:
         ------
         ConfigError : unknown; near misses and files that failed to import are named.
         """
-        found = tuple(e for e in self.entries if e.name == name)
-        if not found:
+        matches = tuple(e for e in self.entries if e.name == name)
+        if not matches:
             names = tuple(e.name for e in self.entries)
             expected = "the name of a plugin; spiral plugins lists them"
             raise ConfigError(f"plugin {name!r}", expected, self._hint(name, names))
-        return found
+        return matches
 
     def _hint(self, name: str, names: tuple[str, ...]) -> str:
         for failure in self.failures:
@@ -162,7 +162,7 @@ class Registry:
         from spiral.types.effect import Effect, InputEffect, StateFlow
         from spiral.types.placement import at_every_place, fits
 
-        found: list[Effect] = []
+        effects: list[Effect] = []
         for name in self.names("effect"):
             plugin = self.entry("effect", name).plugin
             if not issubclass(plugin, Effect) or plugin.bare:
@@ -170,8 +170,8 @@ class Registry:
             if issubclass(plugin, InputEffect | StateFlow) and not everywhere:
                 continue
             places = at_every_place(system, plugin()) if everywhere else (plugin(),)
-            found += [e for e in places if fits(system, e)]
-        return tuple(found)
+            effects += [e for e in places if fits(system, e)]
+        return tuple(effects)
 
     def dictionary(self, system: System) -> tuple[Effect, ...]:
         """Learned effects (``spiral.physics.learned``) at every place where they fit.
@@ -184,9 +184,9 @@ class Registry:
 
         plugins = (self.entry("effect", name).plugin for name in self.names("effect"))
         curves = [plugin() for plugin in plugins if issubclass(plugin, Learned)]
-        found = [e for c in curves for e in at_every_place(system, c) if fits(system, e)]
-        named = any(isinstance(e, LearnedFlow) for e in found)
-        kept = (e for e in found if not (named and isinstance(e, LearnedStateFlow)))
+        effects = [e for c in curves for e in at_every_place(system, c) if fits(system, e)]
+        named = any(isinstance(e, LearnedFlow) for e in effects)
+        kept = (e for e in effects if not (named and isinstance(e, LearnedStateFlow)))
         return tuple(sorted(kept, key=lambda e: bool(e.port)))
 
     def local_plugins(self) -> dict[str, LocalFile]:
@@ -216,14 +216,14 @@ def load_registry(folder: str | os.PathLike[str] | None = None, local: bool = Tr
     """
     modules: list[tuple[ModuleType, str, str]] = []
     failures: list[Failure] = []
-    for package, origin, version in _installed(failures):
-        modules += [(m, origin, version) for m in _walk(package, failures)]
+    for package, origin, version in _import_installed(failures):
+        modules += [(m, origin, version) for m in _import_modules(package, failures)]
     files: list[LocalFile] = []
     for path in local_sources(folder) if local else ():
-        module = _run_local(path, files, failures)
+        module = _run_local_file(path, files, failures)
         if module is not None:
             modules.append((module, LOCAL, files[-1].sha256[:12]))
-    return Registry(_entries(modules, failures), tuple(failures), tuple(files))
+    return Registry(_collect_entries(modules, failures), tuple(failures), tuple(files))
 
 
 def local_sources(folder: str | os.PathLike[str] | None = None) -> tuple[Path, ...]:
@@ -240,27 +240,27 @@ def local_sources(folder: str | os.PathLike[str] | None = None) -> tuple[Path, .
         return ()
     installed = _installed_folders()
 
-    def wanted(path: Path) -> bool:
+    def is_plugin_file(path: Path) -> bool:
         inside = path.relative_to(place).parts
         hidden = any(part.startswith(("_", ".", "test_")) for part in inside)
         return not hidden and installed.isdisjoint(path.resolve().parents)
 
-    return tuple(path for path in sorted(place.rglob("*.py")) if wanted(path))
+    return tuple(path for path in sorted(place.rglob("*.py")) if is_plugin_file(path))
 
 
 def _installed_folders() -> set[Path]:
     """Folders of the installed packages of plugins; nothing is imported."""
     from importlib.metadata import entry_points
 
-    found: set[Path] = set()
+    folders: set[Path] = set()
     for point in entry_points(group=GROUP):
         with contextlib.suppress(ImportError, ValueError):
             spec = importlib.util.find_spec(point.module)
-            found |= {Path(p).resolve() for p in (spec and spec.submodule_search_locations) or ()}
-    return found
+            folders |= {Path(p).resolve() for p in (spec and spec.submodule_search_locations) or ()}
+    return folders
 
 
-def _installed(failures: list[Failure]) -> Iterator[tuple[ModuleType, str, str]]:
+def _import_installed(failures: list[Failure]) -> Iterator[tuple[ModuleType, str, str]]:
     from importlib.metadata import entry_points
 
     for point in entry_points(group=GROUP):
@@ -269,10 +269,10 @@ def _installed(failures: list[Failure]) -> Iterator[tuple[ModuleType, str, str]]
         try:
             yield importlib.import_module(point.module), origin, version
         except Exception as error:
-            failures.append(Failure(point.name, point.value, told(error)))
+            failures.append(Failure(point.name, point.value, error_summary(error)))
 
 
-def _walk(package: ModuleType, failures: list[Failure]) -> Iterator[ModuleType]:
+def _import_modules(package: ModuleType, failures: list[Failure]) -> Iterator[ModuleType]:
     """The package and all modules under it; those that fail are reported by name and file."""
     yield package
     if not hasattr(package, "__path__"):
@@ -284,7 +284,7 @@ def _walk(package: ModuleType, failures: list[Failure]) -> Iterator[ModuleType]:
         try:
             yield importlib.import_module(info.name)
         except (Exception, SystemExit) as error:
-            failures.append(Failure(info.name.rsplit(".", 1)[-1], file, told(error)))
+            failures.append(Failure(info.name.rsplit(".", 1)[-1], file, error_summary(error)))
 
 
 def _local_folder(folder: str | os.PathLike[str] | None) -> Path | None:
@@ -314,7 +314,9 @@ class _HashedSource(importlib.machinery.SourceFileLoader):
         return self.source_to_code(self.text, self.path)
 
 
-def _run_local(path: Path, files: list[LocalFile], failures: list[Failure]) -> ModuleType | None:
+def _run_local_file(
+    path: Path, files: list[LocalFile], failures: list[Failure]
+) -> ModuleType | None:
     """Run one local file and note its hash; one that fails is reported by name and file."""
     name = f"spiral_local_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:10]}"
     name = f"{name}_{path.stem}"
@@ -330,20 +332,20 @@ def _run_local(path: Path, files: list[LocalFile], failures: list[Failure]) -> M
         loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
-        failures.append(Failure(path.stem, str(path), told(error)))
+        failures.append(Failure(path.stem, str(path), error_summary(error)))
         return None
     return module
 
 
-def told(error: BaseException) -> str:
+def error_summary(error: BaseException) -> str:
     """An error in one line, with the place in the plugin's file where there is one."""
     if isinstance(error, SpiralError):
         return f"{error.given}; expected {error.expected}"
-    place = f", line {error.lineno}" if isinstance(error, SyntaxError) else _line(error)
+    place = f", line {error.lineno}" if isinstance(error, SyntaxError) else _error_place(error)
     return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}{place}"
 
 
-def _line(error: BaseException) -> str:
+def _error_place(error: BaseException) -> str:
     frame = error.__traceback__
     last = ""
     while frame is not None:
@@ -353,19 +355,19 @@ def _line(error: BaseException) -> str:
     return last
 
 
-def _entries(
+def _collect_entries(
     modules: list[tuple[ModuleType, str, str]], failures: list[Failure]
 ) -> tuple[Entry, ...]:
-    found: dict[tuple[str, str], Entry] = {}
+    by_key: dict[tuple[str, str], Entry] = {}
     unfinished: dict[type, str] = {}
     for module, origin, version in modules:
-        for cls in _classes(module):
+        for cls in _plugin_classes(module):
             file = str(module.__file__)
             if not is_concrete(cls):
                 unfinished[cls] = file
                 continue
             entry = Entry(cls.kind, cls.plugin_name(), cls, file, origin, version)
-            first = found.setdefault((entry.kind, entry.name), entry)
+            first = by_key.setdefault((entry.kind, entry.name), entry)
             if first is not entry:
                 raise PluginError(
                     f"{entry.kind} {entry.name!r} twice: in {first.file} and in {entry.file}",
@@ -373,14 +375,14 @@ def _entries(
                     "rename one of the two classes",
                 )
     failures += [
-        Failure(cls.plugin_name(), file, f"{cls.__name__} does not define {_missing(cls)}")
+        Failure(cls.plugin_name(), file, f"{cls.__name__} does not define {_missing_methods(cls)}")
         for cls, file in unfinished.items()
         if not cls.__subclasses__()
     ]
-    return tuple(sorted(found.values(), key=lambda e: (e.kind, e.name)))
+    return tuple(sorted(by_key.values(), key=lambda e: (e.kind, e.name)))
 
 
-def _classes(module: ModuleType) -> list[type[Plugin]]:
+def _plugin_classes(module: ModuleType) -> list[type[Plugin]]:
     return [
         c
         for c in vars(module).values()
@@ -391,5 +393,5 @@ def _classes(module: ModuleType) -> list[type[Plugin]]:
     ]
 
 
-def _missing(cls: type) -> str:
+def _missing_methods(cls: type) -> str:
     return ", ".join(sorted(getattr(cls, "__abstractmethods__", ())))

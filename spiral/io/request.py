@@ -32,7 +32,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of it.
+    """The answer to a request: exit code, JSON result, objects to draw.
 
     ``result`` is the JSON contract's; ``parts`` are the objects that the terminal draws, by name.
     """
@@ -42,28 +42,28 @@ class Outcome:
     parts: dict[str, Any] = field(default_factory=dict)
 
 
-def configured(request: Request, registry: Registry) -> Config:
+def compose_request(request: Request, registry: Registry) -> Config:
     """The composed configuration, on top of a saved run where ``run=`` names one.
 
-    Where runs are kept and told to is this command's affair: a saved run, which may come from
-    anywhere, has no say in it.
+    The folder of runs and the tracking address are this command's own: those of a saved run, which
+    may come from anywhere, are ignored.
     """
     from spiral.io.config import Options, compose
-    from spiral.io.overrides import parse
+    from spiral.io.overrides import parse_overrides
     from spiral.io.storage import load_run
-    from spiral.io.tracking.store import Tracking, tracking_of
+    from spiral.io.tracking.store import Tracking, tracking_options
     from spiral.types.fields import defaults_of
 
-    given = {".".join(i.path): i.value for i in parse(request.overrides)}
+    given = {".".join(i.path): i.value for i in parse_overrides(request.overrides)}
     if not given.get("run"):
         config = compose(request.overrides, registry)
-        tracking_of(config)  # refused before anything is computed
+        tracking_options(config)  # refused before anything is computed
         _refuse_unused(request, config, registry)
         return config
     saved = load_run(str(given["run"]), str(given.get("out") or "runs"))
     base = saved.as_config()
     if request.verb == "simulate":
-        base = _as_truth(base, registry)
+        base = _simulation_of_run(base, registry)
     base |= {"out": Options.out, "tracking": defaults_of(Tracking)}
     base["sweep"] = {**(base.get("sweep") or {}), "id": None, "address": None}
     kept = tuple(o for o in request.overrides if not o.startswith("run="))
@@ -79,18 +79,18 @@ def _refuse_unused(request: Request, config: Config, registry: Registry) -> None
     ------
     ConfigError : an option that nobody would look at.
     """
-    from spiral.io.overrides import parse
-    from spiral.io.strategy_config import SHARED, check_settings, check_used
+    from spiral.io.overrides import parse_overrides
+    from spiral.io.strategy_config import SHARED, refuse_unused_option, refuse_unused_setting
 
     if request.verb not in ASK_A_STRATEGY:
         return
-    for item in parse(request.overrides):
-        check_settings(item, config, registry)
+    for item in parse_overrides(request.overrides):
+        refuse_unused_setting(item, config, registry)
         if item.path[0] in SHARED:
-            check_used(item, config, registry)
+            refuse_unused_option(item, config, registry)
 
 
-def _as_truth(base: Config, registry: Registry) -> Config:
+def _simulation_of_run(base: Config, registry: Registry) -> Config:
     """A saved run's model as what ``record=simulation`` integrates."""
     from spiral.types.fields import defaults_of
 

@@ -19,7 +19,7 @@ def new_run_id(now: datetime | None = None, others: Iterable[str] = ()) -> str:
     time is that of the last of them, and a millisecond.
     """
     stamp = _stamp(now or datetime.now(UTC))
-    last = max((found[0] for name in others if (found := _STAMP.match(name))), default="")
+    last = max((match[0] for name in others if (match := _STAMP.match(name))), default="")
     if stamp <= last:
         with suppress(ValueError, OverflowError):  # no time at all, or the last there is
             stamp = _stamp(datetime.strptime(last, _FORM) + timedelta(milliseconds=1))

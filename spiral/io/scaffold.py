@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from spiral.io.writing import filled
+from spiral.io.writing import fill_template
 from spiral.types.errors import ConfigError, did_you_mean, near_misses
 from spiral.types.plugin import snake_case
 
@@ -35,10 +35,10 @@ def new_plugin(kind: str, name: str, folder: Path, registry: Registry) -> tuple[
             f"new {kind!r}", f"a kind: {', '.join(KINDS)}", f"{did_you_mean(kind, KINDS)}"
         )
     class_name = _class_name(kind, name)
-    _not_taken(kind, name, registry)
+    _check_name_free(kind, name, registry)
     texts = {
-        folder / f"{name}.py": filled(kind, kind=kind, name=name, class_name=class_name),
-        folder / f"test_{name}.py": filled(
+        folder / f"{name}.py": fill_template(kind, kind=kind, name=name, class_name=class_name),
+        folder / f"test_{name}.py": fill_template(
             f"test_{kind}", kind=kind, name=name, class_name=class_name
         ),
     }
@@ -49,7 +49,7 @@ def new_plugin(kind: str, name: str, folder: Path, registry: Registry) -> tuple[
                 "a name whose files are not there yet",
                 "another name, another folder with --plugins DIR, or move that file away",
             )
-    _write(folder, texts)
+    _write_files(folder, texts)
     source, test = texts
     return source, test
 
@@ -74,7 +74,11 @@ def _class_name(kind: str, name: str) -> str:
             "a name that does not start with test_, as tests do",
             f"spiral new {kind} {name.removeprefix('test_')}",
         )
-    if class_name in _imported(kind) or name in sys.stdlib_module_names or _installed(name):
+    if (
+        class_name in _imported_names(kind)
+        or name in sys.stdlib_module_names
+        or _is_installed(name)
+    ):
         raise ConfigError(
             given,
             "a name that no Python module and no class of spiral has",
@@ -83,14 +87,14 @@ def _class_name(kind: str, name: str) -> str:
     return class_name
 
 
-def _installed(name: str) -> bool:
+def _is_installed(name: str) -> bool:
     spec = importlib.util.find_spec(name)
     return spec is not None and spec.origin is not None
 
 
-def _imported(kind: str) -> set[str]:
+def _imported_names(kind: str) -> set[str]:
     """Names that a skeleton imports, which its class must not hide."""
-    tree = ast.parse(filled(kind, kind=kind, name="name", class_name="Name"))
+    tree = ast.parse(fill_template(kind, kind=kind, name="name", class_name="Name"))
     return {
         alias.asname or alias.name
         for node in ast.walk(tree)
@@ -99,7 +103,7 @@ def _imported(kind: str) -> set[str]:
     }
 
 
-def _not_taken(kind: str, name: str, registry: Registry) -> None:
+def _check_name_free(kind: str, name: str, registry: Registry) -> None:
     for entry in registry.entries:
         if entry.name == name:
             raise ConfigError(
@@ -109,7 +113,7 @@ def _not_taken(kind: str, name: str, registry: Registry) -> None:
             )
 
 
-def _write(folder: Path, texts: dict[Path, str]) -> None:
+def _write_files(folder: Path, texts: dict[Path, str]) -> None:
     """All files or none."""
     from spiral.io.writing import write_whole
 
@@ -133,6 +137,6 @@ def _write(folder: Path, texts: dict[Path, str]) -> None:
         ) from error
 
 
-def similar(name: str, registry: Registry) -> list[str]:
+def similar_plugins(name: str, registry: Registry) -> list[str]:
     """Plugins with names near to a new one, which may already be what is wanted."""
     return near_misses(name, [e.name for e in registry.entries if e.name != name])

@@ -68,7 +68,7 @@ class SavedRun:
         ------
         ConfigError : a plugin it used is not known here.
         """
-        return model_from(self.data["model"], registry)
+        return rebuild_model(self.data["model"], registry)
 
     def local_files(self, registry: Registry) -> tuple[LocalFile, ...]:
         """Files of local plugins that its model is made of, as this command has run them.
@@ -82,8 +82,8 @@ class SavedRun:
             f"system/{model['system']['name']}",
             *(f"effect/{e['name']}" for e in model["effects"]),
         }
-        here, recorded = registry.local_plugins(), _hashes(self.data.get("local_plugins"))
-        found = {}
+        here, recorded = registry.local_plugins(), _recorded_hashes(self.data.get("local_plugins"))
+        files = {}
         for key in sorted(used & {*here, *recorded}):
             file = here.get(key)
             if file is None or file.sha256 != recorded.get(key):
@@ -93,23 +93,23 @@ class SavedRun:
                     "the plugin file that the run recorded, by its SHA-256",
                     "--plugins DIR with that file",
                 )  # fmt: skip
-            found[file.file] = file
-        return tuple(found.values())
+            files[file.file] = file
+        return tuple(files.values())
 
     def as_config(self) -> dict[str, Any]:
         """A configuration whose model is this run's final one.
 
         Its effects become ``seed`` (those with fields of their own ``effect``), so that further
-        effects come on top; its values become first values.
+        effects are added to them; its values become start values.
         """
         saved = self.data["model"]
         config = self.config
         config["system"] = dict(saved["system"])  # with the text of the files that it was read from
-        own = {_label(e): _own_fields(e) for e in saved["effects"]}
+        own = {_effect_label(e): _own_fields(e) for e in saved["effects"]}
         config["seed"] = [label for label, fields in own.items() if not fields]
         config["effect"] = {label: fields for label, fields in own.items() if fields}
         config["without"] = []
-        config["values"] = _numbers(saved["values"])
+        config["values"] = _known_numbers(saved["values"])
         config["free"], config["fixed"] = list(saved["freed"]), list(saved["fixed"])
         defined = {**(config.get("expressions") or {}), **saved.get("expressions", {})}
         config["expressions"] = defined or None
@@ -154,17 +154,17 @@ def save_result(
     """
     run_id = str(result.get("run_id") or new_run_id(others=run_ids(folder)))
     named = {**result, "run_id": run_id}
-    content = content_of(verb, named, model, config, records, registry, overrides)
+    content = saved_run_content(verb, named, model, config, records, registry, overrides)
     target = Path(folder).expanduser() / run_id / FILE
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         write_whole(target, to_json(content))
     except OSError as error:
-        raise unwritable(folder, error) from error
+        raise unwritable_folder_error(folder, error) from error
     return run_id
 
 
-def content_of(
+def saved_run_content(
     verb: str,
     result: Mapping[str, Any],
     model: Model,
@@ -181,16 +181,16 @@ def content_of(
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "verb": verb,
         "overrides": [without_passwords(o) for o in overrides],
-        "config": _without_secrets(config),
+        "config": _mask_tracking_password(config),
         "plugins": registry.versions(),
         "local_plugins": _local_hashes(model, registry),
-        "data": {k: [_data(r) for r in group] for k, group in records.items()},
+        "data": {k: [_record_summary(r) for r in group] for k, group in records.items()},
         "model": model_data(model),
         "result": {**result, "run_id": run_id},
     }
 
 
-def _without_secrets(config: Mapping[str, Any]) -> dict[str, Any]:
+def _mask_tracking_password(config: Mapping[str, Any]) -> dict[str, Any]:
     """A configuration whose address of MLflow holds no password."""
     tracking = config.get("tracking") or {}
     uri = tracking.get("uri")
@@ -198,8 +198,8 @@ def _without_secrets(config: Mapping[str, Any]) -> dict[str, Any]:
     return {**config, "tracking": masked} if "tracking" in config else dict(config)
 
 
-def unwritable(folder: str | os.PathLike[str], error: OSError) -> InputError:
-    """The message for a folder of runs that takes nothing more."""
+def unwritable_folder_error(folder: str | os.PathLike[str], error: OSError) -> InputError:
+    """The error for a folder of runs that cannot be written (no permission, a full disk)."""
     return InputError(
         f"folder of runs {str(folder)!r}: {error.strerror or error}",
         "a folder that can be written",
@@ -222,19 +222,19 @@ def model_data(model: Model) -> dict[str, Any]:
     }
 
 
-def model_from(saved: Mapping[str, Any], registry: Registry) -> Model:
+def rebuild_model(saved: Mapping[str, Any], registry: Registry) -> Model:
     """A model built again from what ``model_data`` gave.
 
     Raises
     ------
     ConfigError : a plugin it used is not known here.
     """
-    from spiral.io.custom import defining
+    from spiral.io.custom import registry_with_expressions
     from spiral.types.model import Model
 
     fields = {k: v for k, v in saved["system"].items() if k != "name"}
     system = registry.make("system", saved["system"]["name"], fields)
-    registry = defining(registry, saved.get("expressions", {}), system)
+    registry = registry_with_expressions(registry, saved.get("expressions", {}), system)
     effects = tuple(
         registry.effect_from_label(e["name"], {k: v for k, v in e.items() if k != "name"})
         for e in saved["effects"]
@@ -242,10 +242,10 @@ def model_from(saved: Mapping[str, Any], registry: Registry) -> Model:
     return Model(
         system,
         effects,
-        values=_numbers(saved["values"]),
+        values=_known_numbers(saved["values"]),
         freed=tuple(saved["freed"]),
         fixed=tuple(saved["fixed"]),
-        errors=_numbers(saved["errors"]),
+        errors=_known_numbers(saved["errors"]),
     )
 
 
@@ -260,24 +260,24 @@ def load_run(name: str, folder: str | os.PathLike[str]) -> SavedRun:
     known = run_ids(folder)
     if not known:
         raise ConfigError(f"run={name}", f"a saved run in {str(folder)!r}", "run discover first")
-    found = [_latest(known, folder)] if name == LATEST else [i for i in known if i == name]
-    found = found or [i for i in known if i.startswith(name)]
-    if len(found) > 1:
+    matches = [_latest_run_id(known, folder)] if name == LATEST else [i for i in known if i == name]
+    matches = matches or [i for i in known if i.startswith(name)]
+    if len(matches) > 1:
         raise ConfigError(
-            f"run={name}, which {len(found)} runs start with",
+            f"run={name}, which {len(matches)} runs start with",
             "one run",
-            f"type more of it: {', '.join(found[:4])}",
+            f"type more of it: {', '.join(matches[:4])}",
         )
-    if not found:
+    if not matches:
         raise ConfigError(
             f"run={name}",
             f"latest, or one of the {len(known)} runs in {str(folder)!r}",
             did_you_mean(name, known) if len(known) < 6 else f"the last is {known[-1]}",
         )
-    return read_run(Path(folder).expanduser() / found[0] / FILE)
+    return read_run(Path(folder).expanduser() / matches[0] / FILE)
 
 
-def _latest(known: Sequence[str], folder: str | os.PathLike[str]) -> str:
+def _latest_run_id(known: Sequence[str], folder: str | os.PathLike[str]) -> str:
     """The last run that made a model; where none did, the last of all."""
     for name in reversed(known):
         if read_run(Path(folder).expanduser() / name / FILE).verb in MAKE_A_MODEL:
@@ -293,7 +293,7 @@ def read_run(file: Path) -> SavedRun:
     InputError : a file that is not a saved run, or lies elsewhere.
     """
     try:
-        data = json.loads(own_text(file.parent, file.name))
+        data = json.loads(read_text_inside(file.parent, file.name))
         if data["format"] > FORMAT:
             raise InputError(
                 f"{file}: format {data['format']}", f"at most {FORMAT}", "update this program"
@@ -304,31 +304,31 @@ def read_run(file: Path) -> SavedRun:
         raise InputError(f"{file}: {error}", "a run saved by this program") from error
 
 
-def own_file(folder: Path, name: str) -> Path:
+def resolve_inside_folder(folder: Path, name: str) -> Path:
     """A file of a folder, links resolved.
 
     Raises
     ------
     InputError : a link leads out of the folder.
     """
-    place, found = folder.resolve(), (folder / name).resolve()
-    if not found.is_relative_to(place):
+    place, target = folder.resolve(), (folder / name).resolve()
+    if not target.is_relative_to(place):
         raise InputError(
             f"{folder / name}, a link out of its folder",
             f"a file in {folder}",
             "copy the file there",
         )
-    return found
+    return target
 
 
-def own_text(folder: Path, name: str) -> str:
+def read_text_inside(folder: Path, name: str) -> str:
     """The text of a file of a folder.
 
     Raises
     ------
     InputError : a link leads out of the folder, or more than any study writes. OSError : no file.
     """
-    file = own_file(folder, name)
+    file = resolve_inside_folder(folder, name)
     if file.stat().st_size > _MOST:
         raise InputError(
             f"{file}: {file.stat().st_size / 1e6:.3g} MB of text",
@@ -359,7 +359,7 @@ def run_ids(folder: str | os.PathLike[str]) -> list[str]:
     return sorted(p.name for p in place.iterdir() if _ID.fullmatch(p.name) and (p / FILE).is_file())
 
 
-def _data(record: Record) -> dict[str, Any]:
+def _record_summary(record: Record) -> dict[str, Any]:
     return {
         "name": record.name,
         "samples": record.samples,
@@ -375,12 +375,12 @@ def _local_hashes(model: Model, registry: Registry) -> dict[str, str]:
     return {k: f.sha256 for k, f in registry.local_plugins().items() if k in used}
 
 
-def _hashes(recorded: Any) -> dict[str, str]:
+def _recorded_hashes(recorded: Any) -> dict[str, str]:
     """Hashes as a run recorded them; runs of earlier versions recorded paths, which say nothing."""
     return dict(recorded) if isinstance(recorded, Mapping) else {}
 
 
-def _label(effect: Mapping[str, Any]) -> str:
+def _effect_label(effect: Mapping[str, Any]) -> str:
     return make_label(effect["name"], effect.get("port") or "")
 
 
@@ -389,5 +389,5 @@ def _own_fields(effect: Mapping[str, Any]) -> dict[str, Any]:
     return {k: v for k, v in effect.items() if k not in ("name", "port", "variant")}
 
 
-def _numbers(values: Mapping[str, float | None]) -> dict[str, float]:
+def _known_numbers(values: Mapping[str, float | None]) -> dict[str, float]:
     return {k: float(v) for k, v in values.items() if v is not None}

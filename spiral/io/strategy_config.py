@@ -1,4 +1,4 @@
-"""The strategy of a configuration with its options, and which of them it has a use for.
+"""The strategy section of a configuration: its options, and refusal of those it does not use.
 
 A strategy's own numbers are ``strategy.FIELD``. Its plugins are options of their own: ``gate``,
 ``derivative``, ``learner``, ``library``. ``NAME.FIELD`` (``paper.points``) is another spelling of
@@ -29,36 +29,36 @@ SECTIONS = ("gate", *PARTS)
 FOR_IDENTIFY = ("share", "miss")
 """Settings that only ``identify`` looks at."""
 SHARED = ("derivative",)
-"""Those that another verb than a strategy's looks at (``identify``)."""
+"""Options that a verb without a strategy (``identify``) uses too."""
 
 
-def own_options(name: str, registry: Registry) -> dict[str, Any]:
+def strategy_option_defaults(name: str, registry: Registry) -> dict[str, Any]:
     """``strategy.FIELD`` -> its usual value, of a strategy by name."""
     fields = defaults_of(registry.entry("strategy", name).plugin)
     return {k: v for k, v in fields.items() if k not in SECTIONS}
 
 
-def section(name: str, registry: Registry) -> Config:
+def default_strategy_section(name: str, registry: Registry) -> Config:
     """The configuration's ``strategy`` with the usual values of its options."""
-    return {"name": name, **own_options(name, registry)}
+    return {"name": name, **strategy_option_defaults(name, registry)}
 
 
-def chosen(config: Config, items: Iterable[Assignment], registry: Registry) -> None:
-    """Take another strategy where one is asked for; it brings its usual plugins."""
+def apply_strategy_choice(config: Config, items: Iterable[Assignment], registry: Registry) -> None:
+    """Switch to the strategy that the overrides name, with that strategy's default plugins."""
     for item in items:
         name = str(item.value)
         if item.path != ("strategy",) or name == config["strategy"]["name"]:
             continue
-        config["strategy"], config["gate"] = section(name, registry), None
+        config["strategy"], config["gate"] = default_strategy_section(name, registry), None
         usual = defaults_of(registry.entry("strategy", name).plugin)
         config.update({part: usual[part] for part in PARTS if usual.get(part)})
 
 
-def normalised(config: Config, registry: Registry) -> None:
-    """One shape inside; of runs saved before strategies had options, the paper's are taken over."""
+def normalise_strategy_section(config: Config, registry: Registry) -> None:
+    """Turn ``strategy: NAME`` (older saved runs) into a mapping; ``paper.*`` become its options."""
     given = config["strategy"]
     if isinstance(given, str):
-        own = own_options(given, registry)
+        own = strategy_option_defaults(given, registry)
         former = {k: v for k, v in (config.get(given) or {}).items() if k in own}
         config["strategy"] = {"name": given, **own, **former}
     config.pop("paper", None)
@@ -72,36 +72,36 @@ def gate_fields(given: Any, config: Mapping[str, Any], registry: Registry) -> di
     ConfigError : not a list of gates, or an unknown name.
     """
     if given is None:
-        usual = defaults_of(_plugin(config, registry)).get("gate") or ()
+        usual = defaults_of(_strategy_class(config, registry)).get("gate") or ()
         return {g["name"]: {k: v for k, v in g.items() if k != "name"} for g in usual}
-    found = by_name(given, "gate", "gate=[bonferroni_t,partial_f]")
+    chain = by_name(given, "gate", "gate=[bonferroni_t,partial_f]")
     return {
         name: {**defaults_of(registry.entry("gate", name).plugin), **fields}
-        for name, fields in found.items()
+        for name, fields in chain.items()
     }
 
 
-def routed(
+def rewrite_strategy_aliases(
     items: Iterable[Assignment], config: Mapping[str, Any], registry: Registry
 ) -> list[Assignment]:
-    """Overrides with those of the strategy's other spelling rewritten, those without use refused.
+    """Overrides with ``NAME.FIELD`` rewritten to ``strategy.FIELD``; unused options are refused.
 
     Raises
     ------
     ConfigError : an option of another strategy, whatever the verb.
     """
-    found = []
+    rewritten = []
     for item in items:
         first = item.path[0]
         if first not in SHARED:
-            check_used(item, config, registry)
+            refuse_unused_option(item, config, registry)
         if first == config["strategy"]["name"] and first not in config and len(item.path) > 1:
             item = replace(item, path=("strategy", *item.path[1:]))
-        found.append(item)
-    return found
+        rewritten.append(item)
+    return rewritten
 
 
-def check_used(item: Assignment, config: Mapping[str, Any], registry: Registry) -> None:
+def refuse_unused_option(item: Assignment, config: Mapping[str, Any], registry: Registry) -> None:
     """Refuse an option that the strategy of a configuration has no use for.
 
     Raises
@@ -118,7 +118,10 @@ def check_used(item: Assignment, config: Mapping[str, Any], registry: Registry) 
         users, what = ([first], ".".join(item.path[1:])) if other else ([name], "")
     if name in users:
         return
-    own = (*own_options(name, registry), *sections(_plugin(config, registry)))
+    own = (
+        *strategy_option_defaults(name, registry),
+        *plugin_option_names(_strategy_class(config, registry)),
+    )
     others = " or ".join(f"strategy={user} {item.text}" for user in users)
     raise ConfigError(
         f"{item.text}, not an option of strategy={name}",
@@ -127,14 +130,14 @@ def check_used(item: Assignment, config: Mapping[str, Any], registry: Registry) 
     )
 
 
-def check_settings(item: Assignment, config: Mapping[str, Any], registry: Registry) -> None:
+def refuse_unused_setting(item: Assignment, config: Mapping[str, Any], registry: Registry) -> None:
     """Refuse a setting that the strategy of a configuration never looks at.
 
     Raises
     ------
     ConfigError : it would be dropped in silence.
     """
-    plugin = _plugin(config, registry)
+    plugin = _strategy_class(config, registry)
     assert issubclass(plugin, Strategy)
     if item.path[0] != "settings" or item.path[-1] not in (*plugin.ignores, *FOR_IDENTIFY):
         return
@@ -154,28 +157,31 @@ def build_strategy(config: Mapping[str, Any], registry: Registry) -> Strategy:
     ConfigError : a value out of range, or a gate that judges other evidence.
     """
     fields = {k: v for k, v in config["strategy"].items() if k != "name"}
-    for part in sections(_plugin(config, registry)):
-        fields[part] = _chain(config["gate"], registry) if part == "gate" else _part(
-            part, config[part], registry)  # fmt: skip
+    for part in plugin_option_names(_strategy_class(config, registry)):
+        fields[part] = (
+            _build_gates(config["gate"], registry)
+            if part == "gate"
+            else _build_strategy_part(part, config[part], registry)
+        )
     made = registry.make("strategy", config["strategy"]["name"], fields, "strategy")
     assert isinstance(made, Strategy)
     return made
 
 
-def _plugin(config: Mapping[str, Any], registry: Registry) -> type[Plugin]:
+def _strategy_class(config: Mapping[str, Any], registry: Registry) -> type[Plugin]:
     return registry.entry("strategy", config["strategy"]["name"]).plugin
 
 
-def sections(plugin: type[Plugin]) -> tuple[str, ...]:
+def plugin_option_names(plugin: type[Plugin]) -> tuple[str, ...]:
     """Fields of a strategy that are options of their own."""
     return tuple(s for s in SECTIONS if s in field_names(plugin))
 
 
-def _chain(gates: Mapping[str, Any], registry: Registry) -> tuple[Any, ...]:
+def _build_gates(gates: Mapping[str, Any], registry: Registry) -> tuple[Any, ...]:
     pairs = gates.items()
     return tuple(registry.make("gate", name, fields, f"gate.{name}") for name, fields in pairs)
 
 
-def _part(part: str, given: Mapping[str, Any], registry: Registry) -> Any:
+def _build_strategy_part(part: str, given: Mapping[str, Any], registry: Registry) -> Any:
     fields = {k: v for k, v in given.items() if k != "name"}
     return registry.make(part, given["name"], fields, part)

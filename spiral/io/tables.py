@@ -46,12 +46,14 @@ def write_record(record: Record, system: System, file: str, number: int | None =
     """
     import pandas as pd
 
-    path = _target(file, number)
+    path = _output_path(file, number)
     measured = {k: v for k, v in record.inputs.items() if k in record.measured}
     frame = pd.DataFrame({"time": record.time, **record.channels, **measured})
-    _write(frame, path)
+    _write_frame(frame, path)
     units = {"time": "s", **{k: system.unit_of(k) for k in (*record.channels, *measured)}}
-    return Written(str(path), len(frame), units, _read_back(record, system, str(path), measured))
+    return Written(
+        str(path), len(frame), units, _read_back_overrides(record, system, str(path), measured)
+    )
 
 
 def write_states(part: Reconstructed, file: str, number: int | None = None) -> tuple[Written, ...]:
@@ -70,24 +72,24 @@ def write_states(part: Reconstructed, file: str, number: int | None = None) -> t
     targets = [f"{given}{s}" for s in _SUFFIXES] if not given.suffix else [file]
     stop = part.stable
     columns = {"time": part.record.time[:stop]}
-    for name in part.found.names:
-        mean, deviation = (v[:stop] for v in part.found.state(name))
+    for name in part.reconstruction.names:
+        mean, deviation = (v[:stop] for v in part.reconstruction.state(name))
         if pd.isna(mean).all():
             continue
         columns[name] = mean
         columns[f"{name}_low"] = mean - BAND * deviation
         columns[f"{name}_high"] = mean + BAND * deviation
     frame = pd.DataFrame(columns)
-    units = {"time": "s", **{n: part.unit(n) for n in part.found.names if n in columns}}
+    units = {"time": "s", **{n: part.unit(n) for n in part.reconstruction.names if n in columns}}
     written = []
     for target in targets:
-        path = _target(target, number)
-        _write(frame, path)
+        path = _output_path(target, number)
+        _write_frame(frame, path)
         written.append(Written(str(path), len(frame), units, ()))
     return tuple(written)
 
 
-def _target(file: str, number: int | None) -> Path:
+def _output_path(file: str, number: int | None) -> Path:
     path = Path(file).expanduser()
     if path.suffix not in _SUFFIXES:
         raise ConfigError(
@@ -97,7 +99,7 @@ def _target(file: str, number: int | None) -> Path:
     return path if number is None else path.with_stem(f"{path.stem}_{number}")
 
 
-def _write(frame: pd.DataFrame, path: Path) -> None:
+def _write_frame(frame: pd.DataFrame, path: Path) -> None:
     try:
         if path.suffix == ".csv":
             frame.to_csv(path, index=False)
@@ -108,7 +110,7 @@ def _write(frame: pd.DataFrame, path: Path) -> None:
         raise InputError(text, "a file that can be written") from error
 
 
-def _read_back(
+def _read_back_overrides(
     record: Record, system: System, file: str, measured: dict[str, Any]
 ) -> tuple[str, ...]:
     from spiral.types.fields import defaults_of, plain

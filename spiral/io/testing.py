@@ -15,7 +15,7 @@ from spiral.engine.filter.observer import Observer
 from spiral.engine.gate import Gate
 from spiral.inference.strategies.base import Strategy
 from spiral.io.conformance import derivatives, observers, physics, rehearsal
-from spiral.io.registry import told
+from spiral.io.registry import error_summary
 from spiral.types.derivative import Derivative
 from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, SensorEffect
 from spiral.types.errors import ConfigError, InputError, PluginError, SpiralError
@@ -70,27 +70,27 @@ def check_effect(effect: Effect, system: System) -> list[Check]:
     driven = isinstance(effect, InputEffect)
     beside = system.seed if still or driven else ()  # flows that a reading or an input may show
     whole, bare = physics.Physics(system, (*beside, effect)), physics.Physics(system, beside)
-    return _run(
+    return _run_checks(
         f"{effect.label} on {system.plugin_name()}",
         [
-            ("docstring", lambda: physics.docstring(effect), _SAY),
+            ("docstring", lambda: physics.docstring_equation(effect), _SAY),
             (
                 "fits",
-                lambda: physics.fits(effect, system),
+                lambda: physics.check_port(effect, system),
                 "another system, or another port: NAME@PORT",
             ),
-            ("parameters", lambda: physics.effect_units(effect, system), _UNITS),
-            ("traces", lambda: physics.traces(whole), _TRACE),
+            ("parameters", lambda: physics.check_effect_declarations(effect, system), _UNITS),
+            ("traces", lambda: physics.check_tracing(whole), _TRACE),
             (
                 "own states",
-                lambda: physics.own_states(effect, whole),
+                lambda: physics.check_own_states(effect, whole),
                 "return their rates from rate()",
             ),
-            ("units", lambda: physics.units(system, (effect,)), _UNITS),
-            ("jacobians", lambda: physics.jacobians(whole), _SMOOTH),
-            ("finite at rest", lambda: physics.finite(whole), _REST),
-            ("linear in amplitudes", lambda: physics.linear(effect, whole), _LINEAR),
-            ("absent at zero", lambda: physics.absent(effect, whole, bare), _LINEAR),
+            ("units", lambda: physics.check_equation_units(system, (effect,)), _UNITS),
+            ("jacobians", lambda: physics.check_jacobians(whole), _SMOOTH),
+            ("finite at rest", lambda: physics.check_finite_values(whole), _REST),
+            ("linear in amplitudes", lambda: physics.check_linearity(effect, whole), _LINEAR),
+            ("absent at zero", lambda: physics.check_absent_at_zero(effect, whole, bare), _LINEAR),
         ],
     )
 
@@ -98,64 +98,80 @@ def check_effect(effect: Effect, system: System) -> list[Check]:
 def check_system(system: System) -> list[Check]:
     """A system with its seed: names, units, tracing, mass, Jacobians, rest, a short record."""
     whole = physics.Physics(system)
-    return _run(
+    return _run_checks(
         system.plugin_name(),
         [
-            ("docstring", lambda: physics.docstring(system), _SAY),
-            ("names", lambda: physics.names(system), ""),
-            ("parameters", lambda: physics.system_units(system), _UNITS),
-            ("traces", lambda: physics.traces(whole), _TRACE),
-            ("units of the seed", lambda: physics.units(system, system.seed), _UNITS),
+            ("docstring", lambda: physics.docstring_equation(system), _SAY),
+            ("names", lambda: physics.check_names(system), ""),
+            ("parameters", lambda: physics.check_declared_units(system), _UNITS),
+            ("traces", lambda: physics.check_tracing(whole), _TRACE),
+            (
+                "units of the seed",
+                lambda: physics.check_equation_units(system, system.seed),
+                _UNITS,
+            ),
             (
                 "mass",
-                lambda: physics.mass(system),
+                lambda: physics.check_mass_matrix(system),
                 "one row and column for each coordinate, symmetric",
             ),
-            ("units of mass and force", lambda: physics.mechanical_units(system), _UNITS),
-            ("jacobians", lambda: physics.jacobians(whole), _SMOOTH),
-            ("finite at rest", lambda: physics.finite(whole), _REST),
-            ("simulates", lambda: physics.simulates(system), "nominal values of a stable motion"),
+            ("units of mass and force", lambda: physics.check_mechanical_units(system), _UNITS),
+            ("jacobians", lambda: physics.check_jacobians(whole), _SMOOTH),
+            ("finite at rest", lambda: physics.check_finite_values(whole), _REST),
+            (
+                "simulates",
+                lambda: physics.check_simulation(system),
+                "nominal values of a stable motion",
+            ),
         ],
     )
 
 
 def check_source(source: Source, system: System) -> list[Check]:
     """A source asked for the records of a system; a refusal that says what to change passes."""
-    return _run(
+    return _run_checks(
         f"{source.plugin_name()} for {system.plugin_name()}",
         [
-            ("docstring", lambda: physics.said(source), _SAY),
-            ("fields", lambda: _fields(source), "fields of plain values, each with a default"),
+            ("docstring", lambda: physics.docstring_summary(source), _SAY),
+            (
+                "fields",
+                lambda: _check_fields(source),
+                "fields of plain values, each with a default",
+            ),
             (
                 "loads",
-                lambda: _loads(source, system),
+                lambda: _check_loading(source, system),
                 "raise InputError for what cannot be used",
             ),
             (
                 "repeatable",
-                lambda: _repeatable(source, system),
+                lambda: _check_repeatable_loads(source, system),
                 "seed what is random by a field",
             ),
-            ("as test", lambda: _as_test(source), "return a Source from as_test()"),
+            ("as test", lambda: _check_as_test(source), "return a Source from as_test()"),
         ],
     )
 
 
 def check_derivative(derivative: Derivative) -> list[Check]:
     """An estimator of derivatives on a sine; a refusal that says what to change passes."""
-    return _run(
+    return _run_checks(
         derivative.plugin_name(),
         [
-            ("docstring", lambda: physics.docstring(derivative), _SAY),
-            ("fields", lambda: _fields(derivative), "fields of plain values, each with a default"),
+            ("docstring", lambda: physics.docstring_equation(derivative), _SAY),
+            (
+                "fields",
+                lambda: _check_fields(derivative),
+                "fields of plain values, each with a default",
+            ),
             (
                 "follows a sine",
-                lambda: derivatives.sine_followed(derivative),
+                lambda: derivatives.check_sine(derivative),
                 "slopes per second",
             ),
             (
                 "repeatable",
-                lambda: derivatives.estimate_repeatable(derivative),
+                lambda: derivatives.check_repeatable_estimate(derivative),
                 "no hidden state, and no writing into the samples",
             ),
         ],
@@ -165,22 +181,34 @@ def check_derivative(derivative: Derivative) -> list[Check]:
 def check_observer(observer: Observer, systems: Sequence[System]) -> list[Check]:
     """An observer over short records of systems with nominal values; it may refuse some."""
     watched = observers.Watched(observer, systems)
-    return _run(
+    return _run_checks(
         observer.plugin_name(),
         [
-            ("docstring", lambda: physics.docstring(observer), _SAY),
-            ("fields", lambda: _fields(observer), "fields of plain values, each with a default"),
-            ("reconstructs", lambda: observers.reconstructs(watched), "(samples, states) arrays"),
+            ("docstring", lambda: physics.docstring_equation(observer), _SAY),
+            (
+                "fields",
+                lambda: _check_fields(observer),
+                "fields of plain values, each with a default",
+            ),
+            (
+                "reconstructs",
+                lambda: observers.check_reconstruction(watched),
+                "(samples, states) arrays",
+            ),
             (
                 "covariances",
-                lambda: observers.covariances(watched),
+                lambda: observers.check_covariances(watched),
                 "0.5 * (P + P.T); Joseph",
             ),
-            ("innovations", lambda: observers.innovations(watched), "S = C P C^T + R"),
-            ("follows", lambda: observers.follows(watched), "signs and order of the states"),
+            ("innovations", lambda: observers.check_innovations(watched), "S = C P C^T + R"),
+            (
+                "follows",
+                lambda: observers.check_tracking_error(watched),
+                "signs and order of the states",
+            ),
             (
                 "repeatable",
-                lambda: observers.reconstructs_again(watched),
+                lambda: observers.check_repeatable_reconstruction(watched),
                 "copies, no memory",
             ),
         ],
@@ -190,19 +218,29 @@ def check_observer(observer: Observer, systems: Sequence[System]) -> list[Check]
 def check_evidence(plugin: Plugin, registry: Registry) -> list[Check]:
     """A learner, a library or a gate: what it is for, and that it repeats itself."""
     steps: list[Step] = [
-        ("docstring", lambda: physics.docstring(plugin), _SAY),
-        ("fields", lambda: _fields(plugin), "fields of plain values, each with a default"),
+        ("docstring", lambda: physics.docstring_equation(plugin), _SAY),
+        ("fields", lambda: _check_fields(plugin), "fields of plain values, each with a default"),
     ]
     if isinstance(plugin, Learner):
-        steps.append(("learns", lambda: rehearsal.learns(plugin), "scaled inputs and outputs"))
-        steps.append(("repeatable", lambda: rehearsal.learns_again(plugin), "use the seed given"))
+        steps.append(
+            ("learns", lambda: rehearsal.check_learning(plugin), "scaled inputs and outputs")
+        )
+        steps.append(
+            (
+                "repeatable",
+                lambda: rehearsal.check_repeatable_learning(plugin),
+                "use the seed given",
+            )
+        )
     elif isinstance(plugin, Library):
         systems = [registry.make("system", name) for name in registry.names("system")]
-        steps.append(("terms", lambda: rehearsal.terms_fit(plugin, systems), _UNITS))
+        steps.append(("terms", lambda: rehearsal.check_library_terms(plugin, systems), _UNITS))
     elif isinstance(plugin, Gate):
-        steps.append(("judges", lambda: rehearsal.judges(plugin), "indices of trial.kept"))
-        steps.append(("log", lambda: rehearsal.logs_plainly(plugin), "float(...) of NumPy numbers"))
-    return _run(plugin.plugin_name(), steps)
+        steps.append(("judges", lambda: rehearsal.check_judgement(plugin), "indices of trial.kept"))
+        steps.append(
+            ("log", lambda: rehearsal.check_gate_log(plugin), "float(...) of NumPy numbers")
+        )
+    return _run_checks(plugin.plugin_name(), steps)
 
 
 def check_strategy(strategy: Strategy, registry: Registry) -> list[Check]:
@@ -210,14 +248,22 @@ def check_strategy(strategy: Strategy, registry: Registry) -> list[Check]:
     from spiral.io.conformance import strategies
 
     at = strategies.Rehearsed(strategy, registry)
-    return _run(
+    return _run_checks(
         strategy.plugin_name(),
         [
-            ("docstring", lambda: physics.docstring(strategy), _SAY),
-            ("fields", lambda: _fields(strategy), "fields of plain values, each with a default"),
-            ("takes a round", lambda: strategies.takes_a_round(at), "begin, propose and settle"),
-            ("admits candidates", lambda: strategies.admits_candidates(at), "problem.candidates"),
-            ("log", lambda: strategies.logs_plainly(at), "float(...) of NumPy numbers"),
+            ("docstring", lambda: physics.docstring_equation(strategy), _SAY),
+            (
+                "fields",
+                lambda: _check_fields(strategy),
+                "fields of plain values, each with a default",
+            ),
+            (
+                "takes a round",
+                lambda: strategies.check_first_round(at),
+                "begin, propose and settle",
+            ),
+            ("admits candidates", lambda: strategies.check_admissions(at), "problem.candidates"),
+            ("log", lambda: strategies.check_run_log(at), "float(...) of NumPy numbers"),
         ],
     )
 
@@ -235,13 +281,15 @@ def check_plugin(entry: Entry, registry: Registry) -> list[Check]:
     systems = [registry.make("system", name) for name in registry.names("system")]
     if entry.kind == "effect":
         systems.append(registry.make("system", "equations", {"text": _FIRST_ORDER}))
-        return _on_systems(registry.make("effect", entry.name), systems)
+        return _check_on_systems(registry.make("effect", entry.name), systems)
     if entry.kind == "observer":
         return check_observer(registry.make("observer", entry.name), systems)
     if entry.kind == "source":
         source = registry.make("source", entry.name)
         return [c for system in systems for c in check_source(source, system)]
-    return _run(entry.name, [("docstring", lambda: physics.said(entry.plugin), _SAY)])
+    return _run_checks(
+        entry.name, [("docstring", lambda: physics.docstring_summary(entry.plugin), _SAY)]
+    )
 
 
 def misfit(effect: Effect, system: System) -> str:
@@ -282,58 +330,58 @@ _TRACE = "plain arithmetic and functions of spiral.math; where(...) in place of 
 _SMOOTH = "functions with derivatives: tanh(v / w) or where(...) in place of jumps"
 _REST = "avoid x / |x| and roots at zero: spiral.math.length stays smooth there"
 _LINEAR = "amplitudes as plain factors; role='shape' for gaps, widths and exponents"
-# After one of these has failed the others say nothing.
+# After one of these has failed, the checks behind it are meaningless and are not run.
 _ESSENTIAL = ("fits", "names", "parameters", "traces", "fields", "loads", "reconstructs",
               "takes a round")  # fmt: skip
 
 
-def _run(on: str, steps: Sequence[Step]) -> list[Check]:
-    found: list[Check] = []
+def _run_checks(on: str, steps: Sequence[Step]) -> list[Check]:
+    checks: list[Check] = []
     for name, step, advice in steps:
-        found.append(_checked(name, on, step, advice))
-        if not found[-1].passed and name in _ESSENTIAL:
+        checks.append(_run_step(name, on, step, advice))
+        if not checks[-1].passed and name in _ESSENTIAL:
             break
-    return found
+    return checks
 
 
-def _checked(name: str, on: str, step: Callable[[], str], advice: str) -> Check:
+def _run_step(name: str, on: str, step: Callable[[], str], advice: str) -> Check:
     try:
         return Check(name, True, step(), "", on)
     except SpiralError as error:
         seen = f"{error.given}; expected {error.expected}"
         return Check(name, False, seen, error.try_ or advice, on)
     except Exception as error:
-        return Check(name, False, told(error), advice, on)
+        return Check(name, False, error_summary(error), advice, on)
 
 
-def _on_systems(effect: Effect, systems: Sequence[System]) -> list[Check]:
+def _check_on_systems(effect: Effect, systems: Sequence[System]) -> list[Check]:
     reasons = [(s, misfit(effect, s)) for s in systems]
-    found = [c for s, reason in reasons if not reason for c in check_effect(effect, s)]
-    if found:
-        return found
+    checks = [c for s, reason in reasons if not reason for c in check_effect(effect, s)]
+    if checks:
+        return checks
     seen = "; ".join(f"{s.plugin_name()}: {reason}" for s, reason in reasons) or "no system"
     advice = "correct its units, or put a system that it fits into the plugin folder"
     return [Check("fits a system", False, f"it fits none. {seen}", advice, effect.label)]
 
 
-def _fields(plugin: Plugin) -> str:
+def _check_fields(plugin: Plugin) -> str:
     """Fields become plain values and come back as they were."""
     own = {k: getattr(plugin, k) for k in field_names(type(plugin))}
     given = {k: plain(v) for k, v in own.items()}
 
     inside = [p for v in own.values() for p in (v if isinstance(v, tuple) else (v,))]
 
-    def nested(kind: type, value: Any, where: str) -> Any:  # a plugin inside a field
+    def resolve_nested(kind: type, value: Any, where: str) -> Any:  # a plugin inside a field
         return next(v for v in inside if isinstance(v, kind) and plain(v) == value)
 
-    if construct(type(plugin), given, plugin.plugin_name(), nested) != plugin:
+    if construct(type(plugin), given, plugin.plugin_name(), resolve_nested) != plugin:
         raise PluginError("fields that do not come back from plain values", "the same fields")
     return ", ".join(given) or "none"
 
 
-def _loads(source: Source, system: System) -> str:
+def _check_loading(source: Source, system: System) -> str:
     """Records of the system, or a refusal that says what to change."""
-    records = _records(source, system)
+    records = _load_or_refusal(source, system)
     if isinstance(records, SpiralError):
         return f"refused: {records.given}, expected {records.expected}"
     if not isinstance(records, tuple) or not records:
@@ -344,16 +392,16 @@ def _loads(source: Source, system: System) -> str:
     return f"{len(records)} record of {records[0].samples} samples"
 
 
-def _records(source: Source, system: System) -> Any:
+def _load_or_refusal(source: Source, system: System) -> Any:
     try:
         return source.load(system)
     except (InputError, ConfigError) as error:
         return error
 
 
-def _repeatable(source: Source, system: System) -> str:
+def _check_repeatable_loads(source: Source, system: System) -> str:
     """Loading twice gives the same numbers."""
-    once, again = (_records(source, system) for _ in range(2))
+    once, again = (_load_or_refusal(source, system) for _ in range(2))
     if isinstance(once, SpiralError):
         return "refused"
     if [r.sha256 for r in once] != [r.sha256 for r in again]:
@@ -361,7 +409,7 @@ def _repeatable(source: Source, system: System) -> str:
     return once[0].sha256[:12]
 
 
-def _as_test(source: Source) -> str:
+def _check_as_test(source: Source) -> str:
     """What a test record takes from this source is a source."""
     other = source.as_test()
     if not isinstance(other, Source):

@@ -15,17 +15,17 @@ from spiral.types.fields import plain
 
 def to_json(value: Any) -> str:
     """JSON in which NaN and infinity are ``null``."""
-    return json.dumps(finite(value), indent=1, allow_nan=False, ensure_ascii=False)
+    return json.dumps(replace_nonfinite(value), indent=1, allow_nan=False, ensure_ascii=False)
 
 
-def finite(value: Any) -> Any:
+def replace_nonfinite(value: Any) -> Any:
     """Plain data with ``None`` for NaN and infinity; NumPy's numbers and arrays as Python's."""
     if isinstance(value, Mapping):
-        return {str(k): finite(v) for k, v in value.items()}
+        return {str(k): replace_nonfinite(v) for k, v in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [finite(v) for v in value]
+        return [replace_nonfinite(v) for v in value]
     if hasattr(value, "tolist"):
-        return finite(value.tolist())
+        return replace_nonfinite(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, bool | int | str):
@@ -33,7 +33,7 @@ def finite(value: Any) -> Any:
     return plain(value) if hasattr(value, "plugin_name") else str(value)
 
 
-def filled(template: str, **fields: str) -> str:
+def fill_template(template: str, **fields: str) -> str:
     """A text of ``spiral/templates`` with its ``$names`` replaced."""
     from importlib.resources import files
     from string import Template

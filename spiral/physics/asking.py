@@ -1,4 +1,4 @@
-"""What a plugin's equation gives, and what is said where it fails."""
+"""Calls of a plugin's equation, with errors that name the plugin and the line."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from spiral.types.errors import PluginError, SpiralError
 from spiral.types.system import System
 
 
-def asked(owner: Effect | System, what: str, function: Callable[..., Any], *given: Any) -> Any:
-    """What a plugin's equation gives for symbols or arrays; its failure names it and the line."""
+def call_equation(
+    owner: Effect | System, what: str, function: Callable[..., Any], *given: Any
+) -> Any:
+    """A plugin's equation at symbols or arrays; an error names the plugin and the line."""
     try:
         return function(*given)
     except SpiralError:

@@ -5,7 +5,7 @@
 
 LLVM, through the library that Numba brings, is given the expressions with their exact derivatives
 (``emit``), and Numba's loops are given the addresses. A model takes some tenths of a second, so
-that nothing is kept on disk, where it would be a program that anyone could have written.
+that no machine code is kept on disk, where others could change it.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ class ModelFunction(types.WrapperAddressProtocol):
         return self._address
 
     def signature(self) -> Any:
-        """As Numba writes it."""
+        """The function's type as a signature of Numba."""
         return self.kind.signature
 
     def __call__(self, *arrays: Any) -> None:
         """Evaluated at contiguous arrays; the last ones are written."""
-        caller = _with_slopes if self.kind is MODEL_FUNCTION else _value
+        caller = _call_with_slopes if self.kind is MODEL_FUNCTION else _call_value
         caller(self, *arrays)
 
     def parameter_slopes(self, x: Any, u: Any, p: Any, columns: Sequence[int]) -> Any:
@@ -72,21 +72,21 @@ class ModelFunction(types.WrapperAddressProtocol):
         """
         wanted = np.array(columns, dtype=np.int64)
         x, u, p = (np.ascontiguousarray(values, dtype=float) for values in (x, u, p))
-        found = np.zeros((*x.shape, len(wanted)))
-        _along(self, x, u, p, wanted, found)
-        return found
+        slopes = np.zeros((*x.shape, len(wanted)))
+        _slopes_along_rows(self, x, u, p, wanted, slopes)
+        return slopes
 
 
 @typeof_impl.register(ModelFunction)
-def _type_of(function, _):
-    """Its type as it is; Numba would make and compare a new one for every call."""
+def _function_type(function, _):
+    """Numba's type of a model function, always the same object: a new one would be compared."""
     return function.kind
 
 
 @nb.njit(
     types.void(MODEL_FUNCTION, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _MATRIX), cache=True
 )
-def _with_slopes(function, x, u, p, f, a, b):
+def _call_with_slopes(function, x, u, p, f, a, b):
     function(x, u, p, f, a, b)
 
 
@@ -96,17 +96,17 @@ def _with_slopes(function, x, u, p, f, a, b):
     ),
     cache=True,
 )
-def _along(function, x, u, p, columns, found):
+def _slopes_along_rows(function, x, u, p, columns, slopes):
     rows, n = x.shape
     f, a, b = np.empty(n), np.zeros((n, n)), np.zeros((n, len(p)))
     for row in range(rows):
         function(x[row], u[row], p, f, a, b)
         for k in range(len(columns)):
-            found[row, :, k] = b[:, columns[k]]
+            slopes[row, :, k] = b[:, columns[k]]
 
 
 @nb.njit(types.void(VALUE_FUNCTION, _VECTOR, _VECTOR, _VECTOR, _VECTOR), cache=True)
-def _value(function, x, u, p, f):
+def _call_value(function, x, u, p, f):
     function(x, u, p, f)
 
 
@@ -136,33 +136,33 @@ def compile_model(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled
     )
 
 
-def started(
+def begin_function(
     module: ir.Module, name: str, kind: types.FunctionType
 ) -> tuple[ir.IRBuilder, Sequence[Any]]:
-    """A new function of the module as Numba calls it: where its instructions go, its arguments."""
+    """A new function of the module as Numba calls it: the builder of its body, its arguments."""
     context: Any = cpu_target.target_context
     function = ir.Function(module, context.get_value_type(kind.ftype).pointee, name)
     return ir.IRBuilder(function.append_basic_block()), function.args
 
 
-def ended(builder: ir.IRBuilder) -> None:
-    """The function returns, to Numba nothing."""
+def end_function(builder: ir.IRBuilder) -> None:
+    """Write the return of a function, which gives Numba no value."""
     builder.ret(ir.Constant(builder.function.ftype.return_type, None))
 
 
-def loaded(
+def load_symbols(
     builder: ir.IRBuilder, data: Any, symbols: Sequence[sp.Symbol], used: Set[sp.Basic]
 ) -> dict[sp.Symbol, Any]:
-    """Those symbols of an array that are used, with their values."""
+    """Load those symbols of an array that are used: symbol -> value."""
     return {
-        symbol: builder.load(element(builder, data, place))
+        symbol: builder.load(element_address(builder, data, place))
         for place, symbol in enumerate(symbols)
         if symbol in used
     }
 
 
-def element(builder: ir.IRBuilder, data: Any, place: int) -> Any:
-    """Where an entry of an array is."""
+def element_address(builder: ir.IRBuilder, data: Any, place: int) -> Any:
+    """The address of an entry of an array."""
     return builder.gep(data, [ir.Constant(INDEX, place)])
 
 
@@ -174,13 +174,15 @@ def write_function(
     columns: Sequence[int] | None,
 ) -> None:
     """A function of the module; with Jacobians by all states and these parameters, or without."""
-    builder, args = started(module, name, VALUE_FUNCTION if columns is None else MODEL_FUNCTION)
+    builder, args = begin_function(
+        module, name, VALUE_FUNCTION if columns is None else MODEL_FUNCTION
+    )
     data = [builder.extract_value(a, 4) for a in args]
     used = set().union(*(e.free_symbols for e in values))
     groups = (traced.x, traced.u, traced.p)
     given: dict[sp.Symbol, Any] = {}
     for array, group in zip(data[:3], groups, strict=True):
-        given |= loaded(builder, array, group, used)
+        given |= load_symbols(builder, array, group, used)
     n = len(traced.x)
     active: dict[sp.Symbol, int] = {}
     if columns is not None:
@@ -188,23 +190,23 @@ def write_function(
     emitter = Emitter(builder, given, active)
     for i, expression in enumerate(values):
         node = emitter.node(expression)
-        builder.store(node.value, element(builder, data[3], i))
+        builder.store(node.value, element_address(builder, data[3], i))
         for key, slope in node.slopes.items():
             array, column = (4, key) if key < n else (5, key - n)
-            builder.store(slope, _entry(builder, args[array], i, column))
-    ended(builder)
+            builder.store(slope, _entry_address(builder, args[array], i, column))
+    end_function(builder)
 
 
-def _entry(builder: ir.IRBuilder, matrix: Any, row: int, column: int) -> Any:
-    """An entry of a matrix, which may have more columns than the model has parameters."""
+def _entry_address(builder: ir.IRBuilder, matrix: Any, row: int, column: int) -> Any:
+    """The address of an entry of a matrix, which may have more columns than the model needs."""
     width = builder.extract_value(matrix, [5, 1])
     place = builder.add(builder.mul(width, ir.Constant(INDEX, row)), ir.Constant(INDEX, column))
     return builder.gep(builder.extract_value(matrix, 4), [place])
 
 
 @cache
-def _machine() -> tuple[Any, Any]:
-    """The machine at hand, and what links code for it: one for the process.
+def _target_and_linker() -> tuple[Any, Any]:
+    """The processor to compile for, and the linker of its code: one for the process.
 
     An engine for each model would hold the model's intermediate form and a machine of its own, five
     times the memory of the code.
@@ -225,7 +227,7 @@ _numbers = itertools.count()  # libraries of code: no name is used twice
 
 def engine_of(module: ir.Module) -> Any:
     """The module's machine code: addresses of its functions by name, valid while this is kept."""
-    machine, linker = _machine()
+    machine, linker = _target_and_linker()
     parsed = binding.parse_assembly(str(module), binding.create_context())
     options = binding.create_pipeline_tuning_options(speed_level=2)
     passes = binding.create_pass_builder(machine, options)

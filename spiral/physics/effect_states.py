@@ -16,13 +16,13 @@ def own_states(system: System, effects: tuple[Effect, ...]) -> dict[str, str]:
         f"{effect.label}.{state.name}{suffix}": system.place(effect).unit(state.unit)
         for effect in effects
         for state in effect.states
-        for suffix in suffixes(state.per_axis, system.place(effect))
+        for suffix in axis_suffixes(state.per_axis, system.place(effect))
     }
 
 
-def followers(system: System, effects: tuple[Effect, ...]) -> list[tuple[str, str]]:
-    """Own states of effects that begin at what their sensor or input shows, and its name."""
-    found: list[tuple[str, str]] = []
+def states_like_port(system: System, effects: tuple[Effect, ...]) -> list[tuple[str, str]]:
+    """Own states of effects that begin at a channel, an input or a state, and its name."""
+    pairs: list[tuple[str, str]] = []
     for effect in effects:
         port = system.place(effect)
         for state in (s for s in effect.states if s.like):
@@ -33,11 +33,11 @@ def followers(system: System, effects: tuple[Effect, ...]) -> list[tuple[str, st
                     "leave it out: the state begins at zero",
                 )
             axes = port.axes if state.per_axis else port.axes[:1]
-            names = [f"{effect.label}.{state.name}{s}" for s in suffixes(state.per_axis, port)]
-            found += zip(names, axes, strict=True)
-    return found
+            names = [f"{effect.label}.{state.name}{s}" for s in axis_suffixes(state.per_axis, port)]
+            pairs += zip(names, axes, strict=True)
+    return pairs
 
 
-def suffixes(per_axis: bool, port: Port) -> list[str]:
-    """What follows a name for each axis that it counts."""
+def axis_suffixes(per_axis: bool, port: Port) -> list[str]:
+    """``_axis`` for each axis of a port; one empty suffix where a value is not per axis."""
     return [f"_{axis}" for axis in port.axes] if per_axis and len(port.axes) > 1 else [""]

@@ -70,10 +70,10 @@ class Emitter:
         """
         known = self._nodes.get(expression)
         if known is None:
-            known = self._nodes[expression] = self._new(expression)
+            known = self._nodes[expression] = self._emit_node(expression)
         return known
 
-    def _new(self, e: Any) -> Node:
+    def _emit_node(self, e: Any) -> Node:
         if e.is_Number or e.is_NumberSymbol:
             return Node(number(float(e)), {})
         if e.is_Add:
@@ -92,11 +92,11 @@ class Emitter:
             return self._elementary(e.func, self.node(e.args[0]))
         if isinstance(e, sp.atan2):
             return self._angle(*(self.node(a) for a in e.args))
-        raise _unknown(e if isinstance(e, sp.Symbol) else e.func)
+        raise _no_code_error(e if isinstance(e, sp.Symbol) else e.func)
 
     # --- values --------------------------------------------------------------------------------
 
-    def _call(self, name: str, *values: Any) -> Any:
+    def _call_math(self, name: str, *values: Any) -> Any:
         """A function of the mathematics library."""
         if name in (*_INTRINSIC.values(), "pow", "fabs", "sqrt"):
             function = self._builder.module.declare_intrinsic(f"llvm.{name}", [DOUBLE])
@@ -106,19 +106,19 @@ class Emitter:
             function = module.globals.get(name) or ir.Function(module, kind, name)
         return self._builder.call(function, values)
 
-    def _times(self, a: Any, b: Any) -> Any:
-        if _is(a, 1.0):
+    def _multiply(self, a: Any, b: Any) -> Any:
+        if _equals_constant(a, 1.0):
             return b
-        if _is(b, 1.0):
+        if _equals_constant(b, 1.0):
             return a
-        return self._builder.fneg(b) if _is(a, -1.0) else self._builder.fmul(a, b)
+        return self._builder.fneg(b) if _equals_constant(a, -1.0) else self._builder.fmul(a, b)
 
-    def _combined(self, *parts: tuple[Any, Node]) -> dict[int, Any]:
+    def _weighted_slopes(self, *parts: tuple[Any, Node]) -> dict[int, Any]:
         """Slopes of sum_i w_i n_i, the weights held."""
         slopes: dict[int, Any] = {}
         for weight, node in parts:
             for key, slope in node.slopes.items():
-                term = self._times(weight, slope)
+                term = self._multiply(weight, slope)
                 slopes[key] = self._builder.fadd(slopes[key], term) if key in slopes else term
         return slopes
 
@@ -128,14 +128,14 @@ class Emitter:
         value = nodes[0].value
         for node in nodes[1:]:
             value = self._builder.fadd(value, node.value)
-        return Node(value, self._combined(*((number(1.0), n) for n in nodes)))
+        return Node(value, self._weighted_slopes(*((number(1.0), n) for n in nodes)))
 
     def _product(self, factors: Sequence[sp.Basic]) -> Node:
         node = self.node(factors[0])
         for factor in factors[1:]:
             other = self.node(factor)
-            slopes = self._combined((other.value, node), (node.value, other))
-            node = Node(self._times(node.value, other.value), slopes)
+            slopes = self._weighted_slopes((other.value, node), (node.value, other))
+            node = Node(self._multiply(node.value, other.value), slopes)
         return node
 
     def _power(self, base: sp.Basic, exponent: Any) -> Node:
@@ -146,36 +146,38 @@ class Emitter:
         if exponent.is_Integer and int(exponent) <= 4:
             return self._product([base] * int(exponent))
         if exponent == sp.S.Half:
-            value = self._call("sqrt", node.value)
-            return Node(value, self._combined((self._builder.fdiv(number(0.5), value), node)))
+            value = self._call_math("sqrt", node.value)
+            return Node(
+                value, self._weighted_slopes((self._builder.fdiv(number(0.5), value), node))
+            )
         if base == sp.E:
             return self._elementary(sp.exp, self.node(exponent))
         power = self.node(exponent)
-        value = self._call("pow", node.value, power.value)
+        value = self._call_math("pow", node.value, power.value)
         parts = []
         if node.slopes:
             less = self.node(exponent - 1)
-            below = self._call("pow", node.value, less.value)
-            parts.append((self._times(power.value, below), node))
+            below = self._call_math("pow", node.value, less.value)
+            parts.append((self._multiply(power.value, below), node))
         if power.slopes:
-            parts.append((self._times(value, self._call("log", node.value)), power))
-        return Node(value, self._combined(*parts))
+            parts.append((self._multiply(value, self._call_math("log", node.value)), power))
+        return Node(value, self._weighted_slopes(*parts))
 
     def _inverse(self, node: Node) -> Node:
         value = self._builder.fdiv(number(1.0), node.value)
-        weight = self._builder.fneg(self._times(value, value)) if node.slopes else value
-        return Node(value, self._combined((weight, node)))
+        weight = self._builder.fneg(self._multiply(value, value)) if node.slopes else value
+        return Node(value, self._weighted_slopes((weight, node)))
 
     def _piecewise(self, pieces: Sequence[Any]) -> Node:
         """The first piece whose condition holds, of all that are there; NaN where none does."""
-        found = Node(number(float("nan")), {})
+        selected = Node(number(float("nan")), {})
         for expression, condition in reversed(pieces):
             node = self.node(expression)
             if condition == sp.true:
-                found = node
+                selected = node
                 continue
-            found = self._select(self._condition(condition), node, found)
-        return found
+            selected = self._select(self._condition(condition), node, selected)
+        return selected
 
     def _select(self, holds: Any, yes: Node, no: Node) -> Node:
         zero = number(0.0)
@@ -212,35 +214,40 @@ class Emitter:
             if varied:
                 b.store(columns, wanted)
         for i, node in enumerate(nodes):
-            b.store(node.value, b.gep(arguments, [_at(0), _at(i)]))
-        own = [_at(a.ctypes.data) for a in (program.whole, program.numbers)]
+            b.store(node.value, b.gep(arguments, [_integer_constant(0), _integer_constant(i)]))
+        own = [_integer_constant(a.ctypes.data) for a in (program.whole, program.numbers)]
         places = [b.ptrtoint(p, INDEX) for p in (arguments, wanted, values, slopes)]
         kind = ir.FunctionType(ir.VoidType(), [INDEX] * 7)
-        kernel = b.inttoptr(_at(program.address or 0), kind.as_pointer())
-        b.call(kernel, [*own, *places[:2], _at(len(varied)), *places[2:]])
-        found = []
+        kernel = b.inttoptr(_integer_constant(program.address or 0), kind.as_pointer())
+        b.call(kernel, [*own, *places[:2], _integer_constant(len(varied)), *places[2:]])
+
+        def entry(array: Any, index: int) -> Any:
+            return b.load(b.gep(array, [_integer_constant(0), _integer_constant(index)]))
+
+        row_nodes = []
         for row in range(count):
-            parts = [
-                (b.load(b.gep(slopes, [_at(0), _at(c * count + row)])), nodes[i])
-                for c, i in enumerate(varied)
-            ]
-            found.append(Node(b.load(b.gep(values, [_at(0), _at(row)])), self._combined(*parts)))
-        self._programs[program, given] = found
-        return found
+            parts = [(entry(slopes, c * count + row), nodes[i]) for c, i in enumerate(varied)]
+            row_nodes.append(Node(entry(values, row), self._weighted_slopes(*parts)))
+        self._programs[program, given] = row_nodes
+        return row_nodes
 
     def _angle(self, y: Node, x: Node) -> Node:
-        squares = self._builder.fadd(self._times(y.value, y.value), self._times(x.value, x.value))
+        squares = self._builder.fadd(
+            self._multiply(y.value, y.value), self._multiply(x.value, x.value)
+        )
         by_y = self._builder.fdiv(x.value, squares)
         by_x = self._builder.fdiv(self._builder.fneg(y.value), squares)
-        return Node(self._call("atan2", y.value, x.value), self._combined((by_y, y), (by_x, x)))
+        return Node(
+            self._call_math("atan2", y.value, x.value), self._weighted_slopes((by_y, y), (by_x, x))
+        )
 
     def _condition(self, c: Any) -> Any:
         known = self._conditions.get(c)
         if known is None:
-            known = self._conditions[c] = self._new_condition(c)
+            known = self._conditions[c] = self._emit_condition(c)
         return known
 
-    def _new_condition(self, c: Any) -> Any:
+    def _emit_condition(self, c: Any) -> Any:
         if c in (sp.true, sp.false):
             return ir.Constant(ir.IntType(1), int(c == sp.true))
         if type(c) in _ORDERED:
@@ -254,7 +261,7 @@ class Emitter:
             return self._builder.select(*(self._condition(a) for a in c.args))
         join = {sp.And: self._builder.and_, sp.Or: self._builder.or_}.get(type(c))
         if join is None:
-            raise _unknown(type(c))
+            raise _no_code_error(type(c))
         value = self._condition(c.args[0])
         for other in c.args[1:]:
             value = join(value, self._condition(other))
@@ -264,18 +271,18 @@ class Emitter:
         """g(a), and g'(a) da where a varies."""
         x = inner.value
         if function is sp.Abs:
-            value = self._call("fabs", x)
+            value = self._call_math("fabs", x)
         elif function is sp.sign:
             return Node(self._sign(x), {})
         elif function in _INTRINSIC:
-            value = self._call(_INTRINSIC[function], x)
+            value = self._call_math(_INTRINSIC[function], x)
         elif function in _LIBRARY:
-            value = self._call(_LIBRARY[function], x)
+            value = self._call_math(_LIBRARY[function], x)
         else:
-            raise _unknown(function)
+            raise _no_code_error(function)
         if not inner.slopes or function in (sp.floor, sp.ceiling):
             return Node(value, {})
-        return Node(value, self._combined((self._slope(function, x, value), inner)))
+        return Node(value, self._weighted_slopes((self._slope(function, x, value), inner)))
 
     def _sign(self, x: Any) -> Any:
         zero = number(0.0)
@@ -287,30 +294,30 @@ class Emitter:
         b, one = self._builder, number(1.0)
 
         def square() -> Any:
-            return self._times(x, x)
+            return self._multiply(x, x)
 
         def over_root(value: Any) -> Any:
-            return b.fdiv(one, self._call("sqrt", value))
+            return b.fdiv(one, self._call_math("sqrt", value))
 
         rules: dict[Any, Callable[[], Any]] = {
             sp.Abs: lambda: self._sign(x),
-            sp.sin: lambda: self._call("cos", x),
-            sp.cos: lambda: b.fneg(self._call("sin", x)),
+            sp.sin: lambda: self._call_math("cos", x),
+            sp.cos: lambda: b.fneg(self._call_math("sin", x)),
             sp.exp: lambda: value,
             sp.log: lambda: b.fdiv(one, x),
-            sp.tan: lambda: b.fadd(one, self._times(value, value)),
-            sp.tanh: lambda: b.fsub(one, self._times(value, value)),
-            sp.sinh: lambda: self._call("cosh", x),
-            sp.cosh: lambda: self._call("sinh", x),
+            sp.tan: lambda: b.fadd(one, self._multiply(value, value)),
+            sp.tanh: lambda: b.fsub(one, self._multiply(value, value)),
+            sp.sinh: lambda: self._call_math("cosh", x),
+            sp.cosh: lambda: self._call_math("sinh", x),
             sp.asin: lambda: over_root(b.fsub(one, square())),
             sp.acos: lambda: b.fneg(over_root(b.fsub(one, square()))),
             sp.atan: lambda: b.fdiv(one, b.fadd(one, square())),
             sp.asinh: lambda: over_root(b.fadd(one, square())),
             sp.acosh: lambda: over_root(b.fsub(square(), one)),
             sp.atanh: lambda: b.fdiv(one, b.fsub(one, square())),
-            sp.erf: lambda: self._times(
+            sp.erf: lambda: self._multiply(
                 number(1.1283791670955126),  # 2 / sqrt(pi)
-                self._call("exp", b.fneg(square())),
+                self._call_math("exp", b.fneg(square())),
             ),
         }
         return rules[function]()
@@ -321,15 +328,15 @@ def number(value: float) -> ir.Constant:
     return ir.Constant(DOUBLE, value)
 
 
-def _at(value: int) -> ir.Constant:
+def _integer_constant(value: int) -> ir.Constant:
     return ir.Constant(INDEX, value)
 
 
-def _is(value: Any, number: float) -> bool:
+def _equals_constant(value: Any, number: float) -> bool:
     return isinstance(value, ir.Constant) and value.constant == number
 
 
-def _unknown(met: Any) -> PluginError:
+def _no_code_error(met: Any) -> PluginError:
     """The error for a function or a symbol that an equation may not hold."""
     name = str(met) if isinstance(met, sp.Symbol) else getattr(met, "__name__", str(met))
     known = sorted(f.__name__ for f in (*_INTRINSIC, *_LIBRARY))

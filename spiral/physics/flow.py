@@ -20,11 +20,11 @@ from numba import types
 from spiral.physics.compile import (
     MODEL_FUNCTION,
     ModelFunction,
-    element,
-    ended,
+    begin_function,
+    element_address,
+    end_function,
     engine_of,
-    loaded,
-    started,
+    load_symbols,
     write_function,
 )
 from spiral.physics.emit import DOUBLE, Emitter, Node, number
@@ -32,11 +32,11 @@ from spiral.physics.lanes import (
     LANES,
     ZEROS,
     add_product,
-    counted,
+    broadcast_lanes,
+    for_loop,
     index,
-    lane,
-    put,
-    spread,
+    load_lanes,
+    store_lanes,
 )
 from spiral.physics.trace import Traced
 from spiral.types.cache import kept
@@ -86,7 +86,7 @@ class _FlowWriter:
 
     def __init__(self, module: ir.Module, traced: Traced, columns: Sequence[int]) -> None:
         self.traced, self.columns, self.n = traced, columns, len(traced.x)
-        self.builder, args = started(module, "advance", FLOW_FUNCTION)
+        self.builder, args = begin_function(module, "advance", FLOW_FUNCTION)
         b = self.builder
         self.x, self.u, self.p, self.s, self.work = (
             b.extract_value(args[i], 4) for i in (0, 1, 6, 7, 8)
@@ -103,19 +103,24 @@ class _FlowWriter:
         """The whole function."""
         b, traced = self.builder, self.traced
         used = set().union(*(e.free_symbols for e in traced.rate))
-        parameters = loaded(b, self.p, traced.p, used)
+        parameters = load_symbols(b, self.p, traced.p, used)
         half, sixth = (b.fmul(self.step, number(w)) for w in (0.5, 1 / 6))
-        with counted(b, self.substeps) as sub:
+        with for_loop(b, self.substeps) as sub:
             row = b.add(self.at, b.mul(sub, self.stride))
-            with counted(b, index(4)) as stage:
-                self._stage(row, stage, half, used, parameters)
+            with for_loop(b, index(4)) as stage:
+                self._write_stage(row, stage, half, used, parameters)
             for i in range(self.n):
-                place, total = element(b, self.x, i), b.load(element(b, self.total, i))
+                place, total = (
+                    element_address(b, self.x, i),
+                    b.load(element_address(b, self.total, i)),
+                )
                 b.store(add_product(b, b.load(place), sixth, total), place)
-            self._ended(spread(b, sixth))
-        ended(b)
+            self._finish_step(broadcast_lanes(b, sixth))
+        end_function(b)
 
-    def _stage(self, row: Any, stage: Any, half: Any, used: set[Any], parameters: Any) -> None:
+    def _write_stage(
+        self, row: Any, stage: Any, half: Any, used: set[Any], parameters: Any
+    ) -> None:
         """Rates and their slopes at one point of the step, added to the sums."""
         b, traced = self.builder, self.traced
         first, last = (b.icmp_signed("==", stage, index(i)) for i in (0, 3))
@@ -126,21 +131,21 @@ class _FlowWriter:
         inputs = b.gep(self.u, [b.mul(reached, self.inputs)])
         here = {}
         for i, symbol in enumerate(traced.x):
-            slope = b.select(first, zero, b.load(element(b, self.slope, i)))
-            here[symbol] = add_product(b, b.load(element(b, self.x, i)), point, slope)
-        symbols = {**here, **loaded(b, inputs, traced.u, used), **parameters}
+            slope = b.select(first, zero, b.load(element_address(b, self.slope, i)))
+            here[symbol] = add_product(b, b.load(element_address(b, self.x, i)), point, slope)
+        symbols = {**here, **load_symbols(b, inputs, traced.u, used), **parameters}
         active = {s: i for i, s in enumerate(traced.x)}
         active |= {traced.p[j]: self.n + c for c, j in enumerate(self.columns)}
         emitter = Emitter(b, symbols, active)
         nodes = [emitter.node(e) for e in traced.rate]
         for i, node in enumerate(nodes):
-            b.store(node.value, element(b, self.slope, i))
-            place = element(b, self.total, i)
+            b.store(node.value, element_address(b, self.slope, i))
+            place = element_address(b, self.total, i)
             so_far = b.select(first, zero, b.load(place))
             b.store(add_product(b, so_far, gain, node.value), place)
-        self._slopes(nodes, first, point, gain)
+        self._write_slopes(nodes, first, point, gain)
 
-    def _slopes(self, nodes: Sequence[Node], first: Any, point: Any, gain: Any) -> None:
+    def _write_slopes(self, nodes: Sequence[Node], first: Any, point: Any, gain: Any) -> None:
         """J (S + point S') + [0 | f_p], added to the sums."""
         b, n = self.builder, self.n
         direct = [any(k >= n for k in node.slopes) for node in nodes]
@@ -151,36 +156,36 @@ class _FlowWriter:
                     there = b.icmp_signed("<", index(k), self.width)
                     b.store(slope, b.select(there, place, self.nowhere))
         needed = sorted({k for node in nodes for k in node.slopes if k < n})
-        entries = [{k: spread(b, v) for k, v in m.slopes.items() if k < n} for m in nodes]
-        along, weight = spread(b, point), spread(b, gain)
-        with counted(b, self.width, LANES) as c:
+        entries = [{k: broadcast_lanes(b, v) for k, v in m.slopes.items() if k < n} for m in nodes]
+        along, weight = broadcast_lanes(b, point), broadcast_lanes(b, gain)
+        with for_loop(b, self.width, LANES) as c:
             trial = {}
             for k in needed:
-                rates = b.select(first, ZEROS, self._lane(self.work, k, 0, c))
-                trial[k] = add_product(b, self._lane(self.s, k, 0, c), along, rates)
+                rates = b.select(first, ZEROS, self._load_lanes(self.work, k, 0, c))
+                trial[k] = add_product(b, self._load_lanes(self.s, k, 0, c), along, rates)
             for i in range(n):
-                value = self._lane(self.work, i, 2, c) if direct[i] else ZEROS
+                value = self._load_lanes(self.work, i, 2, c) if direct[i] else ZEROS
                 for k, entry in entries[i].items():
                     value = add_product(b, value, entry, trial[k])
-                sums = b.select(first, ZEROS, self._lane(self.work, i, 1, c))
-                self._put(value, self.work, i, 0, c)
-                self._put(add_product(b, sums, weight, value), self.work, i, 1, c)
+                sums = b.select(first, ZEROS, self._load_lanes(self.work, i, 1, c))
+                self._store_lanes(value, self.work, i, 0, c)
+                self._store_lanes(add_product(b, sums, weight, value), self.work, i, 1, c)
 
-    def _ended(self, sixth: Any) -> None:
+    def _finish_step(self, sixth: Any) -> None:
         """S <- S + step / 6 of the sums."""
         b = self.builder
-        with counted(b, self.width, LANES) as c:
+        with for_loop(b, self.width, LANES) as c:
             for i in range(self.n):
-                now, sums = self._lane(self.s, i, 0, c), self._lane(self.work, i, 1, c)
-                self._put(add_product(b, now, sixth, sums), self.s, i, 0, c)
+                now, sums = self._load_lanes(self.s, i, 0, c), self._load_lanes(self.work, i, 1, c)
+                self._store_lanes(add_product(b, now, sixth, sums), self.s, i, 0, c)
 
     def _row(self, data: Any, i: int, layer: int) -> Any:
         b = self.builder
         place = b.add(b.mul(self.layer, index(layer)), b.mul(self.width, index(i)))
         return b.gep(data, [place])
 
-    def _lane(self, data: Any, i: int, layer: int, column: Any) -> Any:
-        return lane(self.builder, self._row(data, i, layer), column)
+    def _load_lanes(self, data: Any, i: int, layer: int, column: Any) -> Any:
+        return load_lanes(self.builder, self._row(data, i, layer), column)
 
-    def _put(self, value: Any, data: Any, i: int, layer: int, column: Any) -> None:
-        put(self.builder, value, self._row(data, i, layer), column)
+    def _store_lanes(self, value: Any, data: Any, i: int, layer: int, column: Any) -> None:
+        store_lanes(self.builder, value, self._row(data, i, layer), column)

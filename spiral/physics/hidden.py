@@ -52,7 +52,7 @@ class Rows:
 
 def rows_of(full: MechanicalSystem, values: Mapping[str, float], observed: list[str]) -> Rows:
     """The balance of a full system with its seed, at these values, split by what is observed."""
-    balance, symbolic = _balance(full, values)
+    balance, symbolic = _named_balance(full, values)
     names = [c.name for c in full.coordinates]
     mass = sp.Matrix(balance).jacobian([sp.Symbol(f"{n}_a") for n in names])
     seen = [names.index(n) for n in observed]
@@ -78,7 +78,7 @@ def rows_of(full: MechanicalSystem, values: Mapping[str, float], observed: list[
     )
 
 
-def _balance(
+def _named_balance(
     full: MechanicalSystem, values: Mapping[str, float]
 ) -> tuple[list[Any], dict[str, Any]]:
     """The traced balance in named symbols, numbers exact; and parameters that stay symbols."""
@@ -90,7 +90,7 @@ def _balance(
     if lacking:
         raise ConfigError(f"no value for {', '.join(lacking)}", "a value for each parameter")
     exact = {k: sp.Rational(str(float(v))) for k, v in known.items() if v is not None}
-    kept = _kept_symbolic(traced, full)
+    kept = _dynamic_parameters(traced, full)
     names = [f"{c.name}_a" for c in full.coordinates]
     swap: dict[Any, Any] = {
         s: sp.Symbol(k) if k in kept else exact[k]
@@ -105,7 +105,7 @@ def _balance(
     return [plain_trig(e.xreplace(swap)) for e in traced.balance], {k: exact[k] for k in kept}
 
 
-def _kept_symbolic(traced: Traced, full: MechanicalSystem) -> list[str]:
+def _dynamic_parameters(traced: Traced, full: MechanicalSystem) -> list[str]:
     """The system's own parameters that do not move the static equilibrium."""
     still = dict.fromkeys((*traced.acceleration, *traced.u), sp.Integer(0))
     still.update(dict.fromkeys(traced.x[len(full.coordinates) :], sp.Integer(0)))
@@ -123,26 +123,37 @@ def plain_trig(value: Any) -> Any:
     return value.xreplace(swap)
 
 
-def eliminated(rows: Rows, order: int) -> tuple[Poly, ...]:
+def eliminate_hidden(rows: Rows, order: int) -> tuple[Poly, ...]:
     """Observed accelerations; ``order`` -1 leaves the hidden states at rest."""
-    series = _series(rows, order) if order >= 0 else [rows.ring.zero] * len(rows.hidden)
+    series = _hidden_series(rows, order) if order >= 0 else [rows.ring.zero] * len(rows.hidden)
     keep = max(order, 1)
     swap = _hidden_motion(rows, series, keep)
-    force = [-_cut(rows, _motion(rows, row, swap, False), keep) for row in rows.observed]
-    found = times(rows, rows.mass.inv(), force)
-    static = [_cut(rows, f, 0) for f in found]
-    places = [(rows.at(f"{n}_j"), _rate_of(rows, f)) for n, f in _named(rows, static)]
-    places += [(rows.at(f"{n}_a"), _cut(rows, f, min(order, 1))) for n, f in _named(rows, found)]
-    reduced = [_cut(rows, _unmarked(rows, f).compose(places), keep) for f in found]
+    force = [
+        -_truncate_order(rows, _substitute_motion(rows, row, swap, False), keep)
+        for row in rows.observed
+    ]
+    accelerations = multiply_matrix(rows, rows.mass.inv(), force)
+    static = [_truncate_order(rows, f, 0) for f in accelerations]
+    places = [
+        (rows.at(f"{n}_j"), _acceleration_rate(rows, f)) for n, f in _pair_with_names(rows, static)
+    ]
+    places += [
+        (rows.at(f"{n}_a"), _truncate_order(rows, f, min(order, 1)))
+        for n, f in _pair_with_names(rows, accelerations)
+    ]
+    reduced = [
+        _truncate_order(rows, _remove_size_marks(rows, f).compose(places), keep)
+        for f in accelerations
+    ]
     one = [(rows.at(_ORDER.name), rows.ring.one), (rows.at(_SIZE.name), rows.ring.one)]
     return tuple(f.compose(one) for f in reduced)
 
 
-def _named(rows: Rows, values: list[Poly]) -> list[tuple[str, Poly]]:
+def _pair_with_names(rows: Rows, values: list[Poly]) -> list[tuple[str, Poly]]:
     return list(zip(rows.names(False), values, strict=True))
 
 
-def _rate_of(rows: Rows, f: Poly) -> Poly:
+def _acceleration_rate(rows: Rows, f: Poly) -> Poly:
     """d/dt of an acceleration that depends on o, speed and phase, without a mark of order."""
     total = rows.ring.zero
     for n in rows.names(False):
@@ -154,18 +165,18 @@ def _rate_of(rows: Rows, f: Poly) -> Poly:
     return total
 
 
-def times(rows: Rows, matrix: Any, values: list[Poly]) -> list[Poly]:
+def multiply_matrix(rows: Rows, matrix: Any, values: list[Poly]) -> list[Poly]:
     """A matrix of numbers times a vector of polynomials."""
-    found = []
+    products = []
     for i in range(matrix.rows):
         total: Poly = rows.ring.zero
         for j, value in enumerate(values):
             total += rows.ring.from_expr(matrix[i, j]) * value
-        found.append(total)
-    return found
+        products.append(total)
+    return products
 
 
-def _unmarked(rows: Rows, f: Poly) -> Poly:
+def _remove_size_marks(rows: Rows, f: Poly) -> Poly:
     """Higher derivatives without their mark of size: what replaces them brings its own."""
     names = [str(g) for g in rows.ring.symbols]
     size = names.index(_SIZE.name)
@@ -177,7 +188,7 @@ def _unmarked(rows: Rows, f: Poly) -> Poly:
     return rows.ring.from_dict(terms)
 
 
-def _series(rows: Rows, order: int) -> list[Poly]:
+def _hidden_series(rows: Rows, order: int) -> list[Poly]:
     """Hidden coordinates in terms of the observed motion."""
     names = rows.names(True)
     zero = {n: 0 for n in rows.symbols if n not in names}
@@ -196,26 +207,31 @@ def _series(rows: Rows, order: int) -> list[Poly]:
             "a static equilibrium for given observed ones",
         )
     inverse = stiffness.inv()
-    found: list[Poly] = [rows.ring.zero] * len(names)
+    series: list[Poly] = [rows.ring.zero] * len(names)
     for _ in range(order + 3):
-        swap = _hidden_motion(rows, found, order)
-        off = [_cut(rows, _motion(rows, row, swap, True), order) for row in rows.hidden]
-        steps = times(rows, inverse, off)
-        found = [f - step for f, step in zip(found, steps, strict=True)]
-    return found
+        swap = _hidden_motion(rows, series, order)
+        off = [
+            _truncate_order(rows, _substitute_motion(rows, row, swap, True), order)
+            for row in rows.hidden
+        ]
+        steps = multiply_matrix(rows, inverse, off)
+        series = [f - step for f, step in zip(series, steps, strict=True)]
+    return series
 
 
 def _hidden_motion(rows: Rows, series: list[Poly], order: int) -> list[tuple[Poly, Poly]]:
     """Hidden coordinates, rates and accelerations as functions of the observed motion."""
-    first = [_cut(rows, _derivative(rows, f), order) for f in series]
-    second = [_cut(rows, _derivative(rows, f), order) for f in first]
-    found = []
+    first = [_truncate_order(rows, _motion_derivative(rows, f), order) for f in series]
+    second = [_truncate_order(rows, _motion_derivative(rows, f), order) for f in first]
+    substitutions = []
     for suffix, values in (("", series), ("_rate", first), ("_a", second)):
-        found += [(rows.at(n), f) for n, f in zip(rows.names(True, suffix), values, strict=True)]
-    return found
+        substitutions += [
+            (rows.at(n), f) for n, f in zip(rows.names(True, suffix), values, strict=True)
+        ]
+    return substitutions
 
 
-def _motion(
+def _substitute_motion(
     rows: Rows, row: Poly, hidden: list[tuple[Poly, Poly]], with_acceleration: bool
 ) -> Poly:
     """A row with the hidden motion put in and the observed one marked by size and order.
@@ -228,12 +244,12 @@ def _motion(
     for n in rows.names(False, "_a"):
         put = size * step**2 * rows.at(n) if with_acceleration else rows.ring.zero
         swap.append((rows.at(n), put))
-    slow = [(place, _cut(rows, value, 0)) for place, value in hidden]
-    linear, rest = _split(rows, row)
+    slow = [(place, _truncate_order(rows, value, 0)) for place, value in hidden]
+    linear, rest = _split_linear(rows, row)
     return linear.compose([*hidden, *swap]) + rest.compose([*slow, *swap])
 
 
-def _split(rows: Rows, row: Poly) -> tuple[Poly, Poly]:
+def _split_linear(rows: Rows, row: Poly) -> tuple[Poly, Poly]:
     """Terms linear in the motion (or free of it), and the others."""
     names = [str(g) for g in rows.ring.symbols]
     moving = {f"{n}{suffix}" for n, _ in rows.pairs for suffix in ("", "_rate", "_a")}
@@ -243,7 +259,7 @@ def _split(rows: Rows, row: Poly) -> tuple[Poly, Poly]:
     return rows.ring.from_dict(linear), rows.ring.from_dict(rest)
 
 
-def _derivative(rows: Rows, f: Poly) -> Poly:
+def _motion_derivative(rows: Rows, f: Poly) -> Poly:
     """d/dt of a function of the observed motion and speed; one order more.
 
     ``f`` carries its marks already: o' as size order o'.
@@ -257,7 +273,7 @@ def _derivative(rows: Rows, f: Poly) -> Poly:
     return total * rows.at(_ORDER.name)
 
 
-def _cut(rows: Rows, value: Poly, order: int, degree: int = _DEGREE) -> Poly:
+def _truncate_order(rows: Rows, value: Poly, order: int, degree: int = _DEGREE) -> Poly:
     """Terms up to an order in time derivatives and a degree in amplitude."""
     names = [str(g) for g in rows.ring.symbols]
     i, j = names.index(_ORDER.name), names.index(_SIZE.name)

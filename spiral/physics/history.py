@@ -1,4 +1,4 @@
-"""Forces that follow the present alone, and forces that remember: two families to be compared.
+"""Two families of test forces: functions of the present motion, and forces with memory.
 
 With z = (q - q_0) / Q and w = (v - v_0) / V (means and deviations of position and velocity at a
 port, the means zero where it has several axes), for every axis
@@ -35,8 +35,8 @@ TIMES = (0.7, 2.0, 6.0)  # of what relaxes, in the motion's own time Q / V
 _LATE = (1.0,)  # times of curved forces that come late
 YIELDING = tuple(f"yielding{k}" for k in range(len(LENGTHS)))
 RELAXING = (*(f"relaxing{k}" for k in range(len(TIMES))), *(f"late{k}" for k in range(len(_LATE))))
-_PASSES = 3  # through which an input is filtered
-_MOST = 3.0  # of what each changes: an input that is late by so many samples
+_PASSES = 3  # high-passes in series behind an input
+_MOST = 3.0  # bound of each amplitude of LateInput: an input up to so many samples late
 
 _SCALES = (
     Parameter("middle", "position", start=0.0, role="shape"),
@@ -46,7 +46,7 @@ _SCALES = (
 )
 
 
-def _bends(x: Any) -> list[Any]:
+def _spline_terms(x: Any) -> list[Any]:
     """Natural cubic splines on the knots beside 1 and x: straight outside of them."""
     first, last = _KNOTS[:-1], _KNOTS[-1]
     cubes = {k: maximum(x - k, 0 * x) ** 3 for k in _KNOTS}
@@ -54,20 +54,28 @@ def _bends(x: Any) -> list[Any]:
     return [part - parts[-1] for part in parts[:-1]]
 
 
-def _over_both(z: Any, w: Any, s: Any) -> list[Any]:
+def _product_terms(z: Any, w: Any, s: Any) -> list[Any]:
     """Damping and friction that depend on place, a spring that depends on velocity."""
     sizes = (z, length([z]))
     ways = (tanh(s / _WIDTHS[1]), length([w]))
-    return [*(x * w for x in (*sizes, *_bends(z))), *(x * y for x in sizes for y in ways)]
+    return [*(x * w for x in (*sizes, *_spline_terms(z))), *(x * y for x in sizes for y in ways)]
 
 
-def _own_terms(z: Any, w: Any, s: Any, t: Any) -> list[Any]:
+def _axis_terms(z: Any, w: Any, s: Any, t: Any) -> list[Any]:
     """All functions of one axis; s is v / V. The model's spring and damper have z and w."""
     friction = [tanh(s / x) for x in _WIDTHS]
-    return [1 + 0 * z, *_bends(z), *friction, *_bends(w), *_over_both(z, w, s), t * z, t * w]
+    return [
+        1 + 0 * z,
+        *_spline_terms(z),
+        *friction,
+        *_spline_terms(w),
+        *_product_terms(z, w, s),
+        t * z,
+        t * w,
+    ]
 
 
-_OWN = len(_own_terms(0.0, 0.0, 0.0, 0.0))
+_OWN = len(_axis_terms(0.0, 0.0, 0.0, 0.0))
 _NAMES = (*(f"c{k}" for k in range(_OWN)), *(f"cross{k}" for k in range(4)))
 
 
@@ -97,13 +105,13 @@ class PresentForce(ForceEffect):
         """For every axis what its coefficients are factors of, by its shapes alone."""
         z = [(q - p.middle) / p.reach for q in at.position]
         w = [(v - p.drift) / p.pace for v in at.velocity]
-        t, found = u.time / p.record, []
+        t, rows = u.time / p.record, []
         for i, (a, b) in enumerate(zip(z, w, strict=True)):
             others = [j for j in range(len(z)) if j != i]
             radius = sum(z[j] * z[j] for j in others)
             cross = [sum(z[j] for j in others), sum(w[j] for j in others), radius * a, radius * b]
-            found.append([*_own_terms(a, b, at.velocity[i] / p.pace, t), *cross])
-        return found
+            rows.append([*_axis_terms(a, b, at.velocity[i] / p.pace, t), *cross])
+        return rows
 
 
 class RememberedForce(ForceEffect):
@@ -126,22 +134,22 @@ class RememberedForce(ForceEffect):
         ]
 
     def rate(self, at, u, p):
-        """Their rates."""
+        """Rates of the states, by the laws at the head of this module."""
         time, shares = p.reach / p.pace, (*LENGTHS, *TIMES, *_LATE)
-        found: dict[str, Any] = {}
+        rates: dict[str, Any] = {}
         for name, share in zip((*YIELDING, *RELAXING), shares, strict=True):
             rows = zip(at.position, at.velocity, getattr(at.own, name), strict=True)
             if name in YIELDING:
-                found[name] = [_yielding(v, z, share * p.reach) for _, v, z in rows]
+                rates[name] = [_yielding_rate(v, z, share * p.reach) for _, v, z in rows]
             elif name.startswith("relaxing"):
-                found[name] = [v - z / (share * time) for _, v, z in rows]
+                rates[name] = [v - z / (share * time) for _, v, z in rows]
             else:
                 cubes = ((q - p.middle) ** 3 / p.reach**2 - z for q, _, z in rows)
-                found[name] = [left / (share * time) for left in cubes]
-        return found
+                rates[name] = [left / (share * time) for left in cubes]
+        return rates
 
 
-def _yielding(v: Any, z: Any, limit: Any) -> Any:
+def _yielding_rate(v: Any, z: Any, limit: Any) -> Any:
     """v - (|v| z + v |z|) / L."""
     return v - (length([v]) * z + v * length([z])) / limit
 
@@ -178,16 +186,16 @@ class LateInput(InputEffect):
 
     def drive(self, at, u, p):
         """u + sum_k a_k h_k."""
-        fast = enumerate(_behind(at))
+        fast = enumerate(_highpass_outputs(at))
         return at.position[0] + sum(getattr(p, f"a{k}") * h for k, h in fast)
 
     def rate(self, at, u, p):
-        """What each high-pass takes away follows what it is given."""
-        return {f"slow{k}": fast / p.time for k, fast in enumerate(_behind(at))}
+        """Rates of the high-passes' states s_k, of which h_k is the output: T s_k' = h_k."""
+        return {f"slow{k}": fast / p.time for k, fast in enumerate(_highpass_outputs(at))}
 
 
-def _behind(at: Any) -> list[Any]:
-    """The input behind one, two and three high-passes."""
+def _highpass_outputs(at: Any) -> list[Any]:
+    """Outputs h_1, h_2, h_3 of the high-passes in series behind the input."""
     levels, given = [], at.position[0]
     for k in range(_PASSES):
         given = given - getattr(at.own, f"slow{k}")

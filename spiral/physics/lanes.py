@@ -1,7 +1,7 @@
 """Loops and vectors of four numbers in LLVM instructions.
 
-Matrices that they work on have rows of a multiple of four numbers in memory (``padded``), zeros
-behind those of use.
+Matrices that they work on have rows of a multiple of four numbers in memory (``padded_width``),
+zeros behind those of use.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ INNER: Any = {**LOOP, "inline": "always"}
 
 
 @nb.njit(cache=True, nogil=True)
-def padded(width):
-    """Numbers of a row in memory, for so many of use; in compiled loops too."""
+def padded_width(width):
+    """Width of a row in memory: the number of its columns rounded up to a multiple of four."""
     return -(-width // LANES) * LANES
 
 
@@ -39,7 +39,7 @@ def index(value: int) -> ir.Constant:
     return ir.Constant(INDEX, value)
 
 
-def spread(builder: ir.IRBuilder, value: Any) -> Any:
+def broadcast_lanes(builder: ir.IRBuilder, value: Any) -> Any:
     """A number in every lane."""
     undefined = ir.Constant(LANE, ir.Undefined)
     one = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
@@ -52,28 +52,28 @@ def add_product(builder: Any, total: Any, a: Any, b: Any) -> Any:
     return builder.fadd(total, builder.fmul(a, b, flags=FUSED), flags=FUSED)
 
 
-def lane(builder: ir.IRBuilder, data: Any, place: Any) -> Any:
-    """The four numbers from a place on."""
-    return builder.load(_four(builder, data, place), align=8)
+def load_lanes(builder: ir.IRBuilder, data: Any, place: Any) -> Any:
+    """Load four numbers from a place on."""
+    return builder.load(_lane_address(builder, data, place), align=8)
 
 
-def put(builder: ir.IRBuilder, value: Any, data: Any, place: Any) -> None:
+def store_lanes(builder: ir.IRBuilder, value: Any, data: Any, place: Any) -> None:
     """Write four numbers from a place on."""
-    builder.store(value, _four(builder, data, place), align=8)
+    builder.store(value, _lane_address(builder, data, place), align=8)
 
 
-def _four(builder: ir.IRBuilder, data: Any, place: Any) -> Any:
+def _lane_address(builder: ir.IRBuilder, data: Any, place: Any) -> Any:
     return builder.bitcast(builder.gep(data, [place]), LANE.as_pointer())
 
 
 @contextmanager
-def counted(
+def for_loop(
     builder: ir.IRBuilder, count: Any, step: int = 1, sums: list[Any] | None = None
 ) -> Iterator[Any]:
     """A loop over 0, step, .. below a count, at least once.
 
-    ``sums`` are values carried from turn to turn: their entries are replaced by what they are in
-    the loop, and what the body leaves there is carried on.
+    ``sums`` are loop variables: in the body their entries are the values of this pass, and what
+    the body leaves there enters the next one.
     """
     sums = [] if sums is None else sums
     before, body = builder.block, builder.append_basic_block()

@@ -130,13 +130,13 @@ def basis(z: Any) -> list[Any]:
     unit = spacing(0.0)
     knots = {j: KNOTS[_LAST + j] / unit for j in range(-_LAST, _LAST + 1)}
     cubes = {side: {j: _cube(side * z / unit - k) for j, k in knots.items()} for side in (1, -1)}
-    found = [
+    functions = [
         _hat([knots[j] for j in hat], [cubes[side][j] for j in hat])
         for level in _HATS
         for hat in level
         for side in ((1, -1) if hat[1] else (1,))
     ]
-    return [*found, z / unit, z * 0 + 1]
+    return [*functions, z / unit, z * 0 + 1]
 
 
 def _hat(knots: list[float], cubes: list[Any]) -> Any:

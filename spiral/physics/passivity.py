@@ -22,28 +22,28 @@ from spiral.types.port import At, Port
 DAMPING = "negative damping: it feeds energy in, which a passive machine does not"
 STIFFNESS = "negative stiffness: it pushes away from rest, which a passive machine does not"
 _SURE = 3.0  # standard errors from zero, nearer than which a sign says nothing
-_STRAIGHT = 1e-9  # relative; how far a force in step with q may be from it
+_STRAIGHT = 1e-9  # relative deviation up to which a force counts as proportional to q
 
 
-def implausible(model: Model) -> dict[str, str]:
+def implausible_signs(model: Model) -> dict[str, str]:
     """Coefficients by full name whose sign a passive machine does not have, and what it means.
 
-    Effects that read an input (a speed, the time) or have states of their own are not asked: energy
+    Effects that read an input (a speed, the time) or have states of their own are left out: energy
     may come from elsewhere there.
     """
-    found = {}
+    meanings = {}
     for effect in model.effects:
         if not isinstance(effect, ForceEffect) or effect.inputs or effect.states:
             continue
         port = model.system.place(effect)
-        for key in _sure(model, effect, port):
-            said = _sign(_alone(model, effect, port, key), port)
+        for key in _significant_amplitudes(model, effect, port):
+            said = _sign_meaning(_single_coefficient_force(model, effect, port, key), port)
             if said:
-                found[key] = said
-    return found
+                meanings[key] = said
+    return meanings
 
 
-def _sure(model: Model, effect: Effect, port: Port) -> Iterator[str]:
+def _significant_amplitudes(model: Model, effect: Effect, port: Port) -> Iterator[str]:
     """The amplitudes of an effect that have a value and are surely not zero."""
     for key, parameter in effect.keys(port):
         value, error = model.values.get(key), model.errors.get(key)
@@ -53,7 +53,7 @@ def _sure(model: Model, effect: Effect, port: Port) -> Iterator[str]:
             yield key
 
 
-def _alone(model: Model, effect: ForceEffect, port: Port, wanted: str) -> Any:
+def _single_coefficient_force(model: Model, effect: ForceEffect, port: Port, wanted: str) -> Any:
     """The force of one coefficient by positions and velocities, the effect's others zero."""
     values = {}
     for key, parameter in effect.keys(port):
@@ -63,14 +63,14 @@ def _alone(model: Model, effect: ForceEffect, port: Port, wanted: str) -> Any:
     quiet = SimpleNamespace(**dict.fromkeys(input_columns(model.system), 0.0))
 
     def force(q: tuple[float, ...], v: tuple[float, ...]) -> list[float]:
-        found = effect.force(At(q, v, SimpleNamespace()), quiet, p)
-        return [float(value) for value in found]
+        forces = effect.force(At(q, v, SimpleNamespace()), quiet, p)
+        return [float(value) for value in forces]
 
     return force
 
 
-def _sign(force: Any, port: Port) -> str:
-    """What the sign of a coefficient means, seen along every axis; mostly nothing."""
+def _sign_meaning(force: Any, port: Port) -> str:
+    """The warning for the sign of a coefficient, by its force along every axis; else empty."""
     axes = range(len(port.axes))
 
     def along(i: int, size: float) -> tuple[float, ...]:
@@ -85,7 +85,7 @@ def _sign(force: Any, port: Port) -> str:
         pulls = [(force(along(i, 1.0), along(i, 0.0))[i],
                   force(along(i, 2.0), along(i, 0.0))[i]) for i in axes]  # fmt: skip
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
-        return ""  # an effect that cannot be asked there
+        return ""  # an effect that is not defined there
     if min(gains) >= 0 < max(gains):
         return DAMPING
     straight = all(abs(two - 2 * one) <= _STRAIGHT * abs(two) for one, two in pulls)

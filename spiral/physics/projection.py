@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.physics.hidden import Poly, Rows, eliminated, plain_trig, rows_of, times
+from spiral.physics.hidden import Poly, Rows, eliminate_hidden, multiply_matrix, plain_trig, rows_of
 from spiral.physics.trace import trace
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
@@ -75,17 +75,22 @@ def project(
             "library.system=tilting_rotor with system=planar_rotor",
         )
     rows = rows_of(full, values, observed)
-    keys, columns = _columns(study, effects, rows)
-    found = _matched(eliminated(rows, order), columns, rows)
-    direct = _matched(eliminated(rows, -1), columns, rows)
+    keys, columns = _unit_accelerations(study, effects, rows)
+    coefficients = _solve_coefficients(eliminate_hidden(rows, order), columns, rows)
+    direct = _solve_coefficients(eliminate_hidden(rows, -1), columns, rows)
     return tuple(
-        Projected(key, _number(value, rows), _number(alone, rows), _text(value, rows))
-        for key, value, alone in zip(keys, found, direct, strict=True)
+        Projected(
+            key,
+            _numeric_value(value, rows),
+            _numeric_value(alone, rows),
+            _coefficient_text(value, rows),
+        )
+        for key, value, alone in zip(keys, coefficients, direct, strict=True)
         if value != 0
     )
 
 
-def _columns(
+def _unit_accelerations(
     study: MechanicalSystem, effects: tuple[Effect, ...], rows: Rows
 ) -> tuple[list[str], list[tuple[Poly, ...]]]:
     """Accelerations of the study's system for every amplitude set to one, in the same ring."""
@@ -110,40 +115,40 @@ def _columns(
     return keys, columns
 
 
-def _matched(
+def _solve_coefficients(
     accelerations: tuple[Poly, ...], columns: list[tuple[Poly, ...]], rows: Rows
 ) -> list[Poly]:
     """Coefficients c with sum_k c_k column_k = acceleration, monomial by monomial."""
     wanted = _monomials(accelerations, rows)
     tables = [_monomials(c, rows) for c in columns]
-    found: list[Poly] = [rows.ring.zero] * len(columns)
-    for group in _groups(tables):
+    coefficients: list[Poly] = [rows.ring.zero] * len(columns)
+    for group in _column_groups(tables):
         places = sorted({m for k in group for m in tables[k]})
         matrix = sp.Matrix(
             [[tables[k].get(m, rows.ring.zero).as_expr() for k in group] for m in places]
         )
         map_ = (matrix.T * matrix).inv() * matrix.T
         target = [wanted.get(m, rows.ring.zero) for m in places]
-        for k, value in zip(group, times(rows, map_, target), strict=True):
-            found[k] = value
-    return found
+        for k, value in zip(group, multiply_matrix(rows, map_, target), strict=True):
+            coefficients[k] = value
+    return coefficients
 
 
 def _monomials(values: tuple[Poly, ...], rows: Rows) -> dict[tuple[int, ...], Poly]:
     """(equation, exponents of the motion) -> coefficient, a polynomial in the parameters."""
     names = [str(g) for g in rows.ring.symbols]
     parameters = [i for i, n in enumerate(names) if n in rows.known]
-    found: dict[tuple[int, ...], Poly] = {}
+    table: dict[tuple[int, ...], Poly] = {}
     for equation, value in enumerate(values):
         for monomial, number in value.terms():
             motion = tuple(0 if i in parameters else e for i, e in enumerate(monomial))
             inner = tuple(e if i in parameters else 0 for i, e in enumerate(monomial))
             key = (equation, *motion)
-            found[key] = found.get(key, rows.ring.zero) + rows.ring.from_dict({inner: number})
-    return found
+            table[key] = table.get(key, rows.ring.zero) + rows.ring.from_dict({inner: number})
+    return table
 
 
-def _groups(tables: list[dict[tuple[int, ...], Any]]) -> list[list[int]]:
+def _column_groups(tables: list[dict[tuple[int, ...], Any]]) -> list[list[int]]:
     """Columns that share monomials, directly or through others."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
@@ -153,11 +158,11 @@ def _groups(tables: list[dict[tuple[int, ...], Any]]) -> list[list[int]]:
     return [[k for k in range(len(tables)) if labels[k] == g] for g in range(count)]
 
 
-def _number(value: Poly, rows: Rows) -> float:
+def _numeric_value(value: Poly, rows: Rows) -> float:
     return float(value.as_expr().subs({sp.Symbol(k): v for k, v in rows.known.items()}))
 
 
-def _text(value: Poly, rows: Rows) -> str:
+def _coefficient_text(value: Poly, rows: Rows) -> str:
     """The formula with four digits: a polynomial over the mass, parameters by short names."""
     expression = value.as_expr()
     if rows.mass_name:

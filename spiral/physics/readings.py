@@ -1,4 +1,4 @@
-"""What sensors report that is no state: y = h(x, x', u, p), an acceleration, a force in a mount.
+"""Readings that are no state: y = h(x, x', u, p), an acceleration or a force in a mount.
 
 What pushes a state moves such a reading at once, by
 
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.physics.asking import asked
+from spiral.physics.asking import call_equation
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, PluginError, did_you_mean
 from spiral.types.placement import input_columns
@@ -42,7 +42,7 @@ def own_readings(
     if not system.readings:
         return shown, ()
     moving = {n: sp.Symbol(f"r{i}", real=True) for i, n in enumerate(names)}
-    given = asked(system, "reading", system.reading, x, SimpleNamespace(**moving), u, p)
+    given = call_equation(system, "reading", system.reading, x, SimpleNamespace(**moving), u, p)
     told: list[tuple[str, str, bool]] = []
     for name in (r.name for r in system.readings):
         if name not in given:
@@ -70,14 +70,14 @@ def reading_slopes(
     system: System, states: Array, rates: Array, inputs: Array, parameters: list[float]
 ) -> Array:
     """(samples, channels, n) H along states and rates (samples, n)."""
-    found = np.zeros((len(states), len(system.observed), states.shape[1]))
-    for channel, state, function in _slopes(system):
-        found[:, channel, state] = function(*states.T, *rates.T, *inputs.T, *parameters)
-    return found
+    slopes = np.zeros((len(states), len(system.observed), states.shape[1]))
+    for channel, state, function in _reading_slope_functions(system):
+        slopes[:, channel, state] = function(*states.T, *rates.T, *inputs.T, *parameters)
+    return slopes
 
 
 @kept(32)
-def _slopes(system: System) -> list[tuple[int, int, Callable[..., Any]]]:
+def _reading_slope_functions(system: System) -> list[tuple[int, int, Callable[..., Any]]]:
     """(channel, state, dh/dx') wherever that is not zero."""
     x, r, u, p = (
         {name: sp.Symbol(f"{letter}{i}", real=True) for i, name in enumerate(names)}
@@ -86,12 +86,14 @@ def _slopes(system: System) -> list[tuple[int, int, Callable[..., Any]]]:
             ("u", input_columns(system)), ("p", [q.name for q in system.parameters]),
         )
     )  # fmt: skip
-    given = asked(system, "reading", system.reading, *(SimpleNamespace(**s) for s in (x, r, u, p)))
+    given = call_equation(
+        system, "reading", system.reading, *(SimpleNamespace(**s) for s in (x, r, u, p))
+    )
     symbols = [*x.values(), *r.values(), *u.values(), *p.values()]
-    found = []
+    functions = []
     for channel, name in enumerate(system.observed):
         for state, rate in enumerate(r.values()):
             slope = sp.sympify(given[name]).diff(rate) if name in given else sp.Integer(0)
             if slope != 0:
-                found.append((channel, state, sp.lambdify(symbols, slope, "numpy")))
-    return found
+                functions.append((channel, state, sp.lambdify(symbols, slope, "numpy")))
+    return functions

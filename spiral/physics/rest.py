@@ -34,21 +34,23 @@ def check_rest(compiled: Compiled, system: System, effects: Sequence[Effect]) ->
     ------
     PluginError : the name of the effect, or of the system whose own rates are no numbers.
     """
-    if _finite(_compiled_at_rest(compiled)):
+    if _is_all_finite(_evaluate_compiled_at_rest(compiled)):
         return
     at, bare = 0.0, trace(system, ())
-    alone = _traced_at_rest(bare)
+    alone = _evaluate_traced_at_rest(bare)
     if not np.isfinite(alone[0]).all():  # a logarithm, or a quotient, of what is never zero
-        at, alone = 1.0, _traced_at_rest(bare, 1.0)
+        at, alone = 1.0, _evaluate_traced_at_rest(bare, 1.0)
     if not np.isfinite(alone[0]).all():
-        raise _restless(f"system {system.plugin_name()!r}", system.plugin_name(), at)
+        raise _not_finite_error(f"system {system.plugin_name()!r}", system.plugin_name(), at)
     for effect in effects:
-        beside = _traced_at_rest(trace(system, (effect,)), at)
-        if (_finite(alone) and not _finite(beside)) or not np.isfinite(beside[0]).all():
-            raise _restless(f"effect {effect.label!r}", effect.plugin_name(), at)
+        beside = _evaluate_traced_at_rest(trace(system, (effect,)), at)
+        if (_is_all_finite(alone) and not _is_all_finite(beside)) or not np.isfinite(
+            beside[0]
+        ).all():
+            raise _not_finite_error(f"effect {effect.label!r}", effect.plugin_name(), at)
 
 
-def finite_along(compiled: Compiled, row: Array, states: Array, inputs: Array) -> bool:
+def is_finite_along(compiled: Compiled, row: Array, states: Array, inputs: Array) -> bool:
     """Whether a compiled model and its slopes are numbers at some states and inputs.
 
     Parameters
@@ -61,11 +63,14 @@ def finite_along(compiled: Compiled, row: Array, states: Array, inputs: Array) -
     x = np.zeros((len(states), len(traced.states)))
     x[:, : states.shape[1]] = states
     given = zip(traced.keys, row, traced.parameters, strict=False)
-    p = np.array([v or _value(q) if k.startswith("system.") else v for k, v, q in given])
-    return all(_finite(_evaluated(compiled, at, u, p)) for at, u in zip(x, inputs, strict=True))
+    p = np.array([v or _trial_value(q) if k.startswith("system.") else v for k, v, q in given])
+    return all(
+        _is_all_finite(_evaluate_compiled(compiled, at, u, p))
+        for at, u in zip(x, inputs, strict=True)
+    )
 
 
-def undefined_along(
+def undefined_effects_along(
     system: System,
     effects: Sequence[Effect],
     values: Mapping[str, float],
@@ -73,21 +78,21 @@ def undefined_along(
     inputs: Array,
 ) -> tuple[str, ...]:
     """Labels of the effects that are no numbers, values or slopes, at some of these states."""
-    found = []
+    labels = []
     for effect in effects:
         traced = trace(system, (effect,))
         p = [
-            (values.get(k) or _value(q)) if k.startswith("system.") else values.get(k, 0.0)
+            (values.get(k) or _trial_value(q)) if k.startswith("system.") else values.get(k, 0.0)
             for k, q in zip(traced.keys, traced.parameters, strict=True)
         ]
         own = np.zeros((len(traced.x) - states.shape[1], len(states)))
         given = [*states.T, *own, *inputs.T, *np.array(p, float)]
-        if not _finite(_traced_at(traced, given)):
-            found.append(effect.label)
-    return tuple(found)
+        if not _is_all_finite(_evaluate_traced(traced, given)):
+            labels.append(effect.label)
+    return tuple(labels)
 
 
-def _restless(who: str, name: str, at: float) -> PluginError:
+def _not_finite_error(who: str, name: str, at: float) -> PluginError:
     beside = ", nor where all are one" if at else ""
     return PluginError(
         f"{who} is no number at rest (zero states and inputs){beside}",
@@ -96,11 +101,11 @@ def _restless(who: str, name: str, at: float) -> PluginError:
     )
 
 
-def _finite(parts: Sequence[Array]) -> bool:
+def _is_all_finite(parts: Sequence[Array]) -> bool:
     return all(bool(np.isfinite(part).all()) for part in parts)
 
 
-def _value(parameter: Parameter) -> float:
+def _trial_value(parameter: Parameter) -> float:
     """A first value where there is one, else 1 or what its bounds allow."""
     if parameter.start is not None:
         return parameter.start
@@ -108,14 +113,16 @@ def _value(parameter: Parameter) -> float:
     return 1.0 if high is None or high > 1 else (high + (low or 0.0)) / 2
 
 
-def _compiled_at_rest(compiled: Compiled) -> list[Array]:
+def _evaluate_compiled_at_rest(compiled: Compiled) -> list[Array]:
     """f, h, then their slopes."""
     traced = compiled.traced
     x, u = np.zeros(len(traced.states)), np.zeros(len(traced.inputs))
-    return _evaluated(compiled, x, u, np.array([_value(q) for q in traced.parameters], float))
+    return _evaluate_compiled(
+        compiled, x, u, np.array([_trial_value(q) for q in traced.parameters], float)
+    )
 
 
-def _evaluated(compiled: Compiled, x: Array, u: Array, p: Array) -> list[Array]:
+def _evaluate_compiled(compiled: Compiled, x: Array, u: Array, p: Array) -> list[Array]:
     traced = compiled.traced
     x, u = np.ascontiguousarray(x), np.ascontiguousarray(u)
     values, slopes = [], []
@@ -131,22 +138,22 @@ def _evaluated(compiled: Compiled, x: Array, u: Array, p: Array) -> list[Array]:
     return [np.concatenate(values), *slopes]
 
 
-def _traced_at_rest(traced: Traced, at: float = 0.0) -> list[Array]:
+def _evaluate_traced_at_rest(traced: Traced, at: float = 0.0) -> list[Array]:
     """The same from expressions, without compiling; ``at`` in place of zero states and inputs."""
     states = np.full(len(traced.x) + len(traced.u), at)
-    given = [*states, *(_value(q) for q in traced.parameters)]
-    return _traced_at(traced, [np.float64(v) for v in given])
+    given = [*states, *(_trial_value(q) for q in traced.parameters)]
+    return _evaluate_traced(traced, [np.float64(v) for v in given])
 
 
-def _traced_at(traced: Traced, given: Sequence[Any]) -> list[Array]:
+def _evaluate_traced(traced: Traced, given: Sequence[Any]) -> list[Array]:
     """Values of f and h, then their slopes, each (entries, points) where points are given."""
     import sympy as sp
 
     symbols = [*traced.x, *traced.u, *traced.p]
-    found = []
+    values = []
     slopes = (traced.rate_x, traced.rate_p, traced.output_x, traced.output_p)
     for flat in ([*traced.rate, *traced.output], *(m.flat() for m in slopes)):
         with np.errstate(all="ignore"):
             numbers = sp.lambdify(symbols, flat, "numpy")(*given) if flat else []
-        found.append(np.array(np.broadcast_arrays(*numbers), dtype=float))
-    return found
+        values.append(np.array(np.broadcast_arrays(*numbers), dtype=float))
+    return values

@@ -1,4 +1,4 @@
-"""What a unit of each amplitude of an effect adds to the rates and the readings, along a motion.
+"""Slopes of rates and readings by each amplitude of an effect, along a motion.
 
 A system's rates are affine in what is injected at its places,
 
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.physics.asking import asked
+from spiral.physics.asking import call_equation
 from spiral.physics.readings import reading_slopes
 from spiral.physics.trace import trace
 from spiral.types.cache import kept
@@ -63,7 +63,7 @@ class Along:
     known: dict[str, Any] = field(default_factory=dict, compare=False)
 
     def part(self, where: slice) -> Along:
-        """A stretch of it."""
+        """The motion over a range of samples."""
         return replace(
             self, states=self.states[where], inputs=self.inputs[where], rates=self.rates[where],
             readings=self.readings[where], known={},
@@ -71,8 +71,8 @@ class Along:
             by_input={k: (a[where], b[where]) for k, (a, b) in self.by_input.items()},
         )  # fmt: skip
 
-    def once(self, name: str, made: Callable[[], Any]) -> Any:
-        """What a function makes, at its first call."""
+    def compute_once(self, name: str, made: Callable[[], Any]) -> Any:
+        """The value of a function, computed when this name is first asked for."""
         if name not in self.known:
             self.known[name] = made()
         return self.known[name]
@@ -110,33 +110,33 @@ def signatures(
     # One amplitude after the other in memory: callers take them out one by one.
     rates = np.moveaxis(np.zeros((len(units), count, n)), 0, 2)
     readings = np.moveaxis(np.zeros((len(units), count, len(system.observed))), 0, 2)
-    u, hidden = inputs_seen(along, shift), SimpleNamespace(**(own or {}))
+    u, hidden = effect_inputs(along, shift), SimpleNamespace(**(own or {}))
     if isinstance(effect, SensorEffect):
         for j, p in enumerate(units):
-            readings[:, :, j] = _told(along, effect, u, p, hidden) - along.readings
+            readings[:, :, j] = _readings_with_effect(along, effect, u, p, hidden) - along.readings
         return rates, readings
     if isinstance(effect, InputEffect):
-        recorded, slopes = _input(along, port), along.by_input[port.axes[0]]
+        recorded, slopes = _recorded_input(along, port), along.by_input[port.axes[0]]
         at = At((recorded,), (), hidden)
         small = _unit_amplitudes(effect, port, shapes, _SMALL)  # the leading order alone
-        driven = [asked(effect, "drive", effect.drive, at, u, p) for p in small]
+        driven = [call_equation(effect, "drive", effect.drive, at, u, p) for p in small]
         change = (np.stack(driven, axis=1) - recorded[:, None]) / _SMALL
         return slopes[0][:, :, None] * change[:, None], slopes[1][:, :, None] * change[:, None]
-    gain = along.once("pushed", lambda: _steady(_matrix(
-        _pushed(system)(*along.states.T, *along.inputs.T, *along.parameters), count
+    gain = along.compute_once("pushed", lambda: _collapse_constant(_stack_matrix(
+        _injection_gain(system)(*along.states.T, *along.inputs.T, *along.parameters), count
     )))  # fmt: skip
     for j, p in enumerate(units):
-        rates[:, :, j] = _applied(gain, _injected(along, effect, port, u, p, hidden))
+        rates[:, :, j] = _apply_matrix(gain, _injected_values(along, effect, port, u, p, hidden))
     if system.readings:
-        felt = along.once("felt", lambda: reading_slopes(
+        felt = along.compute_once("felt", lambda: reading_slopes(
             system, along.states, along.rates, along.inputs, along.parameters
         ))  # fmt: skip
         for j in range(len(units)):
-            readings[:, :, j] = _applied(felt, rates[:, :, j])
+            readings[:, :, j] = _apply_matrix(felt, rates[:, :, j])
     return rates, readings
 
 
-def _told(
+def _readings_with_effect(
     along: Along,
     effect: SensorEffect,
     u: SimpleNamespace,
@@ -146,44 +146,45 @@ def _told(
     """(samples, channels) readings with a sensor's effect."""
     channels = check_effect(along.system, effect).axes
     places = [along.system.observed.index(c) for c in channels]
-    position, velocity = at_port_along(along, effect)
-    at, found = At(tuple(position.T), tuple(velocity.T), own), np.array(along.readings)
-    told = asked(effect, "reading", effect.reading, list(found.T[places]), at, u, p)
-    found[:, places] = _columns(told, len(along.states))
-    return found
+    position, velocity = port_motion_along(along, effect)
+    at, readings = At(tuple(position.T), tuple(velocity.T), own), np.array(along.readings)
+    told = call_equation(effect, "reading", effect.reading, list(readings.T[places]), at, u, p)
+    readings[:, places] = _stack_columns(told, len(along.states))
+    return readings
 
 
-def _steady(matrix: Array) -> Array:
+def _collapse_constant(matrix: Array) -> Array:
     """(rows, columns) of a matrix that is the same at every sample, else (samples, ..) as it is."""
     return matrix[0] if (matrix == matrix[:1]).all() else matrix
 
 
-def _applied(matrix: Array, vectors: Array) -> Array:
+def _apply_matrix(matrix: Array, vectors: Array) -> Array:
     """(samples, rows) of a matrix, steady or for each sample, times (samples, columns)."""
     return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
 
 
-def at_port_along(along: Along, effect: Effect) -> tuple[Array, Array]:
+def port_motion_along(along: Along, effect: Effect) -> tuple[Array, Array]:
     """(samples, axes) positions and velocities where an effect acts.
 
-    A flow's place and an input move at their own rates; a sensor sees the motion that is there.
+    Velocities of an input and of a flow's place are differences per sample; those of a sensor's
+    channels are their rates.
     """
     port = along.system.place(effect)
     if isinstance(effect, SensorEffect):
-        return _shown(along, port)
+        return _channel_motion(along, port)
     if isinstance(effect, InputEffect | StateFlow):
         flows = isinstance(effect, StateFlow)
-        position = _levels(along, port) if flows else _input(along, port)[:, None]
+        position = _port_levels(along, port) if flows else _recorded_input(along, port)[:, None]
         return position, np.gradient(position, axis=0)
     if has_coordinates(along.system):
-        position, velocity, _ = along.once(port.name, lambda: _moved(along, port))
+        position, velocity, _ = along.compute_once(port.name, lambda: _port_kinematics(along, port))
         return position, velocity
-    place = _place(along.system, port.name)(*along.states.T, *along.parameters)
-    position = _columns(place, len(along.states))
+    place = _port_position(along.system, port.name)(*along.states.T, *along.parameters)
+    position = _stack_columns(place, len(along.states))
     return position, np.gradient(position, axis=0)
 
 
-def _shown(along: Along, port: Port) -> tuple[Array, Array]:
+def _channel_motion(along: Along, port: Port) -> tuple[Array, Array]:
     """(samples, axes) what sensors see and its rates: of states, or of readings that are none."""
     system, names = along.system, [s.name for s in along.system.states]
     pairs = []
@@ -198,21 +199,21 @@ def _shown(along: Along, port: Port) -> tuple[Array, Array]:
     return np.stack([a for a, _ in pairs], axis=1), np.stack([b for _, b in pairs], axis=1)
 
 
-def _levels(along: Along, port: Port) -> Array:
+def _port_levels(along: Along, port: Port) -> Array:
     """(samples, axes) states that a port is made of, from the input that they count against."""
-    levels = along.states[:, [_index(along.system, name) for name in port.axes]]
+    levels = along.states[:, [_state_index(along.system, name) for name in port.axes]]
     if not port.against:
         return levels
     outside = input_columns(along.system).index(port.against)
     return levels - along.inputs[:, outside : outside + 1]
 
 
-def _input(along: Along, port: Port) -> Array:
+def _recorded_input(along: Along, port: Port) -> Array:
     """(samples,) what was recorded of an input."""
     return along.inputs[:, input_columns(along.system).index(port.axes[0])]
 
 
-def _injected(
+def _injected_values(
     along: Along,
     effect: Effect,
     port: Port,
@@ -223,38 +224,44 @@ def _injected(
     """(samples, injections) that an effect with these values injects."""
     system, count = along.system, len(along.states)
     names = [i.name for i in system.injections]
-    found = np.zeros((count, len(names)))
+    injected = np.zeros((count, len(names)))
     if isinstance(effect, ForceEffect):
-        position, velocity, jacobian = along.once(port.name, lambda: _moved(along, port))
+        position, velocity, jacobian = along.compute_once(
+            port.name, lambda: _port_kinematics(along, port)
+        )
         at = At(tuple(position.T), tuple(velocity.T), own)
-        forces = _columns(asked(effect, "force", effect.force, at, u, p), count)
+        forces = _stack_columns(call_equation(effect, "force", effect.force, at, u, p), count)
         assert has_coordinates(system)
         pushed = [names.index(q.name) for q in system.coordinates]
-        found[:, pushed] = _applied(jacobian, forces)
-        return found
+        injected[:, pushed] = _apply_matrix(jacobian, forces)
+        return injected
     if isinstance(effect, StateFlow):
-        at = At(tuple(_levels(along, port).T), (), own)
-        into = asked(effect, "flow", effect.flow, at, u, p)
-        found[:, [names.index(name) for name in port.axes]] = _columns(into, count)
-        return found
+        at = At(tuple(_port_levels(along, port).T), (), own)
+        into = call_equation(effect, "flow", effect.flow, at, u, p)
+        injected[:, [names.index(name) for name in port.axes]] = _stack_columns(into, count)
+        return injected
     assert isinstance(effect, FlowEffect)
     x = SimpleNamespace(
         **{s.name: along.states[:, i] for i, s in enumerate(system.states)}, own=own
     )
-    flows = asked(effect, "flow", effect.flow, x, u, p)
+    flows = call_equation(effect, "flow", effect.flow, x, u, p)
     for name, value in flows.items():
-        found[:, names.index(name)] = value
-    return found
+        injected[:, names.index(name)] = value
+    return injected
 
 
-def _moved(along: Along, port: Port) -> tuple[Array, Array, Array]:
+def _port_kinematics(along: Along, port: Port) -> tuple[Array, Array, Array]:
     """(samples, axes) positions and velocities of a port, and its Jacobian's transpose."""
     count = len(along.states)
-    position, velocity, jacobian = _geometry(along.system, port.name)(
+    position, velocity, jacobian = _port_geometry(along.system, port.name)(
         *along.states.T, *along.parameters
     )
-    turned = np.swapaxes(_matrix(jacobian, count), 1, 2)
-    return _columns(position, count), _columns(velocity, count), _steady(turned)
+    turned = np.swapaxes(_stack_matrix(jacobian, count), 1, 2)
+    return (
+        _stack_columns(position, count),
+        _stack_columns(velocity, count),
+        _collapse_constant(turned),
+    )
 
 
 def _unit_amplitudes(
@@ -265,7 +272,7 @@ def _unit_amplitudes(
     spots = [
         (q.name, i) for q in effect.amplitudes() for i in range(len(axes) if q.per_axis else 1)
     ]
-    found = []
+    parameter_sets = []
     for name, place in spots:
         p = SimpleNamespace()
         for q in effect.parameters:
@@ -275,11 +282,11 @@ def _unit_amplitudes(
                 continue
             values = [size * (q.name == name and i == place) for i in range(len(axes))]
             setattr(p, q.name, tuple(values) if q.per_axis else values[0])
-        found.append(p)
-    return found
+        parameter_sets.append(p)
+    return parameter_sets
 
 
-def inputs_seen(along: Along, shift: float) -> SimpleNamespace:
+def effect_inputs(along: Along, shift: float) -> SimpleNamespace:
     """The inputs as effects see them, each (samples,)."""
     system = along.system
     u = SimpleNamespace(**dict(zip(input_columns(system), along.inputs.T, strict=True)))
@@ -287,22 +294,22 @@ def inputs_seen(along: Along, shift: float) -> SimpleNamespace:
     return SimpleNamespace(**{**vars(seen), "phase": seen.phase + shift}) if shift else seen
 
 
-def _index(system: System, name: str) -> int:
+def _state_index(system: System, name: str) -> int:
     return [s.name for s in system.states].index(name)
 
 
-def _columns(values: Sequence[Any], count: int) -> Array:
+def _stack_columns(values: Sequence[Any], count: int) -> Array:
     """(samples, values) of arrays and numbers."""
     return np.stack([np.broadcast_to(np.asarray(v, float), (count,)) for v in values], axis=1)
 
 
-def _matrix(rows: Sequence[Sequence[Any]], count: int) -> Array:
+def _stack_matrix(rows: Sequence[Sequence[Any]], count: int) -> Array:
     """(samples, rows, columns) of a nested list of arrays and numbers."""
-    return np.stack([_columns(row, count) for row in rows], axis=1)
+    return np.stack([_stack_columns(row, count) for row in rows], axis=1)
 
 
 @kept(32)
-def _pushed(system: System) -> Function:
+def _injection_gain(system: System) -> Function:
     """G(x, u, p): slopes of the rates by what is injected."""
     traced = trace(system, ())
     x = SimpleNamespace(**dict(zip((s.name for s in system.states), traced.x, strict=True)))
@@ -318,7 +325,7 @@ def _pushed(system: System) -> Function:
 
 
 @kept(128)
-def _geometry(system: System, name: str) -> Function:
+def _port_geometry(system: System, name: str) -> Function:
     """Position, velocity and Jacobian of a port by the states."""
     assert has_coordinates(system)
     traced = trace(system, ())
@@ -337,7 +344,7 @@ def _geometry(system: System, name: str) -> Function:
 
 
 @kept(128)
-def _place(system: System, name: str) -> Function:
+def _port_position(system: System, name: str) -> Function:
     """Position of a port of a system that is not mechanical, by the states."""
     traced = trace(system, ())
     port = system.port(name)

@@ -1,4 +1,4 @@
-"""Physics once: a system and its effects, traced with SymPy to explicit expressions.
+"""A system and its effects, traced with SymPy to explicit expressions.
 
     x' = f(x, u, p),    y = h(x, u, p)
 
@@ -16,8 +16,8 @@ from typing import Any
 
 import sympy as sp
 
-from spiral.physics.asking import asked
-from spiral.physics.effect_states import followers, own_states, suffixes
+from spiral.physics.asking import call_equation
+from spiral.physics.effect_states import axis_suffixes, own_states, states_like_port
 from spiral.physics.readings import own_readings
 from spiral.types.cache import kept
 from spiral.types.effect import (
@@ -35,7 +35,7 @@ from spiral.types.placement import check_effect, input_columns, model_keys
 from spiral.types.port import At, Port
 from spiral.types.system import System, has_coordinates
 
-_IN_LINE = 3  # effects on one input that act one after the other
+_IN_LINE = 3  # at most so many effects on one input act one after the other
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Traced:
     rates: tuple[tuple[str, str], ...] = ()
     """Coordinates of the system whose rates have a name of their own, and that name."""
     told: tuple[tuple[str, str, bool], ...] = ()
-    """What readings that are no state tell of (``readings.own_readings``)."""
+    """Of readings that are no state: channel, state, whether it is just that state's rate."""
 
     @cached_property
     def shown(self) -> dict[str, int]:
@@ -67,12 +67,12 @@ class Traced:
 
     @cached_property
     def told_of(self) -> frozenset[str]:
-        """States that are measured, or that readings which are no state are made of."""
+        """States that are measured as they are, or that enter a reading that is no state."""
         return frozenset((*self.shown, *(state for _, state, _ in self.told)))
 
     @cached_property
     def accelerated(self) -> dict[str, int]:
-        """Coordinates that are not measured but their accelerations, and the channel of these."""
+        """Unmeasured coordinates whose acceleration is measured, and the number of its channel."""
         plain = {state: channel for channel, state, is_rate in self.told if is_rate}
         names = {n: plain.get(self.rate_name(n)) for n in self.states if n not in self.shown}
         return {n: self.channels.index(c) for n, c in names.items() if c is not None}
@@ -157,17 +157,17 @@ def trace(
     inputs = {n: sp.Symbol(f"u{i}", real=True) for i, n in enumerate(input_columns(system))}
     x = SimpleNamespace(**{s.name: states[s.name] for s in system.states})
     p = SimpleNamespace(**{q.name: symbols[f"system.{q.name}"] for q in system.parameters})
-    placed = [_place(system, effect, x, inputs, p, states, symbols) for effect in effects]
-    u, placed = _driven(placed, inputs)
-    seen = [_shifted(system.seen(u, p), shift) for shift in shifts]
-    injected = _inject(system, placed, seen, x)
-    rates = asked(system, "rate", system.rate, x, u, p, injected)
+    placed = [_place_effect(system, effect, x, inputs, p, states, symbols) for effect in effects]
+    u, placed = _apply_actuators(placed, inputs)
+    seen = [_shift_phase(system.seen(u, p), shift) for shift in shifts]
+    injected = _sum_injections(system, placed, seen, x)
+    rates = call_equation(system, "rate", system.rate, x, u, p, injected)
     shown, told = own_readings(system, x, rates, u, p)
-    placed = [_sensed(item, shown, rates, states) for item in placed]
+    placed = [_with_sensor_motion(item, shown, rates, states) for item in placed]
     for item, view in zip(placed, seen, strict=True):
         rates.update(_own_rates(item, view))
-    output = _readings(system, placed, seen, shown)
-    acceleration, forces = _forces(system, x, u, p, injected, rates)
+    output = _apply_sensors(system, placed, seen, shown)
+    acceleration, forces = _force_balance(system, x, u, p, injected, rates)
     return Traced(
         states=names,
         channels=system.observed,
@@ -181,7 +181,7 @@ def trace(
         output=tuple(output),
         acceleration=acceleration,
         forces=forces,
-        like=(*((s.name, s.like) for s in system.states if s.like), *followers(system, effects)),
+        like=(*_declared_likeness(system), *states_like_port(system, effects)),
         rates=_rate_names(system),
         told=told,
     )
@@ -193,7 +193,12 @@ def _rate_names(system: System) -> tuple[tuple[str, str], ...]:
     return tuple((name, rate) for name, rate in pairs if rate != f"{name}_rate")
 
 
-def _place(
+def _declared_likeness(system: System) -> tuple[tuple[str, str], ...]:
+    """States that move like another one of the system, with that one's name."""
+    return tuple((s.name, s.like) for s in system.states if s.like)
+
+
+def _place_effect(
     system: System,
     effect: Effect,
     x: SimpleNamespace,
@@ -223,37 +228,38 @@ def _place(
         position = tuple(port.coordinates(x, p))
     own = SimpleNamespace()
     for state in effect.states:
-        found = [states[f"{effect.label}.{state.name}{s}"] for s in suffixes(state.per_axis, port)]
-        setattr(own, state.name, tuple(found) if state.per_axis else found[0])
+        suffixes = axis_suffixes(state.per_axis, port)
+        axes = tuple(states[f"{effect.label}.{state.name}{s}"] for s in suffixes)
+        setattr(own, state.name, axes if state.per_axis else axes[0])
     values = SimpleNamespace()
     for parameter in effect.parameters:
-        found = [symbols[k] for k, _ in expand(effect.label, (parameter,), port.axes)]
-        setattr(values, parameter.name, tuple(found) if parameter.per_axis else found[0])
+        axes = tuple(symbols[k] for k, _ in expand(effect.label, (parameter,), port.axes))
+        setattr(values, parameter.name, axes if parameter.per_axis else axes[0])
     return _Placed(effect, port, At(position, velocity, own), values, jacobian)
 
 
-def _driven(
+def _apply_actuators(
     placed: list[_Placed], inputs: dict[str, sp.Symbol]
 ) -> tuple[SimpleNamespace, list[_Placed]]:
-    """The inputs as actuators hand them on, each effect on what those before it have made of it.
+    """The inputs as the effects of actuators change them, one effect after the other.
 
-    Side by side, each on what was recorded, stand more effects on one input than a model has
-    (candidates), and what comes after a corner: nested they would be expressions without end.
+    More than ``_IN_LINE`` effects on one input (candidates), and those after a piecewise one, act
+    on the recorded input instead, and their changes are added: nested expressions grow too large.
     """
-    u, found = SimpleNamespace(**inputs), []
+    u, updated = SimpleNamespace(**inputs), []
     on = Counter(i.port.axes[0] for i in placed if isinstance(i.effect, InputEffect))
     for item in placed:
         if isinstance(effect := item.effect, InputEffect):
             (name,), now = item.port.axes, getattr(u, item.port.axes[0])
             given = inputs[name] if on[name] > _IN_LINE or now.has(sp.Piecewise) else now
             item = replace(item, at=replace(item.at, position=(given,)))
-            value = asked(effect, "drive", effect.drive, item.at, u, item.p)
+            value = call_equation(effect, "drive", effect.drive, item.at, u, item.p)
             setattr(u, name, now + value - given)
-        found.append(item)
-    return u, found
+        updated.append(item)
+    return u, updated
 
 
-def _sensed(
+def _with_sensor_motion(
     item: _Placed, shown: dict[str, Any], rates: dict[str, Any], states: dict[str, sp.Symbol]
 ) -> _Placed:
     """A sensor sees its channels and their rates, in a system of any order.
@@ -264,32 +270,32 @@ def _sensed(
         return item
     second = {states[name]: sp.sympify(rate) for name, rate in rates.items()}
     position: tuple[Any, ...] = tuple(sp.sympify(shown[name]) for name in item.port.axes)
-    velocity = tuple(_rate_of(value, second) for value in position)
+    velocity = tuple(_total_derivative(value, second) for value in position)
     acceleration = tuple(second.get(v, sp.Integer(0)) for v in velocity)
     return replace(item, at=At(position, velocity, item.at.own, acceleration))
 
 
-def _rate_of(value: Any, rates: dict[sp.Symbol, sp.Expr]) -> Any:
+def _total_derivative(value: Any, rates: dict[sp.Symbol, sp.Expr]) -> Any:
     """d/dt of an expression in the states."""
     if value in rates:
         return rates[value]
     return sum((value.diff(x) * r for x, r in rates.items() if value.has(x)), sp.Integer(0))
 
 
-def _shifted(u: SimpleNamespace, shift: float) -> SimpleNamespace:
+def _shift_phase(u: SimpleNamespace, shift: float) -> SimpleNamespace:
     if not shift:
         return u
     return SimpleNamespace(**{**vars(u), "phase": u.phase + sp.nsimplify(shift / sp.pi) * sp.pi})
 
 
-def _inject(
+def _sum_injections(
     system: System, placed: list[_Placed], seen: list[SimpleNamespace], x: SimpleNamespace
 ) -> dict[str, Any]:
     total: dict[str, Any] = {i.name: sp.Integer(0) for i in system.injections}
     for item, u in zip(placed, seen, strict=True):
         effect = item.effect
         if isinstance(effect, ForceEffect):
-            force = asked(effect, "force", effect.force, item.at, u, item.p)
+            force = call_equation(effect, "force", effect.force, item.at, u, item.p)
             _check_length(effect, "force", force, item.port)
             assert item.jacobian is not None
             coordinates = list(total)[: item.jacobian.cols]  # flows into other states come after
@@ -297,13 +303,15 @@ def _inject(
                 pairs = zip(item.jacobian.col(j), force, strict=True)
                 total[name] += sum(slope * value for slope, value in pairs if slope)
         elif isinstance(effect, StateFlow):
-            flows = asked(effect, "flow", effect.flow, item.at, u, item.p)
+            flows = call_equation(effect, "flow", effect.flow, item.at, u, item.p)
             _check_length(effect, "flow", flows, item.port)
             for name, value in zip(item.port.axes, flows, strict=True):
                 total[name] += value
         elif isinstance(effect, FlowEffect):
-            levels = _with_own(x, item.at)
-            for name, value in asked(effect, "flow", effect.flow, levels, u, item.p).items():
+            levels = _states_with_own(x, item.at)
+            for name, value in call_equation(
+                effect, "flow", effect.flow, levels, u, item.p
+            ).items():
                 if name not in total:
                     raise PluginError(
                         f"effect {effect.label!r} with a flow into {name!r}",
@@ -314,7 +322,7 @@ def _inject(
     return total
 
 
-def _with_own(x: SimpleNamespace, at: At) -> SimpleNamespace:
+def _states_with_own(x: SimpleNamespace, at: At) -> SimpleNamespace:
     """The system's states as a flow sees them: with the effect's own under ``own``."""
     return SimpleNamespace(**vars(x), own=at.own)
 
@@ -331,7 +339,7 @@ def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
     effect = item.effect
     if not effect.states:
         return {}
-    given = asked(effect, "rate", effect.rate, item.at, u, item.p)
+    given = call_equation(effect, "rate", effect.rate, item.at, u, item.p)
     rates: dict[str, Any] = {}
     for state in effect.states:
         if state.name not in given:
@@ -341,18 +349,18 @@ def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
             )
         value = given[state.name]
         values = list(value) if state.per_axis else [value]
-        for suffix, one in zip(suffixes(state.per_axis, item.port), values, strict=True):
+        for suffix, one in zip(axis_suffixes(state.per_axis, item.port), values, strict=True):
             rates[f"{effect.label}.{state.name}{suffix}"] = one
     return rates
 
 
-def _readings(
+def _apply_sensors(
     system: System, placed: list[_Placed], seen: list[SimpleNamespace], shown: dict[str, Any]
 ) -> list[sp.Expr]:
-    """Sensor effects one after the other; variants of one, of which one acts, side by side.
+    """Expressions of the channels behind the effects of sensors, applied one after the other.
 
-    Those with shapes come first: a case that depends on cases (a saturation of what is late by the
-    rates of a flow with a rim) is multiplied out by SymPy without end.
+    Variants of one effect, of which one acts, are applied side by side. Effects with shapes come
+    first: a piecewise expression inside another is multiplied out by SymPy without end.
     """
     order = sorted(
         zip(placed, seen, strict=True),
@@ -367,7 +375,9 @@ def _readings(
             before, last = (before if kind and kind == last else y), kind
             own = [system.observed.index(name) for name in item.port.axes]
             seen_there = [before[i] for i in own]
-            told = list(asked(effect, "reading", effect.reading, seen_there, item.at, u, item.p))
+            told = list(
+                call_equation(effect, "reading", effect.reading, seen_there, item.at, u, item.p)
+            )
             if len(told) != len(own):
                 raise PluginError(
                     f"reading of effect {item.effect.label!r} with {len(told)} values",
@@ -379,7 +389,7 @@ def _readings(
     return [sp.sympify(value) for value in y]
 
 
-def _forces(
+def _force_balance(
     system: System, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace,
     injected: dict[str, Any], rates: dict[str, Any],
 ) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Expr, ...]]:  # fmt: skip

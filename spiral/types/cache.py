@@ -1,4 +1,4 @@
-"""Results of pure functions, kept for the arguments that can be compared."""
+"""A cache for pure functions whose arguments may have no hash."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ R = TypeVar("R")
 
 
 def kept(size: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Keep the last ``size`` results of a function that has no other effect.
+    """Decorator: cache the last ``size`` results of a function without side effects.
 
-    Where an argument has no hash (a plugin may have a list for a field) it is called anew.
+    Where an argument has no hash (a plugin may have a list for a field) the function is called.
     """
 
-    def around(function: Callable[P, R]) -> Callable[P, R]:
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
         results = lru_cache(maxsize=size)(function)
 
         @wraps(function)
-        def asked(*args: P.args, **kwargs: P.kwargs) -> R:
+        def cached_call(*args: P.args, **kwargs: P.kwargs) -> R:
             try:
                 hash((args, tuple(kwargs.values())))
             except TypeError:
                 return function(*args, **kwargs)
             return results(*args, **kwargs)
 
-        return asked
+        return cached_call
 
-    return around
+    return decorate

@@ -73,12 +73,12 @@ class Derivative(Plugin):
 def differentiate(
     derivative: Derivative, y: Array, dt: float, speed: Array | None = None
 ) -> Derivatives:
-    """What an estimator gives for samples, both checked.
+    """y, y' and y'' of samples by an estimator; what goes in and what comes out is checked.
 
     Parameters
     ----------
     derivative : the estimator.
-    y : (N,) or (N, C) samples; one column is made of a vector.
+    y : (N,) or (N, C) samples; a vector becomes one column.
     dt : sample interval in s.
     speed : (N,) in rad/s, or None.
 
@@ -96,10 +96,10 @@ def differentiate(
     turning = None if speed is None else np.asarray(speed, dtype=float)
     if turning is not None and turning.shape != given.shape[:1]:
         raise InputError(f"speed of shape {turning.shape}", f"{len(given)} values in rad/s")
-    found = derivative.estimate(given, float(dt), turning)
-    parts = (found.position, found.velocity, found.acceleration)
+    derivatives = derivative.estimate(given, float(dt), turning)
+    parts = (derivatives.position, derivatives.velocity, derivatives.acceleration)
     shapes = {np.shape(part) for part in parts}
-    if len(shapes) != 1 or len(found.position) != len(given):
+    if len(shapes) != 1 or len(derivatives.position) != len(given):
         raise InputError(
             f"{derivative.plugin_name()} gives shapes {sorted(shapes)}", f"({len(given)}, C) thrice"
         )
@@ -109,7 +109,7 @@ def differentiate(
             "samples that it can smooth",
             "another derivative=, or another level of smoothing",
         )
-    return found
+    return derivatives
 
 
 def at_least(y: Array, count: int, name: str, try_: str = "") -> None:

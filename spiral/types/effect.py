@@ -23,13 +23,13 @@ class Effect(Plugin):
     axes : how many axes its port must have; ``None`` takes any number.
     inputs : inputs it reads from ``u`` (``speed``, ``phase``).
     channels : states that the system must have, by name; none where any system will do.
-    leaves : names of effects that it leaves beyond leading order where it acts through hidden
-        coordinates: what is then found of them is its own next order.
-    special : names of effects that it becomes at the ends of its shapes. They are tried wherever it
-        is, because the simpler one is the answer where both explain a record.
+    leaves : names of effects that its terms beyond leading order look like where it acts through
+        hidden coordinates: found beside it, they are its own next order.
+    special : names of effects that it becomes in the limits of its shape parameters. They are tried
+        wherever it is: where both explain a record, the simpler one is the answer.
     twins : names of effects elsewhere (an input that acts late, beside a sensor that does) which do
         the same to what is measured; two formulas for it may differ by more than the noise.
-    whole : by amplitude: what it is where the effect is all that its name says, a number or the
+    whole : amplitude -> its value where the effect fully is what its name says: a number, or the
         name of a shape that it equals (a lag whose time is that of its own state).
     bare : a monomial of a library without a physical name; no candidate unless it is asked for.
 
@@ -163,7 +163,7 @@ def values_for(effect: Effect, axes: tuple[str, ...], values: Mapping[str, Any])
     """An effect's parameters as its equations see them, from values by full name."""
     p = SimpleNamespace()
     for parameter in effect.parameters:
-        found = [values[k] for k, _ in expand(effect.label, (parameter,), axes)]
-        one = tuple(found) if parameter.per_axis else found[0]
+        axis_values = [values[k] for k, _ in expand(effect.label, (parameter,), axes)]
+        one = tuple(axis_values) if parameter.per_axis else axis_values[0]
         setattr(p, parameter.name, one)
     return p

@@ -25,8 +25,8 @@ def field_names(cls: type) -> tuple[str, ...]:
 
 
 def field_meanings(cls: type) -> dict[str, str]:
-    """Field -> what its class, or one that it is made from, says of it under ``Fields``."""
-    found: dict[str, str] = {}
+    """Field -> its text under ``Fields`` in the docstring of the class or of a base class."""
+    meanings: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         _, _, section = inspect.cleandoc(base.__dict__.get("__doc__") or "").partition(_SECTION)
         names: list[str] = []
@@ -34,30 +34,30 @@ def field_meanings(cls: type) -> dict[str, str]:
             start = re.match(r"(\w+(?:, \w+)*) : (.*)", line)
             if start:
                 names = start[1].split(", ")
-                found.update(dict.fromkeys(names, start[2]))
+                meanings.update(dict.fromkeys(names, start[2]))
             elif names:
-                found.update({n: f"{found[n]} {line.strip()}" for n in names})
-    return {n: found[n].replace("``", "") for n in field_names(cls) if n in found}
+                meanings.update({n: f"{meanings[n]} {line.strip()}" for n in names})
+    return {n: meanings[n].replace("``", "") for n in field_names(cls) if n in meanings}
 
 
 @kept(1024)
 def is_open(cls: type, name: str) -> bool:
     """Whether a field takes a mapping with keys of the user's choice."""
     hint = typing.get_type_hints(cls)[name]
-    return any(h is Any or _origin(h) is Mapping for h in (hint, *typing.get_args(hint)))
+    return any(h is Any or _type_origin(h) is Mapping for h in (hint, *typing.get_args(hint)))
 
 
 def defaults_of(cls: type) -> dict[str, Any]:
     """Field -> default as plain data (lists, mappings, numbers, text); ``None`` without one."""
-    found = {}
+    defaults = {}
     for item in dataclasses.fields(cls):
         value = None
         if item.default is not dataclasses.MISSING:
             value = item.default
         elif item.default_factory is not dataclasses.MISSING:
             value = item.default_factory()
-        found[item.name] = plain(value)
-    return found
+        defaults[item.name] = plain(value)
+    return defaults
 
 
 def plain(value: Any) -> Any:
@@ -69,7 +69,7 @@ def plain(value: Any) -> Any:
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, tuple | list):
         return [plain(v) for v in value]
-    if callable(value):  # a function is told by its name, which does not make it again
+    if callable(value):  # a function: its name, from which it cannot be rebuilt
         return f"{value.__module__}.{value.__qualname__}"
     return value
 
@@ -101,7 +101,7 @@ def construct(
     ----------
     cls : a frozen dataclass.
     given : field -> plain value.
-    where : how messages call it, e.g. ``record``.
+    where : its name in messages, e.g. ``record``.
     resolve : finds a plugin by name for fields that hold one.
 
     Raises
@@ -124,7 +124,7 @@ def construct(
 
 
 def unknown_field(where: str, name: str, known: tuple[str, ...]) -> ConfigError:
-    """The error for a field that is not there."""
+    """The error for a field that the class does not have."""
     expected = (
         f"a field of {where}: {', '.join(known)}" if known else f"no fields: {where} has none"
     )
@@ -135,19 +135,21 @@ def convert(value: Any, hint: Any, where: str, resolve: Resolve | None = None) -
     """A plain value as the type a field declares."""
     if hint is Any:
         return value
-    origin, arguments = _origin(hint), typing.get_args(hint)
+    origin, arguments = _type_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         return _convert_union(value, arguments, where, resolve)
     if origin is typing.Literal:
         if value in arguments:
             return value
         names = [str(a) for a in arguments]
-        raise _wrong(where, value, f"one of {', '.join(names)}", did_you_mean(str(value), names))
+        raise _wrong_value_error(
+            where, value, f"one of {', '.join(names)}", did_you_mean(str(value), names)
+        )
     if origin is tuple:
         return _convert_tuple(value, arguments, where, resolve)
     if origin is Mapping:
         if not isinstance(value, Mapping):
-            raise _wrong(where, value, "a mapping", f"{where}='{{name: value}}'")
+            raise _wrong_value_error(where, value, "a mapping", f"{where}='{{name: value}}'")
         of = arguments[1] if len(arguments) > 1 else Any
         return {str(k): convert(v, of, f"{where}.{k}", resolve) for k, v in value.items()}
     if isinstance(hint, type) and issubclass(hint, Plugin):
@@ -157,12 +159,12 @@ def convert(value: Any, hint: Any, where: str, resolve: Resolve | None = None) -
     return _convert_scalar(value, hint, where)
 
 
-def _origin(hint: Any) -> Any:
+def _type_origin(hint: Any) -> Any:
     origin = typing.get_origin(hint) or hint
     return Mapping if isinstance(origin, type) and issubclass(origin, Mapping) else origin
 
 
-def _wrong(where: str, value: Any, expected: str, try_: str = "") -> ConfigError:
+def _wrong_value_error(where: str, value: Any, expected: str, try_: str = "") -> ConfigError:
     return ConfigError(f"{where}={value!r}", expected, try_)
 
 
@@ -189,9 +191,9 @@ def _convert_tuple(
     if isinstance(value, str) or (not members and not isinstance(value, list | tuple)):
         value = [value]
     if not isinstance(value, list | tuple):
-        raise _wrong(where, value, "a list", f"{where}='[...]'")
+        raise _wrong_value_error(where, value, "a list", f"{where}='[...]'")
     if members and members[-1] is not Ellipsis and len(value) != len(members):
-        raise _wrong(where, value, f"a list of {len(members)} values")
+        raise _wrong_value_error(where, value, f"a list of {len(members)} values")
     return tuple(convert(v, item, f"{where}[{i}]", resolve) for i, v in enumerate(value))
 
 
@@ -206,4 +208,4 @@ def _convert_scalar(value: Any, hint: Any, where: str) -> Any:
     if hint is str and (isinstance(value, str) or number):
         return str(value)
     words = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
-    raise _wrong(where, value, words.get(hint, f"a value of type {hint}"))
+    raise _wrong_value_error(where, value, words.get(hint, f"a value of type {hint}"))

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-_LEAST = 1e-3  # percent, below which a share is only said to be smaller
+_LEAST = 1e-3  # percent; smaller shares are written as ``< 0.001 %``
 
 
 def percent(value: float | None) -> str:
     """A share as people read it: ``1.99 %``; ``< 0.001 %`` where it is smaller than that."""
-    if not _finite(value):
+    if not _is_finite_number(value):
         return "-"
     share = 100 * float(value)  # type: ignore[arg-type]
     if 0 < abs(share) < _LEAST:
@@ -20,19 +20,19 @@ def percent(value: float | None) -> str:
 
 def number(value: float | None, digits: int = 4) -> str:
     """A few significant digits, ``-`` where there is no number."""
-    return "-" if not _finite(value) else f"{float(value):.{digits}g}"  # type: ignore[arg-type]
+    return "-" if not _is_finite_number(value) else f"{float(value):.{digits}g}"  # type: ignore[arg-type]
 
 
 def digits(value: float | None, count: int = 3) -> str:
-    """So many significant digits, those of a round number too: ``1.00``."""
-    if not _finite(value) or not 1e-3 <= abs(float(value)) < 1e4:  # type: ignore[arg-type]
+    """``count`` significant digits, trailing zeros included: ``1.00``."""
+    if not _is_finite_number(value) or not 1e-3 <= abs(float(value)) < 1e4:  # type: ignore[arg-type]
         return number(value, count)
     return f"{float(value):#.{count}g}".removesuffix(".")  # type: ignore[arg-type]
 
 
 def probability(value: float | None) -> str:
     """A p-value: ``0.32``, ``2e-09``, ``< 1e-99``."""
-    if not _finite(value):
+    if not _is_finite_number(value):
         return "-"
     p = float(value)  # type: ignore[arg-type]
     if p < 1e-99:
@@ -42,22 +42,22 @@ def probability(value: float | None) -> str:
 
 def plus_minus(value: float | None, se: float | None) -> str:
     """An estimate with its standard error to the digits that it supports."""
-    if not _finite(value):
+    if not _is_finite_number(value):
         return "-"
     size = float(value)  # type: ignore[arg-type]
-    if not _finite(se) or not se:
+    if not _is_finite_number(se) or not se:
         return f"{size:.5g}"
     error = float(se)
-    power = _power(max(abs(size), error))
+    power = _decimal_exponent(max(abs(size), error))
     scale = 10.0**power if abs(power) >= 5 or power <= -3 else 1.0
-    places = max(0, 1 - _power(error / scale))
+    places = max(0, 1 - _decimal_exponent(error / scale))
     text = f"{size / scale:.{places}f} ± {error / scale:.{places}f}"
     return text if scale == 1.0 else f"({text})e{power}"
 
 
-def _power(value: float) -> int:
+def _decimal_exponent(value: float) -> int:
     return math.floor(math.log10(abs(value))) if value else 0
 
 
-def _finite(value: Any) -> bool:
+def _is_finite_number(value: Any) -> bool:
     return value is not None and math.isfinite(float(value))

@@ -12,7 +12,7 @@ errors is itself a mean over blocks,
     e_b - e_a = mean_b D_b,    D_b = mean_j (m'_jb - m_jb) / (e'_j + e_j),
 
 and its standard error that of a mean of paired differences. Errors of neighbouring samples are
-alike, those of blocks hardly.
+correlated, those of blocks hardly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 
 Judged = Literal["better", "same", "worse"]
 
-_EQUAL = 0.005  # share of an error that is no difference: three digits show it alike
+_EQUAL = 0.005  # share of an error below which a change counts as none: equal in three digits
 
 
 @dataclass(frozen=True)

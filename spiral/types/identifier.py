@@ -1,4 +1,4 @@
-"""Names of other programs as names of Python."""
+"""Names from other programs as Python identifiers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 
 
 def identifier(told: str, taken: set[str]) -> str:
-    """A name as Python has them: ``load.flange[1]`` -> ``load_flange_1``."""
+    """A name as an identifier not ``taken``: ``load.flange[1]`` -> ``load_flange_1``."""
     name = re.sub(r"\W+", "_", told, flags=re.ASCII).strip("_") or "value"
     if name[0].isdigit() or keyword.iskeyword(name) or name in ("t", "time", "pi"):
         name = f"value_{name}"

@@ -17,7 +17,9 @@ VARIABLE = "NUMBA_CACHE_DIR"
 
 
 def provide(package: Path) -> None:
-    """Name a private folder for compiled kernels where Numba would find none, for workers as well.
+    """Set ``NUMBA_CACHE_DIR`` to a private folder where Numba could not write its kernels.
+
+    Worker processes inherit it.
 
     Parameters
     ----------
@@ -25,12 +27,12 @@ def provide(package: Path) -> None:
     """
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
     usual = (package / "engine" / "__pycache__", home / "numba")
-    if VARIABLE not in os.environ and not any(map(_can_be_written, usual)):
+    if VARIABLE not in os.environ and not any(map(_is_writable, usual)):
         os.environ[VARIABLE] = str(private_folder(Path(tempfile.gettempdir())))
 
 
 def private_folder(inside: Path) -> Path:
-    """A folder of this user alone: the one of the last start, else one that goes with this process.
+    """A folder of this user alone: that of earlier processes, else one removed at exit.
 
     The one that is there is taken only where it is a folder and no link, belongs to this user, and
     nobody else may read or write it.
@@ -39,14 +41,14 @@ def private_folder(inside: Path) -> Path:
         kept = inside / f"spiral-kernels-{os.getuid()}"
         try:
             kept.mkdir(mode=0o700, exist_ok=True)
-            found = kept.lstat()
+            status = kept.lstat()
         except OSError:
-            found = None
+            status = None
         if (
-            found is not None
-            and stat.S_ISDIR(found.st_mode)
-            and found.st_uid == os.getuid()
-            and not stat.S_IMODE(found.st_mode) & 0o077
+            status is not None
+            and stat.S_ISDIR(status.st_mode)
+            and status.st_uid == os.getuid()
+            and not stat.S_IMODE(status.st_mode) & 0o077
         ):
             return kept
     made = Path(tempfile.mkdtemp(prefix="spiral-kernels-", dir=inside))
@@ -54,7 +56,7 @@ def private_folder(inside: Path) -> Path:
     return made
 
 
-def _can_be_written(folder: Path) -> bool:
+def _is_writable(folder: Path) -> bool:
     """Whether a folder, or the first one above it that is there, takes files of this user."""
     there = next(p for p in (folder, *folder.parents) if p.exists())
     return os.access(there, os.W_OK | os.X_OK)

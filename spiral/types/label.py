@@ -13,7 +13,7 @@ def split_port(label: str) -> tuple[str, str]:
 
 
 def split_variant(label: str) -> tuple[str, str]:
-    """The label without its variant, and the variant: what copies in a study are called by."""
+    """The label without its variant, and the variant, which tells copies in one study apart."""
     plain, _, variant = label.partition("#")
     return plain, variant
 

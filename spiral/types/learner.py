@@ -22,7 +22,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Learned:
-    """A learned function with how its fit went.
+    """A learned function with the log of its fit.
 
     ``predict(xi)`` takes (N, n) and gives (N, C) in the residual's unit; ``log`` is plain data.
     """
@@ -55,7 +55,7 @@ class Learner(Plugin):
 def learned(
     learner: Learner, xi: Array, r: Array, train: Array, seed: int, tell: Tell = lambda _: None
 ) -> Learned:
-    """A learner's function in the units of xi and r, with its fit in figures.
+    """Fit a learner to scaled samples; its function is in the units of xi and r.
 
     The log adds, for the training and the validation samples, the share of the residual's energy
     that is left: sum (r - f)^2 / sum r^2.
@@ -68,22 +68,22 @@ def learned(
         raise InputError("a residual that is not finite", "finite samples", "another derivative=")
     if not (train.any() and (~train).any()):
         raise InputError("no samples to train or to validate on", "both", "settings of the split")
-    middle, spread = xi[train].mean(axis=0), _spread(xi[train])
-    level, size = r[train].mean(axis=0), _spread(r[train])
+    middle, spread = xi[train].mean(axis=0), _column_scales(xi[train])
+    level, size = r[train].mean(axis=0), _column_scales(r[train])
     scaled = (xi - middle) / spread
-    found = learner.fit(scaled, (r - level) / size, train, seed, tell)
+    scaled_fit = learner.fit(scaled, (r - level) / size, train, seed, tell)
 
     def predict(points: Array) -> Array:
-        return found.predict((points - middle) / spread) * size + level
+        return scaled_fit.predict((points - middle) / spread) * size + level
 
     left = (r - predict(xi)) ** 2
     shares = {
         name: float(left[part].sum() / max(float(np.sum(r[part] ** 2)), 1e-300))
         for name, part in (("train_left", train), ("validation_left", ~train))
     }
-    return Learned(predict, {**found.log, **shares})
+    return Learned(predict, {**scaled_fit.log, **shares})
 
 
-def _spread(values: Array) -> Array:
-    found = values.std(axis=0)
-    return np.where(found > 0, found, 1.0)
+def _column_scales(values: Array) -> Array:
+    deviation = values.std(axis=0)
+    return np.where(deviation > 0, deviation, 1.0)

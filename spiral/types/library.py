@@ -67,23 +67,23 @@ def terms_of(library: Library, system: System) -> tuple[Term, ...]:
     """
     from spiral.types.units import check_units
 
-    found = library.terms(system)
-    if not found:
+    terms = library.terms(system)
+    if not terms:
         raise ConfigError(
             f"library {library.plugin_name()!r} for system {system.plugin_name()!r}",
             "a library with terms for it",
             "library=paper",
         )
-    for effect in {t.effect.label: t.effect for t in found}.values():
+    for effect in {t.effect.label: t.effect for t in terms}.values():
         if not isinstance(effect, ForceEffect):
             raise PluginError(f"term of {effect.label!r}", "the force of an effect")
         check_units(system, effect)
-    for term in found:
-        own = [k for k, p in term.effect.keys(system.place(term.effect)) if _linear(p)]
+    for term in terms:
+        own = [k for k, p in term.effect.keys(system.place(term.effect)) if _is_amplitude(p)]
         if term.key not in own:
             raise PluginError(f"term {term.key!r}", f"an amplitude of its effect: {', '.join(own)}")
-    return found
+    return terms
 
 
-def _linear(parameter) -> bool:
+def _is_amplitude(parameter) -> bool:
     return parameter.role == "amplitude"

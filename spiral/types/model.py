@@ -37,7 +37,7 @@ class Estimate:
 
 @dataclass(frozen=True, repr=False)
 class Model:
-    """A system with effects.
+    """A system with its effects, their values and standard errors.
 
     Parameters
     ----------
@@ -107,9 +107,9 @@ class Model:
     @property
     def active(self) -> tuple[str, ...]:
         """Names of the parameters that a fit moves."""
-        return tuple(k for k, p in self.pairs if k not in self.fixed and self._moves(k, p))
+        return tuple(k for k, p in self.pairs if k not in self.fixed and self._is_active(k, p))
 
-    def _moves(self, key: str, parameter: Parameter) -> bool:
+    def _is_active(self, key: str, parameter: Parameter) -> bool:
         if key in self.freed or parameter.scope == "record":
             return True
         if parameter.role == "shape":
@@ -176,8 +176,8 @@ class Model:
             value = float(
                 self.values.get(key, np.nan if parameter.start is None else parameter.start)
             )
-            found = Estimate(value, self.errors.get(key), self.unit(key))
-            table.setdefault(owner, {})[name] = found
+            estimate = Estimate(value, self.errors.get(key), self.unit(key))
+            table.setdefault(owner, {})[name] = estimate
         return table
 
 

@@ -11,7 +11,7 @@ Array = np.ndarray
 Kind = Literal["white", "coloured", "band", "vibration", "drift", "force", "gust"]
 
 COLOURED: tuple[Kind, ...] = ("coloured", "band", "vibration")
-"""Kinds of noise that a sensor has all the time, and that is not white."""
+"""Kinds of stationary sensor noise that are not white."""
 
 
 def estimate_noise(values: Array) -> float:

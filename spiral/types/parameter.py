@@ -41,11 +41,11 @@ class Parameter:
     grid : of a shape, the values tried while its effect is absent, as shares of the largest
         port position or velocity (by its unit) that the record shows; of another unit (a
         frequency), the values themselves.
-    loose : one of many coefficients of a curve, of which a record may show some hardly at all: it
-        is held at zero with a standard deviation at which, where it is seen best, it would make
-        the whole response.
-    search : moves each value of such a grid, within this share of it, to the strongest line in
-        the records' channels.
+    loose : one of many coefficients of a curve, some of which a record may hardly determine: its
+        prior has mean zero and the standard deviation with which, where it is seen best, it alone
+        would make the whole response.
+    search : each value of a grid of frequencies moves, by at most this share of it, to the
+        strongest spectral line of the records' channels.
     spectrum : of a shape of an effect with states of its own, in Hz or s: its values are laid at
         the peaks of the residual's spectrum (``spiral.inference.strategies.resolved``), in s as 1 /
         (2 pi f).
@@ -105,7 +105,7 @@ BETWEEN: dict[Interpolation, str] = {
     "linear": "straight lines through the samples",
     "zero_order": "held until the next sample",
 }
-"""How an input runs between its samples, in words."""
+"""Each interpolation of an input between its samples, in words."""
 
 
 @dataclass(frozen=True)

@@ -97,11 +97,11 @@ class Record:
         )
 
     def between(self, known: Input) -> Interpolation:
-        """How an input runs between its samples: as the record says, else as its system does."""
+        """Interpolation of an input: the record's, else the system's default."""
         return self.hold.get(known.name, known.interpolation)
 
     def running(self, ways: Mapping[str, Interpolation]) -> Record:
-        """The record with inputs that run so between their samples where it does not say."""
+        """The record with ``ways`` as interpolation of inputs for which it states none."""
         hold = {**ways, **self.hold}
         if hold == self.hold:
             return self
@@ -113,26 +113,26 @@ class Record:
 
     @cached_property
     def _otherwise(self) -> dict[tuple[tuple[str, str], ...], Record]:
-        """The same record with inputs that run otherwise, made once each."""
+        """Cache of ``running``: this record under other interpolations of its inputs."""
         return {}
 
     def gone(self, channel: str) -> Array | None:
-        """(samples,) True where a channel's reading is no measurement; nothing where all are."""
-        found = [s.where for s in self.spoilt.get(channel, ()) if s.where.any()]
-        return np.logical_or.reduce(found) if found else None
+        """(samples,) True where a reading of a channel is invalid; ``None`` where all are valid."""
+        masks = [s.where for s in self.spoilt.get(channel, ()) if s.where.any()]
+        return np.logical_or.reduce(masks) if masks else None
 
     @property
     def spoilt_words(self) -> tuple[str, ...]:
-        """What of the readings is no measurement, in words."""
+        """In words, which readings are invalid (missing, spikes, dropouts, clipped)."""
         return tuple(s.told(k) for k, some in self.spoilt.items() for s in some if s.where.any())
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Notes, and what of the readings is no measurement."""
+        """Notes, and which readings are invalid."""
         return (*self.notes, *self.spoilt_words)
 
     def reading(self, channel: str) -> Array:
-        """A channel with straight lines where its readings are no measurement."""
+        """A channel, interpolated linearly where its readings are invalid."""
         gone = self.gone(channel)
         return self.channels[channel] if gone is None else bridged(self.channels[channel], gone)
 
@@ -173,16 +173,16 @@ def make_record(
     given = {k: np.asarray(v, dtype=float) for k, v in channels.items()}
     known = {k: np.asarray(v, dtype=float) for k, v in inputs.items()}
     _check_names(system, given, known)
-    held = _checked_hold(system, hold or {})
+    held = _check_hold(system, hold or {})
     _check_time(name, time)
-    missing = {k: _missing(v) for k, v in given.items()}
+    missing = {k: _missing_mask(v) for k, v in given.items()}
     given = {k: bridged(v, missing[k]) for k, v in given.items()}
     _check_series(name, given, known, len(time))
-    spoilt = _spoilt(system, given, known, missing)
+    spoilt = _find_spoilt_readings(system, given, known, missing)
     whole = [k for k, some in spoilt.items() if "clipped" not in [s.kind for s in some]]
     extra = [clipping(k, given[k]) for k in whole]
     measured = tuple(known)
-    known = _derived(system, time, known)
+    known = _integrate_derived_inputs(system, time, known)
     step = (time[-1] - time[0]) / (len(time) - 1)
     return Record(
         name=name,
@@ -198,22 +198,22 @@ def make_record(
     )
 
 
-def _spoilt(
+def _find_spoilt_readings(
     system: System, given: Mapping[str, Array], known: Mapping[str, Array],
     missing: Mapping[str, Array | None],
 ) -> dict[str, tuple[Spoilt, ...]]:  # fmt: skip
-    """What of each channel is no measurement; an acceleration jumps where a force does."""
+    """Invalid readings of each channel; readings that may jump are not searched for spikes."""
     jumps = {r.name for r in system.readings}
     return {
         k: spoilt_readings(v, known.values(), missing[k], k not in jumps) for k, v in given.items()
     }
 
 
-def _checked_hold(system: System, hold: Mapping[str, str] | str) -> dict[str, Interpolation]:
+def _check_hold(system: System, hold: Mapping[str, str] | str) -> dict[str, Interpolation]:
     """How inputs run between their samples, by name; one word is for all that may be held."""
     if isinstance(hold, str):
         hold = {name: hold for port in system.driven for name in port.axes}
-    inputs, found = [i.name for i in system.inputs], {}
+    inputs, checked = [i.name for i in system.inputs], {}
     for name, how in hold.items():
         if name not in inputs:
             known = ", ".join(inputs) or "none"
@@ -222,8 +222,8 @@ def _checked_hold(system: System, hold: Mapping[str, str] | str) -> dict[str, In
         if how not in (words := get_args(Interpolation)):
             told = f"one of {', '.join(words)}"
             raise InputError(f"hold of {name!r}: {how!r}", told, did_you_mean(how, words))
-        found[name] = how
-    return found
+        checked[name] = how
+    return checked
 
 
 def split_off_test(record: Record, share: float) -> tuple[Record, Record]:
@@ -236,7 +236,7 @@ def split_off_test(record: Record, share: float) -> tuple[Record, Record]:
 
 
 def in_blocks(record: Record, count: int) -> tuple[Record, ...]:
-    """A record as so many stretches of equal length, one after the other.
+    """A record cut into ``count`` stretches of equal length, in order.
 
     Raises
     ------
@@ -322,12 +322,12 @@ def _check_time(name: str, time: Array) -> None:
             f"{name}: steps of time differ ({steps.min():.6g} to {steps.max():.6g} s, "
             f"worst after row {worst})",
             f"a uniform step (here {mean:.6g} s within {JITTER:.0%})",
-            _even_steps(steps, mean),
+            _suggest_even_steps(steps, mean),
         )
 
 
-def _even_steps(steps: Array, mean: float) -> str:
-    """What to try where steps of time differ: gaps are bridged, uneven steps resampled."""
+def _suggest_even_steps(steps: Array, mean: float) -> str:
+    """Advice where time steps differ: bridge gaps, resample uneven steps."""
     longest = float(steps.max() / np.median(steps))
     if longest > 1.5:
         return (
@@ -347,8 +347,8 @@ def _check_series(
             check_values(name, kind, key, values, samples)
 
 
-def _missing(values: Array) -> Array:
-    """Where a channel lacks readings; nowhere if it lacks too many of them to be one."""
+def _missing_mask(values: Array) -> Array:
+    """True where readings are missing; False everywhere if too many are, which is an error."""
     lacking = np.isnan(values)
     return lacking & (lacking.sum() <= _MOST_MISSING * len(values))
 
@@ -385,7 +385,9 @@ def check_noise(noise: Mapping[str, float], channels: Mapping[str, Array]) -> di
     return {k: float(v) for k, v in noise.items()}
 
 
-def _derived(system: System, time: Array, inputs: dict[str, Array]) -> dict[str, Array]:
+def _integrate_derived_inputs(
+    system: System, time: Array, inputs: dict[str, Array]
+) -> dict[str, Array]:
     """Add inputs that follow from others: the integral, from zero at the first sample."""
     from scipy.interpolate import CubicSpline
 

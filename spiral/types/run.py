@@ -1,4 +1,4 @@
-"""Results of the steps: each carries its own outcome as a value."""
+"""Results of the steps (compare, diagnose, discover) as immutable values."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ class ChannelError:
 
 @dataclass(frozen=True, eq=False)
 class Traces:
-    """What a comparison looked at: arrays (samples, channels) for each record.
+    """Time series behind a comparison: arrays (samples, channels) for each record.
 
     ``fitted`` and ``test`` are free runs, those over test records scored from sample ``settled``
-    on; ``left`` is what is left of the fitted records, over its standard deviation.
+    on; ``left`` is the residual of the fitted records over its standard deviation.
     """
 
     fitted: tuple[Array, ...]
@@ -65,9 +65,10 @@ class Comparison(Readable):
     nothing where no such model was fitted; ``random_times`` its correlation time in s, where it has
     one; ``spoilt`` says in words which readings are no measurement, ``departures`` what neither the
     model nor its noise can hold (a parameter that drifts, noise that grows with its reading);
-    ``disturbed`` and ``uncertain`` are expected errors of the test's free run by random forces, and
-    by values and a start known only so well; ``between`` says how inputs run; ``followed`` what
-    share of what is left, if coloured, motion and inputs explain. No file keeps the ``traces``.
+    ``disturbed`` and ``uncertain`` are the errors of the test's free run to be expected from random
+    forces, and from the uncertainty of parameters and initial state; ``between`` says how inputs
+    are interpolated; ``followed`` is the share of a coloured residual that motion and inputs
+    explain. ``traces`` are not saved.
     """
 
     model: Model
@@ -191,10 +192,10 @@ class Where:
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
         ranges = ("time_s", "frequency_hz", "speed_rad_s", "order", "amplitude")
-        found = {r: list(v) if (v := getattr(self, r)) else None for r in ranges}
+        limits = {r: list(v) if (v := getattr(self, r)) else None for r in ranges}
         what = {"state": self.state, "power": self.power, "follows": self.follows}
         said = {"channel": self.channel, "channels": list(self.channels)}
-        return {**found, **what, **said, "sentence": self.sentence}
+        return {**limits, **what, **said, "sentence": self.sentence}
 
 
 @dataclass(frozen=True, repr=False)
@@ -252,7 +253,7 @@ class Diagnosis(Readable):
 
 @dataclass(frozen=True)
 class Round:
-    """One turn of the loop; round 0 is the seed. ``rejected``: what the gates refused, and why.
+    """One round of the discovery loop; 0 is the seed. ``rejected``: refused candidates -> why.
 
     ``details`` log, as plain data, how the strategy came from this round's model to the next
     proposal; ``changes`` say at each horizon whether the step to this round predicts unseen data
@@ -303,7 +304,7 @@ class Run:
     """The history of a study: what was tried, added and refused in each round, on which evidence.
 
     ``missing`` are the effects that the verdict names, ``summary`` says it with its figures.
-    ``question`` is the ``Problem`` that it answers, where it was put in this process.
+    ``question`` is the ``Problem`` that it answers, where the run was made in this process.
     """
 
     verdict: Verdict
@@ -360,12 +361,12 @@ class Run:
     @property
     def unknown(self) -> Mapping[str, Any] | None:
         """The shape of what no candidate explains (``inference.unknown``), where there is one."""
-        found = [r.details["unknown"] for r in self.rounds if "unknown" in r.details]
-        return found[-1] if found else None
+        shapes = [r.details["unknown"] for r in self.rounds if "unknown" in r.details]
+        return shapes[-1] if shapes else None
 
     @property
     def memory(self) -> Mapping[str, Any] | None:
-        """What is told of a missing force that has memory, where one is left at the end."""
+        """The description of a missing force with memory, where one is left at the end."""
         return self.rounds[-1].details.get("memory") if self.rounds else None
 
     def as_dict(self) -> dict[str, Any]:

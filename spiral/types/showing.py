@@ -11,7 +11,7 @@ _MARKUP = re.compile(r"[|*_\\]")  # what Markdown takes for itself, in names and
 
 @dataclass(frozen=True)
 class Summary:
-    """What a result says of itself: an opening sentence, one table, and what to do."""
+    """A short account of a result: an opening sentence, one table, and advice."""
 
     opening: str
     head: tuple[str, ...] = ()
@@ -21,19 +21,21 @@ class Summary:
     def text(self) -> str:
         """In lines of plain text, the table's columns aligned."""
         table = [self.head, *self.rows] if self.rows else []
-        width = {i: max(len(row[i]) for row in table) for i in self._kept()}
+        width = {i: max(len(row[i]) for row in table) for i in self._nonempty_columns()}
         lines = ["  " + "  ".join(row[i].ljust(width[i]) for i in width) for row in table]
         return "\n".join(line.rstrip() for line in (self.opening, *lines, self.closing) if line)
 
     def markdown(self) -> str:
         """As a notebook shows it."""
         rows = [self.head, ("---",) * len(self.head), *self.rows] if self.rows else []
-        cells = ([_MARKUP.sub(r"\\\g<0>", row[i]) for i in self._kept()] for row in rows)
+        cells = (
+            [_MARKUP.sub(r"\\\g<0>", row[i]) for i in self._nonempty_columns()] for row in rows
+        )
         table = "\n".join(f"| {' | '.join(row)} |" for row in cells)
         return "\n\n".join(part for part in (self.opening, table, self.closing) if part)
 
-    def _kept(self) -> list[int]:
-        """Columns that hold something."""
+    def _nonempty_columns(self) -> list[int]:
+        """Indices of the columns that are not empty in every row."""
         return [i for i in range(len(self.head)) if any(row[i] for row in self.rows)]
 
 
@@ -42,7 +44,7 @@ class Readable(ABC):
 
     @abstractmethod
     def _shown(self) -> Summary:
-        """What it says of itself."""
+        """Its summary."""
 
     def __repr__(self) -> str:
         return self._shown().text()

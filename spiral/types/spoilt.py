@@ -1,6 +1,6 @@
-"""Readings that are no measurement: missing, spikes, held through a dropout, clipped extremes.
+"""Invalid readings: missing, spikes, held through a dropout, clipped extremes.
 
-Those that are there are told from the signal alone, and only where nothing else can look alike:
+Those not missing are recognised from the signal alone, and only where nothing else looks alike:
 
     spike    r_k = y_k - (4 (y_{k-1} + y_{k+1}) - (y_{k-2} + y_{k+2})) / 6 is above 12 robust
              standard deviations of all r, and with y_k on that cubic the two readings on each side
@@ -9,7 +9,7 @@ Those that are there are told from the signal alone, and only where nothing else
     clipped  readings that equal the largest or smallest exactly
 
 The last two need a signal that hardly ever repeats a value by itself: a coarse converter does, and
-so does a record without noise; of these nothing is said.
+so does a record without noise; in these neither is looked for.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ _MOST = 0.05  # share of spikes beyond which they are the signal itself
 _REPEATS = 0.002  # share of repeated values from which a signal repeats them by itself
 _MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how it moves
 _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
-_PAIRS = np.array([(i, i + d) for d in (1, 2, 3) for i in range(-3, 4 - d)])  # that may meet
+_PAIRS = np.array([(i, i + d) for d in (1, 2, 3) for i in range(-3, 4 - d)])  # of close spikes
 _WEIGHTS = np.array([6, -4, 1, 0]) / 6  # of a reading in the r of those so many away
 _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are noise
 
 
 @dataclass(frozen=True)
 class Spoilt:
-    """Readings of one channel that are no measurement; ``where`` (samples,) is True there."""
+    """Invalid readings of one channel, of one kind; ``where`` (samples,) is True there."""
 
     kind: Literal["missing", "spike", "held", "clipped"]
     where: Array
 
     def told(self, channel: str) -> str:
-        """In words."""
+        """In words: how many readings of a channel are invalid, and why."""
         count, share = int(self.where.sum()), float(self.where.mean())
         many = f"{count} reading{'s' if count > 1 else ''} ({100 * share:.2g} %)"
         what = {
@@ -53,61 +53,62 @@ class Spoilt:
         return f"sensor {channel}: {many} {what}; they are left out"
 
     def part(self, cut: slice) -> Spoilt:
-        """A stretch of it."""
+        """The same for a slice of the samples."""
         return Spoilt(self.kind, self.where[cut])
 
 
 def spoilt_readings(
     values: Array, inputs: Iterable[Array] = (), missing: Array | None = None, smooth: bool = True
 ) -> tuple[Spoilt, ...]:
-    """What of a channel is no measurement.
+    """Invalid readings of a channel, by kind.
 
     Parameters
     ----------
-    values : (samples,), bridged where they are ``missing``; nothing else is told of such a channel.
-        inputs : (samples,) each, which may move a reading as a spike does. smooth : whether the
-        motion is; a reading that jumps with a force has spikes of its own.
+    values : (samples,), bridged where ``missing``; such a channel is searched for nothing else.
+    inputs : (samples,) each; near a jump of one, no reading counts as a spike.
+    smooth : whether the readings follow a smooth motion; those that may jump with a force are not
+        searched for spikes.
     """
     if missing is not None and missing.any():
         return (Spoilt("missing", missing),)
-    found: list[Spoilt] = []
+    spoilt: list[Spoilt] = []
     same = np.diff(values) == 0
-    runs = _in_runs(same)
-    clipped = _clipped(values)  # which repeats its extreme, and nothing else
+    runs = _long_run_mask(same)
+    clipped = _clipped_mask(values)  # which repeats its extreme, and nothing else
     repeats = same & ~runs & ~clipped[1:]
-    if float(np.mean(repeats)) <= _REPEATS and _noisy(values[1:][~same]):
+    if float(np.mean(repeats)) <= _REPEATS and _is_noise_like(values[1:][~same]):
         held = np.concatenate([[False], runs]) & ~clipped
-        found = [s for s in (Spoilt("clipped", clipped), Spoilt("held", held))
+        spoilt = [s for s in (Spoilt("clipped", clipped), Spoilt("held", held))
                  if s.where.mean() <= _MOST_STILL]  # fmt: skip
-    gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in found)])
-    spikes = _spikes(bridged(values, gone)) if smooth else np.zeros(len(values), dtype=bool)
+    gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in spoilt)])
+    spikes = _spike_mask(bridged(values, gone)) if smooth else np.zeros(len(values), dtype=bool)
     for given in inputs:
-        moved = _moves(given)
+        moved = _jump_mask(given)
         spikes &= ~np.convolve(moved, np.ones(5), "same").astype(bool)
     if 0 < spikes.sum() <= _MOST * len(values):
-        found.append(Spoilt("spike", spikes))
-    return tuple(s for s in found if s.where.any())
+        spoilt.append(Spoilt("spike", spikes))
+    return tuple(s for s in spoilt if s.where.any())
 
 
 def bridged(values: Array, gone: Array) -> Array:
-    """The channel with straight lines where readings are gone."""
+    """The channel, interpolated linearly where readings are ``gone``."""
     if not gone.any() or gone.all():
         return values
     at = np.arange(len(values))
     return np.where(gone, np.interp(at, at[~gone], values[~gone]), values)
 
 
-def _in_runs(same: Array) -> Array:
+def _long_run_mask(same: Array) -> Array:
     """Where a repeated value belongs to a run of at least ``_RUN``."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
-    found = np.zeros(len(same), dtype=bool)
+    mask = np.zeros(len(same), dtype=bool)
     for first, last in edges.reshape(-1, 2):
         if last - first >= _RUN:
-            found[first:last] = True
-    return found
+            mask[first:last] = True
+    return mask
 
 
-def _noisy(values: Array) -> bool:
+def _is_noise_like(values: Array) -> bool:
     """Whether high differences grow as those of noise do (13.6 times from the 4th to the 8th).
 
     Those of a signal that is sampled well enough to be seen shrink.
@@ -126,12 +127,12 @@ def clipping(key: str, values: Array) -> str:
     return ""
 
 
-def _clipped(values: Array) -> Array:
-    found = np.zeros(len(values), dtype=bool)
+def _clipped_mask(values: Array) -> Array:
+    mask = np.zeros(len(values), dtype=bool)
     for at in _at_extremes(values):
         if at.sum() >= _TIES and np.any(at[1:] & at[:-1]):
-            found |= at
-    return found
+            mask |= at
+    return mask
 
 
 def _at_extremes(values: Array) -> tuple[Array, Array]:
@@ -140,41 +141,41 @@ def _at_extremes(values: Array) -> tuple[Array, Array]:
     return np.abs(values - values.max()) <= near, np.abs(values - values.min()) <= near
 
 
-def _spikes(values: Array) -> Array:
-    """Readings without which those around them agree; the farthest off are mended first.
+def _spike_mask(values: Array) -> Array:
+    """Single readings whose neighbours agree without them; the farthest off are corrected first.
 
-    Then two at most three readings apart, as where two happen to meet: fewer than those alone, else
-    they are pulses.
+    Then pairs at most three readings apart, as two spikes may happen to be; not where more
+    than half as many readings are still off as were single spikes: those are pulses of the signal.
     """
-    found = np.zeros(len(values), dtype=bool)
+    spikes = np.zeros(len(values), dtype=bool)
     if len(values) < 16:
-        return found
+        return spikes
     y = values.copy()
-    scale = _ROBUST * float(np.median(np.abs(_off(y)[2:-2])))
+    scale = _ROBUST * float(np.median(np.abs(_cubic_residual(y)[2:-2])))
     last = np.ones(1)
-    while last.any() and found.sum() <= _MOST * len(y):
+    while last.any() and spikes.sum() <= _MOST * len(y):
         last = np.zeros(len(y), dtype=bool)
-        off = _off(y)
-        for k in _peaks(off, found, scale):
-            last[k] = _amounts(y, [k], scale) is not None
+        off = _cubic_residual(y)
+        for k in _candidate_spikes(off, spikes, scale):
+            last[k] = _spike_sizes(y, [k], scale) is not None
         y[last] -= off[last]
-        found |= last
-    met = _peaks(_off(y), found, scale)
-    for k in met if 2 * len(met) <= found.sum() else ():
-        trials = ((pair, _amounts(y, pair, scale)) for pair in _PAIRS + k)
+        spikes |= last
+    met = _candidate_spikes(_cubic_residual(y), spikes, scale)
+    for k in met if 2 * len(met) <= spikes.sum() else ():
+        trials = ((pair, _spike_sizes(y, pair, scale)) for pair in _PAIRS + k)
         pair, amounts = next((t for t in trials if t[1] is not None), (np.zeros(0, int), 0.0))
         y[pair] -= amounts
-        found[pair] = True
-    return found
+        spikes[pair] = True
+    return spikes
 
 
-def _peaks(off: Array, found: Array, scale: float) -> list[int]:
-    """Where readings are far off, and those within two of them less so."""
-    far = np.flatnonzero((np.abs(off) > _OUT * scale) & ~found)
+def _candidate_spikes(off: Array, spikes: Array, scale: float) -> list[int]:
+    """Readings far off their cubic, and farther off than those within two of them."""
+    far = np.flatnonzero((np.abs(off) > _OUT * scale) & ~spikes)
     return [int(k) for k in far if np.abs(off[k]) >= np.abs(off[max(k - 2, 0) : k + 3]).max()]
 
 
-def _amounts(values: Array, at: Sequence[int], scale: float) -> Array | None:
+def _spike_sizes(values: Array, at: Sequence[int], scale: float) -> Array | None:
     """How far the readings ``at`` are from the cubics through their neighbours.
 
     None where the neighbours do not agree without them, or where one of them is not far off itself.
@@ -185,27 +186,27 @@ def _amounts(values: Array, at: Sequence[int], scale: float) -> Array | None:
     around = values[low - 4 : high + 5].copy()
     places = np.asarray(at) - (low - 4)
     apart = np.abs(np.subtract.outer(places, places))
-    amounts = np.linalg.solve(_WEIGHTS[apart], _off(around)[places])
+    amounts = np.linalg.solve(_WEIGHTS[apart], _cubic_residual(around)[places])
     around[places] -= amounts
     near = {p + d for p in places for d in (-2, -1, 1, 2)} - set(places)
-    left = np.abs(_off(around))[sorted(near)]
+    left = np.abs(_cubic_residual(around))[sorted(near)]
     # another spike four readings on leaves one neighbour off
     agree = np.sum(left > _AGREE * scale) <= 1 and np.median(left) <= _AGREE * scale
     return amounts if agree and np.all(np.abs(amounts) > _OUT * scale) else None
 
 
-def _off(values: Array) -> Array:
+def _cubic_residual(values: Array) -> Array:
     """r, how far a reading is from a cubic through two neighbours on each side; 0 at the ends."""
-    found = np.zeros(len(values))
+    residual = np.zeros(len(values))
     inner = 4 * (values[1:-3] + values[3:-1]) - (values[:-4] + values[4:])
-    found[2:-2] = values[2:-2] - inner / 6
-    return found
+    residual[2:-2] = values[2:-2] - inner / 6
+    return residual
 
 
-def _moves(values: Array) -> Array:
+def _jump_mask(values: Array) -> Array:
     """Where an input jumps: a second difference far above its usual ones."""
     second = np.abs(np.diff(values, 2))
     usual = float(np.median(second))
-    found = np.zeros(len(values), dtype=bool)
-    found[1:-1] = second > _OUT * usual + 1e-9 * float(np.ptp(values))
-    return found
+    jumps = np.zeros(len(values), dtype=bool)
+    jumps[1:-1] = second > _OUT * usual + 1e-9 * float(np.ptp(values))
+    return jumps

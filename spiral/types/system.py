@@ -89,7 +89,7 @@ class System(Plugin):
         return f"{state}_rate"
 
     def seen(self, u: SimpleNamespace, p: SimpleNamespace) -> SimpleNamespace:
-        """The inputs as effects see them; a rotor turns the phase by its record's origin."""
+        """The inputs as effects see them; a rotor shifts the phase by its record's origin."""
         return u
 
     def port(self, name: str = "") -> Port:
@@ -110,7 +110,7 @@ class System(Plugin):
     @property
     def links(self) -> tuple[Port, ...]:
         """Two coordinates of one unit each, as ports ``NAME-NAME`` of two axes."""
-        return _links(self) if has_coordinates(self) else ()
+        return _coordinate_pair_ports(self) if has_coordinates(self) else ()
 
     @property
     def sensed(self) -> tuple[Port, ...]:
@@ -157,15 +157,15 @@ class System(Plugin):
         pairs = [(a, b) for i, a in enumerate(own) for b in own[i + 1 :]]
         alike = [(a, b) for a, b in pairs if (units[a.name], a.unit) == (units[b.name], b.unit)]
         outside = [
-            replace(_filled(units, i), name=f"state {i.name}-{u.name}", against=u.name)
+            replace(_state_port(units, i), name=f"state {i.name}-{u.name}", against=u.name)
             for i in own
             for u in self.inputs
             if u.unit and u.unit == units[i.name]
         ]
         return (
-            *(_filled(units, i) for i in own),
+            *(_state_port(units, i) for i in own),
             *outside,
-            *(_filled(units, *pair) for pair in alike),
+            *(_state_port(units, *pair) for pair in alike),
         )
 
     def place(self, effect: Effect) -> Port:
@@ -284,7 +284,7 @@ class MechanicalSystem(System):
         q, v = self.split(x)
         names = [c.name for c in self.coordinates]
         total = [f + injected[n] for f, n in zip(self.force(q, v, u, p), names, strict=True)]
-        acceleration = _solve(self.mass(q, p), total)
+        acceleration = _solve_accelerations(self.mass(q, p), total)
         rates = {n: getattr(v, n) for n in names}
         rates.update({self.rate_name(n): a for n, a in zip(names, acceleration, strict=True)})
         rates.update({n: f + injected[n] for n, f in self.flows(q, v, u, p).items()})
@@ -292,7 +292,7 @@ class MechanicalSystem(System):
 
 
 def check_states(system: System, what: str) -> None:
-    """Channels that are states, each of them.
+    """Refuse channels that are no states.
 
     Raises
     ------
@@ -313,7 +313,7 @@ def place_name(port: Port) -> str:
     return "-".join((*port.axes, port.against) if port.against else port.axes)
 
 
-def _filled(units: dict[str, str], *into: State) -> Port:
+def _state_port(units: dict[str, str], *into: State) -> Port:
     """States that something flows into, as a port."""
     names = tuple(i.name for i in into)
     return Port(
@@ -326,7 +326,7 @@ def _filled(units: dict[str, str], *into: State) -> Port:
 
 
 @kept(32)
-def _links(system: MechanicalSystem) -> tuple[Port, ...]:
+def _coordinate_pair_ports(system: MechanicalSystem) -> tuple[Port, ...]:
     """Pairs of the ports that are coordinates, one axis each."""
     import sympy
 
@@ -335,14 +335,22 @@ def _links(system: MechanicalSystem) -> tuple[Port, ...]:
     own = {q.__dict__[c.name] for c in system.coordinates}
     plain = [x for x in system.ports if len(x.axes) == 1 and x.coordinates(q, p)[0] in own]
     return tuple(
-        Port(f"{a.name}-{b.name}", (a.name, b.name), _both(a, b), a.position_unit, a.force_unit)
+        Port(
+            f"{a.name}-{b.name}",
+            (a.name, b.name),
+            _joint_coordinates(a, b),
+            a.position_unit,
+            a.force_unit,
+        )
         for a, b in itertools.combinations(plain, 2)
         if (a.position_unit, a.force_unit) == (b.position_unit, b.force_unit)
     )
 
 
-def _both(first: Port, second: Port) -> Callable[[SimpleNamespace, SimpleNamespace], list[Any]]:
-    """Positions of two ports, one after the other."""
+def _joint_coordinates(
+    first: Port, second: Port
+) -> Callable[[SimpleNamespace, SimpleNamespace], list[Any]]:
+    """Coordinates of two ports in one list."""
     return lambda q, p: [*first.coordinates(q, p), *second.coordinates(q, p)]
 
 
@@ -351,7 +359,7 @@ def has_coordinates(system: System) -> TypeGuard[MechanicalSystem]:
     return isinstance(system, MechanicalSystem) and bool(system.coordinates)
 
 
-def _solve(mass: list[list[Any]], total: list[Any]) -> list[Any]:
+def _solve_accelerations(mass: list[list[Any]], total: list[Any]) -> list[Any]:
     """M^-1 total: by division where M is diagonal (units kept), else symbolically."""
     size = len(total)
     off = [mass[i][j] for i in range(size) for j in range(size) if i != j]

@@ -48,10 +48,10 @@ def short_form(unit: str) -> str:
     """A compact way to write a unit: ``(m/s^2)/(m)`` -> ``1/s^2``; empty where dimensionless."""
     if not unit:
         return ""
-    found = _parse(unit)
-    if found.dimensionless:
+    parsed = _parse(unit)
+    if parsed.dimensionless:
         return "rad" if unit.strip() == "rad" else ""
-    text = f"{found:~C}" if hasattr(found, "__format__") else str(found)
+    text = f"{parsed:~C}" if hasattr(parsed, "__format__") else str(parsed)
     return text.replace("**", "^")
 
 
@@ -77,7 +77,7 @@ def base_form(unit: str) -> tuple[float, dict[str, int]] | None:
 
 
 def spelled(unit: str) -> str:
-    """A unit as pint reads it, of what people write: ``m/s^2``, ``m/s2``, ``m s-2``."""
+    """A unit as people write it (``m/s^2``, ``m/s2``, ``m s-2``) in the notation of pint."""
     return _POWER.sub(r"\1**\2", unit.replace("^", "**"))
 
 
@@ -118,7 +118,7 @@ def conversion(given: str, wanted: str, what: str) -> tuple[float, float]:
     try:
         if given.strip() in _GRAVITY and _parse(wanted).is_compatible_with("m/s**2"):
             return _GRAVITY[given.strip()] * factor("m/s^2", wanted, what), 0.0
-        return _straight(spelled(given), spelled(wanted))
+        return _linear_conversion(spelled(given), spelled(wanted))
     except pint.UndefinedUnitError as error:
         raise InputError(
             f"unit {given!r} of {what}",
@@ -135,7 +135,7 @@ def conversion(given: str, wanted: str, what: str) -> tuple[float, float]:
         raise InputError(f"unit {given!r} of {what}", f"a unit such as {wanted!r}") from error
 
 
-def _straight(given: str, wanted: str) -> tuple[float, float]:
+def _linear_conversion(given: str, wanted: str) -> tuple[float, float]:
     """Factor and zero of units whose scales are straight lines of one another."""
     pairs = (registry().Quantity(x, given).to(wanted).magnitude for x in (0.0, 1.0, 2.0))
     zero, one, two = (float(value) for value in pairs)
@@ -162,8 +162,8 @@ def check_units(system: System, effect: Effect) -> None:
             f"states in {', '.join(known)}",
         )
     try:
-        for what, value, expected in _evaluated(system, effect, port):
-            _must_fit(f"{what} {effect.label!r}", value, expected)
+        for what, value, expected in _evaluate_effect(system, effect, port):
+            _check_dimension(f"{what} {effect.label!r}", value, expected)
     except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
         raise PluginError(
             f"effect {effect.label!r} at port {port.name!r}: {error}",
@@ -183,7 +183,7 @@ def check_system_units(system: MechanicalSystem) -> None:
 
     coordinates, name = system.coordinates, system.plugin_name()
     q, p = _quantities((*coordinates, *system.others)), _quantities(system.parameters)
-    v, u = _quantities(coordinates, per_second), _inputs(system)
+    v, u = _quantities(coordinates, per_second), _input_quantities(system)
     try:
         force, mass = system.force(q, v, u, p), system.mass(q, p)
         flows = system.flows(q, v, u, p)
@@ -191,7 +191,7 @@ def check_system_units(system: MechanicalSystem) -> None:
         raise PluginError(f"system {name!r}: {error}", "an equation whose units fit") from error
     units = {entry.name: entry.unit for entry in system.injections}
     for other, value in flows.items():
-        _must_fit(f"rate of {other!r} of system {name!r}", value, units[other])
+        _check_dimension(f"rate of {other!r} of system {name!r}", value, units[other])
     for i, entry in enumerate(system.injections[: len(coordinates)]):
         own = [("force", force[i])]
         own += [
@@ -200,7 +200,7 @@ def check_system_units(system: MechanicalSystem) -> None:
             if not _is_zero(m)
         ]
         for what, value in own:
-            _must_fit(f"{what} of system {name!r}", value, entry.unit)
+            _check_dimension(f"{what} of system {name!r}", value, entry.unit)
 
 
 def check_reading_units(system: System) -> None:
@@ -218,18 +218,20 @@ def check_reading_units(system: System) -> None:
     x, p = _quantities(system.states), _quantities(system.parameters)
     rates = _quantities(system.states, per_second)
     try:
-        given = system.reading(x, rates, _inputs(system), p)
+        given = system.reading(x, rates, _input_quantities(system), p)
     except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
         raise PluginError(f"system {name!r}: {error}", "a reading whose units fit") from error
     for entry in system.readings:
-        _must_fit(f"reading {entry.name!r} of system {name!r}", given[entry.name], entry.unit)
+        _check_dimension(
+            f"reading {entry.name!r} of system {name!r}", given[entry.name], entry.unit
+        )
 
 
 def _is_zero(value: Any) -> bool:
     return isinstance(value, int | float) and value == 0
 
 
-def _inputs(system: System) -> SimpleNamespace:
+def _input_quantities(system: System) -> SimpleNamespace:
     u = SimpleNamespace(time=_quantity("s"))
     for item in system.inputs:
         setattr(u, item.name, _quantity(item.unit))
@@ -260,7 +262,7 @@ def _quantity(unit: str, size: float = 1.25) -> Any:
     return registry().Quantity(size, _parse(unit) if unit else "")
 
 
-def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, Any, str]]:
+def _evaluate_effect(system: System, effect: Effect, port: Port) -> list[tuple[str, Any, str]]:
     """(what it is, its value with units, the unit it must have) of all that an effect gives."""
     count, unit = len(port.axes), port.position_unit
     position = tuple(_quantity(unit, 1.0 + 0.25 * i) for i in range(count))
@@ -274,7 +276,7 @@ def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, An
             for s in effect.states
         }
     )
-    u = _inputs(system)
+    u = _input_quantities(system)
     p = SimpleNamespace(
         **{
             q.name: tuple(_quantity(port.unit(q.unit)) for _ in range(count))
@@ -284,21 +286,21 @@ def _evaluated(system: System, effect: Effect, port: Port) -> list[tuple[str, An
         }
     )
     at = At(position, velocity, own, acceleration)
-    found = [(f"rate {k} of effect", v, unit) for k, v, unit in _own_rates(effect, port, at, u, p)]
+    values = [(f"rate {k} of effect", v, unit) for k, v, unit in _own_rates(effect, port, at, u, p)]
     if isinstance(effect, ForceEffect):
-        found += [("effect", value, port.force_unit) for value in effect.force(at, u, p)]
+        values += [("effect", value, port.force_unit) for value in effect.force(at, u, p)]
     elif isinstance(effect, SensorEffect):
         readings = effect.reading(list(position), at, u, p)
-        found += [("effect", value, port.position_unit) for value in readings]
+        values += [("effect", value, port.position_unit) for value in readings]
     elif isinstance(effect, InputEffect):
-        found.append(("effect", effect.drive(at, u, p), port.position_unit))
+        values.append(("effect", effect.drive(at, u, p), port.position_unit))
     elif isinstance(effect, StateFlow):
-        found += [("effect", value, port.force_unit) for value in effect.flow(at, u, p)]
+        values += [("effect", value, port.force_unit) for value in effect.flow(at, u, p)]
     elif isinstance(effect, FlowEffect):
         x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states}, own=own)
         units = {i.name: i.unit for i in system.injections}
-        found += [("effect", value, units[name]) for name, value in effect.flow(x, u, p).items()]
-    return found
+        values += [("effect", value, units[name]) for name, value in effect.flow(x, u, p).items()]
+    return values
 
 
 def _own_rates(
@@ -313,7 +315,7 @@ def _own_rates(
     ]
 
 
-def _must_fit(what: str, value: Any, expected: str) -> None:
+def _check_dimension(what: str, value: Any, expected: str) -> None:
     if _is_zero(value):
         return
     quantity = registry().Quantity(value) if not hasattr(value, "dimensionality") else value

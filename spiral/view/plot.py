@@ -23,35 +23,35 @@ def error_falling(run: Run) -> go.Figure | None:
     """Fit and test error over the rounds, with the noise floor; nothing where nothing was added."""
     from spiral.view.report import evidence
 
-    return evidence.error_falling(_result(run))
+    return evidence.error_falling(_finite_result(run))
 
 
 def candidates(run: Run) -> go.Figure | None:
     """What each candidate would explain, round by round."""
     from spiral.view.report import evidence
 
-    return evidence.candidates(_result(run))
+    return evidence.candidates(_finite_result(run))
 
 
 def coefficients(run: Run) -> go.Figure | None:
     """Every coefficient of the final model with its interval."""
     from spiral.view.report import evidence
 
-    return evidence.coefficients(estimate_rows(_result(run)))
+    return evidence.coefficients(estimate_rows(_finite_result(run)))
 
 
 def unknown(run: Run) -> go.Figure | None:
     """The curve of what no candidate explains, where there is one."""
     from spiral.view.report import unknown as shape
 
-    return shape.curves(_result(run))
+    return shape.force_curves(_finite_result(run))
 
 
 def memory(run: Run) -> go.Figure | None:
-    """The loop of a missing force that has memory, where one is told."""
+    """The loop of a missing force that has memory, where the run found one."""
     from spiral.view.report import unknown as shape
 
-    return shape.loops(_result(run))
+    return shape.force_loops(_finite_result(run))
 
 
 @dataclass(frozen=True)
@@ -78,29 +78,29 @@ def measured(run: Run) -> go.Figure | None:
 
 
 def figures(run: Run) -> dict[str, go.Figure]:
-    """Every figure that the run has what it takes for, by name, in the order of the report.
+    """Every figure that the data of the run allow, by name, in the order of the report.
 
     Those of series need the records: a run made by ``spiral.discover`` or ``spiral.add``. They are
     computed once for a run.
     """
     from spiral.view.report.page import figures as drawn
 
-    return {shown.name: shown.figure for shown in drawn(saved_form(run), curves_of(run))}
+    return {shown.name: shown.figure for shown in drawn(saved_form(run), run_curves(run))}
 
 
 @lru_cache(maxsize=8)
-def _gathered(key: _Key) -> Curves:
+def _cached_curves(key: _Key) -> Curves:
     from spiral.io.curves import FINAL, SEED
-    from spiral.io.gather import gather
+    from spiral.io.gather import gather_curves
 
     run = key.run
     done = [r.comparison for r in run.rounds]
     compared = {SEED: done[0], FINAL: done[-1]} if len(done) > 1 else {FINAL: done[-1]}
-    return gather(run.question, compared)
+    return gather_curves(run.question, compared)
 
 
 class _Key:
-    """A run as a key of its curves: the object, whatever it holds."""
+    """A run as a key of the cache of curves, compared by identity."""
 
     def __init__(self, run: Run) -> None:
         self.run = run
@@ -112,24 +112,24 @@ class _Key:
         return isinstance(other, _Key) and other.run is self.run
 
 
-def curves_of(run: Run) -> Curves | None:
+def run_curves(run: Run) -> Curves | None:
     """The series that figures need; nothing where the run's records are not at hand."""
-    return None if run.question is None else _gathered(_Key(run))
+    return None if run.question is None else _cached_curves(_Key(run))
 
 
 def saved_form(run: Run) -> dict[str, Any]:
     """A run as it would be saved, as plain data: what the report is drawn from."""
     from spiral.io.registry import load_registry
-    from spiral.io.storage import content_of
-    from spiral.io.writing import finite
+    from spiral.io.storage import saved_run_content
+    from spiral.io.writing import replace_nonfinite
 
     asked = run.question
     data = {} if asked is None else {"records": asked.records, "test": asked.test}
-    saved = content_of("discover", run.as_dict(), run.model, {}, data, load_registry(None))
-    return finite(saved)
+    saved = saved_run_content("discover", run.as_dict(), run.model, {}, data, load_registry(None))
+    return replace_nonfinite(saved)
 
 
-def _result(run: Run) -> Mapping[str, Any]:
-    from spiral.io.writing import finite
+def _finite_result(run: Run) -> Mapping[str, Any]:
+    from spiral.io.writing import replace_nonfinite
 
-    return finite(run.as_dict())
+    return replace_nonfinite(run.as_dict())

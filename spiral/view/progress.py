@@ -10,30 +10,30 @@ Tell = Callable[[str], None]
 
 
 def progress_for(given: Tell | None) -> AbstractContextManager[Tell]:
-    """What a step tells its progress to: the function ``given``, or what this process has."""
+    """Context with the function for progress messages: ``given``, or one for this process."""
     if given is not None:
         return nullcontext(given)
     if "ipykernel" in sys.modules:
-        return _line_in_a_notebook()
+        return _notebook_line()
     if sys.stderr.isatty():
-        from spiral.view.terminal.parts import progress
+        from spiral.view.terminal.parts import progress_line
 
-        return progress()
-    return nullcontext(_silent)
+        return progress_line()
+    return nullcontext(_ignore_message)
 
 
-def _silent(message: str) -> None:
-    """Nobody watches."""
+def _ignore_message(message: str) -> None:
+    """Drop a progress message."""
 
 
 @contextmanager
-def _line_in_a_notebook() -> Iterator[Tell]:
+def _notebook_line() -> Iterator[Tell]:
     """One line below the cell that says what is being done, gone when it is done."""
     from IPython.display import display
 
     line = display({"text/plain": "starting"}, raw=True, display_id=True)
     if line is None:  # no cell to show it below
-        yield _silent
+        yield _ignore_message
         return
     try:
         yield lambda message: line.update({"text/plain": message}, raw=True)

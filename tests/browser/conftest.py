@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from spiral.view.report.pictures import browser as found_browser
+from spiral.view.report.pictures import find_browser as found_browser
 
 PICTURES = Path(__file__).parent / "screenshots"
 SIZE = {"width": 1366, "height": 900}

@@ -100,9 +100,9 @@ def test_a_folder_of_studies_shows_its_texts_and_runs_none(watched, served, fore
         ({"left": evil, "terms": [{"owner": evil, "math": evil}]},),
         (("free_run", evil, evil),), True, "20200101-000000-abc", "", evil,
     )  # fmt: skip
-    data = {**asdict(kept.added(study, turn)), "plugins": "/nowhere"}
+    data = {**asdict(kept.add_turn(study, turn)), "plugins": "/nowhere"}
     data["trouble"] = {"given": evil, "expected": evil, "try": evil}
-    folder = kept.place(served.out, study.ident)
+    folder = kept.study_folder(served.out, study.ident)
     picture = [{"source": f"{foreign}/b.png", "x": 0, "y": 0, "sizex": 1, "sizey": 1}]
     figure = {"data": [{"type": "scatter", "x": [0, 1], "y": [0, 1], "name": evil}],
               "layout": {"height": 300, "title": {"text": evil}, "images": picture}}  # fmt: skip

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spiral.app.study import Turn, new_study, save, turn_place
-from spiral.view.report.style import hovering
-from spiral.view.report.unknown import loops
+from spiral.app.study import Turn, new_study, save_study, turn_folder
+from spiral.view.report.style import add_hover_text
+from spiral.view.report.unknown import force_loops
 from tests.browser.steps import SECOND, add, error, filled, judged, legend, ready, shows
 
 RATE, SAMPLES = 500.0, 3000
@@ -101,7 +101,7 @@ def test_every_branch_is_kept_and_caveats_stand_beside_the_verdict(tab, served, 
     made = new_study(served.out, "branches", ("experiment=rotor_coastdown",))
     turns = (turn(0, None, "", 0.5), turn(1, 0, "clearance", 0.2), turn(2, 1, "rub", 0.15),
              turn(3, 0, "cubic_stiffness", 2e-7, caveats=doubts))  # fmt: skip
-    save(served.out, replace(made, turns=turns, at=3, serials=4, noise_floor=1e-7))
+    save_study(served.out, replace(made, turns=turns, at=3, serials=4, noise_floor=1e-7))
     tab.goto(f"{served.address}/study/{made.ident}")
     tab.wait_for_selector("#branches")
     assert re.findall(r"[\w ]+: [<\d. ]+%", tab.inner_text("#branches")) == [
@@ -132,15 +132,17 @@ def test_memory_of_what_is_missing_is_told_and_drawn(tab, served, picture):
     loop = {"axis": "x", "position": (1e-3 * np.sin(angle)).tolist(),
             "force": (20 * np.cos(angle)).tolist()}  # fmt: skip
     told = "What is missing has memory: at mass 14 N (rms) depend on how the motion came there."
-    figure = hovering(loops({"memory": {"loops": [loop], "position_unit": "m", "unit": "N"}}))
+    figure = add_hover_text(
+        force_loops({"memory": {"loops": [loop], "position_unit": "m", "unit": "N"}})
+    )
     made = new_study(served.out, "memory", ("experiment=rotor_coastdown",))
-    folder = turn_place(served.out, made.ident, 0) / "figures"
+    folder = turn_folder(served.out, made.ident, 0) / "figures"
     folder.mkdir(parents=True)
     (folder / "memory.json").write_text(figure.to_json())
     drawn = (("memory", "A force with memory", "There and back."),)
     turn = Turn(0, "", {"test_error": 0.2}, (), verdict="no_candidate", memory=told, figures=drawn,
                 run_id="20260101-000000-abc")  # fmt: skip
-    save(served.out, replace(made, turns=(turn,), serials=1))
+    save_study(served.out, replace(made, turns=(turn,), serials=1))
     tab.goto(f"{served.address}/study/{made.ident}")
     tab.wait_for_selector("#ending:has-text('What is missing has memory')")
     tab.click(".q-tab:has-text('Missing force')")
@@ -162,7 +164,7 @@ def test_an_effect_that_was_let_go_is_no_part_of_the_model(tab, served, picture)
     made = new_study(served.out, "let go", ("experiment=rotor_coastdown",))
     turns = (turn(0, "", 0.5), turn(1, "cross_damping", 0.2),
              turn(2, "probe_turn", 0.1, ["cross_damping"]))  # fmt: skip
-    save(served.out, replace(made, turns=turns, at=2, serials=3))
+    save_study(served.out, replace(made, turns=turns, at=2, serials=3))
     tab.goto(f"{served.address}/study/{made.ident}")
     tab.wait_for_selector(".chip")
     chips = tab.eval_on_selector_all(".chip", "all => all.map(c => c.innerText)")

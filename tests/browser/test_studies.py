@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from spiral.app.study import Turn, new_study, save
+from spiral.app.study import Turn, new_study, save_study
 from tests.browser.steps import faults
 
 
@@ -22,7 +22,7 @@ def three(served):
         wrong = None if turns else {"given": "a file that is gone"}
         found.append(replace(made, turns=turns, at=max(len(turns) - 1, 0), serials=2,
                              trouble=wrong))  # fmt: skip
-        save(served.out, found[-1])
+        save_study(served.out, found[-1])
     return found
 
 

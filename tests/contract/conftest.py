@@ -13,4 +13,4 @@ def untracked(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def without_curves(monkeypatch):
-    monkeypatch.setattr(reporting, "_compared", lambda parts: {})
+    monkeypatch.setattr(reporting, "_comparisons_by_model", lambda parts: {})

@@ -14,12 +14,12 @@ import pytest
 ROOT = Path(__file__).parents[2]
 TREES = ("spiral", "plugins", "experiments")
 FUNCTION_LINES = 40
-FILE_LINES = 400
+FILE_LINES = 500
 
 LONG_FUNCTIONS = {
     # One compiled loop over windows, samples, substeps and stages: its work arrays live across all
     # of them, and a call per stage would hand over a dozen arrays each time.
-    ("spiral/engine/kernel.py", "advance"),
+    ("spiral/engine/kernel.py", "advance_windows"),
 }
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef

@@ -8,7 +8,7 @@ import pytest
 import spiral.inference.compare
 from spiral.cli import main
 from spiral.types.run import ChannelError, Comparison
-from spiral.view.terminal.sweep import columns_of, duration
+from spiral.view.terminal.sweep import format_duration, swept_columns
 
 EMBEDDED = ("experiment=rotor_coastdown", "record.duration=0.2", "test.duration=0.2")
 SIMULATED = (
@@ -92,15 +92,15 @@ def test_what_differs_becomes_columns():
         ("system=a", "record.seed=0", "holdout=0.2"),
         ("system=a", "record.seed=1", "holdout=0.2"),
     ]
-    assert columns_of(jobs) == (("record.seed",), ("system=a", "holdout=0.2"))
-    assert columns_of(jobs[:1]) == ((), jobs[0])
+    assert swept_columns(jobs) == (("record.seed",), ("system=a", "holdout=0.2"))
+    assert swept_columns(jobs[:1]) == ((), jobs[0])
 
 
 @pytest.mark.parametrize(
     ("seconds", "words"), [(4.4, "4 s"), (185, "3 min 05 s"), (7800, "2 h 10 min")]
 )
 def test_durations_in_words(seconds, words):
-    assert duration(seconds) == words
+    assert format_duration(seconds) == words
 
 
 @pytest.mark.parametrize("width", [80, 120])

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from spiral.commands.perform import in_worker
+from spiral.commands.perform import perform_sweep_job
 from spiral.io.registry import load_registry
-from spiral.io.sweeps.jobs import planned
+from spiral.io.sweeps.jobs import plan_sweep
 from spiral.io.sweeps.sweep import run_sweep
 from spiral.io.sweeps.tracker import SweepTracker
-from spiral.io.tracking.store import Tracking, opened
+from spiral.io.tracking.store import Tracking, open_store
 from tests.sweep_jobs import RECORD, without_clock
 
 SEEDS = range(8)
@@ -28,21 +28,21 @@ def untracked():
 def swept(registry, out, n_jobs, told):
     """The sweep, told to a database that is made by its first row."""
     words = [*RECORD, f"record.seed=range(0,{len(SEEDS)})", "candidates=[cubic_stiffness]"]
-    plan = planned("discover", (), [*words, f"out={out}", f"n_jobs={n_jobs}"], None, registry)
+    plan = plan_sweep("discover", (), [*words, f"out={out}", f"n_jobs={n_jobs}"], None, registry)
     tracker = SweepTracker(TRACKING, out, lambda message: None)
 
     def on_row(*row):
         told.append(row)
         tracker.on_row(*row)
 
-    sweep = run_sweep(in_worker, plan, on_row=on_row)
+    sweep = run_sweep(perform_sweep_job, plan, on_row=on_row)
     assert tracker.finish().failure is None
     return sweep
 
 
 def in_mlflow(out, sweep):
     """Seed -> (saved run, test error, rounds) of every study that MLflow knows."""
-    with opened(TRACKING, out) as store:
+    with open_store(TRACKING, out) as store:
         found = store.client.search_runs([store.experiment], max_results=1000)
         parents = {r.info.run_id: r for r in found if "spiral.run_id" in r.data.tags}
         rounds = [r.data.tags.get("mlflow.parentRunId") for r in found]

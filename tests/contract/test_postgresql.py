@@ -22,13 +22,13 @@ from pathlib import Path
 
 import pytest
 
-from spiral.commands.perform import in_worker
+from spiral.commands.perform import perform_sweep_job
 from spiral.io.registry import load_registry
 from spiral.io.storage import FILE, run_ids
-from spiral.io.sweeps.jobs import planned
+from spiral.io.sweeps.jobs import plan_sweep
 from spiral.io.sweeps.sweep import run_sweep
 from spiral.io.sweeps.tracker import SweepTracker
-from spiral.io.tracking.store import Tracking, opened
+from spiral.io.tracking.store import Tracking, open_store
 from spiral.io.tracking.track import MARK, track
 from tests.dask_cluster import dask_cluster
 from tests.sweep_jobs import RECORD, value_of
@@ -118,7 +118,7 @@ def server(database, tmp_path):
 def one(out, seed, uri):
     """A run by a process of its own, told to the server; what became of the telling."""
     words = (*RECORD, f"record.seed={seed}", f"out={out}", "curves=false")
-    code, result = in_worker("compare", (), words, None)
+    code, result = perform_sweep_job("compare", (), words, None)
     assert code == 0
     return track(Tracking(uri=uri, model=False), out, (result["run_id"],)).failure
 
@@ -142,7 +142,7 @@ def test_no_run_is_lost_or_mixed_though_the_server_dies_in_between(server, tmp_p
 
 def known(tracking, folders):
     """How many saved runs the server knows: each once, finished, with the figures of its file."""
-    with opened(tracking, folders[0].parent) as store:
+    with open_store(tracking, folders[0].parent) as store:
         found = store.client.search_runs([store.experiment], max_results=1000)
     parents = {r.data.tags["spiral.run_id"]: r for r in found if "spiral.run_id" in r.data.tags}
     assert set(parents) == {folder.name for folder in folders}
@@ -167,7 +167,7 @@ def test_no_run_is_lost_or_mixed_though_a_dask_worker_dies(server, tmp_path):
     seeds = f"record.seed=range(0,{RUNS})"
     with dask_cluster(tmp_path, workers=4) as (address, _):
         where = ("sweep.backend=dask", f"sweep.address={address}", f"out={tmp_path / 'out'}")
-        plan = planned("compare", (), [*RECORD, seeds, *where], None, load_registry(local=False))
+        plan = plan_sweep("compare", (), [*RECORD, seeds, *where], None, load_registry(local=False))
         with distributed.Client(address, set_as_default=False) as client:
             client.wait_for_workers(4, timeout=60)
             processes = set(client.run(os.getpid).values())
@@ -180,7 +180,7 @@ def test_no_run_is_lost_or_mixed_though_a_dask_worker_dies(server, tmp_path):
                 os.kill(max(processes), signal.SIGKILL)
             told.on_row(sweep, number, row)
 
-        sweep = run_sweep(in_worker, plan, print, on_row=on_row)
+        sweep = run_sweep(perform_sweep_job, plan, print, on_row=on_row)
         assert told.finish().failure is None
     assert len(processes) == 4
     assert sweep.exit == 0

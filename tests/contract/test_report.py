@@ -12,9 +12,9 @@ from spiral.cli import main
 from spiral.io.curves import FILE, read_curves
 from spiral.io.storage import load_run, read_run
 from spiral.view.report.evidence import error_falling
-from spiral.view.report.pictures import browser, picture
-from spiral.view.report.style import scaled, thinned
-from spiral.view.terminal.shell import word as shell_word
+from spiral.view.report.pictures import find_browser, write_png
+from spiral.view.report.style import scale_to_prefix, thin_curve
+from spiral.view.terminal.shell import quote_word as shell_word
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
          "candidates=[cross_stiffness,cubic_stiffness,gyroscopic,rub]",
@@ -160,7 +160,7 @@ def test_thinning_keeps_every_peak_of_a_million_samples():
     rng = np.random.default_rng(0)
     x, y = np.arange(1_000_000) * 1e-3, rng.normal(size=1_000_000)
     y[[0, 123_456, 777_777]] = 0.0, 40.0, -50.0
-    thin_x, thin_y = thinned(x, y, 3000)
+    thin_x, thin_y = thin_curve(x, y, 3000)
     assert len(thin_x) <= 3002
     assert np.all(np.diff(thin_x) > 0)
     assert (thin_y.max(), thin_y.min()) == (40.0, -50.0)
@@ -173,12 +173,12 @@ def test_thinning_keeps_every_peak_of_a_million_samples():
      ("1/s^2", 8e3, (1.0, "1/s²")), ("1", 3.0, (1.0, ""))],
 )  # fmt: skip
 def test_units_are_scaled_to_be_read(unit, largest, expected):
-    factor, text = scaled(unit, np.array([-largest, 0.0, np.nan]))
+    factor, text = scale_to_prefix(unit, np.array([-largest, 0.0, np.nan]))
     assert (factor, text) == (pytest.approx(expected[0]), expected[1])
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(browser() is None, reason="no browser that runs without a window")
+@pytest.mark.skipif(find_browser() is None, reason="no browser that runs without a window")
 def test_a_browser_draws_it(html, tmp_path):
-    file = picture(html, tmp_path / "report.png", 1000, 2400)
+    file = write_png(html, tmp_path / "report.png", 1000, 2400)
     assert file.stat().st_size > 50_000

@@ -14,8 +14,15 @@ from spiral.cli import main
 from spiral.commands import telling
 from spiral.io.storage import FILE, load_run, read_run, run_ids
 from spiral.io.tracking import background
-from spiral.io.tracking.content import metric_name, parameters
-from spiral.io.tracking.store import URI_VARIABLE, Store, Tracking, import_mlflow, in_force, opened
+from spiral.io.tracking.content import flat_parameters, metric_name
+from spiral.io.tracking.store import (
+    URI_VARIABLE,
+    Store,
+    Tracking,
+    import_mlflow,
+    open_store,
+    use_store,
+)
 from spiral.io.tracking.track import MARK, Failed, track
 from tests.sweep_jobs import RECORD
 
@@ -130,7 +137,7 @@ def test_the_served_model_predicts_a_new_record(client, parent, place, result):
     test = problem.test[0]
     table = pd.DataFrame({"t": test.time, **test.channels, **test.inputs})
     uri = f"sqlite:///{place / 'runs' / 'mlflow.db'}"
-    with in_force(Store(client, parent.info.experiment_id, uri)):
+    with use_store(Store(client, parent.info.experiment_id, uri)):
         model = mlflow.pyfunc.load_model(f"runs:/{parent.info.run_id}/model")
     predicted = model.predict(table, params={"settle": 0.4})
     first = round(0.4 / test.dt)
@@ -178,7 +185,7 @@ def copy_of(place, result, folder):
 
 def test_a_locked_database_is_said_and_caught_up_by_the_next_start(place, result, tmp_path):
     out = copy_of(place, result, tmp_path)
-    with opened(Tracking(model=False), out):
+    with open_store(Tracking(model=False), out):
         pass  # made and migrated
     lock = sqlite3.connect(out / "mlflow.db", isolation_level=None)
     lock.execute("BEGIN EXCLUSIVE")
@@ -223,7 +230,7 @@ def test_a_process_of_its_own_tells_mlflow_and_the_next_command_what_it_could_no
     """A server that is down: said by the next command, whose process tells both runs."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(background.WAIT_VARIABLE)
-    monkeypatch.setattr(telling, "_in_the_foreground", None)
+    monkeypatch.setattr(telling, "_log_in_foreground", None)
     # A file of the folder that a command is called in is no module of the process.
     (tmp_path / "mlflow.py").write_text("raise RuntimeError('it ran')")
     words = ["compare", *RECORD, "strategy=shooting", "tracking.model=false"]
@@ -242,15 +249,15 @@ def test_a_process_of_its_own_tells_mlflow_and_the_next_command_what_it_could_no
 
 def test_what_a_failure_says_is_one_plain_line(tmp_path):
     """The folder of runs may be anyone's."""
-    assert background.last_failure(tmp_path) == ""
+    assert background.take_last_failure(tmp_path) == ""
     said = json.dumps({"failure": "\x1b[31mred\n\nline" + "x" * 10_000})
     (tmp_path / background.FAILURE).write_text(said)
-    assert background.last_failure(tmp_path)[:20] == "[31mred linexxxxxxxx"
+    assert background.take_last_failure(tmp_path)[:20] == "[31mred linexxxxxxxx"
     (tmp_path / background.FAILURE).write_text(said[:1000])
-    assert background.last_failure(tmp_path) == ""
+    assert background.take_last_failure(tmp_path) == ""
     (tmp_path / background.FAILURE).unlink()
     (tmp_path / background.FAILURE).symlink_to(Path(__file__))
-    assert background.last_failure(tmp_path) == ""
+    assert background.take_last_failure(tmp_path) == ""
 
 
 def test_runs_saved_after_an_order_are_left_to_their_own_commands(place, result, tmp_path):
@@ -281,13 +288,13 @@ def test_a_failed_job_is_a_failed_run_and_told_again_is_still_one(tmp_path):
 def test_a_password_is_never_shown():
     store = Tracking(uri="postgresql+psycopg://me:secret@db.example:5432/mlflow")
     assert "secret" not in store.page("runs")
-    assert store.where("runs").count("secret") == 1
+    assert store.resolve_uri("runs").count("secret") == 1
     assert "me:***@db.example:5432/mlflow" in store.page("runs")
 
 
 def test_names_and_values_fit_every_store():
     assert metric_name("t.cubic_stiffness@bearing_2.k") == "t.cubic_stiffness:bearing_2.k"
-    flat = parameters({"a": {"b": [1, 2], "c": None}, "d": "x" * 9000})
+    flat = flat_parameters({"a": {"b": [1, 2], "c": None}, "d": "x" * 9000})
     assert flat["a.b"] == "[1, 2]"
     assert set(flat) == {"a.b", "d"}
     assert len(flat["d"]) == 5000
@@ -304,7 +311,7 @@ def test_figures_of_a_filter_are_metrics_beside_the_static_map(tmp_path, monkeyp
     words = ["estimate", "experiment=rotor_coastdown", "system=tilting_rotor", "record.duration=2"]
     assert main([*words, "tracking.model=false", "--json", "found.json"]) == 0
     found = json.loads((tmp_path / "found.json").read_text())
-    with opened(Tracking(), tmp_path / "runs") as store:
+    with open_store(Tracking(), tmp_path / "runs") as store:
         run = only(store.client, f"tags.`spiral.run_id` = '{found['run_id']}'")
     for name in ("alpha", "beta"):
         assert run.data.metrics[f"relative.{name}"] == found["states"][name]["relative"]

@@ -14,7 +14,7 @@ import pytest
 from spiral.cli import main
 from spiral.inference.discover import Checkpoint, discover
 from spiral.io import checkpoint, storage
-from spiral.io.checkpoint import FILE, FOLDER, Keeper, fingerprint, keeper
+from spiral.io.checkpoint import FILE, FOLDER, Keeper, checkpoint_keeper, study_fingerprint
 from spiral.io.config import build_problem, compose
 from spiral.io.registry import load_registry
 from spiral.io.writing import to_json
@@ -52,39 +52,39 @@ def test_a_study_taken_up_ends_as_if_it_had_never_stopped(study, tmp_path):
     assert [len(c.rounds) for c in kept] == [1, 2, 3, 4]
     for number in (1, 2):
         other = Keeper(tmp_path / str(number), REGISTRY)
-        other.keep(kept[number])
-        taken_up = other.last()
+        other.write(kept[number])
+        taken_up = other.read_last()
         assert taken_up is not None
         assert as_json(discover(problem, resume=taken_up)) == as_json(run)
 
 
 def test_only_the_same_study_is_taken_up(study):
     config, problem, _, _ = study
-    own = fingerprint(config, problem, REGISTRY)
-    assert fingerprint({**config, "out": "elsewhere", "n_jobs": 1}, problem, REGISTRY) == own
+    own = study_fingerprint(config, problem, REGISTRY)
+    assert study_fingerprint({**config, "out": "elsewhere", "n_jobs": 1}, problem, REGISTRY) == own
     settings = {**config["settings"], "level": 0.02}
-    assert fingerprint({**config, "settings": settings}, problem, REGISTRY) != own
+    assert study_fingerprint({**config, "settings": settings}, problem, REGISTRY) != own
     shorter = replace(problem, records=(problem.records[0].part(0, 700, "shorter"),))
-    assert fingerprint(config, shorter, REGISTRY) != own
+    assert study_fingerprint(config, shorter, REGISTRY) != own
 
 
 def test_a_damaged_checkpoint_is_no_checkpoint(study, tmp_path):
     other = Keeper(tmp_path, REGISTRY)
-    other.keep(study[3][0])
+    other.write(study[3][0])
     text = (tmp_path / FILE).read_text()
     (tmp_path / FILE).write_text(text[: len(text) // 2])
-    assert other.last() is None
+    assert other.read_last() is None
 
 
 def test_a_twin_that_runs_at_the_same_time_keeps_nothing(study, tmp_path):
     config, problem, _, kept = study
-    with keeper(config, problem, REGISTRY, tmp_path) as first:
-        first.keep(kept[0])
-        with keeper(config, problem, REGISTRY, tmp_path) as second:
-            assert second.last() is None
-            second.keep(kept[1])
-        assert len(first.last().rounds) == 1
-        first.done()
+    with checkpoint_keeper(config, problem, REGISTRY, tmp_path) as first:
+        first.write(kept[0])
+        with checkpoint_keeper(config, problem, REGISTRY, tmp_path) as second:
+            assert second.read_last() is None
+            second.write(kept[1])
+        assert len(first.read_last().rounds) == 1
+        first.remove()
     assert not (tmp_path / FOLDER).exists()
 
 
@@ -93,11 +93,11 @@ def test_a_full_disk_is_said_and_what_was_written_stays(study, tmp_path, monkeyp
         raise OSError(28, "No space left on device")
 
     other = Keeper(tmp_path, REGISTRY)
-    other.keep(study[3][0])
+    other.write(study[3][0])
     monkeypatch.setattr(checkpoint, "write_whole", full)
     with pytest.raises(InputError, match="No space left"):
-        other.keep(study[3][1])
-    assert len(other.last().rounds) == 1
+        other.write(study[3][1])
+    assert len(other.read_last().rounds) == 1
 
 
 def test_killed_in_the_middle_and_started_again(study, tmp_path, monkeypatch, capsys):

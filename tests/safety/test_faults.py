@@ -19,12 +19,12 @@ import numpy as np
 import pytest
 
 from spiral.app.processes import Process
-from spiral.app.serve import alone
-from spiral.app.study import load, new_study, turn_place
+from spiral.app.serve import lock_folder
+from spiral.app.study import load_study, new_study, turn_folder
 from spiral.io.checkpoint import FILE as CHECKPOINT
 from spiral.io.checkpoint import FOLDER
 from spiral.io.storage import FILE, run_ids
-from spiral.io.tracking.store import Tracking, opened
+from spiral.io.tracking.store import Tracking, open_store
 from spiral.io.tracking.track import MARK
 from spiral.types.errors import ConfigError, InputError
 from tests.sweep_jobs import RECORD, without_clock
@@ -91,8 +91,8 @@ def test_the_pages_worker_killed_at_random_moments_costs_its_step_alone(tmp_path
         assert ended()[0] == "done"
     finally:
         process.close()
-    assert load(tmp_path, study.ident).title == "a study"
-    assert not list(turn_place(tmp_path, study.ident, 0).rglob("*.tmp"))
+    assert load_study(tmp_path, study.ident).title == "a study"
+    assert not list(turn_folder(tmp_path, study.ident, 0).rglob("*.tmp"))
 
 
 def answer(done, place):
@@ -105,7 +105,7 @@ def answer(done, place):
 def told_once(folder):
     """MLflow knows every saved run, once, and as finished."""
     runs = run_ids(folder)
-    with opened(Tracking(model=False), folder) as store:
+    with open_store(Tracking(model=False), folder) as store:
         found = store.client.search_runs([store.experiment], max_results=1000)
     parents = [r.data.tags["spiral.run_id"] for r in found if "spiral.run_id" in r.data.tags]
     assert sorted(parents) == sorted(runs)
@@ -289,13 +289,17 @@ def test_a_record_that_changes_while_a_study_runs_is_told_apart_by_its_hash(tmp_
 
 
 def test_a_second_page_on_one_folder_is_refused(tmp_path):
-    with alone(tmp_path), pytest.raises(ConfigError, match="a second page"), alone(tmp_path):
+    with (
+        lock_folder(tmp_path),
+        pytest.raises(ConfigError, match="a second page"),
+        lock_folder(tmp_path),
+    ):
         raise AssertionError
-    with alone(tmp_path):  # the first has ended
+    with lock_folder(tmp_path):  # the first has ended
         pass
 
 
 def test_a_page_on_a_folder_that_cannot_be_made_is_one_message(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="folder of runs"), alone(tmp_path / "file" / "runs"):
+    with pytest.raises(InputError, match="folder of runs"), lock_folder(tmp_path / "file" / "runs"):
         raise AssertionError

@@ -13,7 +13,7 @@ import scipy.io
 
 from spiral.io.readers import containers
 from spiral.io.readers.limits import within_seconds
-from spiral.io.readers.matrices import matrices_of
+from spiral.io.readers.matrices import read_matrices
 from spiral.io.readers.readers import read_table
 from spiral.types.errors import InputError, SpiralError
 from tests.safety.conftest import flood
@@ -115,7 +115,7 @@ HOSTILE = {
 def used(file):
     """What is done with a file: its matrix, or its columns and the numbers of the first."""
     if file.suffix == ".mtx":
-        return matrices_of({"M": str(file), "K": str(file)})
+        return read_matrices({"M": str(file), "K": str(file)})
     table = read_table(str(file))
     rows = table.rows({"record.time": table.columns[0]})
     return table.column(table.columns[0], "record.time", 0, rows, missing=True)

@@ -10,7 +10,7 @@ from spiral.io import curves, run_id
 from spiral.io.curves import Curves, write_curves
 from spiral.io.storage import load_run, run_ids
 from spiral.io.tracking import store
-from spiral.io.tracking.store import Tracking, opened
+from spiral.io.tracking.store import Tracking, open_store
 from spiral.types.errors import InputError
 from tests.safety.conftest import saved
 
@@ -31,7 +31,7 @@ def test_a_server_that_does_not_run_is_tried_once_and_shortly(tmp_path):
     began = time.monotonic()
     with (
         pytest.raises(InputError, match="no answer from http://127"),
-        opened(Tracking(uri="http://127.0.0.1:9"), tmp_path),
+        open_store(Tracking(uri="http://127.0.0.1:9"), tmp_path),
     ):
         raise AssertionError
     assert time.monotonic() - began < 20  # importing MLflow takes most of it
@@ -45,10 +45,10 @@ def test_a_database_of_mlflow_is_made_whole_or_not_at_all(tmp_path, monkeypatch)
 
     with monkeypatch.context() as patch:
         patch.setattr(store.os, "replace", full)
-        with pytest.raises(OSError, match="No space left"), opened(Tracking(), tmp_path):
+        with pytest.raises(OSError, match="No space left"), open_store(Tracking(), tmp_path):
             raise AssertionError
     assert [p.name for p in tmp_path.iterdir()] == [store.LOCK]
-    with opened(Tracking(), tmp_path) as found:
+    with open_store(Tracking(), tmp_path) as found:
         assert found.client.get_experiment(found.experiment).name == "spiral"
 
 

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from spiral.io.config import compose
-from spiral.io.overrides import parse
+from spiral.io.overrides import parse_overrides
 from spiral.io.readers.readers import read_table
 from spiral.io.registry import load_registry
 from spiral.types.errors import SpiralError
@@ -33,7 +33,7 @@ FILE = "file:"  # an address of the disk
 def test_what_is_no_override_is_refused_at_once(given):
     began = time.monotonic()
     with pytest.raises(SpiralError) as caught:
-        parse((given,))
+        parse_overrides((given,))
     assert len(str(caught.value)) < 2000
     assert time.monotonic() - began < 10
 

@@ -76,12 +76,12 @@ def test_reading_is_cancelled_and_the_next_file_is_read(page, large, tmp_path):
 def test_every_order_about_a_file_has_its_limits_and_a_cancelled_one_says_so(tmp_path):
     orders = []
     setups = FileSetup(tmp_path, orders.append, lambda ident: None, None, threading.RLock())
-    setup = setups.begin("a.csv")
+    setup = setups.create_setup("a.csv")
     Path(setup.path).write_bytes(bytes(10**6))
-    setups.arrived(setup)
+    setups.read_arrived_file(setup)
     assert orders[0]["seconds"] == 31.0  # and so a small hostile file takes 30 s at most
     assert orders[0]["memory"] == 1_512_000_000  # beside half a GB of the process itself
     setups.on_event(orders[0], "cancelled", {})
-    assert "Cancelled: reading the file" in setups.look(setup.ident).setup.trouble["given"]
-    assert setups.look(setup.ident).busy == ""
-    assert kept.load(tmp_path, setup.ident).trouble is not None
+    assert "Cancelled: reading the file" in setups.current_file(setup.ident).setup.trouble["given"]
+    assert setups.current_file(setup.ident).busy == ""
+    assert kept.load_setup(tmp_path, setup.ident).trouble is not None

@@ -14,9 +14,9 @@ from spiral.io.config import build_system
 from spiral.io.curves import FILE as CURVES
 from spiral.io.curves import read_curves
 from spiral.io.registry import load_registry
-from spiral.io.request import Request, configured
+from spiral.io.request import Request, compose_request
 from spiral.io.storage import FILE, load_run, read_run, run_ids
-from spiral.io.tracking.store import Tracking, import_mlflow, opened
+from spiral.io.tracking.store import Tracking, import_mlflow, open_store
 from spiral.io.tracking.track import track
 from spiral.types.errors import ConfigError, InputError
 from tests.safety.conftest import saved
@@ -35,7 +35,7 @@ EVIL_FMU = """<?xml version="1.0" encoding="UTF-8"?>
 def empty_store(tmp_path_factory):
     """A store that was made and migrated, to be copied."""
     folder = tmp_path_factory.mktemp("store")
-    with opened(Tracking(experiment="another"), folder):
+    with open_store(Tracking(experiment="another"), folder):
         pass
     return folder / "mlflow.db"
 
@@ -113,7 +113,7 @@ def test_a_program_that_a_run_names_is_not_run(question, out, tmp_path, trace):
     registry = load_registry()
     with pytest.raises(ConfigError, match="runs with your rights"):
         load_run("latest", out).model(registry)
-    config = configured(Request("compare", (), ("run=latest", f"out={out}")), registry)
+    config = compose_request(Request("compare", (), ("run=latest", f"out={out}")), registry)
     with pytest.raises(ConfigError, match="runs with your rights"):
         build_system(config, registry)
     assert track(Tracking(), out).failure is None
@@ -177,12 +177,12 @@ def test_the_tracking_of_a_saved_run_is_not_obeyed(question, out, tmp_path):
             "sweep": {"backend": "dask", "address": "tcp://evil.example:8786"}}  # fmt: skip
     changed(folder, config=evil)
     registry = load_registry(local=False)
-    config = configured(Request("compare", overrides=("run=latest",)), registry)
+    config = compose_request(Request("compare", overrides=("run=latest",)), registry)
     assert config["tracking"]["uri"] is None
     assert config["out"] == "runs"
     assert "evil.example" not in json.dumps(config, default=str)
     own = ("run=latest", "tracking.uri=sqlite:///mine.db", "out=runs")
-    config = configured(Request("compare", overrides=own), registry)
+    config = compose_request(Request("compare", overrides=own), registry)
     assert config["tracking"]["uri"] == "sqlite:///mine.db"
 
 

@@ -11,7 +11,7 @@ from spiral.app import panels, unseen
 from spiral.app import record_setup as drafts
 from spiral.app import session as sessions
 from spiral.app import study as kept
-from spiral.app.downloads import routes, written
+from spiral.app.downloads import add_download_routes, write_download
 from spiral.app.run_writer import RunWriter
 from spiral.app.session import Session
 from spiral.app.study import Turn
@@ -21,7 +21,7 @@ from spiral.io.tracking.track import Tracked
 from spiral.types.errors import ConfigError, InputError
 from spiral.view.report import evidence, text
 from spiral.view.report.markup import safe_mathml
-from spiral.view.report.page import Shown, single
+from spiral.view.report.page import Shown, single_figure_page
 from tests.exported import REGISTRY, machine_of
 from tests.unit.test_session import Idle
 
@@ -62,7 +62,7 @@ def ident(session):
 
 def rewritten(session, ident, /, **values):
     """The study as somebody else's file has it, in a page that starts anew."""
-    file = kept.place(session.out, ident) / kept.FILE
+    file = kept.study_folder(session.out, ident) / kept.FILE
     file.write_text(json.dumps({**json.loads(file.read_text()), **values}))
     return Session(session.out, session.plugins)
 
@@ -113,11 +113,11 @@ def test_a_study_of_other_types_hides_no_other(session, ident, values):
 
 @pytest.mark.hostile("study folders")
 def test_a_study_that_is_a_link_elsewhere_is_not_read(session, ident, tmp_path):
-    file = kept.place(session.out, ident) / kept.FILE
+    file = kept.study_folder(session.out, ident) / kept.FILE
     file.rename(tmp_path / "study.json")
     file.symlink_to(tmp_path / "study.json")
     with pytest.raises(InputError, match="link out of its folder"):
-        kept.load(session.out, ident)
+        kept.load_study(session.out, ident)
 
 
 @pytest.mark.hostile("study folders")
@@ -127,7 +127,7 @@ def test_only_files_of_a_run_are_taken_away(session, ident, tmp_path, run_id):
     (tmp_path.parent / "secret" / "run.json").write_text("{}")
     again = rewritten(session, ident, turns=[plain_turn(run_id=run_id)])
     with pytest.raises(ConfigError):
-        written(again, ident, 0, "run.json")
+        write_download(again, ident, 0, "run.json")
 
 
 @pytest.mark.hostile("study folders")
@@ -138,7 +138,7 @@ def test_a_link_among_a_runs_files_is_not_taken_away(session, ident, tmp_path):
     (run / "run.json").symlink_to(tmp_path / "secret")
     again = rewritten(session, ident, turns=[plain_turn(run_id=run.name)])
     with pytest.raises(InputError, match="link out of its folder"):
-        written(again, ident, 0, "run.json")
+        write_download(again, ident, 0, "run.json")
 
 
 @pytest.mark.hostile("study folders")
@@ -151,7 +151,7 @@ def test_a_program_that_lies_in_a_runs_folder_is_not_taken_away(session, ident, 
     run_id = save_result("discover", {}, model, {}, {}, REGISTRY, session.out)
     (run_folder(session.out, run_id) / name).write_text("<script>a-planted-program</script>")
     again = rewritten(session, ident, turns=[plain_turn(run_id=run_id)])
-    text = written(again, ident, 0, name).read_text()
+    text = write_download(again, ident, 0, name).read_text()
     assert "a-planted-program" not in text
     assert own in text
 
@@ -178,7 +178,7 @@ def test_mlflow_opens_the_pages_own_store(session, ident, monkeypatch, tracked, 
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     turn = {**plain_turn(run_id="r", tracked=tracked), "store": "http://evil.example"}
     again, viewer, web = rewritten(session, ident, turns=[turn]), Asked(), FastAPI()
-    routes(web, again, viewer)
+    add_download_routes(web, again, viewer)
     answer = TestClient(web).get(f"/mlflow/{ident}/0", follow_redirects=False)
     assert answer.status_code == (307 if opened else 404)
     assert viewer.stores == (f"sqlite:///{session.out / 'mlflow.db'}",) * opened
@@ -203,15 +203,15 @@ def test_an_address_of_mlflow_typed_on_the_page_is_refused_in_words(session):
 
 
 def test_a_draft_is_called_by_its_folder_and_checked_by_type(tmp_path):
-    draft = drafts.begun(tmp_path, "a.csv")
-    drafts.save(tmp_path, draft)
-    assert drafts.load(tmp_path, draft.ident) == draft
-    file = drafts.place(tmp_path, draft.ident) / drafts.FILE
+    draft = drafts.new_setup(tmp_path, "a.csv")
+    drafts.save_setup(tmp_path, draft)
+    assert drafts.load_setup(tmp_path, draft.ident) == draft
+    file = drafts.setup_folder(tmp_path, draft.ident) / drafts.FILE
     file.write_text(json.dumps({**asdict(draft), "ident": "../.."}))
-    assert drafts.load(tmp_path, draft.ident).ident == draft.ident
+    assert drafts.load_setup(tmp_path, draft.ident).ident == draft.ident
     file.write_text(json.dumps({**asdict(draft), "columns": "x"}))
     with pytest.raises(ConfigError):
-        drafts.load(tmp_path, draft.ident)
+        drafts.load_setup(tmp_path, draft.ident)
 
 
 # --- texts ---------------------------------------------------------------------------------------
@@ -269,23 +269,36 @@ def shown():
     records = ({"part": EVIL, "samples": 3, "rate": 1.0, "series": [series]},)
     candidate = RESULT["suggestions"][0]
     return {
-        "headline": panels.headline(study), "chips": panels.chips(study),
-        "ending": panels.ending(study, turn), "astray": panels.astray(replace(turn, result={})),
-        "channels": panels.channels(turn, {EVIL: EVIL}), "model": panels.model(turn),
-        "candidate": panels.candidate(candidate), "evidence": panels.evidence(candidate),
-        "alike": panels.alike([EVIL]), "trouble": panels.trouble(study.trouble),
-        "contrast": panels.contrast([{**RESULT["rounds"][0], "effect": EVIL, "unseen": []}], 64),
-        "order": panels.order(replace(turn, proposed=("b",), candidates=(
-            candidate, {**candidate, "effect": "b"}))),
-        "proposal": panels.proposal(turn)[0],
-        "step": unseen.step(replace(turn, result={"changes": CHANGES})),
-        "records": panels.records(records), "meaning": panels.meaning(f"{EVIL}: a = {EVIL}"),
-        "header": text.header(SAVED, Told), "data": text.data(SAVED),
-        "sentences": text.sentences(Told), "suggested": text.suggested(SAVED),
-        "ranked": text.suggested({**SAVED, "result": {**RESULT, "rounds": []}}),
-        "equation": text.model(SAVED, Told), "errors": text.errors(SAVED, Told),
-        "caveats": text.caveats(SAVED, Told), "reproduce": text.reproduce(SAVED),
-    }  # fmt: skip
+        "headline": panels.headline(study),
+        "chips": panels.effect_chips(study),
+        "ending": panels.ending_message(study, turn),
+        "astray": panels.divergence_warning(replace(turn, result={})),
+        "channels": panels.channel_error_table(turn, {EVIL: EVIL}),
+        "model": panels.model_table(turn),
+        "candidate": panels.candidate_title(candidate),
+        "evidence": panels.candidate_evidence(candidate),
+        "alike": panels.indistinguishable_note([EVIL]),
+        "trouble": panels.error_message(study.trouble),
+        "contrast": panels.contrast_table(
+            [{**RESULT["rounds"][0], "effect": EVIL, "unseen": []}], 64
+        ),
+        "order": panels.ranking_order_note(
+            replace(turn, proposed=("b",), candidates=(candidate, {**candidate, "effect": "b"}))
+        ),
+        "proposal": panels.proposal_message(turn)[0],
+        "step": unseen.worse_step_note(replace(turn, result={"changes": CHANGES})),
+        "records": panels.records_table(records),
+        "meaning": panels.effect_meaning(f"{EVIL}: a = {EVIL}"),
+        "header": text.report_header(SAVED, Told),
+        "data": text.data_section(SAVED),
+        "sentences": text.where_sentences(Told),
+        "suggested": text.rounds_or_suggestions(SAVED),
+        "ranked": text.rounds_or_suggestions({**SAVED, "result": {**RESULT, "rounds": []}}),
+        "equation": text.model_section(SAVED, Told),
+        "errors": text.error_table(SAVED, Told),
+        "caveats": text.caveat_section(SAVED, Told),
+        "reproduce": text.reproduction_section(SAVED),
+    }
 
 
 SHOWN = shown()
@@ -307,7 +320,7 @@ def test_the_texts_are_shown_at_all():
 @pytest.mark.hostile("study folders")
 def test_a_text_inside_a_figure_ends_no_script():
     figure = evidence.error_falling(RESULT)
-    html = single(Shown(EVIL[:3], EVIL, EVIL, figure))
+    html = single_figure_page(Shown(EVIL[:3], EVIL, EVIL, figure))
     inside = html.rpartition("<body>")[2]
     assert "alert(2)" in inside
     assert "<script>alert(2)" not in inside

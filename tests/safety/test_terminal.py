@@ -18,7 +18,7 @@ from spiral.io.writing import write_whole
 from spiral.types import kernel_cache
 from spiral.types.errors import InputError
 from spiral.types.masking import without_passwords
-from spiral.view.terminal.parts import command
+from spiral.view.terminal.parts import request_command
 
 SPIRAL = [sys.executable, "-m", "spiral"]
 
@@ -54,9 +54,9 @@ def test_no_password_is_printed_or_saved(question, tmp_path):
     text = (tmp_path / run / "run.json").read_text()
     assert "hush" not in text
     assert json.loads(text)["overrides"][1] == "holdout=0.3"
-    assert "hush" not in command("compare", Request("compare", overrides=given))
+    assert "hush" not in request_command("compare", Request("compare", overrides=given))
     assert "hush" not in Tracking(uri=URI).page("runs")
-    assert Tracking(uri=URI).where("runs") == URI  # what is used is whole
+    assert Tracking(uri=URI).resolve_uri("runs") == URI  # what is used is whole
 
 
 def test_mlflows_page_is_given_the_password_where_no_list_of_processes_shows_it(monkeypatch):
@@ -139,7 +139,7 @@ def test_memory_that_runs_out_later_is_one_message(monkeypatch, capsys):
 
 def test_kernels_are_kept_where_nobody_else_can_write(tmp_path, monkeypatch):
     """Neither the package nor the home can be written: Numba ended in a traceback."""
-    monkeypatch.setattr(kernel_cache, "_can_be_written", lambda folder: False)
+    monkeypatch.setattr(kernel_cache, "_is_writable", lambda folder: False)
     monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.delenv(kernel_cache.VARIABLE, raising=False)
     kernel_cache.provide(tmp_path)
@@ -159,7 +159,7 @@ def test_kernels_are_kept_where_nobody_else_can_write(tmp_path, monkeypatch):
 
 
 def test_a_users_own_choice_of_a_cache_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(kernel_cache, "_can_be_written", lambda folder: False)
+    monkeypatch.setattr(kernel_cache, "_is_writable", lambda folder: False)
     monkeypatch.setenv(kernel_cache.VARIABLE, "own")
     kernel_cache.provide(tmp_path)
     assert os.environ[kernel_cache.VARIABLE] == "own"

@@ -6,7 +6,7 @@ import stat
 import pytest
 
 from spiral.app.guard import POLICY, Guard
-from spiral.app.serve import door, token_for
+from spiral.app.serve import redirect_file, token_for
 from spiral.types.errors import ConfigError
 from tests.loops import on_a_loop
 
@@ -142,7 +142,7 @@ def test_a_token_is_given_by_option_or_variable_or_is_random(monkeypatch):
 
 def test_the_browser_is_opened_by_a_file_of_its_owner_alone():
     """Its command line, which every user of the machine sees, holds no token."""
-    with door(f"http://127.0.0.1:{PORT}/?token={TOKEN}") as file:
+    with redirect_file(f"http://127.0.0.1:{PORT}/?token={TOKEN}") as file:
         assert TOKEN in file.read_text()
         assert TOKEN not in file.as_uri()
         folder = os.lstat(file.parent)

@@ -6,7 +6,13 @@ from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
 from spiral.inference.problem import silent
-from spiral.inference.rounds import chosen, looked, started, strategy_for, turned
+from spiral.inference.rounds import (
+    admit_step,
+    choose_candidate,
+    rank_last_round,
+    start_study,
+    strategy_for,
+)
 from spiral.physics.formulas.expression import effect_from_expression
 
 VALUES = {
@@ -41,15 +47,15 @@ def test_a_likelier_look_alike_takes_the_place_of_what_was_admitted(record):
     question = spiral.discover(record, "oscillator", candidates=CANDIDATES).question
     strategy = strategy_for(question)
     begun = strategy.begin(question, silent)
-    at, step = looked(strategy, begun.assembly, started(begun, 0.0), silent)
-    wrong = chosen(strategy, begun.assembly, at, step, "clearance")
-    at = turned(strategy, begun.assembly, at, wrong, silent)
-    at, step = looked(strategy, begun.assembly, at, silent)
+    at, step = rank_last_round(strategy, begun.assembly, start_study(begun, 0.0), silent)
+    wrong = choose_candidate(strategy, begun.assembly, at, step, "clearance")
+    at = admit_step(strategy, begun.assembly, at, wrong, silent)
+    at, step = rank_last_round(strategy, begun.assembly, at, silent)
     assert step.admitted == ("coulomb_friction",)
-    at = turned(strategy, begun.assembly, at, step, silent)
-    at, step = looked(strategy, begun.assembly, at, silent)
+    at = admit_step(strategy, begun.assembly, at, step, silent)
+    at, step = rank_last_round(strategy, begun.assembly, at, silent)
     assert step.admitted == ("cubic_stiffness",)
-    at = turned(strategy, begun.assembly, at, step, silent)
+    at = admit_step(strategy, begun.assembly, at, step, silent)
     assert at.rounds[-1].retired == ("clearance",)
     model = at.rounds[-1].comparison.model
     added = ("coulomb_friction", "cubic_stiffness")
@@ -77,13 +83,13 @@ def test_a_special_case_that_explains_as_much_takes_the_place():
     question = spiral.discover(record, sledge, candidates=candidates).question
     strategy = strategy_for(question)
     begun = strategy.begin(question, silent)
-    at, step = looked(strategy, begun.assembly, started(begun, 0.0), silent)
+    at, step = rank_last_round(strategy, begun.assembly, start_study(begun, 0.0), silent)
     assert step.admitted == ("dry_loss@v",)
-    wrong = chosen(strategy, begun.assembly, at, step, "saturating_loss@v")
-    at = turned(strategy, begun.assembly, at, wrong, silent)
-    at, step = looked(strategy, begun.assembly, at, silent)
+    wrong = choose_candidate(strategy, begun.assembly, at, step, "saturating_loss@v")
+    at = admit_step(strategy, begun.assembly, at, wrong, silent)
+    at, step = rank_last_round(strategy, begun.assembly, at, silent)
     assert step.admitted == ("dry_loss@v",)
-    level = turned(strategy, begun.assembly, at, step, silent).rounds[-1].comparison.model
+    level = admit_step(strategy, begun.assembly, at, step, silent).rounds[-1].comparison.model
     found = level.estimates()["dry_loss@v"]["level"]
     assert np.isclose(found.estimate, 0.8, atol=3 * found.se)
 
@@ -102,13 +108,13 @@ def test_one_effect_takes_the_place_of_two_that_do_the_same_with_more_numbers():
     question = spiral.discover(record, "oscillator", candidates=[*parts, bent]).question
     strategy = strategy_for(question)
     begun = strategy.begin(question, silent)
-    at, step = looked(strategy, begun.assembly, started(begun, 0.0), silent)
+    at, step = rank_last_round(strategy, begun.assembly, start_study(begun, 0.0), silent)
     for part in parts:
-        step = chosen(strategy, begun.assembly, at, step, part)
-        at = turned(strategy, begun.assembly, at, step, silent)
-        at, step = looked(strategy, begun.assembly, at, silent)
+        step = choose_candidate(strategy, begun.assembly, at, step, part)
+        at = admit_step(strategy, begun.assembly, at, step, silent)
+        at, step = rank_last_round(strategy, begun.assembly, at, silent)
     assert step.admitted == ("bent",)
-    at = turned(strategy, begun.assembly, at, step, silent)
+    at = admit_step(strategy, begun.assembly, at, step, silent)
     assert set(at.rounds[-1].retired) == set(parts)
     found = at.rounds[-1].comparison.model.estimates()["bent"]["k"]
     assert np.isclose(found.estimate, 1e9, atol=3 * found.se)

@@ -8,11 +8,11 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 import spiral
-from spiral.engine.filter.setup import prepared
-from spiral.engine.filter.task import begun_within, prepare_task
+from spiral.engine.filter.setup import prepare_filter
+from spiral.engine.filter.task import prepare_task, with_start_spread
 from spiral.engine.likelihood.noise import first_noise
-from spiral.engine.likelihood.predict import log_likelihood, predicted
-from spiral.inference.likelihood.beginnings import begun_near, closest
+from spiral.engine.likelihood.predict import log_likelihood, predict_readings
+from spiral.inference.likelihood.beginnings import likely_initial_state, set_likely_initial_state
 from spiral.types.record import make_record
 
 DT, COUNT, NOISE = 0.02, 200, 0.02
@@ -48,17 +48,22 @@ def task_of(cubic, seed=0):
 
 
 def height(task, noise):
-    return log_likelihood((predicted(*prepared(task, (), {}), noise),))
+    return log_likelihood((predict_readings(*prepare_filter(task, (), {}), noise),))
 
 
 def integral(task, noise):
     """log of the integral of p(y | x0) over first states, which may be anywhere of the motion."""
     grid = [b + w * np.linspace(-1, 1, 61) for b, w in zip(BEGUN, (0.05, 0.1), strict=True)]
     tiny = np.full(2, 1e-9)
-    each = np.array([
-        [height(begun_within(replace(task, start=np.array([x, z])), tiny), noise) for z in grid[1]]
-        for x in grid[0]
-    ])  # fmt: skip
+    each = np.array(
+        [
+            [
+                height(with_start_spread(replace(task, start=np.array([x, z])), tiny), noise)
+                for z in grid[1]
+            ]
+            for x in grid[0]
+        ]
+    )
     each -= np.log(tiny / task.scales).sum()  # p(y | x0) itself
     steps = [g[1] - g[0] for g in grid]
     area = np.exp(each - each.max()).sum() * np.prod(steps)
@@ -76,15 +81,15 @@ def test_the_likelihood_is_the_integral_over_first_states(seed):
     for z in (-1.0, 0.0, 1.0, 2.0):
         begun = replace(task, start=np.array([0.0, z]))
         wide.append(height(begun, noise))
-        near.append(height(begun_near(begun, noise), noise))
+        near.append(height(set_likely_initial_state(begun, noise), noise))
     np.testing.assert_allclose(near, exact, atol=0.6)
     assert np.min(wide) < exact - 20
 
 
 def test_a_linear_machine_begins_as_ever():
     task, noise = task_of(cubic=0.0)
-    begun = closest(task, noise)
+    begun = likely_initial_state(task, noise)
     assert begun.start is task.start
-    near = begun_within(replace(task, start=np.array(BEGUN)), np.array([0.2, 0.4]))
-    wide = begun_within(near, None)
+    near = with_start_spread(replace(task, start=np.array(BEGUN)), np.array([0.2, 0.4]))
+    wide = with_start_spread(near, None)
     assert height(near, noise) == pytest.approx(height(wide, noise), abs=0.1)

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import spiral
 from spiral.io.registry import NO_FOLDER, load_registry
-from spiral.io.storage import model_data, model_from
+from spiral.io.storage import model_data, rebuild_model
 from spiral.types.errors import ConfigError
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
@@ -92,7 +92,7 @@ def test_a_function_is_not_made_again_from_a_saved_run():
     saved = json.loads(json.dumps(model_data(seed_model(compiled_function(decides)))))
     assert saved["system"]["function"].endswith(".decides")
     with pytest.raises(ConfigError, match="which no file holds"):
-        model_from(saved, load_registry(NO_FOLDER))
+        rebuild_model(saved, load_registry(NO_FOLDER))
 
 
 def test_a_function_with_a_decision_to_a_verdict():

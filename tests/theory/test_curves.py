@@ -9,11 +9,11 @@ from spiral_plugins.strategies.likelihood import Likelihood
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 import spiral
-from spiral.inference.likelihood.candidates import from_afar
+from spiral.inference.evidence.enlarge import transfer_fit_state, with_variants
+from spiral.inference.likelihood.candidates import second_basin_candidates
 from spiral.inference.problem import Problem, silent
 from spiral.inference.simulate import simulate
-from spiral.inference.strategies.admission import _narrowed, offering
-from spiral.inference.unknown.holding import carried, with_variants
+from spiral.inference.strategies.admission import _drop_unused_variants, offer_effects
 from spiral.physics.learned import LEVELS, basis
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
@@ -149,14 +149,16 @@ def test_curves_are_raced_among_themselves():
         dictionary=registry().dictionary(CascadedTanks()), strategy=Likelihood(),
     )  # fmt: skip
     begun = Likelihood().begin(problem, silent)
-    assert from_afar(begun.assembly, begun.standing, [])
-    curves = offering(begun.assembly, problem.dictionary)
+    assert second_basin_candidates(begun.assembly, begun.fit_state, [])
+    curves = offer_effects(begun.assembly, problem.dictionary)
     assert {v.original for v in curves.offered} == set(problem.dictionary)
-    assert not from_afar(curves, begun.standing, [])
+    assert not second_basin_candidates(curves, begun.fit_state, [])
     overflow = next(v for v in begun.assembly.offered if v.original.label == "overflow")
     own = with_variants(curves, [overflow, curves.offered[0]])
-    state = carried(begun.standing, begun.assembly, own)
+    state = transfer_fit_state(begun.fit_state, begun.assembly, own)
     state = replace(state, labels=(*state.labels, overflow.label))
-    narrow, left = _narrowed(own, state)  # what was admitted is no longer offered, and stays
+    narrow, left = _drop_unused_variants(
+        own, state
+    )  # what was admitted is no longer offered, and stays
     assert [v.label for v in narrow.variants] == [overflow.label]
     assert left.values.shape[1] == len(narrow.study.keys)

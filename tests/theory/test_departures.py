@@ -8,12 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.engine.filter.setup import prepared
+from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import prepare_task
-from spiral.engine.likelihood.fit import informed, maximise
+from spiral.engine.likelihood.fit import add_standard_errors, maximise_likelihood
 from spiral.engine.likelihood.noise import first_noise
-from spiral.inference.likelihood.departures import _shapes as shapes_told
-from spiral.inference.likelihood.departures import departures
+from spiral.inference.likelihood.departures import _noise_shape_remarks as shapes_told
+from spiral.inference.likelihood.departures import describe_departures
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
@@ -45,8 +45,8 @@ SPREAD = 0.02 * CLEAN.std()
 def fitted(x, level=1e-4):
     record = make_record(MODEL.system, "record", TIME, {"x": x}, {"force": FORCE})
     task = prepare_task(MODEL, replace(record, spoilt={}), substeps=4, every=True)
-    both = (prepared(task, ()),)
-    return informed(maximise(both, KEYS, first_noise(task, level)))
+    both = (prepare_filter(task, ()),)
+    return add_standard_errors(maximise_likelihood(both, KEYS, first_noise(task, level)))
 
 
 def growing(rng):
@@ -79,7 +79,7 @@ def test_blocks_leave_standard_errors_alone_where_the_noise_is_as_it_is_said_to_
 
 def test_nothing_is_told_of_white_noise():
     told = [
-        departures(MODEL, fitted(CLEAN + steady(np.random.default_rng(s))), True, ())
+        describe_departures(MODEL, fitted(CLEAN + steady(np.random.default_rng(s))), True, ())
         for s in range(30)
     ]
     assert not any(told)
@@ -93,7 +93,7 @@ def test_nothing_is_told_of_white_noise():
     ],
 )
 def test_the_shape_of_the_noise_is_told(noise, word):
-    (told,) = departures(MODEL, fitted(CLEAN + noise(np.random.default_rng(1))), True, ())
+    (told,) = describe_departures(MODEL, fitted(CLEAN + noise(np.random.default_rng(1))), True, ())
     assert word in told
 
 
@@ -121,7 +121,7 @@ def test_a_stiffness_that_drifts_is_told_with_its_size():
 
     drifting = solve_ivp(rate, TIME[[0, -1]], [0, 0], "DOP853", TIME, rtol=1e-9).y[0]
     found = fitted(drifting + steady(np.random.default_rng(2)), level=0.02)
-    (told,) = departures(MODEL, found, False, ())
+    (told,) = describe_departures(MODEL, found, False, ())
     assert told.startswith("as if linear_stiffness.stiffness")
     share = float(told.partition("changed by +")[2].split(" ")[0])
     assert share == pytest.approx(4.0, abs=1.0)
@@ -129,5 +129,5 @@ def test_a_stiffness_that_drifts_is_told_with_its_size():
 
 def test_an_input_may_be_what_pushes():
     noisy = fitted(CLEAN + steady(np.random.default_rng(3)))
-    (told,) = departures(MODEL, noisy, True, ("force.observed",))
+    (told,) = describe_departures(MODEL, noisy, True, ("force.observed",))
     assert "measured input force" in told

@@ -13,7 +13,7 @@ from spiral_plugins.derivatives.pynumdiff import Pynumdiff
 from spiral_plugins.derivatives.savitzky_golay import SavitzkyGolay
 from spiral_plugins.derivatives.shape_functions import ShapeFunctions
 from spiral_plugins.derivatives.smoothing_spline import SmoothingSpline
-from spiral_plugins.derivatives.total_variation import TotalVariation, minimised
+from spiral_plugins.derivatives.total_variation import TotalVariation, minimise_total_variation
 
 from spiral.io.testing import check_derivative, failed
 from spiral.types.derivative import Derivative, differentiate
@@ -234,7 +234,7 @@ def test_total_variation_meets_the_optimality_conditions() -> None:
     """2 (y - u) = penalty D^T z with |z| <= 1, and z = sign(D u) where D u is not zero."""
     y = SIGNALS["run-down"][0][:400] + 0.02 * np.random.default_rng(3).normal(size=400)
     penalty, degree = 0.5, 2
-    u = minimised(y, np.ones(400), penalty, degree, 3000, 1e-12)
+    u = minimise_total_variation(y, np.ones(400), penalty, degree, 3000, 1e-12)
     z = 2 * (y - u) / penalty
     for _ in range(degree):  # D^T by hand: undone by repeated sums from the start
         z = -np.cumsum(z)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spiral.physics.formulas.expression import effect_from_expression
 from spiral.physics.formulas.syntax import compute, names, read
-from spiral.physics.rest import _finite, _traced_at_rest
+from spiral.physics.rest import _evaluate_traced_at_rest, _is_all_finite
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError
 from spiral.types.units import check_units
@@ -80,7 +80,9 @@ def test_what_is_finite_as_a_text_is_finite_at_rest():
     for text in ("-k*x*abs(x)", "-k*abs(x)**1.5", "-k*x/abs(x)", "-k*hypot(x, v/w)*v"):
         options = {"shape": {"w": 3.0}} if "w" in text else {}
         found = effect_from_expression("own", text, OSCILLATOR, **options)
-        assert _finite(_traced_at_rest(trace(OSCILLATOR, (*OSCILLATOR.seed, found))))
+        assert _is_all_finite(
+            _evaluate_traced_at_rest(trace(OSCILLATOR, (*OSCILLATOR.seed, found)))
+        )
 
 
 @pytest.mark.parametrize(

@@ -13,15 +13,20 @@ from spiral_plugins.sources.rotor_coastdown import RotorCoastdown
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.engine.filter.extended import filtered
-from spiral.engine.filter.noise import added_covariance, groups, intensity, sampled
-from spiral.engine.filter.setup import chosen_levels, prepared, with_level
-from spiral.engine.filter.smoother import smooth
+from spiral.engine.filter.extended import filter_record
+from spiral.engine.filter.noise import (
+    added_covariance,
+    noise_groups,
+    noise_intensity,
+    sampled_covariance,
+)
+from spiral.engine.filter.setup import choose_levels, prepare_filter, with_level
+from spiral.engine.filter.smoother import smooth_record
 from spiral.engine.filter.static import static_map
-from spiral.engine.filter.stochastic import disturbed
-from spiral.engine.filter.task import linearised, prepare_task, with_record
-from spiral.inference.reconstruction.consistency import bounded, normalised_squares
-from spiral.inference.reconstruction.estimate import reconstructed
+from spiral.engine.filter.stochastic import simulate_disturbed
+from spiral.engine.filter.task import prepare_task, state_jacobian, with_record
+from spiral.inference.reconstruction.consistency import mean_with_bounds, normalised_squares
+from spiral.inference.reconstruction.estimate import reconstruct_record
 from spiral.inference.reconstruction.observability import observability
 from spiral.inference.simulate import simulate, with_defaults
 from spiral.types.model import seed_model
@@ -46,7 +51,7 @@ def rotor_task(rate=2000.0, duration=14.0, **fields):
 
 def kalman(task, settings):
     """The textbook filter with the exact transition; means, covariances and likelihood."""
-    f = expm(linearised(task.compiled, task.values, np.zeros(1)) * task.series.dt)
+    f = expm(state_jacobian(task.compiled, task.values, np.zeros(1)) * task.series.dt)
     h, r = np.array([[1.0, 0.0]]), np.diag(settings.noise)
     x, p = settings.start, settings.covariance
     means, covariances, predicted, likelihood = [], [], [], 0.0
@@ -76,7 +81,7 @@ def rauch(means, covariances, predicted, f):
 
 @pytest.fixture(scope="module")
 def linear():
-    task, settings = prepared(linear_task())
+    task, settings = prepare_filter(linear_task())
     settings = with_level(task, settings, {"observed": 0.3})
     return task, settings, kalman(task, settings)
 
@@ -88,28 +93,35 @@ def close(given, expected, tolerance):
 
 def test_extended_filter_is_kalmans_on_a_linear_model(linear):
     task, settings, (means, covariances, _, likelihood, _) = linear
-    found = filtered(task, settings, keep=True)
+    found = filter_record(task, settings, keep=True)
     close(found.means, means, 1e-10)
     close(found.covariances, covariances, 1e-10)
     assert found.log_likelihood == pytest.approx(likelihood, rel=1e-10)
 
 
 def test_unscented_filter_is_kalmans_on_a_linear_model(linear):
-    from spiral.engine.filter.sigma_points import sigma_filtered
+    from spiral.engine.filter.sigma_points import filter_sigma_points
 
     task, settings, (means, covariances, _, likelihood, _) = linear
     for shape in ((1.0, 0.0, 0.0), (0.5, 2.0, 1.0)):
-        found = sigma_filtered(task, settings, shape, keep=True)
+        found = filter_sigma_points(task, settings, shape, keep=True)
         close(found.means, means, 1e-9)
         close(found.covariances, covariances, 1e-9)
         assert found.log_likelihood == pytest.approx(likelihood, rel=1e-9)
 
 
 def smoothed(task, settings):
-    found = filtered(task, settings, keep=True)
+    found = filter_record(task, settings, keep=True)
     before = found.covariances.copy()
-    smooth(found.means, found.covariances, found.innovations, found.spreads, found.transitions,
-           found.gains, found.slopes)  # fmt: skip
+    smooth_record(
+        found.means,
+        found.covariances,
+        found.innovations,
+        found.spreads,
+        found.transitions,
+        found.gains,
+        found.slopes,
+    )
     return found, before
 
 
@@ -124,8 +136,10 @@ def test_smoother_is_rauch_tung_striebels_on_a_linear_model(linear):
 @pytest.mark.parametrize("level", [0.0, 0.1])
 def test_smoother_is_never_less_certain_than_the_filter(level):
     task = rotor_task(duration=2.0)
-    task, settings = prepared(task)
-    found, before = smoothed(task, with_level(task, settings, dict.fromkeys(groups(task), level)))
+    task, settings = prepare_filter(task)
+    found, before = smoothed(
+        task, with_level(task, settings, dict.fromkeys(noise_groups(task), level))
+    )
     unit = np.append(task.scales, 1.0)
     traces = [
         np.trace(c / np.outer(unit, unit), axis1=1, axis2=2) for c in (found.covariances, before)
@@ -138,18 +152,18 @@ def test_agrees_with_filterpy():
     pytest.importorskip("filterpy")
     from benchmarks.peer_filter import filterpy_run
 
-    task, settings = prepared(rotor_task(duration=1.0), track=())
+    task, settings = prepare_filter(rotor_task(duration=1.0), track=())
     settings = with_level(task, settings, {"observed": 0.1, "hidden": 0.05})
-    ours, theirs = filtered(task, settings, keep=True), filterpy_run(task, settings, 2000)
+    ours, theirs = filter_record(task, settings, keep=True), filterpy_run(task, settings, 2000)
     close(ours.means, theirs.means, 1e-8)
     close(ours.covariances, theirs.covariances, 1e-8)
 
 
 def test_transition_is_the_derivative_of_the_step():
-    task, settings = prepared(rotor_task(duration=0.2))
-    settings = with_level(task, settings, dict.fromkeys(groups(task), 0.1))
+    task, settings = prepare_filter(rotor_task(duration=0.2))
+    settings = with_level(task, settings, dict.fromkeys(noise_groups(task), 0.1))
     fine = replace(task, start=np.zeros(8))
-    found = filtered(fine, settings, keep=True)
+    found = filter_record(fine, settings, keep=True)
     k, small = 300, 1e-4
     from benchmarks.peer_filter import runge_kutta
 
@@ -166,9 +180,9 @@ def test_transition_is_the_derivative_of_the_step():
 
 
 def test_second_order_transition_is_the_papers():
-    task, settings = prepared(rotor_task(duration=0.2), track=())
+    task, settings = prepare_filter(rotor_task(duration=0.2), track=())
     settings = replace(with_level(task, settings, {"observed": 0.1}), second_order=True)
-    found = filtered(task, settings, keep=True)
+    found = filter_record(task, settings, keep=True)
     k, n = 200, 8
     a, b, f = np.zeros((n, n)), np.zeros((n, len(task.values))), np.empty(n)
     task.compiled.rate(found.means[k], task.inputs[2 * k], task.values, f, a, b)
@@ -192,8 +206,8 @@ def test_process_noise_is_the_exact_integral(linear):
     free = task.with_values({"linear_stiffness.stiffness": 0.0, "linear_damping.damping": 0.0})
     q, dt = 0.7, task.series.dt
     expected = q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    assert np.allclose(sampled(free, np.array([0.0, q])), expected, rtol=1e-9)
-    assert intensity(task, {"observed": 0.1})[0] == 0.0
+    assert np.allclose(sampled_covariance(free, np.array([0.0, q])), expected, rtol=1e-9)
+    assert noise_intensity(task, {"observed": 0.1})[0] == 0.0
 
 
 def test_units_do_not_matter():
@@ -220,7 +234,7 @@ def test_true_process_noise_gives_honest_bands_and_the_smoother_gains():
     inside, filter_error, smoother_error, nis, nees = [], [], [], [], []
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        record = disturbed(base, levels, 0.02, rng)
+        record = simulate_disturbed(base, levels, 0.02, rng)
         task = with_record(base, record)
         truth = np.column_stack(list(record.truth.values()))[1000:]
         for observer, errors in ((Ekf, filter_error), (Rts, smoother_error)):
@@ -233,7 +247,7 @@ def test_true_process_noise_gives_honest_bands_and_the_smoother_gains():
                 nees.append(normalised_squares(error, part.covariances[1000:]).mean())
     assert 0.92 <= np.mean(inside) <= 0.98
     assert np.all(np.mean(smoother_error, axis=0) < np.mean(filter_error, axis=0))
-    assert bounded(np.concatenate(nis), 2).inside
+    assert mean_with_bounds(np.concatenate(nis), 2).inside
     assert 6.5 < np.mean(nees) < 9.5
 
 
@@ -241,11 +255,11 @@ def test_likelihood_does_not_reject_the_process_noise_there_is():
     """2 (max log L - log L at the truth) ~ chi2(2), the measured coordinates' level within 10 %."""
     truth = {"observed": 0.3, "hidden": 0.3}
     base = rotor_task(rate=1000.0, duration=4.0)
-    record = disturbed(base, truth, 0.01, np.random.default_rng(3))
-    task, settings = prepared(with_record(base, record), track=())
-    levels = chosen_levels(task, settings, None)
+    record = simulate_disturbed(base, truth, 0.01, np.random.default_rng(3))
+    task, settings = prepare_filter(with_record(base, record), track=())
+    levels = choose_levels(task, settings, None)
     best, at = (
-        filtered(task, with_level(task, settings, found)).log_likelihood
+        filter_record(task, with_level(task, settings, found)).log_likelihood
         for found in (levels, truth)
     )
     assert -4.0 < 2 * (best - at) < chi2.ppf(0.999, 2)  # the search stops within 0.5 to 2
@@ -265,22 +279,23 @@ def test_matched_filter_beats_the_static_map_a_hundredfold():
     rng = np.random.default_rng(1)
     truth = np.array([v[0] for v in task.series.record.truth.values()])
     task = replace(task, start=truth + rng.normal(size=8) * task.spread)
-    parts = {o: reconstructed(task, o) for o in (Ekf(track=(), process_noise=1e-5), Static())}
+    parts = {o: reconstruct_record(task, o) for o in (Ekf(track=(), process_noise=1e-5), Static())}
     first = int(1.0 / task.series.dt)
     for state in ("alpha", "beta"):
         truth = task.series.record.truth[state][first:]
         errors = [
-            np.std(p.found.state(state)[0][first:] - truth) / np.std(truth) for p in parts.values()
+            np.std(p.reconstruction.state(state)[0][first:] - truth) / np.std(truth)
+            for p in parts.values()
         ]
         assert errors[0] < 0.001
         assert errors[1] > 100 * errors[0]
 
 
 def test_paper_settings_echo_the_measurement():
-    part = reconstructed(rotor_task(duration=4.0), EkfPaper())
+    part = reconstruct_record(rotor_task(duration=4.0), EkfPaper())
     record = part.record
     for channel in ("x", "y"):
-        error = part.found.state(channel)[0] - record.truth[channel]
+        error = part.reconstruction.state(channel)[0] - record.truth[channel]
         noise = record.noise[channel]
         assert np.std(error) == pytest.approx(noise, rel=0.02)  # filtered = measured
         assert np.corrcoef(error, record.channels[channel] - record.truth[channel])[0, 1] > 0.99
@@ -299,7 +314,7 @@ def test_divergence_is_a_result():
     """A model with negative stiffness runs away: reported with the stable window, not raised."""
     task = rotor_task(duration=2.0)
     wrong = task.with_values({"linear_stiffness@bearing_1.stiffness_x": -3e6})
-    part = reconstructed(wrong, Ekf(process_noise=0.0, track=()))
+    part = reconstruct_record(wrong, Ekf(process_noise=0.0, track=()))
     assert part.diverged
     assert part.stable < part.record.samples
 

@@ -8,13 +8,13 @@ from spiral_plugins.effects.restoring import CubicStiffness
 from spiral_plugins.systems.pendulum import Pendulum
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.engine.filter.algebra import algebra
-from spiral.engine.filter.kernel import room
+from spiral.engine.filter.algebra import compiled_algebra
+from spiral.engine.filter.kernel import slope_workspace
 from spiral.engine.likelihood.noise import NoiseTerm, first_noise
-from spiral.engine.likelihood.predict import predicted, varied
+from spiral.engine.likelihood.predict import predict_readings, vary_noise
 from spiral.physics.compile import compile_model
 from spiral.physics.flow import compile_flow
-from spiral.physics.lanes import padded
+from spiral.physics.lanes import padded_width
 from spiral.physics.trace import trace
 from tests.swept_oscillator import record_of, task_of
 
@@ -71,7 +71,7 @@ def test_a_flow_is_runge_kutta_and_its_slopes_are_differences_of_it(system, by):
             x = runge_kutta(value, x, u[2 * i :], STEP, p)
         return x
 
-    s, work = room(n, n + len(by))
+    s, work = slope_workspace(n, n + len(by))
     s[:, :n] = np.eye(n)
     got = x.copy()
     advance(compile_flow(traced, names).advance, got, u, 2, substeps, STEP, p, s, work)
@@ -91,7 +91,7 @@ def test_a_flow_is_runge_kutta_and_its_slopes_are_differences_of_it(system, by):
 def test_called_twice_a_flow_has_forgotten_the_call_before():
     traced, names, x, u, p, substeps = questions(PlanarRotor(), (0,))
     flow = compile_flow(traced, names).advance
-    runs, (s, work) = [], room(len(x), len(x) + 1)
+    runs, (s, work) = [], slope_workspace(len(x), len(x) + 1)
     for _ in range(2):
         s[:] = np.eye(*s.shape)
         at = x.copy()
@@ -104,24 +104,24 @@ def test_called_twice_a_flow_has_forgotten_the_call_before():
 @pytest.mark.parametrize("width", [1, 3, 4, 11, 12, 13, 25, 40])
 def test_products_of_any_size(width):
     rng = np.random.default_rng(width)
-    wide = padded(width)
-    a, b = np.zeros((wide, wide)), np.zeros((wide, padded(width + 2)))
+    wide = padded_width(width)
+    a, b = np.zeros((wide, wide)), np.zeros((wide, padded_width(width + 2)))
     a[:width, :width] = rng.normal(size=(width, width))
     b[:width, : width + 2] = rng.normal(size=(width, width + 2))
     c = np.full(b.shape, np.nan)
-    matmul(algebra().product, a, b, c, width, width)
+    matmul(compiled_algebra().product, a, b, c, width, width)
     np.testing.assert_allclose(c, a @ b, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("width", [1, 4, 7, 12, 13, 25, 40])
 def test_the_lower_half_of_a_symmetric_product(width):
     rng = np.random.default_rng(width)
-    wide, inner = padded(width), width + 3
+    wide, inner = padded_width(width), width + 3
     a, b = np.zeros((wide, inner)), np.zeros((inner, wide))
     a[:width] = rng.normal(size=(width, inner))
     b[:, :width] = a[:width].T
     c = np.full((wide, wide + 4), np.nan)
-    matmul(algebra().lower, a, b, c, width, inner)
+    matmul(compiled_algebra().lower, a, b, c, width, inner)
     lower = np.tril_indices(width)
     np.testing.assert_allclose(c[lower], (a @ b)[lower], rtol=1e-12, atol=1e-12)
     assert np.isnan(c[:, wide:]).all()
@@ -132,13 +132,15 @@ def test_a_measurement_is_taken_in_as_joseph_says(size):
     rng = np.random.default_rng(size)
     root = rng.normal(size=(size, size))
     p, c, r, miss = root @ root.T, rng.normal(size=size), 1e-6, 0.3
-    wide, width = padded(size), 6
+    wide, width = padded_width(size), 6
     slopes, told = rng.normal(size=(size, width)), rng.normal(size=width)
     mean, m, rows, d = (np.zeros(n) for n in (wide, (wide, wide + 8), (2, wide), (2, 8)))
     m[:size, :size], m[:size, wide : wide + width] = p, slopes
     rows[1, :size], d[1, :width] = c, told
     gain = np.zeros(wide)
-    s = take_in(algebra().absorb, mean, m, rows, d, 1, r, miss, gain, np.zeros(2 * m.shape[1]))
+    s = take_in(
+        compiled_algebra().absorb, mean, m, rows, d, 1, r, miss, gain, np.zeros(2 * m.shape[1])
+    )
     cov = m[:, :wide]
     k = p @ c / (c @ p @ c + r)
     left = np.eye(size) - np.outer(k, c)
@@ -166,7 +168,7 @@ def all_noise(task):
         (NoiseTerm("drift", "x"), {"drift.x": sizes["x"]}),
         (NoiseTerm("gust", "observed"), {"gust.observed": 0.05, "gust.time": 0.1}),
     ):
-        noise = noise.added((term,), values)
+        noise = noise.with_terms((term,), values)
     return noise
 
 
@@ -178,11 +180,11 @@ def test_other_noise_along_one_motion(effects, values, share):
     """The same as a filter run anew: exactly for a linear model, nearly so for another."""
     task, settings = task_of(record_of(3, effects=effects, values=values), effects, values)
     noise = all_noise(task)
-    run = predicted(task, settings, noise, keep=True)
+    run = predict_readings(task, settings, noise, keep=True)
     others = [noise.with_values({n: 1.05 * noise.values[n]}) for n in noise.names]
-    for other, (misses, spreads) in zip(others, varied(task, settings, noise, others, run),
+    for other, (misses, spreads) in zip(others, vary_noise(task, settings, noise, others, run),
                                         strict=True):  # fmt: skip
-        anew = predicted(task, settings, other)
+        anew = predict_readings(task, settings, other)
         for mine, theirs, before in ((misses, anew.misses, run.misses),
                                      (spreads, anew.spreads, run.spreads)):  # fmt: skip
             moved = np.linalg.norm(theirs - before)
@@ -195,4 +197,4 @@ def test_what_nothing_disturbs_is_known_ever_better():
     task, settings = task_of(record_of(3, effects=effects, values=values), effects, values, 2)
     for scale in (0.006, 0.008, 0.012, 0.017, 0.02):
         here = task.with_values({"input_delay.time": 0.3 * scale, "input_delay.scale": scale})
-        assert predicted(here, settings, first_noise(task, 0.0)).whole
+        assert predict_readings(here, settings, first_noise(task, 0.0)).whole

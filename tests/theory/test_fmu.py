@@ -17,7 +17,7 @@ from experiments.fmu.build import fmu, native, system
 from experiments.fmu.kinds import CASES, KINDS
 from spiral.io.programs import programs_named
 from spiral.io.registry import NO_FOLDER, load_registry
-from spiral.io.storage import model_data, model_from
+from spiral.io.storage import model_data, rebuild_model
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
 from spiral.physics.outside import fmi
@@ -86,11 +86,11 @@ def test_threads_do_not_disturb_each_other(opened):
     program = opened["quarter_car_C"][1].wrapped.program
     points = np.random.default_rng(5).uniform(1, 2, size=(8, 400, len(program.arguments)))
     columns = range(len(program.arguments))
-    due = [program.evaluated(p, columns) for p in points]
+    due = [program.values_and_slopes(p, columns) for p in points]
     found = [None] * 8
 
     def ask(i):
-        found[i] = program.evaluated(points[i], columns)
+        found[i] = program.values_and_slopes(points[i], columns)
 
     threads = [threading.Thread(target=ask, args=(i,)) for i in range(8)]
     for thread in threads:
@@ -178,11 +178,11 @@ def test_only_a_file_that_the_user_named_is_run(opened):
     file, model, _ = opened["quarter_car_C"]
     saved = json.loads(json.dumps(model_data(seed_model(model))))
     with pytest.raises(ConfigError, match="runs with your rights"):
-        model_from(saved, load_registry(NO_FOLDER))
+        rebuild_model(saved, load_registry(NO_FOLDER))
     named = programs_named([f"system={file}", "record=csv"])
     assert named == programs_named([f"system.path={file}"]) == {str(file)}
     registry = replace(load_registry(NO_FOLDER), programs=named)
-    assert model_from(saved, registry).system == model
+    assert rebuild_model(saved, registry).system == model
 
 
 def test_a_file_that_changed_is_told(opened, tmp_path):

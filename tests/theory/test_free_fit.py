@@ -9,11 +9,11 @@ from spiral_plugins.strategies.likelihood import Likelihood
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.inference.likelihood import free_fit
-from spiral.inference.likelihood.comparison import compared_by_likelihood
-from spiral.inference.likelihood.fitting import explains, refitted
-from spiral.inference.likelihood.free_fit import FREELY, by_free_runs
+from spiral.inference.likelihood.comparison import compare_by_likelihood
+from spiral.inference.likelihood.fitting import fit_by_likelihood, is_random_force_small
+from spiral.inference.likelihood.free_fit import FREELY, refit_by_free_run
 from spiral.inference.problem import silent
-from spiral.io.question import put
+from spiral.io.question import pose_problem
 from spiral.io.registry import load_registry
 from spiral.types.model import seed_model
 from tests.swept_oscillator import TRUTH, record_of, shaken
@@ -22,8 +22,8 @@ from tests.swept_oscillator import TRUTH, record_of, shaken
 def fitted(record, test=None):
     seed = seed_model(Oscillator(), values=TRUTH)
     tests = None if test is None else (test,)
-    begun = Likelihood().begin(put(load_registry(), seed, (record,), tests), silent)
-    return begun.assembly, refitted(begun.assembly, begun.standing)
+    begun = Likelihood().begin(pose_problem(load_registry(), seed, (record,), tests), silent)
+    return begun.assembly, fit_by_likelihood(begun.assembly, begun.fit_state)
 
 
 def test_beside_random_forces_the_more_precise_values_stay():
@@ -31,8 +31,8 @@ def test_beside_random_forces_the_more_precise_values_stay():
     kept = []
     for seed in range(12):
         assembly, found = fitted(shaken(seed, 0.25))
-        assert not explains(found)
-        kept.append(by_free_runs(assembly, found, silent) is found)
+        assert not is_random_force_small(found)
+        kept.append(refit_by_free_run(assembly, found, silent) is found)
     assert np.mean(kept) >= 11 / 12
 
 
@@ -44,13 +44,13 @@ def test_where_friction_is_missing_a_run_is_predicted_better():
         for s in (1, 2)
     ]
     assembly, found = fitted(*records)
-    assert not explains(found)
-    free = by_free_runs(assembly, found, silent)
+    assert not is_random_force_small(found)
+    free = refit_by_free_run(assembly, found, silent)
     assert free is not found
-    state, told = compared_by_likelihood(assembly, found, silent)
+    state, told = compare_by_likelihood(assembly, found, silent)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(free_fit, "_BETTER", 0.0)
-        _, stepwise = compared_by_likelihood(assembly, found, silent)
+        _, stepwise = compare_by_likelihood(assembly, found, silent)
     assert told.test_error < 0.9 * stepwise.test_error
     assert FREELY in told.notes
     assert FREELY not in stepwise.notes

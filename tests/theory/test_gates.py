@@ -168,7 +168,7 @@ def test_folds_need_a_majority():
 
 def test_folds_see_every_amplitude():
     t = trial(0, n=8000, slow=0.99)
-    fold = KfoldMajority()._dealt(t)
+    fold = KfoldMajority()._deal_folds(t)
     amplitude = t.amplitude[t.train]
     means = [np.mean(amplitude[fold == f] ** 2) for f in range(7)]
     assert np.std(means) < 0.2 * np.mean(means)

@@ -7,10 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import spiral
-from spiral.engine.filter.setup import prepared
-from spiral.engine.filter.task import begun_within, prepare_task
+from spiral.engine.filter.setup import prepare_filter
+from spiral.engine.filter.task import prepare_task, with_start_spread
 from spiral.engine.likelihood.noise import first_noise
-from spiral.engine.likelihood.predict import predicted, varied
+from spiral.engine.likelihood.predict import predict_readings, vary_noise
 from spiral.types.record import make_record
 
 DT, COUNT, SHARE = 0.1, 900, 0.04
@@ -52,15 +52,15 @@ def test_each_reading_has_its_own_variance():
     record = replace(measured(1), growth={"c": (0.5, 2.0, 1.7)})
     values = {f"system.{k}": v for k, v in TRUE.items()}
     task = prepare_task(spiral.Model(compartments(), (), values), record)
-    task = begun_within(task, np.full(2, 1e-9))
+    task = with_start_spread(task, np.full(2, 1e-9))
     noise = first_noise(task, 1e-9).with_values({"white.c": 0.03})
-    run = predicted(*prepared(task, (), {}), noise, keep=True)
-    smooth = task.series.smoothed(11)[0]
+    run = predict_readings(*prepare_filter(task, (), {}), noise, keep=True)
+    smooth = task.series.smooth_readings(11)[0]
     due = 0.03**2 * (1 + ((smooth - 0.5) / 2.0) ** 2) / 1.7
     due[run.spreads == 0] = 0.0  # what is taken for a spike is left out
     np.testing.assert_allclose(run.spreads, due, rtol=1e-6)
     larger = noise.with_values({"white.c": 0.06})
-    ((_, spreads),) = varied(*prepared(task, (), {}), noise, [larger], run)
+    ((_, spreads),) = vary_noise(*prepare_filter(task, (), {}), noise, [larger], run)
     np.testing.assert_allclose(spreads, 4 * due, rtol=1e-6)
 
 

@@ -12,12 +12,12 @@ from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
 from experiments.studies.signals import band_limited
-from spiral.engine.filter.noise import sampled
-from spiral.engine.filter.task import linearised, prepare_task
+from spiral.engine.filter.noise import sampled_covariance
+from spiral.engine.filter.task import prepare_task, state_jacobian
 from spiral.engine.likelihood.free_doubt import free_doubt
 from spiral.engine.likelihood.noise import first_noise
 from spiral.inference.compare import compare
-from spiral.inference.evidence.horizons import Disturbed, forecast
+from spiral.inference.evidence.horizons import Disturbed, forecast_misses
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate
 from spiral.types.horizon import Horizon, changes
@@ -58,10 +58,10 @@ def free():
 def test_on_a_linear_model_they_are_kalmans_predictions(free):
     task, disturbed = free
     first, steps = 40, 20
-    one, ahead = forecast(task, disturbed, first, steps)
-    f = expm(linearised(task.compiled, task.values, np.zeros(1)) * task.series.dt)
+    one, ahead = forecast_misses(task, disturbed, first, steps)
+    f = expm(state_jacobian(task.compiled, task.values, np.zeros(1)) * task.series.dt)
     h, r = np.array([[1.0, 0.0]]), np.diag(task.series.sigma**2)
-    q = sampled(task, disturbed.intensity)
+    q = sampled_covariance(task, disturbed.intensity)
     x, p, expected_one, states = task.start, disturbed.covariance, [], []
     for y in task.series.y:
         expected_one.append(y - h @ x)
@@ -83,7 +83,7 @@ def test_nothing_that_is_predicted_is_seen(free):
     y = task.series.y.copy()
     y[at:] += np.random.default_rng(1).normal(size=y[at:].shape)
     other = replace(task, series=replace(task.series, y=y))
-    given, changed = (forecast(t, disturbed, first, steps) for t in (task, other))
+    given, changed = (forecast_misses(t, disturbed, first, steps) for t in (task, other))
     starts = np.linspace(first, 600 - 1 - steps, len(given[1])).astype(int)
     for which, ends, made in ((0, np.arange(first, 600), np.arange(first, 600) - 1),
                               (1, starts + steps, starts)):  # fmt: skip

@@ -8,11 +8,15 @@ from scipy.signal import butter, lfilter, sosfilt
 from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
-from spiral.engine.filter.setup import prepared
+from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import prepare_task
 from spiral.engine.likelihood.noise import first_noise
-from spiral.engine.likelihood.predict import predicted
-from spiral.inference.likelihood.independence import _PAST, _rows, _share
+from spiral.engine.likelihood.predict import predict_readings
+from spiral.inference.likelihood.independence import (
+    _PAST,
+    _channel_explained_share,
+    _regression_rows,
+)
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
 
@@ -31,7 +35,7 @@ def test_noise_that_its_past_predicts_follows_nothing_else(seed):
     rng = np.random.default_rng(seed)
     e, s = lfilter([1.0], [1.0, -0.6, 0.3], rng.normal(size=N)), rng.normal(size=N)
     past, moved = _columns(e, s)
-    assert _share(e[_PAST:], past, moved) < 0.006
+    assert _channel_explained_share(e[_PAST:], past, moved) < 0.006
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -42,7 +46,7 @@ def test_the_share_that_follows_the_motion_is_told(seed):
     cubes = s**3 / np.sqrt(15.0)  # of unit variance
     e = rng.normal(size=N) + np.sqrt(0.05) * cubes
     past, moved = _columns(e, s)
-    assert _share(e[_PAST:], past, moved) == pytest.approx(1 / 21, abs=0.02)
+    assert _channel_explained_share(e[_PAST:], past, moved) == pytest.approx(1 / 21, abs=0.02)
 
 
 def _record(seed):
@@ -75,9 +79,9 @@ def test_records_of_one_study_have_the_same_columns_whatever_stands_still_in_one
     for readings, force in zip(y, (np.sin(time), 0 * time), strict=True):
         whole = np.nan_to_num(readings)
         record = make_record(Oscillator(), "r", time, {"x": whole}, {"force": force})
-        task, settings = prepared(prepare_task(model, record, substeps=2, every=True), ())
+        task, settings = prepare_filter(prepare_task(model, record, substeps=2, every=True), ())
         task = replace(task, series=replace(task.series, y=readings[:, None].copy()))
-        rows = _rows(task, predicted(task, settings, first_noise(task, 0.1)))
+        rows = _regression_rows(task, predict_readings(task, settings, first_noise(task, 0.1)))
         assert all(np.isfinite(part).all() for part in rows)
         columns.append([part.shape[1] for part in rows])
     assert columns[0] == columns[1]

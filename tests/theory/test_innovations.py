@@ -12,11 +12,11 @@ from spiral_plugins.gates.joint import ValidationRollback
 from spiral_plugins.strategies.innovation import Innovation as ByInnovations
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.engine.filter.likelihood import climbed
-from spiral.engine.filter.setup import prepared, with_level
-from spiral.engine.filter.stochastic import disturbed
+from spiral.engine.filter.likelihood import climb_likelihood
+from spiral.engine.filter.setup import prepare_filter, with_level
+from spiral.engine.filter.stochastic import simulate_disturbed
 from spiral.engine.filter.task import prepare_task, with_record
-from spiral.engine.filter.whitened import whitened
+from spiral.engine.filter.whitened import whiten_innovations
 from spiral.engine.gate import Trial
 from spiral.inference.discover import discover
 from spiral.inference.problem import Problem
@@ -44,18 +44,19 @@ def base():
 def drawn(base, seed, **values):
     """A new draw of process and measurement noise, and the model told that nothing is missing."""
     truth = base.with_values({CUBIC: values.get("cubic", 0.0)})
-    record = disturbed(truth, LEVELS, 0.05, np.random.default_rng(seed))
-    return prepared(with_record(base, record), ())
+    record = simulate_disturbed(truth, LEVELS, 0.05, np.random.default_rng(seed))
+    return prepare_filter(with_record(base, record), ())
 
 
 def test_slopes_are_those_of_the_innovations_where_the_gain_does_not_depend_on_them(base):
     """A constant load shifts the mean of a linear filter and nothing else."""
     task, settings = drawn(base, 1)
     settings = with_level(task, settings, LEVELS)
-    found = whitened(task, settings, (LOAD, CUBIC))
+    found = whiten_innovations(task, settings, (LOAD, CUBIC))
     size = 3.0
     above, below = (
-        whitened(task.with_values({LOAD: s}), settings, ()).innovations for s in (size, -size)
+        whiten_innovations(task.with_values({LOAD: s}), settings, ()).innovations
+        for s in (size, -size)
     )
     slope = -(above - below) / (2 * size)
     np.testing.assert_allclose(found.columns[..., 0], slope, atol=1e-9 * np.abs(slope).max())
@@ -66,7 +67,7 @@ def test_a_sample_that_is_missing_says_nothing(base):
     y = task.series.y.copy()
     y[100:140] = np.nan
     gap = replace(task, series=replace(task.series, y=y))
-    found = whitened(gap, with_level(gap, settings, LEVELS), (LOAD,))
+    found = whiten_innovations(gap, with_level(gap, settings, LEVELS), (LOAD,))
     assert not found.innovations[100:140].any()
     assert not found.columns[100:140].any()
     assert np.isfinite(found.innovations).all()
@@ -77,7 +78,7 @@ def test_the_score_test_has_its_level(base):
     falls = []
     for seed in range(200):
         task, settings = drawn(base, 100 + seed)
-        found = whitened(task, with_level(task, settings, LEVELS), (CUBIC, LOAD))
+        found = whiten_innovations(task, with_level(task, settings, LEVELS), (CUBIC, LOAD))
         falls.append(regression(found).falls([(0, 1)])[(0, 1)])
     assert stats.kstest(falls, stats.chi2(2).cdf).pvalue > 1e-3
     low, high = stats.binom.ppf([5e-4, 1 - 5e-4], 200, 0.05) / 200
@@ -98,7 +99,7 @@ def test_the_likelihood_finds_a_hidden_spring_within_its_standard_errors(base):
     errors, spreads = [], []
     for seed in range(30):
         task, settings = drawn(base, 300 + seed, cubic=1e5)
-        found = climbed(((task, settings),), (CUBIC,), LEVELS)
+        found = climb_likelihood(((task, settings),), (CUBIC,), LEVELS)
         errors.append((found.values[task.keys.index(CUBIC)] - 1e5) / found.errors[CUBIC])
         spreads.append(found.errors[CUBIC])
     assert np.median(spreads) < 0.5 * 1e5

@@ -18,7 +18,7 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 import spiral
 from experiments.studies.signals import band_limited
-from spiral.engine.filter.task import free_run, task_with
+from spiral.engine.filter.task import build_task, run_from_rest
 from spiral.inference.simulate import simulate
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
@@ -90,9 +90,9 @@ def test_an_input_that_is_held_is_integrated_as_one():
         record = make_record(system, "held", time, {"x": x + 1e-9 * np.cos(1e4 * time)},
                              {"force": force}, hold=hold)  # fmt: skip
         values = model.row("truth", "")
-        task = task_with(model, compile_model(trace(system, model.effects)), values, record,
+        task = build_task(model, compile_model(trace(system, model.effects)), values, record,
                          substeps=8)  # fmt: skip
-        run = free_run(task.compiled, task.series, task.inputs, task.values)
+        run = run_from_rest(task.compiled, task.series, task.inputs, task.values)
         errors[hold] = np.std(run[:, 0] - x) / np.std(x)
     assert errors["zero_order"] < 1e-6
     assert errors["band_limited"] > 0.02

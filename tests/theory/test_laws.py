@@ -12,11 +12,11 @@ import spiral
 from experiments.laws.bench import asked, records_of
 from experiments.laws.truth import CASES, draw, motion
 from spiral.inference.evidence.fit_state import half_masks
-from spiral.inference.likelihood.fitting import WARM, refitted
+from spiral.inference.likelihood.fitting import WARM, fit_by_likelihood
 from spiral.inference.problem import silent
-from spiral.inference.strategies.laws import named_law
-from spiral.io.question import put
-from spiral.io.storage import model_data, model_from
+from spiral.inference.strategies.laws import find_named_law
+from spiral.io.question import pose_problem
+from spiral.io.storage import model_data, rebuild_model
 from spiral.io.testing import check_effect, failed
 from spiral.physics.formulas.laws import FLOWS, FRICTIONS, SPRINGS, laws_of
 from spiral.physics.trace import trace
@@ -117,12 +117,14 @@ def test_a_law_that_a_candidate_explains_as_well_takes_its_name():
     record = record_of(3, 2000, 0.01, (effect,), truth)
     known = tuple(TRUTH)  # else a spring that yields beside a stiffer one is the same function
     model = replace(seed_model(OSCILLATOR, values=TRUTH), fixed=known)
-    problem = put(registry(), model, (replace(record, noise={}),), None,
+    problem = pose_problem(registry(), model, (replace(record, noise={}),), None,
                   candidates=("clearance", "cubic_stiffness"))  # fmt: skip
     begun, options = Likelihood().begin(problem, silent), Likelihood()
     masks = half_masks(begun.assembly)
-    base = refitted(begun.assembly, begun.standing, masks=masks[0], steps=WARM, rough=True)
-    law = named_law(options, begun.assembly, begun.standing, base, False, begun.comparison,
+    base = fit_by_likelihood(
+        begun.assembly, begun.fit_state, masks=masks[0], steps=WARM, rough=True
+    )
+    law = find_named_law(options, begun.assembly, begun.fit_state, base, False, begun.comparison,
                     masks, 0.01, silent)  # fmt: skip
     assert law is not None
     assert law.effect.label == "clearance"
@@ -135,7 +137,7 @@ def test_a_law_is_saved_with_its_formula_and_read_again():
     law = next(e for e in laws_of(OSCILLATOR) if e.label == "power_law")
     values = {"power_law.a": 2.0, "power_law.l": 0.01, "power_law.n": 1.5}
     model = Model(OSCILLATOR, (*OSCILLATOR.seed, law), values)
-    again = model_from(model_data(model), registry())
+    again = rebuild_model(model_data(model), registry())
     assert again.labels == model.labels
     assert again.values == model.values
     assert trace(again.system, again.effects).rate == trace(model.system, model.effects).rate

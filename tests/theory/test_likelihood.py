@@ -16,16 +16,16 @@ from spiral_plugins.strategies.likelihood import Likelihood
 from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
-from spiral.engine.filter.task import linearised
-from spiral.engine.likelihood.fit import maximise
-from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, matrices
-from spiral.engine.likelihood.own_states import own_of, own_states_along
-from spiral.engine.likelihood.predict import log_likelihood, predicted
+from spiral.engine.filter.task import state_jacobian
+from spiral.engine.likelihood.fit import maximise_likelihood
+from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, noise_matrices
+from spiral.engine.likelihood.own_states import arrange_own_states, own_states_along
+from spiral.engine.likelihood.predict import log_likelihood, predict_readings
 from spiral.inference.likelihood import candidates
-from spiral.inference.likelihood.fitting import refitted
-from spiral.inference.likelihood.scores import motion_of, ranking
+from spiral.inference.likelihood.fitting import fit_by_likelihood
+from spiral.inference.likelihood.scores import predicted_motion, rank_candidates
 from spiral.inference.problem import silent
-from spiral.io.question import put
+from spiral.io.question import pose_problem
 from spiral.io.registry import load_registry
 from spiral.physics.signatures import Along, signatures
 from spiral.types.model import seed_model
@@ -53,10 +53,10 @@ def test_it_is_that_of_the_joint_gaussian_of_all_readings(kind):
     task, settings = task_of(record, substeps=16)
     noise = first_noise(task, 0.2)
     if TERMS[kind]:
-        noise = noise.added(*TERMS[kind])
-    parts = matrices(task, settings, noise)
+        noise = noise.with_terms(*TERMS[kind])
+    parts = noise_matrices(task, settings, noise)
     n, dt = len(task.states), task.series.dt
-    flow = expm(linearised(task.compiled, task.values, np.zeros(task.inputs.shape[1])) * dt)
+    flow = expm(state_jacobian(task.compiled, task.values, np.zeros(task.inputs.shape[1])) * dt)
     size = len(parts.q)
     f = np.zeros((size, size))
     f[:n, :n], f[n:, n:] = flow, parts.phi
@@ -72,7 +72,7 @@ def test_it_is_that_of_the_joint_gaussian_of_all_readings(kind):
     joint += np.eye(count) * parts.r[0]
     mean = states_alone(task, settings)[:, 0]
     expected = multivariate_normal(mean, joint).logpdf(task.series.y[:, 0])
-    found = log_likelihood((predicted(task, settings, noise),))
+    found = log_likelihood((predict_readings(task, settings, noise),))
     assert found == pytest.approx(expected, abs=2e-3)
 
 
@@ -81,10 +81,10 @@ def test_noise_behind_a_low_pass_has_its_spectrum(order):
     """Covariances over k samples are those of the power 1 / (1 + (w / w0)^2n), by quadrature."""
     task, settings = task_of(record_of(0, samples=64))
     time, size, dt = 0.02, 0.3, task.series.dt
-    noise = first_noise(task, 0.0).added(
+    noise = first_noise(task, 0.0).with_terms(
         (NoiseTerm("band", "x", order),), {"band.x": size, "band.time": time}
     )
-    parts, n = matrices(task, settings, noise), len(task.states)
+    parts, n = noise_matrices(task, settings, noise), len(task.states)
     first, step = parts.p[n:, n:], parts.phi
     np.testing.assert_allclose(step @ first @ step.T + parts.q[n:, n:], first, atol=1e-12)
     for k in range(12):
@@ -103,9 +103,14 @@ def test_white_noise_takes_the_place_of_terms_that_go():
     values = {"white.x": 1e-7, "force.observed": 0.03, "band.x": 0.02, "band.time": 0.1,
               "gust.observed": 0.04, "gust.time": 1.0, "drift.x": 5.0}  # fmt: skip
     noise = NoiseModel(terms, values)
-    less = noise.whitened("band", "gust", "drift")
+    less = noise.replace_with_white("band", "gust", "drift")
     assert less.values == pytest.approx({"white.x": 0.02, "force.observed": 0.05})
-    assert {t.kind for t in noise.whitened("band").terms} == {"white", "force", "gust", "drift"}
+    assert {t.kind for t in noise.replace_with_white("band").terms} == {
+        "white",
+        "force",
+        "gust",
+        "drift",
+    }
 
 
 def test_a_missing_reading_takes_no_part():
@@ -115,12 +120,12 @@ def test_a_missing_reading_takes_no_part():
     y = task.series.y.copy()
     y[80:95] = np.nan
     gap = replace(task, series=replace(task.series, y=y))
-    part = predicted(gap, settings, noise, KEYS)
+    part = predict_readings(gap, settings, noise, KEYS)
     assert part.whole
     assert np.all(part.spreads[80:95] == 0)
     assert np.all(part.columns[80:95] == 0)
     assert np.isfinite(log_likelihood((part,)))
-    before = predicted(task, settings, noise)
+    before = predict_readings(task, settings, noise)
     np.testing.assert_allclose(part.misses[:80], before.misses[:80])
 
 
@@ -128,11 +133,11 @@ def test_slopes_with_held_gains_are_those_of_differences_where_the_model_is_righ
     record = record_of(2, noise=1e-4)
     task, settings = task_of(record)
     noise = first_noise(task, 1e-4)
-    part = predicted(task, settings, noise, KEYS)
+    part = predict_readings(task, settings, noise, KEYS)
     for j, key in enumerate(KEYS):
         step = 1e-5 * TRUTH[key]
         ends = [
-            predicted(task.with_values({key: TRUTH[key] + s}), settings, noise).misses
+            predict_readings(task.with_values({key: TRUTH[key] + s}), settings, noise).misses
             for s in (-step, step)
         ]
         expected = (ends[0] - ends[1]) / (2 * step)
@@ -145,7 +150,7 @@ def test_signatures_are_the_slopes_of_the_compiled_effect(effect):
     """What an absent effect adds to rates and readings, against its column of the Jacobians."""
     record = record_of(3, samples=300)
     task, settings = task_of(record, (effect,), {k: 0.0 for k, _ in amplitudes(effect)})
-    part = predicted(task, settings, first_noise(task, 0.1), keep=True)
+    part = predict_readings(task, settings, first_noise(task, 0.1), keep=True)
     along = along_of(task, part)
     rates, readings = signatures(along, effect, {})
     (key, _), *_ = amplitudes(effect)
@@ -170,7 +175,7 @@ def along_of(task, part):
     class Bare:
         problem = type("Problem", (), {"model": task.model})
 
-    return motion_of(Bare, task, part)
+    return predicted_motion(Bare, task, part)
 
 
 def test_scores_of_effects_that_are_not_there_are_chi2():
@@ -182,9 +187,11 @@ def test_scores_of_effects_that_are_not_there_are_chi2():
     registry, falls, late = load_registry(), {}, ("delay", "sensor_lag")
     for seed in range(3):
         seed_of = seed_model(Oscillator(), values=TRUTH)
-        begun = Likelihood().begin(put(registry, seed_of, (shaken(seed, 0.1),), None), silent)
-        fit = refitted(begun.assembly, begun.standing)
-        ranked = ranking(begun.assembly, fit, fit.estimate.noise, None).ranked
+        begun = Likelihood().begin(
+            pose_problem(registry, seed_of, (shaken(seed, 0.1),), None), silent
+        )
+        fit = fit_by_likelihood(begun.assembly, begun.fit_state)
+        ranked = rank_candidates(begun.assembly, fit, fit.estimate.noise, None).ranked
         for one in (r for r in ranked if r.score.rank):
             label, searched = one.variant.original.label, one.variant.searched
             if searched == 1 or label in late:
@@ -196,10 +203,10 @@ def test_scores_of_effects_that_are_not_there_are_chi2():
 
 def test_those_that_a_final_leaves_behind_run_their_own(monkeypatch):
     """One after the other by worth, as long as it is above its price; each effect once."""
-    monkeypatch.setattr(candidates, "_further", lambda base, rival, masks, steps: rival)
-    monkeypatch.setattr(candidates, "_freed", lambda base, rival, masks: rival)
-    monkeypatch.setattr(candidates, "_reopened", lambda base, rival, masks: rival)
-    monkeypatch.setattr(candidates, "_of_other_shapes", lambda study, base, rival, masks: rival)
+    monkeypatch.setattr(candidates, "_continue_rival", lambda base, rival, masks, steps: rival)
+    monkeypatch.setattr(candidates, "_free_rival_shapes", lambda base, rival, masks: rival)
+    monkeypatch.setattr(candidates, "_restart_rival_noise", lambda base, rival, masks: rival)
+    monkeypatch.setattr(candidates, "_try_other_shapes", lambda study, base, rival, masks: rival)
 
     def rival(label, worth):
         ranked = SimpleNamespace(score=SimpleNamespace(gain=worth))
@@ -223,7 +230,7 @@ def test_own_states_follow_the_motion_as_the_compiled_effect_has_them():
     along = Along(Oscillator(), states, inputs, np.zeros((count, 2)), states[:, :1], {"mass": 1.0})
     effect = HiddenMode()
     shapes = {"natural_frequency": np.array([5.0, 7.0]), "damping_ratio": np.full(2, ratio)}
-    found = own_of(effect, 1, own_states_along(along, dt, effect, shapes)[0])
+    found = arrange_own_states(effect, 1, own_states_along(along, dt, effect, shapes)[0])
     s = 1j * turn
     through = (2 * ratio * natural * s + natural**2) / (s**2 + 2 * ratio * natural * s + natural**2)
     expected = np.imag(through * np.exp(s * time))
@@ -258,7 +265,7 @@ def test_estimates_scatter_as_their_standard_errors_say():
     for seed in range(40):
         record = record_of(seed, samples=1000)
         task, settings = task_of(record, values={"linear_stiffness.stiffness": 440.0})
-        found = maximise(((task, settings),), KEYS, first_noise(task, 0.1))
+        found = maximise_likelihood(((task, settings),), KEYS, first_noise(task, 0.1))
         assert found.converged
         squares += [((found.values[k] - TRUTH[k]) / found.errors[k]) ** 2 for k in KEYS]
         sizes.append(found.noise.values["white.x"] / (0.05 * np.std(record.truth["x"])))
@@ -276,7 +283,7 @@ def test_integration_steps_are_as_short_as_the_record_can_tell():
     stiffness = found["linear_stiffness"]["stiffness"]
     assert abs(stiffness.estimate - 4000.0) < 3 * stiffness.se
     task, settings = task_of(record, values=truth, substeps=1)
-    coarse = maximise(((task, settings),), KEYS, first_noise(task, 1e-4))
+    coarse = maximise_likelihood(((task, settings),), KEYS, first_noise(task, 1e-4))
     miss = abs(coarse.values["linear_stiffness.stiffness"] - 4000.0)
     assert miss > 5 * stiffness.se
 
@@ -314,9 +321,9 @@ def test_a_corner_that_was_held_takes_its_most_likely_width():
     truth = {"clearance.stiffness": 2000.0, "clearance.gap": 0.08, "clearance.width": 0.02}
     record = record_of(4, 1500, 0.01, (Clearance(),), truth)
     model = seed_model(Oscillator(), values=TRUTH)
-    problem = put(load_registry(None), model, (record,), None, candidates=("clearance",))
+    problem = pose_problem(load_registry(None), model, (record,), None, candidates=("clearance",))
     begun = Likelihood().begin(problem, silent)
-    settled = Likelihood().admit(begun.assembly, begun.standing, "clearance", silent)
+    settled = Likelihood().admit(begun.assembly, begun.fit_state, "clearance", silent)
     found = settled.comparison.model
     label = next(k.rsplit(".", 1)[0] for k in found.errors if k.startswith("clearance"))
     names = {k: k.replace("clearance", label) for k in truth}
@@ -345,9 +352,9 @@ def test_a_hidden_state_that_begins_far_off_is_found():
     record = make_record(model, "counts", time, {"I": counted}, {})
     guess = {k: f * v for (k, v), f in zip(truth.items(), (1.15, 0.9, 1.1), strict=True)}
     seed = seed_model(model, values=guess)
-    problem = put(load_registry(None), seed, (record,), (record,), candidates=())
+    problem = pose_problem(load_registry(None), seed, (record,), (record,), candidates=())
     begun = Likelihood().begin(problem, silent)
     found = begun.comparison.model
     errors = [(found.values[k] - v) / found.errors[k] for k, v in truth.items()]
     assert np.all(np.abs(errors) < 3.5)
-    assert begun.standing.starts[0][0] == pytest.approx(begin[0], rel=0.05)
+    assert begun.fit_state.starts[0][0] == pytest.approx(begin[0], rel=0.05)

@@ -7,7 +7,13 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.inference.discover import discover
 from spiral.inference.problem import silent
-from spiral.inference.rounds import chosen, looked, started, strategy_for, turned
+from spiral.inference.rounds import (
+    admit_step,
+    choose_candidate,
+    rank_last_round,
+    start_study,
+    strategy_for,
+)
 from spiral.types.model import Model, seed_model
 from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record
 
@@ -45,15 +51,15 @@ def _led(problem, first, rounds=3):
     """The rounds of a study whose first admission a person chose."""
     strategy = strategy_for(problem)
     begun = strategy.begin(problem, silent)
-    at = started(begun, 0.0)
+    at = start_study(begun, 0.0)
     for number in range(rounds):
-        at, step = looked(strategy, begun.assembly, at, silent)
+        at, step = rank_last_round(strategy, begun.assembly, at, silent)
         if number == 0:
-            step = chosen(strategy, begun.assembly, at, step, first)
+            step = choose_candidate(strategy, begun.assembly, at, step, first)
         if not step.admitted:
             return at
-        at = turned(strategy, begun.assembly, at, step, silent)
-    return looked(strategy, begun.assembly, at, silent)[0]
+        at = admit_step(strategy, begun.assembly, at, step, silent)
+    return rank_last_round(strategy, begun.assembly, at, silent)[0]
 
 
 def _ends_with(at, truth):

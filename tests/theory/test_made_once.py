@@ -28,9 +28,11 @@ def counts(monkeypatch):
         monkeypatch.setattr(module, name, around)
 
     counted(records, "estimate_noise", "noise", lambda values: values.tobytes())
-    counted(series, "_prepared", "arrays", lambda _, r, steps, __: (r.samples, str(r.hold), steps))
+    counted(
+        series, "_build_series", "arrays", lambda _, r, steps, __: (r.samples, str(r.hold), steps)
+    )
     counted(compiling, "write_function", "models", lambda _, name, model, *__: (name, model.keys))
-    counted(free_starts, "run_free", "free runs", lambda a, stage, settled: (
+    counted(free_starts, "free_run_from_stage", "free runs", lambda a, stage, settled: (
         tuple(stage.fitted.point.values.ravel()), settled, len(a.study.series[0].y)))  # fmt: skip
     return made
 

@@ -18,17 +18,17 @@ from spiral_plugins.systems.oscillator import Oscillator
 from experiments.hidden_effects.cases import record_of
 from experiments.hidden_effects.strengths import SCENES
 from spiral.engine.growth import first_starts, layouts_for
-from spiral.engine.start import balance, first_values
+from spiral.engine.start import first_values, prepare_balance
 from spiral.inference.discover import add, discover
-from spiral.inference.evidence.assembly import assemble, first_row
-from spiral.inference.evidence.comparison import last_stage, prepared
-from spiral.inference.evidence.fit_state import begin, half_masks
-from spiral.inference.evidence.spectrum import peaks
+from spiral.inference.evidence.assembly import assemble, initial_values
+from spiral.inference.evidence.comparison import last_stage, prepare_study
+from spiral.inference.evidence.enlarge import make_variant, reassemble, transfer_fit_state
+from spiral.inference.evidence.fit_state import half_masks, initial_fit_state
+from spiral.inference.evidence.spectrum import local_maxima
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.simulate import integrate
-from spiral.inference.strategies.resolved import scanned, widened
-from spiral.inference.suggest import propose
-from spiral.inference.unknown.holding import carried, reassembled, variant_of
+from spiral.inference.strategies.resolved import scan_effects, widen_study
+from spiral.inference.suggest import propose_on_windows
 from spiral.physics.trace import trace
 from spiral.types.effect import FlowEffect
 from spiral.types.model import Model, seed_model
@@ -230,10 +230,10 @@ def test_states_of_an_effect_are_driven_by_the_motion_of_its_port():
     """While the amplitude is zero nothing else tells them; the truth is a long simulation's."""
     problem = _problem(duration=4.0)
     base = assemble(problem)
-    study = reassembled(base, (), (variant_of(effect("hidden_mode"), "1", MODE),))
+    study = reassemble(base, (), (make_variant(effect("hidden_mode"), "1", MODE),))
     layouts = layouts_for(study.study, 512, (None,))
-    values = begin(base, problem.model.labels)
-    starts = first_starts(study.study, layouts, carried(values, base, study).values)[0]
+    values = initial_fit_state(base, problem.model.labels)
+    starts = first_starts(study.study, layouts, transfer_fit_state(values, base, study).values)[0]
     model = seed_model(
         Oscillator(), (effect("hidden_mode"),), values={**BASE, **_values("hidden_mode", MODE),
                                                         "hidden_mode.mass": 0.0}
@@ -250,30 +250,30 @@ def test_first_values_do_not_depend_on_states_that_effects_bring():
     """A study that goes on with a resonance may begin anew from the seed (a curve's does)."""
     problem = _problem(duration=4.0)
     base = assemble(problem)
-    study = reassembled(base, (), (variant_of(effect("hidden_mode"), "1", MODE),))
+    study = reassemble(base, (), (make_variant(effect("hidden_mode"), "1", MODE),))
     seed = trace(Oscillator(), problem.model.effects)
     unknown = tuple(k for k, p in problem.model.pairs if p.start is None)
     found = []
     for each in (base, study):
-        equations = balance(each.study, seed, unknown)
-        values = first_values(each.study, equations, first_row(each), 11)
+        equations = prepare_balance(each.study, seed, unknown)
+        values = first_values(each.study, equations, initial_values(each), 11)
         found.append([values[0, each.study.index(k)] for k in unknown])
     assert len(unknown) == 3
     assert found[0] == found[1]
-    assert begin(study, problem.model.labels).labels == problem.model.labels
+    assert initial_fit_state(study, problem.model.labels).labels == problem.model.labels
 
 
 def test_peaks_are_the_local_maxima_the_largest_first():
-    assert peaks(np.array([3.0, 1.0, 2.0, 5.0, 5.0, 0.0, 1.0])) == [3, 0, 6]
-    assert peaks(np.zeros(1)) == [0]
+    assert local_maxima(np.array([3.0, 1.0, 2.0, 5.0, 5.0, 0.0, 1.0])) == [3, 0, 6]
+    assert local_maxima(np.zeros(1)) == [0]
 
 
 @pytest.mark.parametrize("name", HIDDEN)
 def test_the_residual_has_its_peak_where_the_hidden_frequency_is(name):
-    assembly, standing = prepared(_problem(name))
-    stage = last_stage(assembly, standing, half_masks(assembly)[0])
-    standing = replace(standing, values=stage.fitted.point.values)
-    scan = scanned(assembly, standing, stage, (effect(name),))[0]
+    assembly, fit_state = prepare_study(_problem(name))
+    stage = last_stage(assembly, fit_state, half_masks(assembly)[0])
+    fit_state = replace(fit_state, values=stage.fitted.point.values)
+    scan = scan_effects(assembly, fit_state, stage, (effect(name),))[0]
     true = MODE["natural_frequency"] if name == "hidden_mode" else 1 / (2 * np.pi * 0.008)
     found = scan.frequency[np.argmax(scan.share)]
     assert abs(np.log(found / true)) < (0.1 if name == "hidden_mode" else 0.7)
@@ -327,12 +327,14 @@ def test_nothing_is_invented():
 
 def _looked(problem):
     """What a round that looks for resonances admits, whatever its residual."""
-    assembly, standing = prepared(problem)
+    assembly, fit_state = prepare_study(problem)
     masks = half_masks(assembly)
-    stage = last_stage(assembly, standing, masks[0])
-    standing = replace(standing, values=stage.fitted.point.values)
-    wide, _ = widened(assembly, standing, stage, assembly.later)
-    found = propose(Shooting(), wide, carried(standing, assembly, wide), masks, 1)
+    stage = last_stage(assembly, fit_state, masks[0])
+    fit_state = replace(fit_state, values=stage.fitted.point.values)
+    wide, _ = widen_study(assembly, fit_state, stage, assembly.later)
+    found = propose_on_windows(
+        Shooting(), wide, transfer_fit_state(fit_state, assembly, wide), masks, 1
+    )
     return () if found.admitted is None else found.admitted.variant.label
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from experiments.memory.bench import SAYS, asked
-from spiral.physics.history import _KNOTS, PresentForce, RememberedForce, _bends
+from spiral.physics.history import _KNOTS, PresentForce, RememberedForce, _spline_terms
 from spiral.types.port import At
 
 CANDIDATES = ["cubic_stiffness", "quadratic_damping"]
@@ -65,7 +65,7 @@ def test_the_curves_of_a_force_without_memory_are_natural_splines():
     spline = CubicSpline(_KNOTS, heights, bc_type="natural")
     inside = np.clip(z, _KNOTS[0], _KNOTS[-1])
     wanted = spline(inside) + spline(inside, 1) * (z - inside)
-    columns = np.stack([np.ones_like(z), z, *_bends(z)], axis=1)
+    columns = np.stack([np.ones_like(z), z, *_spline_terms(z)], axis=1)
     found = columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
     np.testing.assert_allclose(found, wanted, atol=1e-9)
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.signal import lfilter
 
 import spiral
-from spiral.engine.filter.noise import intensity
-from spiral.engine.filter.setup import chosen_levels, prepared
+from spiral.engine.filter.noise import noise_intensity
+from spiral.engine.filter.setup import choose_levels, prepare_filter
 from spiral.engine.filter.task import prepare_task
 from spiral.inference.acting import random_forces
-from spiral.inference.strategies.admission import _instead_of_forces
+from spiral.inference.strategies.admission import _force_replacement_size
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import Horizon
 from spiral.types.model import seed_model
@@ -80,14 +80,14 @@ def test_the_least_of_three_errors_says_what_a_random_force_no_longer_has_to_do(
     """sqrt((b / a)^2 - 1) of the force and of both free runs: 2 -> 1 is sqrt(3)."""
     before, cubic = _compared(0.2, 0.10, 0.20), effect("cubic_stiffness")
     after = _compared(0.1, 0.05, 0.10, cubic)
-    assert _instead_of_forces(before, after) == pytest.approx(np.sqrt(3.0))
-    assert _instead_of_forces(before, _compared(0.1, 0.05, 0.25, cubic)) == 0.0
-    assert _instead_of_forces(before, _compared(0.2, 0.05, 0.10, cubic)) == 0.0
+    assert _force_replacement_size(before, after) == pytest.approx(np.sqrt(3.0))
+    assert _force_replacement_size(before, _compared(0.1, 0.05, 0.25, cubic)) == 0.0
+    assert _force_replacement_size(before, _compared(0.2, 0.05, 0.10, cubic)) == 0.0
 
 
 def test_a_force_with_a_memory_of_its_own_counts_for_nothing_there():
     before = _compared(0.2, 0.10, 0.20)
-    assert _instead_of_forces(before, _compared(0.1, 0.05, 0.10, effect("hidden_mode"))) == 0.0
+    assert _force_replacement_size(before, _compared(0.1, 0.05, 0.10, effect("hidden_mode"))) == 0.0
 
 
 def test_a_filter_takes_levels_of_groups_and_of_single_states():
@@ -95,8 +95,8 @@ def test_a_filter_takes_levels_of_groups_and_of_single_states():
     system = _system()
     task = prepare_task(seed_model(system, values={f"system.{k}": v for k, v in TRUTH.items()}),
                         _disturbed(system, count=400))  # fmt: skip
-    both = intensity(task, {"observed": 0.1})
-    one = intensity(task, chosen_levels(task, prepared(task)[1], {"w": 0.1}))
+    both = noise_intensity(task, {"observed": 0.1})
+    one = noise_intensity(task, choose_levels(task, prepare_filter(task)[1], {"w": 0.1}))
     assert one == pytest.approx([both[0], 0.0])
     with pytest.raises(ConfigError, match="process_noise of 'nowhere'"):
-        chosen_levels(task, prepared(task)[1], {"nowhere": 0.1})
+        choose_levels(task, prepare_filter(task)[1], {"nowhere": 0.1})

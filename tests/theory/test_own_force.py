@@ -10,7 +10,7 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.inference.simulate import simulate
 from spiral.inference.where.latent import missing_force
-from spiral.inference.where.own_force import own_force
+from spiral.inference.where.own_force import effect_own_force
 from spiral.types.model import Model, seed_model
 from tests.scenes import SEED_TRUTH, planar_record
 
@@ -30,7 +30,7 @@ def hardening():
 
 def test_a_law_is_drawn_as_it_is_and_lies_on_the_force_that_was_missing():
     missing, after = hardening()
-    found = own_force(missing, after, "cubic_stiffness")
+    found = effect_own_force(missing, after, "cubic_stiffness")
     x = missing.states[found.rows, 0]
     law = -2e6 * x**3
     np.testing.assert_allclose(found.alone[:, 0], law, atol=1e-9 * np.abs(law).max())
@@ -42,7 +42,7 @@ def test_a_law_is_drawn_as_it_is_and_lies_on_the_force_that_was_missing():
 def test_what_the_refit_changes_elsewhere_is_in_the_second_curve_alone():
     missing, after = hardening()
     moved = {**after.values, "linear_stiffness.stiffness": 3700.0}
-    found = own_force(missing, Model(after.system, after.effects, moved), "cubic_stiffness")
+    found = effect_own_force(missing, Model(after.system, after.effects, moved), "cubic_stiffness")
     x = missing.states[found.rows, 0]
     size = np.abs(found.alone).max()
     np.testing.assert_allclose(found.alone[:, 0], -2e6 * x**3, atol=1e-9 * size)
@@ -57,7 +57,7 @@ def test_axes_of_a_rotor_keep_their_own_forces():
     record = planar_record(1, (CrossStiffness(),), {"cross_stiffness.stiffness": 900.0},
                            duration=4.0)  # fmt: skip
     missing = missing_force(before, record)
-    found = own_force(missing, after, "cross_stiffness")
+    found = effect_own_force(missing, after, "cross_stiffness")
     x, y = missing.states[found.rows, :2].T
     law = -900.0 * np.column_stack([y, x])
     np.testing.assert_allclose(found.alone, law, atol=1e-7 * np.abs(law).max())
@@ -68,4 +68,4 @@ def test_what_has_no_force_of_the_motion_has_no_curve(effect):
     missing, after = hardening()
     keys = dict.fromkeys((k for k, _ in effect.keys(after.system.place(effect))), 0.1)
     model = Model(after.system, (*Oscillator().seed, effect), {**TRUTH, **keys})
-    assert own_force(missing, model, effect.label) is None
+    assert effect_own_force(missing, model, effect.label) is None

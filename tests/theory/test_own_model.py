@@ -15,7 +15,7 @@ import spiral
 from experiments.studies.signals import band_limited
 from spiral.io.config import build_system, compose
 from spiral.io.registry import NO_FOLDER, load_registry
-from spiral.io.storage import model_data, model_from
+from spiral.io.storage import model_data, rebuild_model
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
 from spiral.physics.formulas.function import CannotTraceError, definition_from
@@ -179,7 +179,7 @@ def test_a_model_is_data_and_needs_its_function_no_more(systems):
     system = systems["motor"]
     assert pickle.loads(pickle.dumps(system)) == system
     saved = json.loads(json.dumps(model_data(seed_model(system))))
-    again = model_from(saved, load_registry(NO_FOLDER))
+    again = rebuild_model(saved, load_registry(NO_FOLDER))
     assert again.system == system
 
 

@@ -15,7 +15,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.physics.formulas.laws import laws_of
-from spiral.physics.passivity import DAMPING, STIFFNESS, implausible
+from spiral.physics.passivity import DAMPING, STIFFNESS, implausible_signs
 from spiral.types.effect import ForceEffect
 from spiral.types.model import Model
 
@@ -23,7 +23,7 @@ from spiral.types.model import Model
 def signs(effect, system=None, errors=None, **values):
     given = {f"{effect.label}.{k}": v for k, v in values.items()}
     wrong = {f"{effect.label}.{k}": v for k, v in (errors or {}).items()}
-    found = implausible(Model(system or Oscillator(), (effect,), given, errors=wrong))
+    found = implausible_signs(Model(system or Oscillator(), (effect,), given, errors=wrong))
     return {k.rpartition(".")[2]: v for k, v in found.items()}
 
 
@@ -59,7 +59,7 @@ def test_formulas_of_ones_own_are_asked_by_the_same_rule():
             port = Oscillator().place(law)
             values = {k: -1.0 if p.role == "amplitude" else p.start or 0.7
                       for k, p in law.keys(port)}  # fmt: skip
-            found[law.label] = set(implausible(Model(Oscillator(), (law,), values)).values())
+            found[law.label] = set(implausible_signs(Model(Oscillator(), (law,), values)).values())
     assert DAMPING in set().union(*found.values())
     assert len(found) > 10
 

@@ -171,14 +171,14 @@ def test_hidden_coordinates_cannot_be_differentiated():
 
 def test_a_run_is_taken_up_again_from_a_checkpoint():
     """Through JSON, with amplitudes that are held at zero."""
-    from spiral.io.checkpoint import Checkpoint, _converter
+    from spiral.io.checkpoint import Checkpoint, _json_converter
 
     question = problem(Core(), gates=(), named=("speed_damping",), duration=3.0,
                        start_hz=25.0, stop_hz=10.0)  # fmt: skip
     kept: list[Checkpoint] = []
     run = discover(question, keep=kept.append)
-    converter = _converter(REGISTRY)
+    converter = _json_converter(REGISTRY)
     text = json.dumps(converter.unstructure(kept[1]))
     back = converter.structure(json.loads(text), Checkpoint)
-    assert back.standing.held == ("speed_damping.own_x", "speed_damping.own_y")
+    assert back.fit_state.held == ("speed_damping.own_x", "speed_damping.own_y")
     assert discover(question, resume=back).model.values == run.model.values

@@ -7,13 +7,13 @@ import pytest
 from scipy.linalg import expm
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.engine.filter.task import linearised
-from spiral.engine.likelihood.fit import maximise
+from spiral.engine.filter.task import state_jacobian
+from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise
-from spiral.inference.likelihood.comparison import acting
-from spiral.inference.likelihood.fitting import refitted, reopened
-from spiral.inference.likelihood.ladder import climbed_ladder
+from spiral.inference.likelihood.comparison import reportable_noise
+from spiral.inference.likelihood.fitting import fit_by_likelihood, restart_vanished_noise
+from spiral.inference.likelihood.ladder import select_noise_model
 from spiral.inference.problem import silent
 from spiral.types.model import seed_model
 from tests.swept_oscillator import KEYS, TRUTH, record_of, shaken, states_alone, task_of
@@ -25,7 +25,7 @@ def test_estimates_bear_a_random_force():
     for seed in range(20):
         record = shaken(seed, 0.05)
         task, settings = task_of(record)
-        found = maximise(((task, settings),), KEYS, first_noise(task, 0.1))
+        found = maximise_likelihood(((task, settings),), KEYS, first_noise(task, 0.1))
         squares += [((found.values[k] - TRUTH[k]) / found.errors[k]) ** 2 for k in KEYS]
         levels.append(found.noise.values["force.observed"])
     assert 0.6 < np.mean(squares) < 1.6
@@ -62,25 +62,25 @@ def test_slow_noise_counts_by_how_far_it_goes_over_the_record():
     record = replace(record, channels={"x": record.channels["x"] + 4 * spread})
     task, settings = task_of(record)
     term = NoiseTerm("coloured", "x")
-    noise = first_noise(task, 0.0).added(
+    noise = first_noise(task, 0.0).with_terms(
         (term,), {term.size: 4 * spread, term.time: 0.3 * record.dt * record.samples}
     )
-    found = maximise(((task, settings),), (), noise, steps=3)
+    found = maximise_likelihood(((task, settings),), (), noise, steps=3)
     assert found.noise.values[term.size] > spread
-    shares, _ = acting(found, 0.0)
+    shares, _ = reportable_noise(found, 0.0)
     assert shares.get(term.size, 0.0) < 0.5  # beyond that a sensor shows mostly noise
 
 
 def test_a_force_with_a_memory_carries_a_free_run_as_a_linear_machine_says():
     """Covariances of oscillator and force together, P <- F P F^T + Q, from a machine at rest."""
     task, settings = task_of(record_of(0))
-    noise = first_noise(task, 0.0).added(
+    noise = first_noise(task, 0.0).with_terms(
         (NoiseTerm("gust", "observed"),), {"gust.observed": 0.2, "gust.time": 5 * task.series.dt}
     )
     spread = free_spread(task, settings, noise)[:, 0]
     dt, time = task.series.dt, noise.values["gust.time"]
     a = np.zeros((3, 3))
-    a[:2, :2] = linearised(task.compiled, task.values, task.mean_inputs, task.centre)
+    a[:2, :2] = state_jacobian(task.compiled, task.values, task.mean_inputs, task.centre)
     flow, p, said = expm(a * dt), np.zeros((3, 3)), []
     size = 0.2 * task.rates[1]
     flow[:2, 2] = flow[:2, :2] @ [0, dt]
@@ -139,18 +139,18 @@ def relaxed(rng, count, keep):
 
 def unfitted(record):
     """A study of the oscillator and its state, nothing fitted."""
-    from spiral.inference.evidence.assembly import compiled_with
-    from spiral.inference.evidence.fit_state import FitState, first_row
+    from spiral.inference.evidence.assembly import compile_assembly
+    from spiral.inference.evidence.fit_state import FitState, initial_values
     from spiral.inference.problem import Problem
 
     model = seed_model(Oscillator(), values=TRUTH)
-    assembly = compiled_with(Problem(model, (record,), ()), (), 4)
-    return assembly, FitState(model.labels, first_row(assembly), corrected=False)
+    assembly = compile_assembly(Problem(model, (record,), ()), (), 4)
+    return assembly, FitState(model.labels, initial_values(assembly), corrected=False)
 
 
 def laddered(record) -> NoiseModel:
     assembly, state = unfitted(record)
-    return climbed_ladder(assembly, refitted(assembly, state), silent).estimate.noise
+    return select_noise_model(assembly, fit_by_likelihood(assembly, state), silent).estimate.noise
 
 
 def test_noise_that_vanished_beside_a_large_random_force_is_found_again():
@@ -159,9 +159,9 @@ def test_noise_that_vanished_beside_a_large_random_force_is_found_again():
     size = 0.02 * np.std(record.truth["x"])
     assembly, state = unfitted(replace(record, noise={}))
     vanished = first_noise(task_of(record)[0], 0.3, np.array([1e-5 * size]))
-    stuck = refitted(assembly, state, vanished)
+    stuck = fit_by_likelihood(assembly, state, vanished)
     assert stuck.estimate.noise.values["white.x"] < 0.01 * size
-    found = reopened(assembly, stuck)
+    found = restart_vanished_noise(assembly, stuck)
     assert found.height > stuck.height + 10
     assert found.estimate.noise.values["white.x"] == pytest.approx(size, rel=0.15)
-    assert reopened(assembly, found) is found
+    assert restart_vanished_noise(assembly, found) is found

@@ -14,19 +14,19 @@ from spiral_plugins.effects.restoring import ConstantLoad, CubicStiffness
 from spiral_plugins.effects.sensors import Delay, Gain
 
 import spiral
-from spiral.engine.filter.setup import prepared
+from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import prepare_task
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
-from spiral.engine.likelihood.predict import log_likelihood, predicted
-from spiral.engine.series import prepare
-from spiral.engine.start import motion
+from spiral.engine.likelihood.predict import log_likelihood, predict_readings
+from spiral.engine.series import prepare_series
+from spiral.engine.start import smoothed_motion
 from spiral.engine.study import CompiledStudy
-from spiral.inference.likelihood.scores import motion_of
+from spiral.inference.likelihood.scores import predicted_motion
 from spiral.io.readers.dialect import is_unit
 from spiral.io.registry import NO_FOLDER, load_registry
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
-from spiral.physics.signatures import Along, at_port_along, signatures
+from spiral.physics.signatures import Along, port_motion_along, signatures
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError, SpiralError
 from spiral.types.model import seed_model
@@ -131,12 +131,12 @@ def test_a_random_force_reaches_an_accelerometer_at_once():
     system = equations(ONE)
     time, force, states = accelerations(samples=64)
     record = record_of(system, time, force, states[:, 2])
-    task, settings = prepared(
+    task, settings = prepare_filter(
         prepare_task(seed_model(system, values=VALUES), record, substeps=16), ()
     )
     values = {"white.a": 0.3, "force.observed": 0.5}
     noise = NoiseModel((NoiseTerm("white", "a"), NoiseTerm("force", "observed")), values)
-    found = log_likelihood([predicted(task, settings, noise)])
+    found = log_likelihood([predict_readings(task, settings, noise)])
     spread = 0.5 * np.sqrt(task.scales[1] * task.rates[1] / task.series.dt)
     count, dt = len(time), task.series.dt
     a = np.array([[0.0, 1.0], [-4000.0, -4.0]])
@@ -168,12 +168,12 @@ def test_signatures_in_readings_are_the_slopes_of_the_compiled_effect(effect):
     told = {c: rng.normal(size=64) for c in system.observed}
     record = make_record(system, "r", time, told, {"F": rng.normal(size=64)})
     values = {"system.c": 3.0, "system.k": 2000.0}
-    task, settings = prepared(prepare_task(seed_model(system, values=values), record), ())
+    task, settings = prepare_filter(prepare_task(seed_model(system, values=values), record), ())
     noise = NoiseModel(tuple(NoiseTerm("white", c) for c in told),
                        {f"white.{c}": 1.0 for c in told})  # fmt: skip
-    run = predicted(task, settings, noise, keep=True)
+    run = predict_readings(task, settings, noise, keep=True)
 
-    along = motion_of(SimpleNamespace(problem=SimpleNamespace(model=task.model)), task, run)
+    along = predicted_motion(SimpleNamespace(problem=SimpleNamespace(model=task.model)), task, run)
     rates, readings = signatures(along, effect, {})
     traced = trace(system, (effect,))
     keys = [i for i, k in enumerate(traced.keys) if k.startswith(effect.label)]
@@ -191,8 +191,8 @@ def test_a_coordinate_behind_an_accelerometer_starts_from_its_integrals():
     system = equations(ONE)
     time, force, states = accelerations(samples=3000)
     record = record_of(system, time, force, states[:, 2], noise=0.01)
-    study = CompiledStudy(compile_model(trace(system, ())), (prepare(system, record, 1),))
-    moving = motion(study, study.series[0], 5)
+    study = CompiledStudy(compile_model(trace(system, ())), (prepare_series(system, record, 1),))
+    moving = smoothed_motion(study, study.series[0], 5)
     for i in range(2):
         assert np.corrcoef(moving.states[200:-200, i], states[200:-200, i])[0, 1] > 0.9
     assert np.corrcoef(moving.acceleration[:, 0], states[:, 2])[0, 1] > 0.99
@@ -294,7 +294,7 @@ def test_a_reading_s_rate_is_there_for_a_stretch_of_one_sample():
     readings = np.linspace(0.0, 1.0, 5)[:, None] ** 2
     none, rates = np.zeros((5, 2)), np.gradient(readings, 0.1, axis=0)
     along = Along(equations(ONE), none, none, none, readings, {}, reading_rates=rates)
-    position, velocity = at_port_along(along.part(slice(4, 5)), Delay())
+    position, velocity = port_motion_along(along.part(slice(4, 5)), Delay())
     assert position.shape == velocity.shape == (1, 1)
     assert velocity[0, 0] == rates[4, 0]
 

@@ -7,7 +7,7 @@ import pytest
 
 import spiral
 from spiral.io.registry import NO_FOLDER, load_registry
-from spiral.io.storage import model_data, model_from
+from spiral.io.storage import model_data, rebuild_model
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
 from spiral.physics.robots.motion import Sizes, equations_of_motion
@@ -130,7 +130,7 @@ def test_a_urdf_is_a_system_with_named_inputs_sensors_places_and_free_numbers(tm
     assert start["shoulder_damping"] == 0.1
     again = json.loads(json.dumps(model_data(seed_model(system))))
     (tmp_path / "two.urdf").unlink()
-    assert model_from(again, load_registry(NO_FOLDER)).system == system
+    assert rebuild_model(again, load_registry(NO_FOLDER)).system == system
 
 
 BALL = arm().replace('name="elbow" axis="0 1 0" damping="0.01"', 'name="elbow" type="ball"')

@@ -11,8 +11,12 @@ from spiral_plugins.strategies.shooting import Shooting
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.inference.discover import discover
-from spiral.inference.evidence.assembly import assemble, first_row
-from spiral.inference.evidence.scales import extremes, visited, with_scaled_shapes
+from spiral.inference.evidence.assembly import assemble, initial_values
+from spiral.inference.evidence.scales import (
+    largest_port_motion,
+    states_along_records,
+    with_scaled_shapes,
+)
 from spiral.inference.problem import Problem
 from spiral.math import sqrt
 from spiral.types.effect import ForceEffect
@@ -107,8 +111,8 @@ def records():
 def test_hidden_states_are_inferred_not_taken_as_zero(records):
     """Scales at the hidden port agree with the simulated truth, though the seed lacks friction."""
     model = replace(seed_model(FlexibleDrive()), values=DRIVE)
-    along = visited(model, records[:1])
-    largest = extremes(model.system, records[:1], along)
+    along = states_along_records(model, records[:1])
+    largest = largest_port_motion(model.system, records[:1], along)
     for port, state in (("load.position", "load"), ("load.velocity", "load_rate")):
         truth = np.abs(records[0].truth[state]).max()
         assert 0.5 * truth < largest[port] < 2.0 * truth
@@ -116,8 +120,8 @@ def test_hidden_states_are_inferred_not_taken_as_zero(records):
 
 
 def test_values_that_are_unknown_do_not_stop_the_inference(records):
-    largest = extremes(
-        FlexibleDrive(), records[:1], visited(seed_model(FlexibleDrive()), records[:1])
+    largest = largest_port_motion(
+        FlexibleDrive(), records[:1], states_along_records(seed_model(FlexibleDrive()), records[:1])
     )
     assert largest["load.velocity"] > 0.0
 
@@ -125,9 +129,11 @@ def test_values_that_are_unknown_do_not_stop_the_inference(records):
 def test_places_that_no_sensor_sees_have_the_motion_that_a_filter_expects(records):
     """What lies between a measured and a hidden coordinate is no difference of two estimates."""
     model = replace(seed_model(FlexibleDrive()), values=DRIVE)
-    along = visited(model, records[:1])
+    along = states_along_records(model, records[:1])
     expected = (0.01 * along[0],)
-    plain, given = (extremes(model.system, records[:1], along, e) for e in ((), expected))
+    plain, given = (
+        largest_port_motion(model.system, records[:1], along, e) for e in ((), expected)
+    )
     ports = {p.name: p for p in (*model.system.ports, *model.system.links)}
     hidden = [n for n in plain if n.split(".")[0] in ports and "motor" not in n and plain[n]]
     assert {"load.position", "load.velocity"} <= set(hidden)
@@ -141,7 +147,7 @@ def test_a_port_where_nothing_moves_leaves_its_candidate_out_by_name(records):
     assembly = assemble(Problem(model, records[:1], records[1:], None, tuple(names)))
     assert "nothing moves at wall" in assembly.left_out["coulomb_friction@wall"]
     assert {v.original.label for v in assembly.variants} == {"coulomb_friction@load"}
-    assert np.isfinite(first_row(assembly)).all()
+    assert np.isfinite(initial_values(assembly)).all()
 
 
 def test_a_candidate_that_is_no_number_leaves_the_study_to_the_others(records):
@@ -160,7 +166,9 @@ def test_measured_states_are_those_of_the_polynomial():
         inputs={"force": {"noise": 1.0, "band": [5, 60]}}, duration=2.0, rate=1000.0)  # fmt: skip
     record = source.load(Oscillator())[0]
     known = replace(seed_model(Oscillator()), values={"system.mass": 7.0})
-    first, second = (visited(m, (record,))[0] for m in (seed_model(Oscillator()), known))
+    first, second = (
+        states_along_records(m, (record,))[0] for m in (seed_model(Oscillator()), known)
+    )
     np.testing.assert_array_equal(first, second)
 
 
@@ -192,7 +200,9 @@ def test_shapes_that_nobody_gave_are_the_middle_of_their_grids(records):
     wide = model.add(effect("coulomb_friction", port="load"))
     wide = wide.add(effect("clearance", port="load"), known)
     found, scaled = with_scaled_shapes(wide, records[:1])
-    largest = extremes(model.system, records[:1], visited(model, records[:1]))
+    largest = largest_port_motion(
+        model.system, records[:1], states_along_records(model, records[:1])
+    )
     width = 0.02 * largest["load.velocity"]
     added = {k: v for k, v in found.values.items() if k not in DRIVE}
     assert added == known | {"coulomb_friction@load.width": pytest.approx(width)}

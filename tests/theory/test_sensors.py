@@ -15,7 +15,7 @@ import spiral
 from spiral.engine.score import ScoreTable
 from spiral.inference.discover import discover
 from spiral.inference.evidence.gridnull import effective_tests
-from spiral.inference.evidence.inseparable import inseparable
+from spiral.inference.evidence.inseparable import inseparable_part
 from spiral.inference.evidence.lines import strongest_line
 from spiral.inference.simulate import integrate
 from spiral.math import ramp
@@ -224,15 +224,15 @@ def test_a_direction_in_the_span_of_the_model_is_named_and_held():
     active = rng.normal(size=(50, 3))
     own = rng.normal(size=(50, 2))
     wide = np.column_stack([active, own[:, 0], active[:, 1] - own[:, 0], rng.normal(size=50)])
-    found = inseparable(np.linalg.qr(wide, mode="r"), 3, (0, 1))
+    found = inseparable_part(np.linalg.qr(wide, mode="r"), 3, (0, 1))
     assert found.with_ == (1,)
     assert found.held == (1,)
     assert not found.whole
-    alone = inseparable(np.linalg.qr(np.column_stack([active, active @ [1, 2, 0], own[:, 0]]),
+    alone = inseparable_part(np.linalg.qr(np.column_stack([active, active @ [1, 2, 0], own[:, 0]]),
                                      mode="r"), 3, (0,))  # fmt: skip
     assert alone.whole
     assert alone.with_ == (0, 1)
-    free = inseparable(np.linalg.qr(wide, mode="r"), 3, (0,))
+    free = inseparable_part(np.linalg.qr(wide, mode="r"), 3, (0,))
     assert free.with_ == ()
 
 

@@ -9,14 +9,14 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 import spiral.engine.sensitivities as sensitivities
-from spiral.engine.elimination import eliminate
+from spiral.engine.elimination import eliminate_initial_states
 from spiral.engine.fit import covariance, fit
 from spiral.engine.growth import first_starts, layouts_for
-from spiral.engine.score import score, tabulate
-from spiral.engine.sensitivities import reduce, residuals, run_windows
-from spiral.engine.series import prepare
+from spiral.engine.score import build_score_table, score
+from spiral.engine.sensitivities import reduce_windows, residuals, run_windows
+from spiral.engine.series import prepare_series
 from spiral.engine.study import CompiledStudy, ParameterColumns, Point
-from spiral.engine.windows import block_length, cut, halves, stage_lengths
+from spiral.engine.windows import block_length, cut_windows, halves, stage_lengths
 from spiral.inference.simulate import integrate
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
@@ -29,7 +29,7 @@ def _study(duration=1.2, effects=("gyroscopic", "cubic_stiffness"), seed=3):
     more = tuple(effect(e) for e in effects)
     record = planar_record(seed, duration=duration)
     compiled = compile_model(trace(base.system, (*base.effects, *more)))
-    study = CompiledStudy(compiled, (prepare(base.system, record, 1),))
+    study = CompiledStudy(compiled, (prepare_series(base.system, record, 1),))
     values = np.zeros((1, len(study.keys)))
     for key, value in {**SEED_TRUTH, "system.phase_origin": 0.4}.items():
         values[0, study.index(key)] = value
@@ -92,7 +92,7 @@ def test_sensitivities_agree_with_central_differences(effects):
     rates = [
         n.endswith(("_rate", "velocity_x", "velocity_y")) for n in study.compiled.traced.states
     ]
-    grams = reduce(study, layouts, point, columns).triangle
+    grams = reduce_windows(study, layouts, point, columns).triangle
 
     def shoot(row):
         return residuals(study, layouts, replace(point, values=row[None, :]))[0]
@@ -125,9 +125,9 @@ def test_reduction_does_not_depend_on_the_piece_it_is_made_in(monkeypatch):
     study, values, columns = _study(duration=2.0)
     layouts = layouts_for(study, 2001, (None,))
     point = _point(study, values, layouts)
-    whole = reduce(study, layouts, point, columns, 128)
+    whole = reduce_windows(study, layouts, point, columns, 128)
     monkeypatch.setattr(sensitivities, "_PIECE", 256)
-    pieces = reduce(study, layouts, point, columns, 128)
+    pieces = reduce_windows(study, layouts, point, columns, 128)
     norms = np.linalg.norm(whole.triangle, axis=0)
     np.testing.assert_allclose(
         np.abs(pieces.triangle) / norms, np.abs(whole.triangle) / norms, atol=1e-9
@@ -139,7 +139,7 @@ def test_blocks_add_up_to_the_whole_reduction():
     study, values, columns = _study(duration=2.0)
     for length in (64, 256, 2001):
         layouts = layouts_for(study, length, (None,))
-        reduction = reduce(study, layouts, _point(study, values, layouts), columns, 128)
+        reduction = reduce_windows(study, layouts, _point(study, values, layouts), columns, 128)
         total = reduction.blocks.sum(axis=0)
         dense = reduction.triangle.T @ reduction.triangle
         size = np.sqrt(np.outer(np.diag(dense), np.diag(dense)))
@@ -150,7 +150,7 @@ def test_an_unseen_direction_of_the_initial_state_is_left_alone():
     # A free mass under a known force, position unseen: no window can tell the position.
     triangle = np.zeros((1, 3, 3))
     triangle[0] = [[1.0, 0.0, 2.0], [0.0, 0.0, 3.0], [0.0, 0.0, 1.0]]
-    rows, eliminated, rank = eliminate(triangle, 2)
+    rows, eliminated, rank = eliminate_initial_states(triangle, 2)
     assert rank == 1
     assert np.linalg.norm(rows) == pytest.approx(np.sqrt(10.0))
     assert np.isfinite(eliminated).all()
@@ -160,7 +160,7 @@ def test_a_fit_recovers_noise_free_parameters():
     record = planar_record(0, noise=0.0, duration=3.0)
     study, values, columns = _study(duration=3.0, effects=())
     record = replace(record, noise={"x": 1e-9, "y": 1e-9})
-    study = replace(study, series=(prepare(PlanarRotor(), record, 2),))
+    study = replace(study, series=(prepare_series(PlanarRotor(), record, 2),))
     layouts = layouts_for(study, 256, (None,))
     start = values * 1.03
     limits = (np.full(columns.count, -np.inf), np.full(columns.count, np.inf))
@@ -200,7 +200,7 @@ def test_partial_f_is_that_of_ordinary_least_squares():
     columns = ParameterColumns(np.array([study.index(k) for k in keys]), np.full(4, -1))
     layouts = layouts_for(study, 801, (None,))
     point = _point(study, values, layouts)
-    table = tabulate(reduce(study, layouts, point, columns), 2)
+    table = build_score_table(reduce_windows(study, layouts, point, columns), 2)
     ours = score(table, (0, 1), (False, False))
     # the same regression, dense: columns from differences of the residuals
     matrix = []
@@ -244,7 +244,7 @@ def test_windows_cover_what_the_mask_holds_and_nothing_twice():
         block = block_length(samples)
         for mask in (None, *halves(samples, block)):
             for length in stage_lengths(samples, block):
-                layout = cut(samples, length, mask)
+                layout = cut_windows(samples, length, mask)
                 covered = np.zeros(samples, dtype=int)
                 for start, size in zip(layout.starts, layout.lengths, strict=True):
                     covered[start : start + size] += 1
@@ -268,4 +268,4 @@ def test_a_point_of_another_study_is_refused_before_compiled_loops_see_it():
     narrow = Point(np.ones((1, len(study.keys) - 1)), (np.zeros((1, study.state_count)),))
     for point in (wide, narrow):
         with pytest.raises(ValueError, match="a point of 1 records"):
-            point.fits(study)
+            point.check_study(study)

@@ -7,8 +7,8 @@ from scipy.signal import lfilter
 import spiral
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
 from spiral.inference.acting import random_forces
-from spiral.inference.likelihood.fitting import largest_force, refitted
-from spiral.inference.likelihood.smaller_forces import with_smaller_forces
+from spiral.inference.likelihood.fitting import fit_by_likelihood, largest_force
+from spiral.inference.likelihood.smaller_forces import replace_large_forces
 from spiral.inference.problem import silent
 from spiral.inference.rounds import strategy_for
 from spiral.types.record import make_record
@@ -54,19 +54,19 @@ def study():
     run = spiral.discover(_record(system, 1), system, candidates=["linear_loss@h"])
     strategy = strategy_for(run.question)
     begun = strategy.begin(run.question, silent)
-    assembly, state = begun.assembly, begun.standing
+    assembly, state = begun.assembly, begun.fit_state
     noise = NoiseModel(
         (NoiseTerm("white", "h"), NoiseTerm("force", "hidden")),
         {"white.h": 0.003, "force.hidden": 0.5},
     )
-    return assembly, refitted(assembly, state, noise, rough=True)
+    return assembly, fit_by_likelihood(assembly, state, noise, rough=True)
 
 
 def test_a_small_force_with_a_memory_takes_the_place_of_a_large_one_on_a_store(study):
     """White on the store it has to be as large as the store's own rate; the true one is small."""
     assembly, large = study
     assert largest_force(large.estimate.noise) > assembly.problem.settings.random_limit
-    found = with_smaller_forces(assembly, large, silent)
+    found = replace_large_forces(assembly, large, silent)
     assert found is not None
     assert found.height > large.height - np.log(100.0)
     assert largest_force(found.estimate.noise) <= assembly.problem.settings.random_limit
@@ -78,9 +78,9 @@ def test_a_small_force_with_a_memory_takes_the_place_of_a_large_one_on_a_store(s
 
 def test_nothing_takes_the_place_of_a_force_that_is_small(study):
     assembly, large = study
-    found = with_smaller_forces(assembly, large, silent)
+    found = replace_large_forces(assembly, large, silent)
     assert found is not None
-    assert with_smaller_forces(assembly, found, silent) is None
+    assert replace_large_forces(assembly, found, silent) is None
 
 
 def test_a_lake_with_an_unmeasured_inflow_lacks_nothing():

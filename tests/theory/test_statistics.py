@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spiral.engine.statistics import ljung_box, paired_errors, spent, whiteness
+from spiral.engine.statistics import ljung_box, paired_errors, round_level, whiteness
 from spiral.types.noise import estimate_noise
 
 
@@ -33,7 +33,7 @@ def test_samples_left_out_do_not_make_a_residual_white_or_coloured():
 
 
 def test_the_level_spent_over_all_rounds_is_the_study_level():
-    assert sum(spent(0.01, r) for r in range(1, 100_000)) == pytest.approx(0.01, rel=1e-4)
+    assert sum(round_level(0.01, r) for r in range(1, 100_000)) == pytest.approx(0.01, rel=1e-4)
 
 
 def test_equal_predictors_are_told_apart_at_the_nominal_rate():

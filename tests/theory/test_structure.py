@@ -13,7 +13,7 @@ import spiral
 from spiral.io.config import build_system, compose
 from spiral.io.readers import containers
 from spiral.io.registry import NO_FOLDER, load_registry
-from spiral.io.storage import model_data, model_from
+from spiral.io.storage import model_data, rebuild_model
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
@@ -150,7 +150,7 @@ def test_files_of_all_kinds_give_one_structure(full, small, tmp_path):
         assert other.form.stiffness == pytest.approx(system.form.stiffness, rel=1e-6)
     saved = json.loads(json.dumps(model_data(seed_model(system))))
     (tmp_path / "beam.npz").unlink()
-    assert model_from(saved, registry).system == system
+    assert rebuild_model(saved, registry).system == system
 
 
 @pytest.mark.parametrize(

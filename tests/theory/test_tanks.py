@@ -6,14 +6,14 @@ from scipy.integrate import solve_ivp
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 
 from spiral.engine.windows import fair_block, halves
-from spiral.inference.evidence.admission import admit, let_go
-from spiral.inference.evidence.comparison import prepared
-from spiral.inference.evidence.farstart import from_afar
-from spiral.inference.evidence.fit_state import all_samples, grown
+from spiral.inference.evidence.admission import admit_candidate, drop_effects
+from spiral.inference.evidence.comparison import prepare_study
+from spiral.inference.evidence.farstart import rescore_from_far_starts
+from spiral.inference.evidence.fit_state import all_samples, fit_growing_windows
 from spiral.inference.evidence.scoring import score_stage
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import integrate, simulate
-from spiral.inference.where.latent import with_latent
+from spiral.inference.where.latent import add_latent_force
 from spiral.types.errors import ConfigError
 from spiral.types.model import seed_model
 from spiral.types.placement import check_effect
@@ -75,7 +75,7 @@ def test_a_force_is_no_effect_of_tanks_and_a_flow_none_of_a_mechanical_system():
 
 def test_a_system_without_forces_has_no_missing_force():
     model = seed_model(CascadedTanks())
-    assert with_latent(model) is model
+    assert add_latent_force(model) is model
 
 
 def test_blocks_are_shortened_until_both_halves_saw_the_same_motion():
@@ -106,26 +106,26 @@ def _spilling(noise=0.02):
 
 def test_a_rim_is_found_from_afar_where_a_step_from_zero_does_not_see_it():
     """The refit from a tenth of the bounds reaches the noise; the rim lies where it was put."""
-    assembly, standing = prepared(_spilling())
-    *_, stage = grown(assembly, standing, all_samples(assembly))
-    evidence = from_afar(assembly, standing, score_stage(assembly, standing, stage))
-    found = admit(assembly, standing, stage, evidence.ranked[0])
-    assert found.standing.shortest == stage.length == 1024
+    assembly, fit_state = prepare_study(_spilling())
+    *_, stage = fit_growing_windows(assembly, fit_state, all_samples(assembly))
+    evidence = rescore_from_far_starts(assembly, fit_state, score_stage(assembly, fit_state, stage))
+    found = admit_candidate(assembly, fit_state, stage, evidence.ranked[0])
+    assert found.fit_state.shortest == stage.length == 1024
     assert found.stage.fitted.chi2_per_dof == pytest.approx(1.0, abs=0.15)
-    rim = found.standing.values[0, assembly.study.index(f"{found.variant.label}.rim")]
+    rim = found.fit_state.values[0, assembly.study.index(f"{found.variant.label}.rim")]
     assert rim == pytest.approx(6.0, rel=0.02)
 
 
 def test_an_effect_that_is_let_go_no_longer_acts():
-    assembly, standing = prepared(_spilling())
-    *_, stage = grown(assembly, standing, all_samples(assembly))
-    evidence = score_stage(assembly, standing, stage)
-    found = admit(assembly, standing, stage, evidence.ranked[0])
+    assembly, fit_state = prepare_study(_spilling())
+    *_, stage = fit_growing_windows(assembly, fit_state, all_samples(assembly))
+    evidence = score_stage(assembly, fit_state, stage)
+    found = admit_candidate(assembly, fit_state, stage, evidence.ranked[0])
     label = found.variant.label
-    left = let_go(assembly, found.standing, (label,))
+    left = drop_effects(assembly, found.fit_state, (label,))
     assert label not in left.labels
     spilled, caught = (assembly.study.index(f"{label}.{k}") for k in ("spilled", "caught"))
-    assert found.standing.values[0, spilled] > 0
+    assert found.fit_state.values[0, spilled] > 0
     assert left.values[0, spilled] == left.values[0, caught] == 0
 
 

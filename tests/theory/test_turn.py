@@ -7,12 +7,18 @@ import pytest
 
 from spiral.app.fit_worker import FitWorker
 from spiral.inference.discover import discover
-from spiral.inference.evidence.comparison import chi2_on, compared
+from spiral.inference.evidence.comparison import chi2_on_windows, compare_fitted_model
+from spiral.inference.evidence.enlarge import enlarge_for
 from spiral.inference.problem import silent
-from spiral.inference.rounds import chosen, looked, started, strategy_for, turned
+from spiral.inference.rounds import (
+    admit_step,
+    choose_candidate,
+    rank_last_round,
+    start_study,
+    strategy_for,
+)
 from spiral.inference.strategies.base import Begun
-from spiral.inference.suggest import by_evidence, listed
-from spiral.inference.unknown.holding import holding
+from spiral.inference.suggest import suggestions_by_evidence, top_suggestions
 from spiral.io.config import build_problem, compose
 from spiral.io.curves import FINAL
 from spiral.io.gather import free_curves
@@ -30,13 +36,13 @@ def study(request):
     problem = build_problem(compose((*SHORT, *words), registry), registry)
     strategy = strategy_for(problem)
     begun = strategy.begin(problem, silent)
-    at, step = looked(strategy, begun.assembly, started(begun, 0.0), silent)
+    at, step = rank_last_round(strategy, begun.assembly, start_study(begun, 0.0), silent)
     return problem, strategy, begun.assembly, at, step
 
 
 def test_the_proposed_effect_by_hand_is_the_loops_own_round(study):
     problem, strategy, assembly, at, step = study
-    by_hand = turned(strategy, assembly, at, step, silent).rounds
+    by_hand = admit_step(strategy, assembly, at, step, silent).rounds
     by_loop = discover(problem).rounds
     assert [r.admitted for r in by_hand] == [r.admitted for r in by_loop]
     for one, other in zip(by_hand, by_loop, strict=True):
@@ -54,7 +60,9 @@ def better(strategy, after, before):
 def test_another_than_the_proposed_effect_may_be_admitted(study):
     _, strategy, assembly, at, step = study
     others = [s.effect for s in strategy.ranked(step) if s.effect not in step.admitted]
-    after = turned(strategy, assembly, at, chosen(strategy, assembly, at, step, others[0]), silent)
+    after = admit_step(
+        strategy, assembly, at, choose_candidate(strategy, assembly, at, step, others[0]), silent
+    )
     assert after.rounds[-1].admitted == (others[0],)
     assert others[0] in after.rounds[-1].comparison.model.labels
     assert better(strategy, after.rounds[-1], at.rounds[-1])
@@ -66,7 +74,7 @@ def test_all_candidates_are_listed_and_no_other_can_be_added(study):
     assert sorted(listed) == ["cross_stiffness", "cubic_stiffness", "gyroscopic"]
     assert listed[0] == step.admitted[0]
     with pytest.raises(ConfigError, match="cubic_stifness"):
-        chosen(strategy, assembly, at, step, "cubic_stifness")
+        choose_candidate(strategy, assembly, at, step, "cubic_stifness")
 
 
 @pytest.mark.parametrize("turns", [0, 1])
@@ -74,9 +82,9 @@ def test_what_is_drawn_at_once_has_the_error_that_is_told(study, turns):
     """Free runs with the study's own compilation agree with the comparison, turn by turn."""
     problem, strategy, assembly, at, step = study
     if turns:
-        at = turned(strategy, assembly, at, step, silent)
+        at = admit_step(strategy, assembly, at, step, silent)
     told = at.rounds[-1].comparison
-    curves = free_curves(assembly, FINAL, at.standing, told)
+    curves = free_curves(assembly, FINAL, at.fit_state, told)
     record = len(problem.records)
     y, first = curves.get(record, "y"), curves.meta["records"][record]["settled"]
     left = (y - curves.get(record, FINAL, "free"))[first:]
@@ -92,12 +100,13 @@ def test_candidates_side_by_side_are_judged_on_windows_of_one_length(study, tmp_
     bench = FitWorker(
         tmp_path, lambda kind, data: told.append((kind, data)), "a", strategy=strategy
     )
-    bench.begun = Begun(assembly, at.standing, at.rounds[0].comparison)
-    bench.standing[0] = (at, step)
-    other = turned(strategy, assembly, at, chosen(strategy, assembly, at, step, "gyroscopic"),
-                   silent)  # fmt: skip
-    place, last = holding(assembly, other.standing), other.rounds[-1]
-    short = compared(place, other.standing, last.comparison.model, 512, True)
+    bench.begun = Begun(assembly, at.fit_state, at.rounds[0].comparison)
+    bench.ranked[0] = (at, step)
+    other = admit_step(
+        strategy, assembly, at, choose_candidate(strategy, assembly, at, step, "gyroscopic"), silent
+    )
+    place, last = enlarge_for(assembly, other.fit_state), other.rounds[-1]
+    short = compare_fitted_model(place, other.fit_state, last.comparison.model, 512, True)
     rounds = (*other.rounds[:-1], replace(last, comparison=short))
     bench.tried[0, "gyroscopic"] = replace(other, rounds=rounds)
     told = []
@@ -108,7 +117,7 @@ def test_candidates_side_by_side_are_judged_on_windows_of_one_length(study, tmp_
     first = bench.tried[0, "cross_stiffness"]
     own = first.rounds[-1].comparison
     assert own.horizon > short.horizon
-    same = chi2_on(holding(assembly, first.standing), first.standing, short.horizon)
+    same = chi2_on_windows(enlarge_for(assembly, first.fit_state), first.fit_state, short.horizon)
     assert [r["chi2_per_dof"] for r in said["rows"]] == pytest.approx([same, short.chi2_per_dof])
     assert same < 0.9 * own.chi2_per_dof  # short windows hide what is missing
     assert [r["unseen"][-1]["error"] for r in said["rows"]] == pytest.approx(
@@ -123,18 +132,18 @@ def test_the_order_is_that_of_its_first_figure_whatever_is_proposed(study):
     if strategy.plugin_name() == "likelihood":
         return
     assert all(s.net < s.explains for s in found)  # every parameter has its price
-    proposal = step.found
+    proposal = step.result
     last = next(r for r in proposal.evidence.ranked if r.variant.original.label == found[-1].effect)
     other = replace(proposal.admitted, variant=last.variant)
-    again = by_evidence(proposal.evidence, other, ("gyroscopic",))
+    again = suggestions_by_evidence(proposal.evidence, other, ("gyroscopic",))
     assert [s.effect for s in again] == [s.effect for s in found]
     assert again[-1].aliases == ("gyroscopic",)
-    assert listed(strategy, proposal.evidence, other, ())[0].effect == found[-1].effect
+    assert top_suggestions(strategy, proposal.evidence, other, ())[0].effect == found[-1].effect
 
 
 def test_a_step_says_at_each_horizon_what_it_does_to_unseen_data(study):
     _, strategy, assembly, at, step = study
-    last = turned(strategy, assembly, at, step, silent).rounds[-1]
+    last = admit_step(strategy, assembly, at, step, silent).rounds[-1]
     assert [c.horizon for c in last.changes] == ["one_sample", "ahead", "free_run"]
     assert [c.judged for c in last.changes] == ["better"] * 3
     before = at.rounds[-1].comparison.test_error

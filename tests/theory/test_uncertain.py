@@ -11,12 +11,12 @@ from spiral_plugins.observers.static import Static
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.engine.filter.bent import drawn, expansion
-from spiral.engine.filter.prior import Prior, rooted
-from spiral.engine.filter.rounding import rounding
+from spiral.engine.filter.bent import build_expansion, draw_samples
+from spiral.engine.filter.prior import Prior, covariance_root
+from spiral.engine.filter.rounding import rounding_level
 from spiral.engine.filter.task import prepare_task
 from spiral.inference.reconstruction.estimate import BAND, estimate
-from spiral.inference.reconstruction.uncertain import declared, names
+from spiral.inference.reconstruction.uncertain import declared_prior, pattern_names
 from spiral.inference.simulate import simulate
 from spiral.types.errors import ConfigError
 from spiral.types.model import seed_model
@@ -52,7 +52,7 @@ def dense(task, keys, spread):
         )  # fmt: skip
         return states
 
-    mean = float(task.at(keys)[0])
+    mean = float(task.parameter_values(keys)[0])
     base = run(task.start, mean)
     slopes = [run(task.start + row, mean) - base for row in np.eye(n)]
     slopes = np.stack([*slopes, run(task.start, mean + 1.0) - base], axis=2)
@@ -68,7 +68,7 @@ def test_smoothed_bands_are_the_dense_gaussians_on_a_linear_model():
     rng = np.random.default_rng(3)
     made = record(rng, model(**{LOAD: 6.0}))
     task = prepare_task(model(), made)
-    task = replace(task, prior=declared(task.model, task, {LOAD: 0.4}))
+    task = replace(task, prior=declared_prior(task.model, task, {LOAD: 0.4}))
     found = Rts(process_noise=0.0).reconstruct(task)
     states, variances = dense(task, (LOAD,), 2.0)
     scale = states.std(axis=0)
@@ -88,7 +88,7 @@ def test_bands_hold_95_percent_where_machines_are_drawn():
         made = record(rng, model(**truth))
         part = estimate([model()], [made], Rts(), uncertain=doubt).parts[0]
         true = np.column_stack([made.truth[n] for n in part.task.states])
-        held = np.abs(part.found.means - true) <= BAND * part.found.deviations
+        held = np.abs(part.reconstruction.means - true) <= BAND * part.reconstruction.deviations
         inside.append(held[::30].mean())
     assert abs(np.mean(inside) - 0.95) < 3 * np.std(inside) / np.sqrt(len(inside)) + 0.01
     assert 0.90 < np.mean(inside) < 0.98
@@ -99,7 +99,7 @@ def test_process_noise_is_zero_where_the_model_is_exact():
     for seed in range(6):
         made = record(np.random.default_rng(seed), model())
         task = prepare_task(model(), made)
-        chosen.append(Ekf().reconstruct(task).levels["observed"] <= rounding(task))
+        chosen.append(Ekf().reconstruct(task).levels["observed"] <= rounding_level(task))
     assert sum(chosen) >= 5
 
 
@@ -108,7 +108,7 @@ def test_zero_is_what_the_steps_err_by():
     time = 0.001 * np.arange(4000)
     force = {"force": np.zeros(len(time))}  # the load alone moves it
     made = simulate(model(), time, force, 0.05, np.random.default_rng(0))
-    levels = [rounding(prepare_task(model(), made, substeps=s)) for s in (1, 2)]
+    levels = [rounding_level(prepare_task(model(), made, substeps=s)) for s in (1, 2)]
     assert 1e-12 < levels[1] < levels[0] < 1e-5
     assert levels[0] / levels[1] == pytest.approx(16, rel=0.1)
 
@@ -116,7 +116,7 @@ def test_zero_is_what_the_steps_err_by():
 def test_what_a_fit_knows_of_this_record_is_not_told_twice():
     made = record(np.random.default_rng(0), model())
     task = prepare_task(model(), made)
-    known = Prior((LOAD,), task.at((LOAD,)), np.array([[4.0]]), told=True)
+    known = Prior((LOAD,), task.parameter_values((LOAD,)), np.array([[4.0]]), told=True)
     wide = Rts(process_noise=1e-4).reconstruct(replace(task, prior=known))
     alone = Rts(process_noise=1e-4).reconstruct(task)
     np.testing.assert_allclose(wide.means, alone.means)
@@ -132,12 +132,12 @@ def test_draws_follow_a_bent_ridge():
     second = np.zeros((2, 2, 2))
     second[0, 0] = [0.0, -2 * c * s]
     slopes = np.array([[0.0, 0.0], [0.0, s]])
-    found = expansion(np.zeros(2), slopes, second, np.zeros(1), np.array([[1.0, 0.0]]))
+    found = build_expansion(np.zeros(2), slopes, second, np.zeros(1), np.array([[1.0, 0.0]]))
     # in steps of one standard deviation of the Gaussian at the top, b / s
     w = np.diag([1.0, 1.0 / s])
     bend = np.einsum("ijd,ia,jb->abd", found.second, w, w)
     scaled = replace(found, slopes=found.slopes @ w, second=bend)
-    draws = drawn(scaled, 2000, np.random.default_rng(0)) @ w
+    draws = draw_samples(scaled, 2000, np.random.default_rng(0)) @ w
     assert np.mean(draws[:, 0] ** 2) == pytest.approx(1.0, rel=0.15)
     assert np.mean(draws[:, 1]) == pytest.approx(c, rel=0.15)
     assert np.std(draws[:, 1] - c * draws[:, 0] ** 2) == pytest.approx(1 / s, rel=0.15)
@@ -147,12 +147,14 @@ def test_draws_follow_a_bent_ridge():
 def test_a_prior_may_know_a_combination_exactly():
     """V of rank one: the values move along it alone."""
     covariance = np.array([[1.0, 2.0], [2.0, 4.0]])
-    np.testing.assert_allclose(rooted(covariance) @ rooted(covariance).T, covariance)
+    np.testing.assert_allclose(
+        covariance_root(covariance) @ covariance_root(covariance).T, covariance
+    )
     prior = Prior(("a", "b"), np.array([1.0, 1.0]), covariance)
     x = np.array([[1.0, 0.0], [0.0, 1.0]])
     step = prior.step(x, np.array([1.0, 2.0]), np.array([1.0, 1.0]))
     np.testing.assert_allclose(step, 5 / 6 * np.array([1.0, 2.0]))  # z = 5 / (1 + 5)
-    np.testing.assert_allclose(prior.left(x), covariance / 6)
+    np.testing.assert_allclose(prior.posterior_covariance(x), covariance / 6)
 
 
 @pytest.mark.parametrize(
@@ -182,7 +184,7 @@ def test_patterns_name_places():
     keys = [k for k, _ in seed_model(TiltingRotor()).pairs]
 
     def named(pattern):
-        return [k for k in keys if any(fnmatchcase(n, pattern) for n in names(k))]
+        return [k for k in keys if any(fnmatchcase(n, pattern) for n in pattern_names(k))]
 
     assert len(named("bearing.*")) == 14
     assert len(named("bearing_1.*")) == 7

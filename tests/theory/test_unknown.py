@@ -11,9 +11,9 @@ from spiral_plugins.systems.oscillator import Oscillator
 from experiments.unknown_physics.cases import CASES, coverage, problem
 from spiral.inference.diagnose import diagnose
 from spiral.inference.discover import add, discover
-from spiral.inference.evidence.comparison import prepared
-from spiral.inference.unknown.forcecurve import beside
-from spiral.inference.unknown.shape import _fresh
+from spiral.inference.evidence.comparison import prepare_study
+from spiral.inference.unknown.forcecurve import residual_projection
+from spiral.inference.unknown.shape import _seed_state_with_curves
 from spiral.physics.learned import COUNT, KNOTS, basis
 from tests.scenes import admitted, effect, registry
 
@@ -53,7 +53,7 @@ def test_the_basis_has_its_slope_as_an_expression():
 
 def test_a_curve_beside_a_spring_is_what_is_orthogonal_to_it():
     at, weight = np.linspace(-1, 1, 81), np.full(81, 1 / 81)
-    left = beside(at[:, None], weight)
+    left = residual_projection(at[:, None], weight)
     np.testing.assert_allclose(left @ (3 * at), 0, atol=1e-12)
     assert weight @ (at * (left @ at**3)) == pytest.approx(0, abs=1e-12)
     np.testing.assert_allclose(left @ at**2, at**2, atol=1e-12)
@@ -116,14 +116,14 @@ def test_each_hidden_shape_is_named_covered_and_admitted(name, seed):
 def test_starting_afresh_keeps_a_curve_that_was_admitted():
     """The seed begins anew; of the rest only the curve stays, with the values that it had."""
     known = (effect("learned_spring"), effect("quadratic_damping"))
-    assembly, standing = prepared(replace(_problem("tanh"), candidates=known))
+    assembly, fit_state = prepare_study(replace(_problem("tanh"), candidates=known))
     labels = {v.original.label: v.label for v in assembly.variants}
     spring, drag = labels["learned_spring"], labels["quadratic_damping"]
     place = [assembly.study.index(k) for k in (f"{spring}.c3", f"{drag}.damping")]
-    values = standing.values.copy()
+    values = fit_state.values.copy()
     values[:, place] = 0.5
-    kept = (*standing.labels, spring)
-    wide = replace(standing, values=values, labels=(*kept, drag))
-    found = _fresh(assembly, wide, kept)
+    kept = (*fit_state.labels, spring)
+    wide = replace(fit_state, values=values, labels=(*kept, drag))
+    found = _seed_state_with_curves(assembly, wide, kept)
     assert found.labels == kept
     assert found.values[0, place].tolist() == [0.5, 0.0]

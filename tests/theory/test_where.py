@@ -11,11 +11,16 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
-from spiral.inference.evidence.comparison import last_stage, prepared
+from spiral.inference.evidence.comparison import last_stage, prepare_study
 from spiral.inference.evidence.fit_state import all_samples
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate
-from spiral.inference.where.latent import latent_keys, missing_force, smoothed_states, with_latent
+from spiral.inference.where.latent import (
+    add_latent_force,
+    latent_keys,
+    missing_force,
+    smoothed_states,
+)
 from spiral.inference.where.orders import (
     first_order,
     full_spectrum,
@@ -23,7 +28,7 @@ from spiral.inference.where.orders import (
     order_map,
     time_map,
 )
-from spiral.inference.where.regions import where
+from spiral.inference.where.regions import locate_failure
 from spiral.types.effect import Effect
 from spiral.types.model import seed_model
 from tests.scenes import planar_record
@@ -99,8 +104,8 @@ QUICK = ("cubic_stiffness", "mains_hum")
 def test_the_sentence_names_speed_order_and_state(name):
     case = CASES[name]
     model = seed_model(PlanarRotor(), case.known)
-    assembly, standing = prepared(Problem(model, (faulty(case),), ()), ())
-    found = where(assembly, last_stage(assembly, standing, all_samples(assembly)))
+    assembly, fit_state = prepare_study(Problem(model, (faulty(case),), ()), ())
+    found = locate_failure(assembly, last_stage(assembly, fit_state, all_samples(assembly)))
     if case.rpm is None:
         assert found.speed_rad_s is None
     else:
@@ -118,8 +123,8 @@ def test_the_sentence_names_speed_order_and_state(name):
 
 def test_noise_alone_has_no_sentence_about_speed():
     record = planar_record(3, duration=4.0)
-    assembly, standing = prepared(Problem(seed_model(PlanarRotor()), (record,), ()), ())
-    found = where(assembly, last_stage(assembly, standing, all_samples(assembly)))
+    assembly, fit_state = prepare_study(Problem(seed_model(PlanarRotor()), (record,), ()), ())
+    found = locate_failure(assembly, last_stage(assembly, fit_state, all_samples(assembly)))
     assert found.sentence == "The residual is at the level of the noise everywhere."
     assert found.speed_rad_s is found.order is found.state is None
 
@@ -182,7 +187,7 @@ def test_the_force_of_a_known_load_is_found_in_its_unit():
 
 def test_a_model_with_the_unknown_force_keeps_its_own_parameters():
     model = seed_model(Oscillator(), values=OSCILLATOR)
-    wide = with_latent(model)
+    wide = add_latent_force(model)
     assert latent_keys(wide) == ("latent_force.force",)
     assert {k: wide.values[k] for k in OSCILLATOR} == OSCILLATOR
 

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spiral.io.config import build_problem, compose, experiments
-from spiral.io.overrides import expand
-from spiral.io.question import split
+from spiral.io.overrides import expand_sweep
+from spiral.io.question import split_records
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError, InputError, SpiralError
-from spiral.view.terminal.preview import described, quiet_test
+from spiral.view.terminal.preview import describe_records, quiet_test_warning
 
 REGISTRY = load_registry()
 ROTOR = ("experiment=rotor_coastdown", "record.duration=1")
@@ -242,11 +242,11 @@ def test_problems_that_cannot_be_built(overrides, word):
 
 
 def test_sweeps_expand_in_order():
-    assert expand(("a=1,2", "b=x", "c=[1,2]")) == (
+    assert expand_sweep(("a=1,2", "b=x", "c=[1,2]")) == (
         ("a=1", "b=x", "c=[1,2]"),
         ("a=2", "b=x", "c=[1,2]"),
     )
-    assert len(expand(("record.seed=range(0,5)", "d=1,2"))) == 10
+    assert len(expand_sweep(("record.seed=range(0,5)", "d=1,2"))) == 10
 
 
 WORDS = st.text("abcdefghijklmnopqrstuvwxyz_.=[]{}:,'\"@+~ 0159-$", max_size=24)
@@ -318,7 +318,7 @@ def test_a_share_is_kept_apart_from_each_of_several_blocks(own_file):
     record = whole.records[0]
     time = 0.01 * np.arange(1440)
     long = replace(record, time=time, channels={"x": time}, inputs={"force": time}, spoilt={})
-    blocks = split((long,), None, 0.2, 5)
+    blocks = split_records((long,), None, 0.2, 5)
     assert [sum(r.samples for r in part) for part in blocks] == [1150, 290]
     assert [r.name.split(" (", 1)[1] for r in blocks[1]] == [
         f"block {k} of 5) (last 20%, kept apart)" for k in range(1, 6)
@@ -334,7 +334,7 @@ def test_a_test_record_that_misses_what_was_excited_is_told(own_file, decay, blo
     time = 0.01 * np.arange(2000)
     moving = np.exp(-decay * time / 5) * np.sin(9 * time)
     long = replace(record, time=time, channels={"x": moving}, inputs={"force": 0 * time}, spoilt={})
-    fitted, test = split((long,), None, 0.2, blocks)
-    warning = quiet_test(described(replace(problem, records=fitted, test=test)))
+    fitted, test = split_records((long,), None, 0.2, blocks)
+    warning = quiet_test_warning(describe_records(replace(problem, records=fitted, test=test)))
     assert ("misses what was excited" in warning) is said
     assert ("holdout_blocks=5" in warning) is said

@@ -5,12 +5,12 @@ import json
 import pytest
 
 from spiral.cli import main
-from spiral.io.config import build_model, build_problem, compose, options
-from spiral.io.custom import bound
-from spiral.io.overrides import expand, parse
+from spiral.io.config import build_model, build_problem, compose, top_level_options
+from spiral.io.custom import registry_for_config
+from spiral.io.overrides import expand_sweep, parse_overrides
 from spiral.io.question import candidates_for
 from spiral.io.registry import load_registry
-from spiral.io.storage import load_run, model_data, model_from
+from spiral.io.storage import load_run, model_data, rebuild_model
 from spiral.types.errors import ConfigError
 
 REGISTRY = load_registry()
@@ -30,7 +30,10 @@ def composed(*more):
 def candidates(config):
     model = build_model(config, REGISTRY)
     return [
-        e.label for e in candidates_for(bound(config, REGISTRY), model, options(config).candidates)
+        e.label
+        for e in candidates_for(
+            registry_for_config(config, REGISTRY), model, top_level_options(config).candidates
+        )
     ]
 
 
@@ -50,7 +53,7 @@ def test_several_with_fields_in_any_order():
         "effect.drag.grid.w=[0.1,0.3]", "+effect.drag.expression=-F*tanh(v/w)", DENT,
         "effect.drag.lower={F: 0}", "effect.dent.meaning=A dent in the spring",
     )  # fmt: skip
-    known = bound(config, REGISTRY)
+    known = registry_for_config(config, REGISTRY)
     level, width = known.effect_from_label("drag").parameters
     assert (level.lower, width.grid, width.role) == (0, (0.1, 0.3), "shape")
     assert known.effect_from_label("dent").meaning() == "A dent in the spring: F_x = -k3*x**3."
@@ -58,12 +61,12 @@ def test_several_with_fields_in_any_order():
 
 
 def test_a_formula_needs_no_quotes_and_is_swept():
-    (item,) = parse(("effect.rub.expression=-F*tanh(v/w) + c*maximum(x, 0)",))
+    (item,) = parse_overrides(("effect.rub.expression=-F*tanh(v/w) + c*maximum(x, 0)",))
     assert item.value == "-F*tanh(v/w) + c*maximum(x, 0)"
-    assert [j[0] for j in expand(("effect.d.expression=-k*maximum(x,0),-k*x**3",))] == [
+    assert [j[0] for j in expand_sweep(("effect.d.expression=-k*maximum(x,0),-k*x**3",))] == [
         'effect.d.expression="-k*maximum(x,0)"', 'effect.d.expression="-k*x**3"'
     ]  # fmt: skip
-    (item,) = parse(("effect.d.expression.x=-k*tanh(y/w)",))
+    (item,) = parse_overrides(("effect.d.expression.x=-k*tanh(y/w)",))
     assert item.value == "-k*tanh(y/w)"
 
 
@@ -79,7 +82,7 @@ def test_a_plugins_name_is_refused_and_a_typo_is_still_one():
 def test_a_saved_model_holds_its_formulas():
     model = build_model(composed(DENT, "effect=[dent]"), REGISTRY)
     saved = json.loads(json.dumps(model_data(model)))
-    assert model_from(saved, REGISTRY) == model
+    assert rebuild_model(saved, REGISTRY) == model
 
 
 def test_a_run_is_taken_up_with_its_formula(tmp_path, capsys):

@@ -6,9 +6,17 @@ from itertools import product
 import numpy as np
 import pytest
 
-from spiral.app.data_desk import foresight
-from spiral.app.foresight import foreseen
-from spiral.app.record_setup import FIT, TEST, Choice, RecordSetup, lacking, overrides, stretches
+from spiral.app.data_desk import foresight_message
+from spiral.app.foresight import identifiability_forecast
+from spiral.app.record_setup import (
+    FIT,
+    TEST,
+    Choice,
+    RecordSetup,
+    mark_stretch,
+    missing_choices,
+    setup_overrides,
+)
 from spiral.io.config import build_problem, build_sources, compose
 from tests.scenes import registry
 
@@ -39,7 +47,7 @@ def test_stretches_of_fit_and_test_never_overlap_and_lie_in_the_record(use):
         if min(max(a, b), ROWS) <= max(min(a, b), 0) or min(max(c, d), ROWS) <= max(min(c, d), 0):
             continue
         other = FIT if use == TEST else TEST
-        found = stretches(stretches(Choice(), other, a, b, ROWS), use, c, d, ROWS)
+        found = mark_stretch(mark_stretch(Choice(), other, a, b, ROWS), use, c, d, ROWS)
         mine, rest = (found.fit_rows, found.test_rows)[:: 1 if use == FIT else -1]
         assert mine == (max(0, min(c, d)), min(ROWS, max(c, d)))
         if rest:
@@ -48,9 +56,9 @@ def test_stretches_of_fit_and_test_never_overlap_and_lie_in_the_record(use):
 
 
 def test_the_test_alone_leaves_the_longer_side_to_the_fit():
-    assert stretches(Choice(), TEST, 200, 500, ROWS).fit_rows == (500, 1000)
-    assert stretches(Choice(), TEST, 600, 900, ROWS).fit_rows == (0, 600)
-    assert stretches(Choice(), FIT, 200, 500, ROWS).test_rows == ()
+    assert mark_stretch(Choice(), TEST, 200, 500, ROWS).fit_rows == (500, 1000)
+    assert mark_stretch(Choice(), TEST, 600, 900, ROWS).fit_rows == (0, 600)
+    assert mark_stretch(Choice(), FIT, 200, 500, ROWS).test_rows == ()
 
 
 def test_files_stretches_and_sensors_are_those_of_the_command_line(tmp_path):
@@ -64,23 +72,25 @@ def test_files_stretches_and_sensors_are_those_of_the_command_line(tmp_path):
                    hold={"force": "zero_order"})  # fmt: skip
     wanted = replace(wanted, path=str(tmp_path / "a.csv"))
     system = known.make("system", "oscillator")
-    record, test = build_sources(compose(overrides(wanted), known), known)
+    record, test = build_sources(compose(setup_overrides(wanted), known), known)
     assert [r.samples for r in record.load(system)] == [500]
     assert [r.samples for r in test.load(system)] == [200]
     assert record.load(system)[0].hold == {"force": "zero_order"}
     others = ({"path": str(tmp_path / "it's b.csv"), "name": "b", "use": FIT},
               {"path": str(tmp_path / "c.csv"), "name": "c", "use": TEST})  # fmt: skip
-    record, test = build_sources(compose(overrides(replace(wanted, others=others)), known), known)
+    record, test = build_sources(
+        compose(setup_overrides(replace(wanted, others=others)), known), known
+    )
     assert [r.samples for r in record.load(system)] == [500, 500]
     assert [r.samples for r in test.load(system)] == [ROWS]  # its own rows, all of them
 
 
 def test_a_pulse_stands_for_the_speed_and_probes_for_their_angles():
     columns = {"x": "p1", "y": "p2"}
-    assert lacking(setup(ROTOR, columns)) == ["a column for speed"]
+    assert missing_choices(setup(ROTOR, columns)) == ["a column for speed"]
     found = setup(ROTOR, columns, pulse="key", rotation="clockwise", angles={"x": "45", "y": "135"})
-    assert lacking(found) == []
-    source, _ = build_sources(compose(overrides(found), registry()), registry())
+    assert missing_choices(found) == []
+    source, _ = build_sources(compose(setup_overrides(found), registry()), registry())
     assert (source.pulse, source.rotation) == ("key", "clockwise")
     assert source.probe_angles == {"x": 45, "y": 135}
 
@@ -98,12 +108,12 @@ def test_a_constant_speed_cannot_tell_what_a_run_down_can(tmp_path, speeds, alik
                   test_rows=(0, 6000))  # fmt: skip
     known = registry()
     config = compose(
-        (*overrides(replace(given, path=str(tmp_path / "a.csv"))),
+        (*setup_overrides(replace(given, path=str(tmp_path / "a.csv"))),
          "candidates=[cross_stiffness,cross_damping,gyroscopic]"), known,
     )  # fmt: skip
-    found = foreseen(build_problem(config, known), config, known)
+    found = identifiability_forecast(build_problem(config, known), config, known)
     assert bool(found["alike"]) is alike
-    assert ("cannot tell" in foresight(found, False)) is alike
+    assert ("cannot tell" in foresight_message(found, False)) is alike
     if alike:
-        assert "linear stiffness (in the model)" in foresight(found, False)
-        assert "take a run-up or run-down" in foresight(found, False)
+        assert "linear stiffness (in the model)" in foresight_message(found, False)
+        assert "take a run-up or run-down" in foresight_message(found, False)

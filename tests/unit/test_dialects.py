@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spiral.io.readers.dialect import units_in
+from spiral.io.readers.dialect import units_in_names
 from spiral.io.readers.readers import read_table
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError, InputError
@@ -132,7 +132,7 @@ def test_a_unit_behind_a_name_does_not_hide_it(tmp_path):
 
 def test_brackets_that_hold_no_unit_are_part_of_a_name():
     known = {"n [1/min]": "1/min", "phi (°)": "°", "v [mm/s]": "mm/s", "F (N)": "N"}
-    assert units_in((*known, "y (left)", "ch (a)", "x [-]", "F [foo]", "mm", "[]")) == known
+    assert units_in_names((*known, "y (left)", "ch (a)", "x [-]", "F [foo]", "mm", "[]")) == known
 
 
 def test_rows_are_counted_below_the_units(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from spiral.io.export.equation import equation, equations, latex
+from spiral.io.export.equation import equation_latex, equation_text, model_equations
 from spiral.io.registry import load_registry
 from spiral.physics.trace import trace
 from spiral.types.model import Model, seed_model
@@ -32,7 +32,7 @@ def test_the_oscillator_reads_like_its_equation():
         "cubic_stiffness.stiffness": 3e9,
     }
     model = seed_model(OSCILLATOR, (REGISTRY.effect_from_label("cubic_stiffness"),), values=values)
-    lines = [re.sub(r" {2,}", " | ", line.strip()) for line in equation(model).splitlines()]
+    lines = [re.sub(r" {2,}", " | ", line.strip()) for line in equation_text(model).splitlines()]
     assert lines == [
         "x'' = 0.5 force | system",
         "- 50 x | linear_stiffness",
@@ -44,7 +44,7 @@ def test_the_oscillator_reads_like_its_equation():
 @pytest.mark.parametrize("system", [ROTOR, OSCILLATOR], ids=lambda s: s.plugin_name())
 def test_terms_add_up_to_what_is_integrated(system):
     model = with_all(system)
-    found, whole = equations(model)
+    found, whole = model_equations(model)
     traced = trace(system, model.effects)
     rng = np.random.default_rng(0)
     numbers = {n: float(v) for n, v in zip(
@@ -64,17 +64,17 @@ def test_terms_add_up_to_what_is_integrated(system):
 
 def test_every_effect_has_its_line():
     model = with_all(ROTOR)
-    text = equation(model)
+    text = equation_text(model)
     assert all(label in text for label in model.labels)
     assert "1e-200" not in text
 
 
 def test_values_that_are_not_known_stay_names():
-    assert "stiffness" in equation(seed_model(OSCILLATOR)).replace("linear_stiffness", "")
+    assert "stiffness" in equation_text(seed_model(OSCILLATOR)).replace("linear_stiffness", "")
 
 
 def test_latex_is_balanced():
-    text = latex(with_all(ROTOR))
+    text = equation_latex(with_all(ROTOR))
     assert text.startswith(r"\begin{align*}")
     assert text.count("{") == text.count("}")
     assert text.count(r"\left") == text.count(r"\right")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from spiral.app.guard import Guard, refusal
+from spiral.app.guard import Guard, refusal_reason
 from tests.loops import on_a_loop
 
 HOSTS = frozenset({"127.0.0.1:8765", "localhost:8765"})
@@ -43,7 +43,7 @@ def scope(kind="http", method="GET", **headers):
     ],
 )
 def test_only_this_page_on_this_machine_passes(given, passes):
-    assert (refusal(given, HOSTS) == "") is passes
+    assert (refusal_reason(given, HOSTS) == "") is passes
 
 
 def asked(given):

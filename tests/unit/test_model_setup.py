@@ -1,7 +1,7 @@
 """The model set up on the page: its parameters, and what the command line is told of a choice."""
 
-from spiral.app.file_preview import described_model
-from spiral.app.record_setup import Choice, RecordSetup, overrides
+from spiral.app.file_preview import describe_model
+from spiral.app.record_setup import Choice, RecordSetup, setup_overrides
 from spiral.io.config import build_model, compose
 from tests.scenes import registry
 
@@ -14,7 +14,7 @@ def model(*given):
 
 
 def test_every_parameter_has_a_unit_a_value_and_a_state():
-    found = described_model(model("system=tilting_rotor"))
+    found = describe_model(model("system=tilting_rotor"))
     rows = {r["key"]: r for r in found["parameters"]}
     mass, spring = rows["system.mass"], rows["linear_stiffness@bearing_1.stiffness_x"]
     assert (mass["unit"], mass["lower"], mass["value"], mass["free"]) == ("kg", 0.0, 1.15, False)
@@ -32,7 +32,7 @@ def test_a_choice_is_the_same_model_as_from_the_command_line():
     )  # fmt: skip
     system = {"name": "oscillator", "channels": [{"name": "x", **SERIES}], "inputs": []}
     setup = RecordSetup("20260101-000000-abc", "a.csv", "a.csv", systems=(system,), choice=choice)
-    given = [o for o in overrides(setup) if not o.startswith("record")]
+    given = [o for o in setup_overrides(setup) if not o.startswith("record")]
     found = model(*given)
     assert found.labels == ("linear_stiffness",)
     assert found.values["system.mass"] == 2.0

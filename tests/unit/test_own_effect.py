@@ -2,9 +2,9 @@
 
 import pytest
 
-from spiral.app.own_effect import example, overrides_of
+from spiral.app.own_effect import effect_overrides, example_formula
 from spiral.io.config import compose
-from spiral.io.custom import bound
+from spiral.io.custom import registry_for_config
 from spiral.types.errors import ConfigError
 from tests.scenes import registry
 
@@ -14,14 +14,14 @@ SYSTEMS = ("oscillator", "planar_rotor", "tilting_rotor", "pendulum", "cascaded_
 def made(system, formula, values=""):
     """The formulas of an effect as the page asks for it."""
     known = registry()
-    given = (f"system={system}", *overrides_of("mine", formula, values))
-    effect = bound(compose(given, known), known).make("effect", "mine")
+    given = (f"system={system}", *effect_overrides("mine", formula, values))
+    effect = registry_for_config(compose(given, known), known).make("effect", "mine")
     return dict(effect.formulas)
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_the_example_of_every_system_is_an_effect_of_it(system):
-    about = example(registry().make("system", system))
+    about = example_formula(registry().make("system", system))
     assert made(system, about["formula"])
     names = dict(about["names"])
     assert set(registry().make("system", system).observed) <= {n for k in names for n in names[k]}

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from spiral.app.address import Address, read, written
-from spiral.app.record_setup import advised, with_line
-from spiral.app.side_by_side import errors, parameters
-from spiral.app.study import Turn, added, new_study
+from spiral.app.address import Address, format_address, parse_address
+from spiral.app.record_setup import advised_lines, replace_line
+from spiral.app.side_by_side import comparison_errors, comparison_parameters
+from spiral.app.study import Turn, add_turn, new_study
 from spiral.io.curves import FINAL, Curves
-from spiral.io.readers.own_units import in_system, unit_field
+from spiral.io.readers.own_units import conversion_to_system, unit_field
 from spiral.types.errors import InputError
-from spiral.view.report.overlay import overlaid
-from spiral.view.report.trial import helped
-from spiral.view.report.unknown import loops
+from spiral.view.report.overlay import overlay_models
+from spiral.view.report.trial import residual_comparison
+from spiral.view.report.unknown import force_loops
 from tests.scenes import registry
 
 VIEW = {"xaxis.range[0]": 8.125, "xaxis.range[1]": 9.5}
@@ -27,7 +27,7 @@ def query(text):
 
 def test_an_address_says_what_is_looked_at_and_is_read_back():
     at = Address(3, "Where it fails", {"free_run": VIEW}, (0, 3))
-    assert read(**query(written(at))) == at
+    assert parse_address(**query(format_address(at))) == at
 
 
 @pytest.mark.parametrize(
@@ -42,28 +42,28 @@ def test_an_address_says_what_is_looked_at_and_is_read_back():
 )
 def test_what_an_address_cannot_mean_is_left_out(zoom):
     """Ranges that are no finite numbers, other names, other shapes."""
-    assert read("-1", "", zoom, "a,,7,1e3") == Address(beside=(7,))
+    assert parse_address("-1", "", zoom, "a,,7,1e3") == Address(beside=(7,))
 
 
 def test_settings_that_a_message_tells_to_try_are_offered_but_no_word_that_stands_for_one():
     said = "record.resample=299.9 makes the steps even; record.rate=SAMPLES_PER_SECOND"
-    assert advised({"try": said}) == ["record.resample=299.9"]
-    assert advised({"try": "x, system.torque_unit='N*m'."}) == ["system.torque_unit='N*m'"]
-    assert advised(None) == []
-    assert with_line("a=1\nrecord.rate=3\n", "record.rate=4") == "a=1\nrecord.rate=4"
+    assert advised_lines({"try": said}) == ["record.resample=299.9"]
+    assert advised_lines({"try": "x, system.torque_unit='N*m'."}) == ["system.torque_unit='N*m'"]
+    assert advised_lines(None) == []
+    assert replace_line("a=1\nrecord.rate=3\n", "record.rate=4") == "a=1\nrecord.rate=4"
 
 
 def test_a_unit_of_another_dimension_names_the_field_that_sets_the_systems_own():
     known = registry()
     machine = known.make("system", "oscillator")
     with pytest.raises(InputError, match=r"system\.force_unit='V'"):
-        in_system("V", machine, "force")
+        conversion_to_system("V", machine, "force")
     with pytest.raises(InputError) as refused:
-        in_system("blorps", machine, "force")
+        conversion_to_system("blorps", machine, "force")
     assert "force_unit" not in str(refused.value)  # no unit at all
     in_volts = known.make("system", "oscillator", {"force_unit": "V"})
-    assert in_system("mV", in_volts, "force")[0] == pytest.approx(1e-3)
-    assert in_system("ms", machine, "time") == pytest.approx((1e-3, 0.0))
+    assert conversion_to_system("mV", in_volts, "force")[0] == pytest.approx(1e-3)
+    assert conversion_to_system("ms", machine, "time") == pytest.approx((1e-3, 0.0))
     assert unit_field(known.make("system", "tilting_rotor"), "speed") == ""
 
 
@@ -79,30 +79,30 @@ def curves(free):
 
 def test_the_error_of_a_part_of_the_record_is_its_rms():
     """A constant miss of 0.2 has that rms everywhere; a model that is exact has none."""
-    figure = helped(curves(lambda y: y + 0.2), curves(lambda y: y.copy()))
+    figure = residual_comparison(curves(lambda y: y + 0.2), curves(lambda y: y.copy()))
     by_name = {t.name: np.asarray(t.y) for t in figure.data if t.name}
     assert by_name["without it"] == pytest.approx(200.0)  # mm
     assert by_name["with it"] == pytest.approx(0.0, abs=1e-9)
     assert figure.data[-1].x[0] > 0.2  # what settles is not scored
-    assert helped(curves(lambda y: y * np.nan), curves(lambda y: y)) is None
+    assert residual_comparison(curves(lambda y: y * np.nan), curves(lambda y: y)) is None
 
 
 def test_models_on_one_record_stand_over_one_measurement():
     one, other = curves(lambda y: y), curves(lambda y: 0.5 * y)
     lost = curves(lambda y: np.full_like(y, np.inf))
-    figure = overlaid([("one", one), ("other", other), ("lost", lost)])
+    figure = overlay_models([("one", one), ("other", other), ("lost", lost)])
     assert [t.name for t in figure.data if t.showlegend] == ["measured", "one", "other"]
     residual = next(t for t in figure.data if t.name == "other" and not t.showlegend)
     assert np.max(np.abs(residual.y)) == pytest.approx(500.0, rel=1e-3)  # mm
-    dense = overlaid([("one", one)], (0.5, 0.6)).data[0].x
+    dense = overlay_models([("one", one)], (0.5, 0.6)).data[0].x
     assert np.sum((np.asarray(dense) >= 0.5) & (np.asarray(dense) <= 0.6)) >= 50
-    assert overlaid([("lost", lost)]) is None
+    assert overlay_models([("lost", lost)]) is None
 
 
 def test_a_loop_is_one_path_whose_two_colours_meet_where_the_motion_turns():
     angle = np.linspace(0.3, 4 * np.pi, 300)
     found = {"axis": "x", "position": np.sin(angle), "force": np.cos(angle)}
-    figure = loops({"memory": {"loops": [found], "position_unit": "m", "unit": "N"}})
+    figure = force_loops({"memory": {"loops": [found], "position_unit": "m", "unit": "N"}})
     grows, falls = figure.data[:2]
     steps = [np.diff(np.asarray(t.x)) for t in (grows, falls)]
     assert np.nanmin(steps[0]) > 0 > np.nanmax(steps[1])
@@ -123,10 +123,12 @@ def test_steps_side_by_side_have_a_column_each(tmp_path):
             "test_error": error, "fit_error": error, "unseen": unseen, "chi2_per_dof": 1.0,
             "channels": {"x": {"relative": error}}, "model": {"effects": effects},
         }  # fmt: skip
-        study = added(study, Turn(study.serials + len(study.turns), name, result))
-    told = errors(study, study.turns)
+        study = add_turn(study, Turn(study.serials + len(study.turns), name, result))
+    told = comparison_errors(study, study.turns)
     assert "the model as it was" in told
     assert "<b>10.0 %</b>" in told
     assert "<b>50.0 %</b>" not in told
     assert "1.00" in told
-    assert parameters(study, study.turns).count("<td class='n'>-</td>") == 1  # in one model alone
+    assert (
+        comparison_parameters(study, study.turns).count("<td class='n'>-</td>") == 1
+    )  # in one model alone

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import spiral
-from spiral.app.python_text import asked, program
+from spiral.app.python_text import non_default_options, program_text
 from spiral.app.study import Study, Turn
 from spiral.inference.compare import compare
 from spiral.io.config import build_problem, compose
@@ -24,7 +24,7 @@ observed: [x]
 
 def study(*overrides, added=()):
     turns = tuple(Turn(i, name, parent=i - 1 if i else None) for i, name in enumerate(("", *added)))
-    told = asked(compose(overrides, KNOWN), KNOWN)
+    told = non_default_options(compose(overrides, KNOWN), KNOWN)
     return Study("20260101-000000-abc", "bench", overrides, "", turns, len(added), program=told)
 
 
@@ -57,7 +57,7 @@ def test_the_program_gives_the_errors_of_the_overrides(bench, system):
         f"test.path='{files[1]}'", "test.settle=0.2",
         "candidates=[cubic_stiffness,quadratic_damping]", added=("cubic_stiffness",),
     )  # fmt: skip
-    text = program(given, bench)
+    text = program_text(given, bench)
     names = {}
     exec(text, names)  # what a person would run
     config = compose((*given.overrides, "effect=[cubic_stiffness]"), KNOWN)
@@ -68,7 +68,7 @@ def test_the_program_gives_the_errors_of_the_overrides(bench, system):
 
 
 def test_an_embedded_record_is_read_by_its_name():
-    text = program(study("experiment=rotor_coastdown"), "runs")
+    text = program_text(study("experiment=rotor_coastdown"), "runs")
     names = {}
     exec(text.partition("found =")[0], names)
     assert (names["record"].name, names["test"].name) == (
@@ -78,6 +78,6 @@ def test_an_embedded_record_is_read_by_its_name():
 
 def test_a_formula_of_ones_own_has_the_saved_model_instead(bench):
     given = study("experiment=rotor_coastdown", "effect.soft.expression=-k3*q**3")
-    assert program(given, bench) == ""  # before it is saved
+    assert program_text(given, bench) == ""  # before it is saved
     saved = replace(given, turns=(Turn(0, run_id="20260101-000000-abc"),))
-    assert "spiral.load('20260101-000000-abc', " in program(saved, bench)
+    assert "spiral.load('20260101-000000-abc', " in program_text(saved, bench)

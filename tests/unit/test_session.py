@@ -6,9 +6,9 @@ import pytest
 
 from spiral.app import session as sessions
 from spiral.app import study as kept
-from spiral.app.frame import command
-from spiral.app.panels import chips, ending, learnable, proposal
-from spiral.app.record_setup import guessed
+from spiral.app.frame import shell_command
+from spiral.app.panels import effect_chips, ending_message, has_learnable_curve, proposal_message
+from spiral.app.record_setup import guess_columns
 from spiral.app.session import Session
 from spiral.types.errors import ConfigError, InputError
 
@@ -89,18 +89,18 @@ def test_add_undo_redo_and_another_branch(session, ident):
     assert [t.added for t in study.after(serial)] == ["b", "c"]  # the first branch is not lost
     session.move(ident, second, study.turn.serial)
     assert errors(session.scene(ident).study) == [0.6, 0.3]
-    assert kept.load(session.out, ident) == session.scene(ident).study
+    assert kept.load_study(session.out, ident) == session.scene(ident).study
 
 
 def test_turns_of_older_files_are_a_line(session, ident, tmp_path):
     session.add(ident, "b", session.scene(ident).study.turn.serial)
     turned(session, "b", 0.3)
-    file = kept.place(tmp_path, ident) / kept.FILE
+    file = kept.study_folder(tmp_path, ident) / kept.FILE
     data = json.loads(file.read_text())
     for turn in data["turns"]:
         del turn["parent"]
     file.write_text(json.dumps(data))
-    assert errors(kept.load(tmp_path, ident)) == [0.6, 0.3]
+    assert errors(kept.load_study(tmp_path, ident)) == [0.6, 0.3]
 
 
 def test_what_is_proposed_is_tried_before_it_is_recommended(session, ident):
@@ -108,20 +108,20 @@ def test_what_is_proposed_is_tried_before_it_is_recommended(session, ident):
     session.preview(ident, "b", session.scene(ident).study.turn.serial)
     worse = {"horizon": "ahead", "seconds": 0.1, "judged": "worse", "before": 0.1, "after": 0.2}
     tried(session, changes=[{**worse, "judged": "same"}])
-    assert proposal(session.scene(ident).study.turn)[1] == "fine"
+    assert proposal_message(session.scene(ident).study.turn)[1] == "fine"
     session.preview(ident, "b", session.scene(ident).study.turn.serial)
     tried(session, changes=[worse])
-    said, kind = proposal(session.scene(ident).study.turn)
+    said, kind = proposal_message(session.scene(ident).study.turn)
     assert kind == "worse"
     assert "0.1 s ahead" in said
     session.rank(ident, session.scene(ident).study.turn.serial)
     session._fits.on_event(session._fits.orders[-1], "ranked", RANKED)
-    assert proposal(session.scene(ident).study.turn)[1] == "trying"
+    assert proposal_message(session.scene(ident).study.turn)[1] == "trying"
     session._fits.on_event(session._fits.orders[-1], "done", {})
     assert session._fits.orders[-1]["do"] == "preview"
     session.cancel(ident)
     scene = session.scene(ident)
-    assert (proposal(scene.study.turn)[1], scene.busy) == ("trying", None)
+    assert (proposal_message(scene.study.turn)[1], scene.busy) == ("trying", None)
     assert errors(scene.study) == [0.6]  # the turn itself stays
 
 
@@ -134,9 +134,9 @@ def test_an_effect_that_was_let_go_is_no_part_of_the_model(session, ident, tmp_p
         model = ["c", "b"] if len(study.turns) == 4 else model
         assert list(study.added) == model
         assert list(study.gone) == (["b"] if retired else [])
-        assert command(study).startswith(f"spiral add {' '.join(model)} ")
-        assert ("Let go: b" in chips(study)) is bool(retired)
-        assert chips(study).count('"chip added"') == len(model)
+        assert shell_command(study).startswith(f"spiral add {' '.join(model)} ")
+        assert ("Let go: b" in effect_chips(study)) is bool(retired)
+        assert effect_chips(study).count('"chip added"') == len(model)
 
 
 def test_a_tab_that_is_behind_changes_nothing(session, ident):
@@ -245,8 +245,8 @@ def test_curves_are_offered_where_nothing_with_a_name_passes(session, ident):
     fits.on_event(fits.orders[-1], "ranked", nothing)
     fits.on_event(fits.orders[-1], "done", {})
     study = session.scene(ident).study
-    assert learnable(study, study.turn)
-    assert ending(study, study.turn).endswith("What is left: a force: smooth.")
+    assert has_learnable_curve(study, study.turn)
+    assert ending_message(study, study.turn).endswith("What is left: a force: smooth.")
     session.learn(ident, study.turn.serial)
     order = fits.orders[-1]
     assert order["overrides"] == ["experiment=rotor_coastdown", "settings.learned=true"]
@@ -255,7 +255,7 @@ def test_curves_are_offered_where_nothing_with_a_name_passes(session, ident):
     study = session.scene(ident).study
     assert study.overrides[-1] == "settings.learned=true"
     assert study.own == ()
-    assert not learnable(study, study.turn)
+    assert not has_learnable_curve(study, study.turn)
 
 
 def test_a_name_as_one_types_it_becomes_the_name_of_an_effect(session, ident):
@@ -301,7 +301,7 @@ PENDULUM = {
 )  # fmt: skip
 def test_columns_are_guessed_by_name_and_by_unit(system, columns, time, chosen, units):
     listed = [{"name": name, "unit": unit} for name, unit in columns.items()]
-    found = guessed(listed, system)
+    found = guess_columns(listed, system)
     assert (found.time, dict(found.columns), dict(found.units)) == (time, chosen, units)
 
 
@@ -322,8 +322,8 @@ def test_only_studies_have_pages(session, name):
 
 def test_a_damaged_study_says_so_and_hides_no_other(session, ident, tmp_path):
     other = session.create("another", ("experiment=rotor_coastdown",))
-    file = kept.place(tmp_path, ident) / kept.FILE
+    file = kept.study_folder(tmp_path, ident) / kept.FILE
     file.write_text(json.dumps({"ident": ident}))
-    assert [s.ident for s in kept.studies(tmp_path)] == [other]
+    assert [s.ident for s in kept.list_studies(tmp_path)] == [other]
     with pytest.raises(InputError, match="a study saved by this program"):
-        kept.load(tmp_path, ident)
+        kept.load_study(tmp_path, ident)

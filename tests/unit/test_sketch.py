@@ -17,7 +17,7 @@ from spiral_plugins.systems.tilting_rotor import TiltingRotor
 import spiral
 from spiral.physics.couplings import Feed, Link, couplings_of
 from spiral.types.model import seed_model
-from spiral.view.report.sketch import figure, sketch, told
+from spiral.view.report.sketch import describe_sketch, sketch, sketch_figure
 from tests.scenes import registry
 
 
@@ -90,7 +90,7 @@ observed: ["x''", "mount = q*(x - z)"]
     assert [(r.name, r.touches) for r in plain.readings] == [
         ("x_acceleration", ("x",)), ("mount", ("x", "z"))
     ]  # fmt: skip
-    said = " ".join(told(asdict(plain)))
+    said = " ".join(describe_sketch(asdict(plain)))
     assert "The sensor mount tells of x and z." in said
     assert "Hidden" not in said
     drawn = sketch(asdict(plain))
@@ -107,7 +107,7 @@ def test_a_state_that_another_follows_is_told_one_way(tmp_path):
     )
     found = graph(Equations(path=str(tmp_path / "rc.yaml")))
     assert found.links == (Link("u", "w", False),)
-    assert "w follows u" in " ".join(told(asdict(found)))
+    assert "w follows u" in " ".join(describe_sketch(asdict(found)))
 
 
 @pytest.mark.parametrize("name", ["function", "fmu", "structure", "pendulum", "planar_rotor"])
@@ -119,7 +119,7 @@ def test_every_kind_of_system_has_a_sketch(name):
 
 def test_effects_on_inputs_and_sensors_stand_there_and_hidden_states_are_named():
     found = asdict(graph(Oscillator(), ActuatorLag(), Delay()))
-    said = " ".join(told(found))
+    said = " ".join(describe_sketch(found))
     assert "On the input force: actuator lag (added)." in said
     assert "On the sensors: delay (added)." in said
     assert "has a hidden state" in sketch(found)
@@ -150,7 +150,7 @@ def test_names_are_text_and_a_file_that_is_no_graph_draws_nothing():
     found["nodes"][0]["unit"] = "<script>alert(1)</script>"
     assert "<script" not in sketch(found)
     for other in (None, [], {"nodes": 3}, {**found, "links": [{"source": "no"}]}):
-        assert figure(other) == ""
+        assert sketch_figure(other) == ""
 
 
 def test_a_notebook_shows_the_sketch_of_a_model():

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from spiral.inference.likelihood.identify import untold
+from spiral.inference.likelihood.identify import find_parameter_ties
 
 KEYS = ("spring.stiffness", "leak.rate", "spring.damping", "system.mass")
 
@@ -29,11 +29,13 @@ def _columns(rng, tied):
 def test_a_parameter_near_zero_does_not_hide_those_that_it_is_tied_to():
     """In relative changes the damping of 3 has all of the flat combination but a seventh."""
     rng = np.random.default_rng(0)
-    ties = untold(_found((400.0, 8.0, 3.0, 2.0), _columns(rng, True)))
+    ties = find_parameter_ties(_found((400.0, 8.0, 3.0, 2.0), _columns(rng, True)))
     assert set(ties.parts) == {"spring.stiffness", "leak.rate", "spring.damping"}
     assert ties.groups == (("leak", "spring"),)
 
 
 def test_parameters_with_slopes_of_their_own_are_not_tied():
-    ties = untold(_found((400.0, 8.0, 3.0, 2.0), _columns(np.random.default_rng(0), False)))
+    ties = find_parameter_ties(
+        _found((400.0, 8.0, 3.0, 2.0), _columns(np.random.default_rng(0), False))
+    )
     assert not ties

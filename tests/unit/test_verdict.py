@@ -8,15 +8,20 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.inference.advice import advice_for
-from spiral.inference.nearness import grown, near_noise, noise_factor, shortfalls
+from spiral.inference.nearness import (
+    is_near_noise,
+    noise_factor,
+    shortfalls,
+    unexplained_error_growth,
+)
 from spiral.inference.problem import Settings
 from spiral.inference.verdict import (
     FROM_NONE,
-    doubts,
-    missing,
+    missing_effects,
+    reasons_for_doubt,
     seed_verdict,
+    study_summary,
     study_verdict,
-    summary,
 )
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model, seed_model
@@ -58,7 +63,7 @@ def held(known):
 
 def said(found, stopped="no_candidate"):
     verdict = study_verdict(found, stopped, SETTINGS)
-    words = summary(found, verdict, stopped, SETTINGS)
+    words = study_summary(found, verdict, stopped, SETTINGS)
     return verdict, words, advice_for(verdict, stopped, found, (), SETTINGS)
 
 
@@ -91,7 +96,7 @@ def test_an_error_that_grew_on_unseen_data_is_no_success():
     verdict, words, advice = said(rounds(worse), "whiteness")
     assert verdict == "unknown_structure"
     assert "error grew: test error 60.0 % -> 2290 %" in words
-    assert missing(rounds(worse), SETTINGS) == ()
+    assert missing_effects(rounds(worse), SETTINGS) == ()
     assert not any(s in words + advice for s in WORDS_OF_SUCCESS)
 
 
@@ -125,8 +130,8 @@ def test_an_amplitude_at_its_bound_is_not_determined():
     errors = {k: v / 50 for k, v in uppers.items()}
     at_bound = replace(tank, values=uppers, errors=errors)
     inside = replace(at_bound, values={k: v / 2 for k, v in uppers.items()})
-    assert "bound" in doubts(held(at_bound), "overflow", SETTINGS)
-    assert doubts(held(inside), "overflow", SETTINGS) == ""
+    assert "bound" in reasons_for_doubt(held(at_bound), "overflow", SETTINGS)
+    assert reasons_for_doubt(held(inside), "overflow", SETTINGS) == ""
 
 
 def test_one_determined_axis_is_enough():
@@ -134,24 +139,24 @@ def test_one_determined_axis_is_enough():
     known = model(
         friction, coulomb_friction__level=(2.0, 0.1), coulomb_friction__width=(1e-3, 1e-3)
     )
-    assert doubts(held(known), "coulomb_friction", SETTINGS) == ""
+    assert reasons_for_doubt(held(known), "coulomb_friction", SETTINGS) == ""
 
 
 def test_a_likelihood_far_below_without_an_effect_determines_it():
     """A rim that spills all there is has no slope, and is there all the same."""
     doubtful = held(model(CUBIC, cubic_stiffness__stiffness=(1.9, 3.3)))
-    assert doubts(doubtful, "cubic_stiffness", SETTINGS)
+    assert reasons_for_doubt(doubtful, "cubic_stiffness", SETTINGS)
     sure = replace(doubtful, details={FROM_NONE: {"cubic_stiffness": 12.0}})
-    assert doubts(sure, "cubic_stiffness", SETTINGS) == ""
+    assert reasons_for_doubt(sure, "cubic_stiffness", SETTINGS) == ""
 
 
 def test_nothing_is_missing_only_near_the_noise():
-    assert near_noise(GOOD, SETTINGS)
+    assert is_near_noise(GOOD, SETTINGS)
     for change in ({"chi2_per_dof": 3.96}, {"test_error": 0.05}, {"converged": False},
                    {"whiteness_p": 1e-9, "whiteness_effect": 0.5},
                    {"chi2_per_dof": np.inf}, {"test_error": np.nan}):  # fmt: skip
         bad = replace(GOOD, **change)
-        assert not near_noise(bad, SETTINGS)
+        assert not is_near_noise(bad, SETTINGS)
         assert len(shortfalls(bad, SETTINGS)) == 1
         seed = Round(0, (), {}, {}, (), bad, 1.0)
         assert seed_verdict(seed, "no_candidate", SETTINGS) == "unknown_structure"
@@ -160,15 +165,15 @@ def test_nothing_is_missing_only_near_the_noise():
 def test_a_filter_s_evidence_is_judged_by_its_innovations():
     """Process noise moves the machine: no free run follows, and the model is right all the same."""
     driven = replace(GOOD, chi2_per_dof=40.0, test_error=0.6, innovation_chi2=1.02)
-    assert near_noise(driven, SETTINGS)
-    assert not near_noise(replace(driven, innovation_chi2=3.0), SETTINGS)
+    assert is_near_noise(driven, SETTINGS)
+    assert not is_near_noise(replace(driven, innovation_chi2=3.0), SETTINGS)
 
 
 def test_colour_smaller_than_the_smallest_effect_is_harmless():
     """N = 65000: Ljung-Box is certain of a colour that predicts half a percent of the rest."""
     faint = replace(GOOD, whiteness_p=1e-12, whiteness_effect=0.005)
-    assert near_noise(faint, SETTINGS)
-    assert not near_noise(faint, replace(SETTINGS, smallest=0.05))
+    assert is_near_noise(faint, SETTINGS)
+    assert not is_near_noise(faint, replace(SETTINGS, smallest=0.05))
 
 
 @pytest.mark.parametrize(("declared", "chi2"), [(0.5, 3.96), (2.0, 0.25)])
@@ -186,7 +191,7 @@ def test_noise_declared_wrong_is_said_and_not_taken_for_physics(declared, chi2):
 def test_white_but_larger_than_any_estimate_of_the_noise_is_not_noise():
     wide = replace(GOOD, chi2_per_dof=9.0, noise_ratio=1.0)
     assert noise_factor(wide, SETTINGS) == 1.0
-    assert not near_noise(wide, SETTINGS)
+    assert not is_near_noise(wide, SETTINGS)
 
 
 def test_a_record_of_another_machine_is_recognised():
@@ -206,7 +211,7 @@ def test_no_words_of_success_beside_figures_of_failure(stopped, chi2, error):
     for found in (rounds(last), (replace(rounds(last)[0], comparison=last),)):
         _, words, advice = said(found, stopped)
         success = [s for s in WORDS_OF_SUCCESS if s in words + " " + advice]
-        if not near_noise(last, SETTINGS) and "ore is missing" not in words:
+        if not is_near_noise(last, SETTINGS) and "ore is missing" not in words:
             assert not success
         if not error <= POOR.test_error:
             assert not success
@@ -234,7 +239,7 @@ def predicting(next_reading, freely):
 def test_a_next_reading_missed_by_no_more_than_noise_is_worth_a_free_run_that_noise_explains(
     after, where
 ):
-    worse = grown(predicting(0.0200, 0.10), after, SETTINGS)
+    worse = unexplained_error_growth(predicting(0.0200, 0.10), after, SETTINGS)
     assert (None if worse is None else worse.horizon) == where
 
 
@@ -243,7 +248,7 @@ def test_random_forces_that_explain_nothing_excuse_no_error(force, where):
     """They carry the free run as far as it errs, one sample ahead the model is better."""
     before, after = predicting(0.030, 0.30), predicting(0.020, 0.40)
     after = replace(after, random={"force.hidden": force}, innovation_chi2=1.0, disturbed=0.35)
-    worse = grown(before, after, SETTINGS)
+    worse = unexplained_error_growth(before, after, SETTINGS)
     assert (None if worse is None else worse.horizon) == where
 
 
@@ -261,13 +266,15 @@ def test_an_error_ahead_grows_by_chance_up_to_two_standard_errors_a_free_run_up_
         replace(h, squares={"x": tuple(e**2 + d * (e + h.error) * np.sqrt(19) * s for s in SIGNS)})
         for h, e, d in told
     )
-    worse = grown(before, replace(before, unseen=unseen, test_error=freely), SETTINGS)
+    worse = unexplained_error_growth(
+        before, replace(before, unseen=unseen, test_error=freely), SETTINGS
+    )
     assert (None if worse is None else worse.horizon) == where
 
 
 @pytest.mark.parametrize("lost", [np.inf, np.nan])
 def test_an_error_that_leaves_all_bounds_has_grown(lost):
-    worse = grown(predicting(0.02, 0.10), predicting(0.02, lost), SETTINGS)
+    worse = unexplained_error_growth(predicting(0.02, 0.10), predicting(0.02, lost), SETTINGS)
     assert worse is not None
     assert worse.horizon == "free_run"
 
@@ -289,7 +296,7 @@ def test_what_is_left_with_memory_is_not_told_in_names_of_effects_without():
     first, last = rounds(replace(GOOD, whiteness_p=0.0, whiteness_effect=0.5))
     verdict, words, advice = said((first, replace(last, details=STANDS_IN)))
     assert verdict == "unknown_structure"
-    assert missing((first, replace(last, details=STANDS_IN)), SETTINGS) == ()
+    assert missing_effects((first, replace(last, details=STANDS_IN)), SETTINGS) == ()
     assert "has memory" in words
     assert not any(w in words for w in WORDS_OF_SUCCESS)
     assert "states of their own" in advice
@@ -309,7 +316,7 @@ def test_an_effect_that_stays_beside_memory_is_named_and_what_gives_way_to_it_is
     )  # fmt: skip
     details = {"memory": {**MEMORY["memory"], "stand_ins": [more.label]}}
     later = Round(2, (more.label,), {}, {}, (), both, 1.0, details=details)
-    assert missing((first, last, later), SETTINGS) == ("cubic_stiffness",)
+    assert missing_effects((first, last, later), SETTINGS) == ("cubic_stiffness",)
     assert "also holds quadratic_damping" in said((first, last, later))[1]
 
 

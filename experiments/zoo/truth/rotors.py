@@ -48,8 +48,8 @@ def foundation_rotor(x: Array, u: SimpleNamespace, c: Values) -> Array:
     hardening = c["cubic_stiffness@base.stiffness"] * (base @ base) * base
     below = springs(c, "base", base, base_rate) - hardening
     absolute = (push + unbalance(u, c, "unbalance@rotor")) / c["system.rotor_mass"]
-    standing = (below - push) / c["system.base_mass"]
-    return np.concatenate([gap_rate, base_rate, absolute - standing, standing])
+    fit_state = (below - push) / c["system.base_mass"]
+    return np.concatenate([gap_rate, base_rate, absolute - fit_state, fit_state])
 
 
 def _run_up(rng: np.random.Generator, duration: float) -> dict[str, Signal]:

@@ -1,4 +1,4 @@
-"""What a filter does with its covariance, as machine code over four numbers at a time.
+"""Covariance algebra of the filters as LLVM code that takes four numbers (lanes) at a time.
 
     product      C = A B
     lower        the lower half of C = A B, where C is symmetric
@@ -22,24 +22,24 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from spiral.physics.compile import ModelFunction, ended, engine_of, started
+from spiral.physics.compile import ModelFunction, begin_function, end_function, engine_of
 from spiral.physics.emit import DOUBLE, number
 from spiral.physics.lanes import (
     FUSED,
     LANES,
     ZEROS,
     add_product,
-    counted,
+    broadcast_lanes,
+    for_loop,
     index,
-    lane,
-    put,
-    spread,
+    load_lanes,
+    store_lanes,
 )
 
 _V, _M = types.float64[::1], types.float64[:, ::1]
 _F, _I = types.float64, types.int64
 PRODUCT = types.FunctionType(types.void(_M, _M, _M, _I, _I))
-"""product(A, B, C, rows, inner): C = A B in these rows, sums over ``inner``; C is neither."""
+"""product(A, B, C, rows, inner): C = A B in these rows, sums over ``inner``; C is another array."""
 ABSORB = types.FunctionType(types.float64(_V, _M, _M, _M, _I, _F, _F, _V, _V))
 """absorb(x, M, C, D, j, r, e, gain, work) -> s, with row j of C.
 
@@ -59,7 +59,7 @@ class Algebra:
 
 
 @cache
-def algebra() -> Algebra:
+def compiled_algebra() -> Algebra:
     """The functions, compiled once for a process."""
     module = ir.Module("algebra")
     _write_product(module, "product", lower=False)
@@ -78,22 +78,22 @@ def _write_product(module: ir.Module, name: str, lower: bool) -> None:
 
     ``lower``: no columns beyond the block on the diagonal.
     """
-    b, (first, second, out, rows, inner) = started(module, name, PRODUCT)
+    b, (first, second, out, rows, inner) = begin_function(module, name, PRODUCT)
     data = tuple(b.extract_value(m, 4) for m in (first, second, out))
     strides = tuple(b.extract_value(m, [5, 1]) for m in (first, second, out))
     block = index(LANES * _WIDE)
-    with counted(b, rows, _ROWS) as row:
+    with for_loop(b, rows, _ROWS) as row:
         width = b.add(row, index(_ROWS)) if lower else strides[1]
         full = b.mul(b.sdiv(width, block), block)
-        with b.if_then(b.icmp_signed(">", full, index(0))), counted(b, full, LANES * _WIDE) as at:
-            _columns(b, data, strides, inner, row, at, _WIDE)
+        with b.if_then(b.icmp_signed(">", full, index(0))), for_loop(b, full, LANES * _WIDE) as at:
+            _write_block(b, data, strides, inner, row, at, _WIDE)
         rest = b.sub(width, full)
-        with b.if_then(b.icmp_signed("<", full, width)), counted(b, rest, LANES) as more:
-            _columns(b, data, strides, inner, row, b.add(full, more), 1)
-    ended(b)
+        with b.if_then(b.icmp_signed("<", full, width)), for_loop(b, rest, LANES) as more:
+            _write_block(b, data, strides, inner, row, b.add(full, more), 1)
+    end_function(b)
 
 
-def _columns(
+def _write_block(
     b: ir.IRBuilder, data: tuple[Any, ...], strides: tuple[Any, ...], inner: Any, row: Any,
     column: Any, lanes: int,
 ) -> None:  # fmt: skip
@@ -102,17 +102,17 @@ def _columns(
     rows = [b.add(row, index(i)) for i in range(_ROWS)]
     at = [b.mul(r, strides[0]) for r in rows]
     sums = [ZEROS] * (_ROWS * lanes)
-    with counted(b, inner, sums=sums) as k:
+    with for_loop(b, inner, sums=sums) as k:
         start = b.add(b.mul(k, strides[1]), column)
-        others = [lane(b, right, b.add(start, index(LANES * j))) for j in range(lanes)]
+        others = [load_lanes(b, right, b.add(start, index(LANES * j))) for j in range(lanes)]
         for i in range(_ROWS):
-            own = spread(b, b.load(b.gep(left, [b.add(at[i], k)])))
+            own = broadcast_lanes(b, b.load(b.gep(left, [b.add(at[i], k)])))
             for j in range(lanes):
                 sums[i * lanes + j] = add_product(b, sums[i * lanes + j], own, others[j])
     for i in range(_ROWS):
         start = b.add(b.mul(rows[i], strides[2]), column)
         for j in range(lanes):
-            put(b, sums[i * lanes + j], result, b.add(start, index(LANES * j)))
+            store_lanes(b, sums[i * lanes + j], result, b.add(start, index(LANES * j)))
 
 
 def _write_absorb(module: ir.Module) -> None:
@@ -123,7 +123,7 @@ def _write_absorb(module: ir.Module) -> None:
     where they are written.
     """
     b: Any
-    b, args = started(module, "absorb", ABSORB)
+    b, args = begin_function(module, "absorb", ABSORB)
     x, m, gain, work = (b.extract_value(args[i], 4) for i in (0, 1, 7, 8))
     size, total = (b.extract_value(args[1], [5, i]) for i in (0, 1))
     c, d = (
@@ -132,63 +132,72 @@ def _write_absorb(module: ir.Module) -> None:
     )
     r, miss = args[5:7]
     spent = b.alloca(DOUBLE)
-    with counted(b, total, LANES) as column:
-        put(b, ZEROS, work, column)
-    with _weighed(b, c, size) as (k, weight), counted(b, total, LANES) as column:
-        row = lane(b, m, b.add(b.mul(k, total), column))
-        put(b, add_product(b, lane(b, work, column), spread(b, weight), row), work, column)
+    with for_loop(b, total, LANES) as column:
+        store_lanes(b, ZEROS, work, column)
+    with _loop_nonzero_weights(b, c, size) as (k, weight), for_loop(b, total, LANES) as column:
+        row = load_lanes(b, m, b.add(b.mul(k, total), column))
+        added = add_product(b, load_lanes(b, work, column), broadcast_lanes(b, weight), row)
+        store_lanes(b, added, work, column)
     b.store(r, spent)
-    with _weighed(b, c, size) as (k, weight):
+    with _loop_nonzero_weights(b, c, size) as (k, weight):
         b.store(add_product(b, b.load(spent), weight, b.load(b.gep(work, [k]))), spent)
-    over = spread(b, b.fdiv(number(1.0), b.load(spent)))
-    moved, back, rest = spread(b, miss), spread(b, b.fneg(r)), b.gep(work, [total])
-    with counted(b, size, LANES) as column:
-        own = b.fmul(lane(b, work, column), over, flags=FUSED)
-        put(b, own, gain, column)
-        put(b, add_product(b, lane(b, x, column), own, moved), x, column)
-        put(b, b.fmul(back, own, flags=FUSED), rest, column)
-    with _weighed(b, c, size) as (k, weight):  # rest = t
-        other = spread(b, b.load(b.gep(work, [k])))
-        with counted(b, size, LANES) as column:
-            less = _less(b, m, b.add(b.mul(k, total), column), lane(b, work, column), other, over)
-            put(b, add_product(b, lane(b, rest, column), spread(b, weight), less), rest, column)
-    _write_taken(b, (m, d, gain, work, rest), (size, total), over)
+    over = broadcast_lanes(b, b.fdiv(number(1.0), b.load(spent)))
+    moved, back = broadcast_lanes(b, miss), broadcast_lanes(b, b.fneg(r))
+    rest = b.gep(work, [total])
+    with for_loop(b, size, LANES) as column:
+        own = b.fmul(load_lanes(b, work, column), over, flags=FUSED)
+        store_lanes(b, own, gain, column)
+        store_lanes(b, add_product(b, load_lanes(b, x, column), own, moved), x, column)
+        store_lanes(b, b.fmul(back, own, flags=FUSED), rest, column)
+    with _loop_nonzero_weights(b, c, size) as (k, weight):  # rest = t
+        other = broadcast_lanes(b, b.load(b.gep(work, [k])))
+        with for_loop(b, size, LANES) as column:
+            place, own = b.add(b.mul(k, total), column), load_lanes(b, work, column)
+            less = _downdate_lanes(b, m, place, own, other, over)
+            added = add_product(b, load_lanes(b, rest, column), broadcast_lanes(b, weight), less)
+            store_lanes(b, added, rest, column)
+    _write_update(b, (m, d, gain, work, rest), (size, total), over)
     b.ret(b.load(spent))
 
 
-def _write_taken(b: Any, data: tuple[Any, ...], shape: tuple[Any, Any], over: Any) -> None:
-    """d, and M row by row with what a reading tells."""
+def _write_update(b: Any, data: tuple[Any, ...], shape: tuple[Any, Any], over: Any) -> None:
+    """d <- h_p + c S, and M = [P | S] row by row as ``_write_absorb`` says."""
     m, d, gain, work, rest = data
     size, total = shape
-    half, beside = spread(b, number(-0.5)), b.sub(total, size)
-    with b.if_then(b.icmp_signed(">", beside, index(0))), counted(b, beside, LANES) as column:
-        put(b, b.fadd(lane(b, d, column), lane(b, b.gep(work, [size]), column)), d, column)
-    with counted(b, size, LANES) as column:
-        put(b, b.fmul(half, lane(b, rest, column)), rest, column)
-    with counted(b, size) as k:
+    half, beside = broadcast_lanes(b, number(-0.5)), b.sub(total, size)
+    with b.if_then(b.icmp_signed(">", beside, index(0))), for_loop(b, beside, LANES) as column:
+        store_lanes(
+            b,
+            b.fadd(load_lanes(b, d, column), load_lanes(b, b.gep(work, [size]), column)),
+            d,
+            column,
+        )
+    with for_loop(b, size, LANES) as column:
+        store_lanes(b, b.fmul(half, load_lanes(b, rest, column)), rest, column)
+    with for_loop(b, size) as k:
         start = b.mul(k, total)
-        other, own, turned = (spread(b, b.load(b.gep(v, [k]))) for v in (work, gain, rest))
-        with counted(b, size, LANES) as column:
+        other, own, turned = (broadcast_lanes(b, b.load(b.gep(v, [k]))) for v in (work, gain, rest))
+        with for_loop(b, size, LANES) as column:
             place = b.add(start, column)
-            now = _less(b, m, place, lane(b, work, column), other, over)
-            now = add_product(b, now, lane(b, gain, column), turned)
-            put(b, add_product(b, now, lane(b, rest, column), own), m, place)
-        with b.if_then(b.icmp_signed(">", beside, index(0))), counted(b, beside, LANES) as column:
+            now = _downdate_lanes(b, m, place, load_lanes(b, work, column), other, over)
+            now = add_product(b, now, load_lanes(b, gain, column), turned)
+            store_lanes(b, add_product(b, now, load_lanes(b, rest, column), own), m, place)
+        with b.if_then(b.icmp_signed(">", beside, index(0))), for_loop(b, beside, LANES) as column:
             place = b.add(b.add(start, size), column)
-            less = b.fmul(own, lane(b, d, column), flags=FUSED)
-            put(b, b.fsub(lane(b, m, place), less, flags=FUSED), m, place)
+            less = b.fmul(own, load_lanes(b, d, column), flags=FUSED)
+            store_lanes(b, b.fsub(load_lanes(b, m, place), less, flags=FUSED), m, place)
 
 
-def _less(b: Any, m: Any, place: Any, own: Any, other: Any, over: Any) -> Any:
-    """Four numbers of T."""
+def _downdate_lanes(b: Any, m: Any, place: Any, own: Any, other: Any, over: Any) -> Any:
+    """Four numbers of T = P - (P c^T)(P c^T)^T / s."""
     both = b.fmul(own, other, flags=FUSED)
-    return b.fsub(lane(b, m, place), b.fmul(both, over))
+    return b.fsub(load_lanes(b, m, place), b.fmul(both, over))
 
 
 @contextmanager
-def _weighed(b: Any, c: Any, size: Any) -> Iterator[tuple[Any, Any]]:
-    """A loop over the states that a reading weighs, with their weights."""
-    with counted(b, size) as k:
+def _loop_nonzero_weights(b: Any, c: Any, size: Any) -> Iterator[tuple[Any, Any]]:
+    """A loop over the entries of a reading's row c that are not zero: k and c_k."""
+    with for_loop(b, size) as k:
         weight = b.load(b.gep(c, [k]))
         with b.if_then(b.fcmp_unordered("!=", weight, number(0.0))):
             yield k, weight

@@ -1,4 +1,4 @@
-"""Draws from a posterior that is bent: two bearings that share one stiffness in many ways.
+"""Draws from a curved posterior, such as that of two bearings that share one stiffness.
 
 In w, with theta = m + R w around the most probable values and R R^T the covariance there, the
 whitened innovations and the prior's own rows are, to second order,
@@ -50,23 +50,23 @@ class Expansion:
         own = np.diagonal(self.second, axis1=0, axis2=1).T
         return np.linalg.norm(own - own @ base @ base.T, axis=1) > _BENT
 
-    def at(self, w: Array) -> tuple[Array, Array]:
+    def evaluate(self, w: Array) -> tuple[Array, Array]:
         """F (points, d) and its slopes (points, r, d) at w (points, r)."""
         r, d = self.second.shape[1:]
         bend = (w @ self.second.reshape(r, -1)).reshape(len(w), r, d)
         value = self.first + w @ self.slopes.T + 0.5 * np.einsum("pid,pi->pd", bend, w)
         return value, self.slopes.T + bend
 
-    def log(self, w: Array) -> Array:
-        """(points,) log p over that at w = 0."""
-        value, _ = self.at(w)
+    def log_density(self, w: Array) -> Array:
+        """(points,) log p(w) - log p(0)."""
+        value, _ = self.evaluate(w)
         return 0.5 * (float(self.first @ self.first) - np.sum(value**2, axis=1))
 
 
-def expansion(
+def build_expansion(
     e: Array, slopes: Array, second: Array, prior: Array, prior_slopes: Array
 ) -> Expansion:
-    """From rows of a whole record, kept as the triangle of their QR factorisation.
+    """F_0, A and T from the rows of a whole record, reduced to their QR triangle.
 
     Parameters
     ----------
@@ -88,20 +88,20 @@ def expansion(
     )
 
 
-def drawn(found: Expansion, count: int, rng: np.random.Generator) -> Array:
-    """(count, r) draws of w; each the last place of a chain of its own."""
-    chains, r = max(_CHAINS, count), found.slopes.shape[1]
-    along = np.flatnonzero(found.bent)
-    across = np.flatnonzero(~found.bent)
+def draw_samples(expanded: Expansion, count: int, rng: np.random.Generator) -> Array:
+    """(count, r) draws of w, each the end of a Markov chain of its own."""
+    chains, r = max(_CHAINS, count), expanded.slopes.shape[1]
+    along = np.flatnonzero(expanded.bent)
+    across = np.flatnonzero(~expanded.bent)
     u, v = np.zeros((chains, len(along))), np.zeros((chains, len(across)))
-    v += found.first @ found.slopes[:, across]
-    w, height = _placed(found, along, across, u, v, np.zeros((chains, r)))
+    v += expanded.first @ expanded.slopes[:, across]
+    w, height = _invert_coordinates(expanded, along, across, u, v, np.zeros((chains, r)))
     share, size = 0.5, 1.0
     for move in range(_MOVES):
         length = size * rng.uniform(size=(chains, 1))
         other_u = u + length * rng.normal(size=u.shape)
         other_v = np.sqrt(1 - share**2) * v + share * rng.normal(size=v.shape)
-        trial, reached = _placed(found, along, across, other_u, other_v, w)
+        trial, reached = _invert_coordinates(expanded, along, across, other_u, other_v, w)
         taken = np.log(rng.uniform(size=chains)) < reached - height
         u[taken], v[taken], w[taken] = other_u[taken], other_v[taken], trial[taken]
         height = np.where(taken, reached, height)
@@ -111,19 +111,19 @@ def drawn(found: Expansion, count: int, rng: np.random.Generator) -> Array:
     return w[rng.permutation(chains)[:count]]
 
 
-def _placed(
-    found: Expansion, along: Array, across: Array, u: Array, v: Array, near: Array
+def _invert_coordinates(
+    expanded: Expansion, along: Array, across: Array, u: Array, v: Array, near: Array
 ) -> tuple[Array, Array]:
     """w of coordinates (u, v) by Newton's steps, and log p(u, v) + |v|^2 / 2; -inf where none."""
     w = near.copy()
     w[:, along] = u
-    base, step = found.slopes[:, across], np.zeros_like(v)
+    base, step = expanded.slopes[:, across], np.zeros_like(v)
     value, square = np.zeros((len(w), len(base))), np.zeros((len(w), len(across), len(across)))
     with np.errstate(all="ignore"):
         for _ in range(_NEWTON):
-            value, slopes = found.at(np.clip(np.nan_to_num(w), -1e6, 1e6))
+            value, slopes = expanded.evaluate(np.clip(np.nan_to_num(w), -1e6, 1e6))
             square = slopes[:, across] @ base
-            step = _solved(square, value @ base - v)
+            step = _solve_points(square, value @ base - v)
             if not np.any(np.abs(step) > _CLOSE):
                 break
             w[:, across] -= step
@@ -133,8 +133,8 @@ def _placed(
     return w, np.where(fine, height, -np.inf)
 
 
-def _solved(square: Array, right: Array) -> Array:
-    """x of x^T-rows H^T x = b for each point; NaN where H is singular."""
+def _solve_points(square: Array, right: Array) -> Array:
+    """Solutions (points, r) of H^T x = b for each point; NaN where H is singular."""
     try:
         turned = np.nan_to_num(square).transpose(0, 2, 1)
         return np.linalg.solve(turned, right[:, :, None])[:, :, 0]

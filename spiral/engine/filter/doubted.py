@@ -1,4 +1,4 @@
-"""Bands that know the doubt of the parameters: variance = mean of variances + variance of means.
+"""Bands with the parameters' uncertainty: variance = mean of variances + variance of means.
 
 Of a Gaussian posterior it is P + S C S^T, with S the slope of the states by the parameters, from
 differences of two runs along each axis of C. Of a bent one it is that of runs at its draws, weighed
@@ -30,7 +30,7 @@ class Doubted:
     ``effective`` is the number of draws that the weights amount to; none for a Gaussian.
     """
 
-    found: Pass
+    filter_pass: Pass
     mean: Array
     covariance: Array
     effective: float | None = None
@@ -42,8 +42,8 @@ class Doubted:
         return {k: (float(m), float(s)) for k, (m, s) in zip(keys, rows, strict=True)}
 
 
-def doubted(runs: Runs, known: Posterior, at_top: Pass) -> Doubted:
-    """The run at the most probable values, widened.
+def add_parameter_doubt(runs: Runs, known: Posterior, at_top: Pass) -> Doubted:
+    """The run at the most probable values, its variances widened by the parameters' covariance.
 
     Parameters
     ----------
@@ -51,46 +51,46 @@ def doubted(runs: Runs, known: Posterior, at_top: Pass) -> Doubted:
     """
     prior = known.task.prior
     assert prior is not None
-    here = known.task.at(prior.keys)
+    here = known.task.parameter_values(prior.keys)
     if not len(known.draws):
-        spread = _sloped(runs, here, known.root, at_top)
-        return Doubted(_widened(at_top, at_top.means, spread), here, known.covariance)
-    top = at_top.log_likelihood + prior.log(here)
+        spread = _linear_spread(runs, here, known.root, at_top)
+        return Doubted(_add_spread(at_top, at_top.means, spread), here, known.covariance)
+    top = at_top.log_likelihood + prior.log_density(here)
     sums = _Sums(at_top)
     kept, weights = [], []
     for values, height in zip(known.draws, known.heights, strict=True):
         run = runs(values)
         if run.done < at_top.done or not np.isfinite(run.log_likelihood):
             continue
-        over = run.log_likelihood + prior.log(values) - top - height
+        over = run.log_likelihood + prior.log_density(values) - top - height
         weight = float(np.exp(min(over, 0.5 * np.log(len(known.draws)))))
         sums.add(run, weight)
         kept.append(values)
         weights.append(weight)
     if sum(w > 0 for w in weights) < 2:
-        spread = _sloped(runs, here, known.root, at_top)
-        return Doubted(_widened(at_top, at_top.means, spread), here, known.covariance)
-    mean, covariance, effective = _moments(np.array(kept), np.array(weights))
-    return Doubted(sums.whole(effective), mean, covariance, effective)
+        spread = _linear_spread(runs, here, known.root, at_top)
+        return Doubted(_add_spread(at_top, at_top.means, spread), here, known.covariance)
+    mean, covariance, effective = _weighted_moments(np.array(kept), np.array(weights))
+    return Doubted(sums.pooled_run(effective), mean, covariance, effective)
 
 
-def _sloped(runs: Runs, here: Array, root: Array, top: Pass) -> Array:
+def _linear_spread(runs: Runs, here: Array, root: Array, top: Pass) -> Array:
     """S C S^T: (samples, N, N), or its diagonal (samples, N) where no covariances were kept."""
     total = np.zeros_like(top.covariances if len(top.covariances) else top.variances)
     for step in root.T:
         for share in _SHARES:  # of a deviation with which the filter stays with the record
             ahead, behind = runs(here + share * step), runs(here - share * step)
             if min(ahead.done, behind.done) == top.done:
-                total += _square(0.5 / share * (ahead.means - behind.means), total.ndim)
+                total += _square_rows(0.5 / share * (ahead.means - behind.means), total.ndim)
                 break
     return total
 
 
-def _square(rows: Array, dimensions: int) -> Array:
+def _square_rows(rows: Array, dimensions: int) -> Array:
     return rows[:, :, None] * rows[:, None, :] if dimensions == 3 else rows**2
 
 
-def _widened(top: Pass, means: Array, spread: Array) -> Pass:
+def _add_spread(top: Pass, means: Array, spread: Array) -> Pass:
     if spread.ndim == 3:
         covariances = top.covariances + spread
         variances = np.diagonal(covariances, axis1=1, axis2=2).copy()
@@ -98,17 +98,17 @@ def _widened(top: Pass, means: Array, spread: Array) -> Pass:
     return replace(top, means=means, variances=top.variances + spread)
 
 
-def _moments(values: Array, weights: Array) -> tuple[Array, Array, float]:
+def _weighted_moments(values: Array, weights: Array) -> tuple[Array, Array, float]:
     """Weighted mean, covariance, and the number of draws that the weights amount to."""
     share = weights / weights.sum()
     effective = float(1.0 / np.sum(share**2))
     mean = share @ values
     left = values - mean
-    return mean, _unbiased(effective) * (left.T * share) @ left, effective
+    return mean, _bias_correction(effective) * (left.T * share) @ left, effective
 
 
-def _unbiased(effective: float) -> float:
-    """What a variance of few draws lacks, with the error of their mean."""
+def _bias_correction(effective: float) -> float:
+    """(n + 1) / (n - 1): the bias of a variance of n draws, and the error of their mean."""
     return (effective + 1.0) / max(effective - 1.0, 1.0)
 
 
@@ -128,14 +128,14 @@ class _Sums:
         shift = run.means - self.top.means
         self.weight += weight
         self.shift += weight * shift
-        self.squares += weight * _square(shift, self.squares.ndim)
+        self.squares += weight * _square_rows(shift, self.squares.ndim)
         self.own += weight * (run.covariances if self.full else run.variances)
 
-    def whole(self, effective: float) -> Pass:
+    def pooled_run(self, effective: float) -> Pass:
         """The mean of means; the mean of variances and the variance of means."""
         shift, over = self.shift / self.weight, self.squares / self.weight
-        spread = _unbiased(effective) * (over - _square(shift, over.ndim))
+        spread = _bias_correction(effective) * (over - _square_rows(shift, over.ndim))
         base = replace(self.top, variances=self.own / self.weight)
         if self.full:
             base = replace(self.top, covariances=self.own / self.weight)
-        return _widened(base, self.top.means + shift, spread)
+        return _add_spread(base, self.top.means + shift, spread)

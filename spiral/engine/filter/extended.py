@@ -72,11 +72,11 @@ def tracked_indices(task: Task, names: tuple[str, ...]) -> Array:
     return np.array([task.keys.index(n) for n in names], dtype=np.int64)
 
 
-def filtered(
+def filter_record(
     task: Task, settings: FilterSettings, keep: bool = False, samples: int | None = None
 ) -> Pass:
     """Filter the record, or its first ``samples``; ``keep`` what a smoother needs."""
-    from spiral.engine.filter.kernel import EXACT, SECOND_ORDER, extended
+    from spiral.engine.filter.kernel import EXACT, SECOND_ORDER, extended_filter
 
     tracked = tracked_indices(task, settings.tracked)
     traced = task.compiled.traced
@@ -93,7 +93,7 @@ def filtered(
         np.empty((kept, size, size)), np.empty((kept, size, size)),
         np.empty((kept, size, m)), np.empty((kept, m, size)),
     )  # fmt: skip
-    likelihood, done = extended(
+    likelihood, done = extended_filter(
         flow.advance, compiled.rate, flow.output,
         np.concatenate([settings.start, task.values[tracked]]),
         block_diagonal(settings.covariance, settings.doubt**2),
@@ -104,15 +104,15 @@ def filtered(
     return Pass(*arrays, float(likelihood), int(done))
 
 
-def smoothed(found: Pass) -> Pass:
-    """A run kept whole, every sample judged by all of the record; innovations stay the filter's."""
-    from spiral.engine.filter.smoother import smooth
+def smooth_run(run: Pass) -> Pass:
+    """Smooth a run kept whole: x_s = x - P l, P_s = P - P L P; innovations stay the filter's."""
+    from spiral.engine.filter.smoother import smooth_record
 
-    smooth(
-        found.means, found.covariances, found.innovations, found.spreads, found.transitions,
-        found.gains, found.slopes,
+    smooth_record(
+        run.means, run.covariances, run.innovations, run.spreads, run.transitions,
+        run.gains, run.slopes,
     )  # fmt: skip
-    return replace(found, variances=np.diagonal(found.covariances, axis1=1, axis2=2).copy())
+    return replace(run, variances=np.diagonal(run.covariances, axis1=1, axis2=2).copy())
 
 
 def block_diagonal(matrix: Array, tail: Array) -> Array:
@@ -127,7 +127,7 @@ def block_diagonal(matrix: Array, tail: Array) -> Array:
 def as_reconstruction(
     task: Task,
     settings: FilterSettings,
-    found: Pass,
+    run: Pass,
     levels: Mapping[str, float],
     seconds: float,
     tuning_seconds: float,
@@ -135,14 +135,18 @@ def as_reconstruction(
     """The arrays of a run as the result of an observer."""
     return Reconstruction(
         names=(*task.states, *settings.tracked),
-        means=found.means,
-        deviations=np.sqrt(np.maximum(found.variances, 0.0)),
-        innovations=found.innovations,
-        spreads=found.spreads,
-        covariances=found.covariances,
-        log_likelihood=found.log_likelihood,
-        done=found.done,
+        means=run.means,
+        deviations=np.sqrt(np.maximum(run.variances, 0.0)),
+        innovations=run.innovations,
+        spreads=run.spreads,
+        covariances=run.covariances,
+        log_likelihood=run.log_likelihood,
+        done=run.done,
         levels=dict(levels),
         seconds=seconds,
         tuning_seconds=tuning_seconds,
     )
+
+
+filtered = filter_record
+"""The same, by the name in observers written for version 0.1."""

@@ -14,10 +14,10 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.engine.kernel import slope_of
+from spiral.engine.kernel import sensitivity_rates
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
-from spiral.physics.lanes import INNER, padded
+from spiral.physics.lanes import INNER, padded_width
 
 EXACT, SECOND_ORDER = 0, 1
 
@@ -64,7 +64,7 @@ def solve_in_place(s, v):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def update(x, p, c, v, r, gain, s, cp, w):
+def update_measurement(x, p, c, v, r, gain, s, cp, w):
     """One measurement update of x and P in place; ``gain`` and ``s`` (S) are left for the caller.
 
     Returns (log det S, v^T S^-1 v); NaN where S is not positive.
@@ -95,12 +95,12 @@ def update(x, p, c, v, r, gain, s, cp, w):
         for j in range(m):
             x[i] += gain[i, j] * v[j]
     squared = solve_in_place(w, v)
-    _joseph(p, c, r, gain, cp)
+    _joseph_update(p, c, r, gain, cp)
     return log_det, squared
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _joseph(p, c, r, gain, cp):
+def _joseph_update(p, c, r, gain, cp):
     """P <- (I - K C) P (I - K C)^T + K R K^T; ``cp`` holds C P and is overwritten by C T."""
     n, m = gain.shape
     for i in range(n):
@@ -125,7 +125,7 @@ def _joseph(p, c, r, gain, cp):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def propagate(p, f, q, work):
+def propagate_covariance(p, f, q, work):
     """P <- F P F^T + Q in place; P stays exactly symmetric."""
     n = p.shape[0]
     for i in range(n):
@@ -157,20 +157,20 @@ def _add_second_order(a, step, first, s):
 
 
 @nb.njit(cache=True, nogil=True)
-def room(n, width):
+def slope_workspace(n, width):
     """Slopes of n states, and the scratch of a flow with them (``spiral.physics.flow``)."""
-    columns = padded(width)
+    columns = padded_width(width)
     return np.zeros((n, columns)), np.zeros((3, n, columns))
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _second_order(rate, x, p, tracked, inputs, at, substeps, step, s, a, b):
+def _second_order_step(rate, x, p, tracked, inputs, at, substeps, step, s, a, b):
     """Runge-Kutta steps of x; slopes of each by h A + h^2 A^2 / 2 from its start."""
     n, vectors, rates = s.shape[0], np.zeros((2, s.shape[0])), np.zeros_like(s)
     here, slope = vectors[0], vectors[1]
     for sub in range(substeps):
         rate(x[:n], inputs[at + 2 * sub], p, slope, a, b)
-        slope_of(a, b, tracked, s, rates)
+        sensitivity_rates(a, b, tracked, s, rates)
         _add_second_order(a, step, rates, s)
         total = slope.copy()
         for stage in range(1, 4):
@@ -185,7 +185,7 @@ def _second_order(rate, x, p, tracked, inputs, at, substeps, step, s, a, b):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _measure(x, p, y, r, h, cx, cv, tracked, c, v, s, gain, cp, w):
+def _update_sample(x, p, y, r, h, cx, cv, tracked, c, v, s, gain, cp, w):
     """The update at one sample; its log-likelihood. A missing value changes nothing."""
     m, n = cx.shape
     seen = True
@@ -202,12 +202,12 @@ def _measure(x, p, y, r, h, cx, cv, tracked, c, v, s, gain, cp, w):
         s[:] = 0.0
         return 0.0
     here = v.copy()
-    log_det, squared = update(x, p, c, here, r, gain, s, cp, w)
+    log_det, squared = update_measurement(x, p, c, here, r, gain, s, cp, w)
     return -0.5 * (log_det + squared + m * np.log(2.0 * np.pi))
 
 
 @nb.njit(**INNER)
-def sound(x, p):
+def is_sound(x, p):
     """Whether mean and covariance are finite numbers of a sane size."""
     for i in range(x.shape[0]):
         if not (np.isfinite(x[i]) and abs(x[i]) < _LARGEST and np.isfinite(p[i, i])):
@@ -218,7 +218,7 @@ def sound(x, p):
 
 
 @nb.njit(**INNER)
-def hold(values, tracked, x):
+def write_tracked(values, tracked, x):
     """Write the tracked entries at the end of x into the values of parameters."""
     first = x.shape[0] - tracked.shape[0]
     for j in range(tracked.shape[0]):
@@ -226,7 +226,7 @@ def hold(values, tracked, x):
 
 
 @nb.njit(**INNER)
-def reset(f):
+def reset_to_identity(f):
     """F = I, or [I | 0] where it is wider."""
     f[:] = 0.0
     for i in range(f.shape[0]):
@@ -240,7 +240,7 @@ def reset(f):
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
-def extended(
+def extended_filter(
     flow, rate, output, x, p, values, tracked, inputs, substeps, dt, mode, y, r, q,
     means, variances, innovations, spreads, covariances, transitions, gains, slopes,
 ):  # fmt: skip
@@ -267,35 +267,35 @@ def extended(
     samples, m = y.shape
     size, n = x.shape[0], x.shape[0] - tracked.shape[0]
     a, b, big = np.zeros((n, n)), np.zeros((n, values.shape[0])), np.zeros((size, size))
-    (wide, work), f = room(n, size), np.eye(size)
+    (wide, work), f = slope_workspace(n, size), np.eye(size)
     h, c, cp = np.zeros(m), np.zeros((m, size)), np.zeros((m, size))
     cx, cv = np.zeros((m, n)), np.zeros((m, values.shape[0]))
     gain, w, likelihood = np.zeros((size, m)), np.zeros((m, m)), 0.0
     for k in range(samples):
-        hold(values, tracked, x)
+        write_tracked(values, tracked, x)
         output(x[:n], inputs[k * 2 * substeps], values, h, cx, cv)
-        found = _measure(x, p, y[k], r, h, cx, cv, tracked, c, innovations[k], spreads[k],
+        term = _update_sample(x, p, y[k], r, h, cx, cv, tracked, c, innovations[k], spreads[k],
                          gain, cp, w)  # fmt: skip
-        if not np.isfinite(found):
+        if not np.isfinite(term):
             return likelihood, k
-        likelihood += found
+        likelihood += term
         means[k], variances[k] = x, np.diag(p)
         if covariances.shape[0] > 0:
             covariances[k], gains[k], slopes[k] = p, gain, c
         if k == samples - 1:
             break
-        hold(values, tracked, x)
+        write_tracked(values, tracked, x)
         if mode == EXACT:
-            reset(wide)
+            reset_to_identity(wide)
             flow(x, inputs, k * substeps * 2, 2, substeps, dt / substeps, values, wide, work)
             f[:n] = wide[:, :size]
         else:
-            reset(f)
-            _second_order(rate, x, values, tracked, inputs, k * substeps * 2, substeps,
+            reset_to_identity(f)
+            _second_order_step(rate, x, values, tracked, inputs, k * substeps * 2, substeps,
                           dt / substeps, f[:n], a, b)  # fmt: skip
         if covariances.shape[0] > 0:
             transitions[k] = f
-        propagate(p, f, q, big)
-        if not sound(x, p):
+        propagate_covariance(p, f, q, big)
+        if not is_sound(x, p):
             return likelihood, k + 1
     return likelihood, samples

@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spiral.engine.filter.extended import FilterSettings, filtered
-from spiral.engine.filter.noise import groups
+from spiral.engine.filter.extended import FilterSettings, filter_record
+from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.prior import Prior
 from spiral.engine.filter.setup import with_level
 from spiral.engine.filter.task import Task
-from spiral.engine.filter.tuning import LOWEST, Likelihood, most_likely
-from spiral.engine.filter.whitened import Whitened, whitened
+from spiral.engine.filter.tuning import LOWEST, Likelihood, most_likely_levels
+from spiral.engine.filter.whitened import Whitened, whiten_innovations
 from spiral.engine.leastsquares import least_squares
 from spiral.types.record import Array
 
@@ -62,10 +62,10 @@ class Climbed:
 
     def regression(self, keys: tuple[str, ...]) -> tuple[Whitened, ...] | None:
         """Whitened innovations of every record with their slopes; nothing where one ran away."""
-        return _regression(self.prepared, self.levels, keys)
+        return _whitened_regression(self.prepared, self.levels, keys)
 
 
-def climbed(
+def climb_likelihood(
     prepared: Prepared,
     keys: tuple[str, ...],
     levels: Mapping[str, float] | None = None,
@@ -84,49 +84,53 @@ def climbed(
     levels : process noise that is known; tuned where left out, ``near`` some that are guessed.
     bounds : lowest and highest values by name.
     """
-    known = tuple(groups(prepared[0][0]))
-    present = dict(levels or near or most_likely(*_search(prepared, known)))
+    known = tuple(noise_groups(prepared[0][0]))
+    present = dict(levels or near or most_likely_levels(*_tuning_problem(prepared, known)))
     height = log_likelihood(prepared, present, prior)
     for _ in range(_CYCLES if keys else 0):
         before = height
-        prepared, height = _ascended(prepared, keys, present, height, bounds or {}, prior)
+        prepared, height = _climb_at_levels(prepared, keys, present, height, bounds or {}, prior)
         if levels is None:
-            present, height = _quieter(prepared, present, height, prior)
+            present, height = _lower_noise_levels(prepared, present, height, prior)
         if levels is not None or height - before < _WORTH:
             break
     if levels is None and (keys or near):
-        trial = most_likely(*_search(prepared, known), near=present)
+        trial = most_likely_levels(*_tuning_problem(prepared, known), near=present)
         present = trial if log_likelihood(prepared, trial, prior) > height else present
         height = log_likelihood(prepared, present, prior)
-        prepared, height = _ascended(prepared, keys, present, height, bounds or {}, prior)
+        prepared, height = _climb_at_levels(prepared, keys, present, height, bounds or {}, prior)
     height = height if height > _RUNAWAY else -np.inf
-    return Climbed(prepared, present, height, *_spread(prepared, present, keys, prior))
+    return Climbed(prepared, present, height, *_standard_errors(prepared, present, keys, prior))
 
 
 def log_likelihood(
     prepared: Prepared, levels: Mapping[str, float], prior: Prior | None = None
 ) -> float:
-    """Sum over records; a number below all others where a filter runs away."""
-    total = 0.0 if prior is None else prior.log(prepared[0][0].at(prior.keys))
+    """log L summed over records, plus log p of a prior; ``_RUNAWAY`` where a filter runs away."""
+    total = 0.0 if prior is None else prior.log_density(prepared[0][0].parameter_values(prior.keys))
     for task, settings in prepared:
-        found = filtered(task, with_level(task, settings, levels))
-        if found.done < task.series.samples or not np.isfinite(found.log_likelihood):
+        run = filter_record(task, with_level(task, settings, levels))
+        if run.done < task.series.samples or not np.isfinite(run.log_likelihood):
             return _RUNAWAY
-        total += found.log_likelihood
+        total += run.log_likelihood
     return total
 
 
-def _search(prepared: Prepared, known: tuple[str, ...]) -> tuple[tuple[str, ...], int, Likelihood]:
-    """What ``most_likely`` wants to know."""
+def _tuning_problem(
+    prepared: Prepared, known: tuple[str, ...]
+) -> tuple[tuple[str, ...], int, Likelihood]:
+    """Arguments of ``most_likely_levels``: groups, samples, log-likelihood by levels."""
 
     def likelihood(levels: Mapping[str, float]) -> tuple[float, int]:
-        runs = [filtered(task, with_level(task, settings, levels)) for task, settings in prepared]
+        runs = [
+            filter_record(task, with_level(task, settings, levels)) for task, settings in prepared
+        ]
         return sum(r.log_likelihood for r in runs), sum(r.done for r in runs)
 
     return known, sum(task.series.samples for task, _ in prepared), likelihood
 
 
-def _quieter(
+def _lower_noise_levels(
     prepared: Prepared, levels: dict[str, float], height: float, prior: Prior | None
 ) -> tuple[dict[str, float], float]:
     """All levels of process noise lowered together as long as the likelihood rises."""
@@ -139,25 +143,25 @@ def _quieter(
     return levels, height
 
 
-def _regression(
+def _whitened_regression(
     prepared: Prepared, levels: Mapping[str, float], keys: tuple[str, ...]
 ) -> tuple[Whitened, ...] | None:
-    found = []
+    parts = []
     for task, settings in prepared:
-        part = whitened(task, with_level(task, settings, levels), keys)
+        part = whiten_innovations(task, with_level(task, settings, levels), keys)
         if part is None:
             return None
-        found.append(part)
-    return tuple(found)
+        parts.append(part)
+    return tuple(parts)
 
 
-def _stacked(parts: tuple[Whitened, ...]) -> tuple[Array, Array]:
+def _stack_rows(parts: tuple[Whitened, ...]) -> tuple[Array, Array]:
     """X (n, q) and e (n,) of all records."""
     x = np.concatenate([p.columns.reshape(-1, p.columns.shape[2]) for p in parts])
     return x, np.concatenate([p.innovations.reshape(-1) for p in parts])
 
 
-def _ascended(
+def _climb_at_levels(
     prepared: Prepared,
     keys: tuple[str, ...],
     levels: Mapping[str, float],
@@ -167,14 +171,14 @@ def _ascended(
 ) -> tuple[Prepared, float]:
     """Scoring steps at fixed process noise until they are not worth another."""
     for _ in range(_STEPS):
-        parts = _regression(prepared, levels, keys)
+        parts = _whitened_regression(prepared, levels, keys)
         if parts is None:
             break
-        x, e = _stacked(parts)
-        now = prepared[0][0].at(keys)
+        x, e = _stack_rows(parts)
+        now = prepared[0][0].parameter_values(keys)
         step = least_squares(x, e).b if prior is None else prior.step(x, e, now)
         for halving in range(_HALVINGS):
-            trial = _moved(prepared, keys, step / 2**halving, bounds)
+            trial = _step_values(prepared, keys, step / 2**halving, bounds)
             reached = log_likelihood(trial, levels, prior)
             if reached > height:
                 break
@@ -186,7 +190,7 @@ def _ascended(
     return prepared, height
 
 
-def _moved(
+def _step_values(
     prepared: Prepared,
     keys: tuple[str, ...],
     step: Array,
@@ -197,25 +201,25 @@ def _moved(
     for key, delta in zip(keys, step, strict=True):
         low, high = bounds.get(key, (-np.inf, np.inf))
         values[key] = float(np.clip(first.values[first.keys.index(key)] + delta, low, high))
-    return with_shared(prepared, values)
+    return with_shared_values(prepared, values)
 
 
-def with_shared(prepared: Prepared, values: Mapping[str, float]) -> Prepared:
+def with_shared_values(prepared: Prepared, values: Mapping[str, float]) -> Prepared:
     """The same records with other values of the machine's parameters."""
     return tuple((task.with_values(values), settings) for task, settings in prepared)
 
 
-def _spread(
+def _standard_errors(
     prepared: Prepared, levels: Mapping[str, float], keys: tuple[str, ...], prior: Prior | None
 ) -> tuple[dict[str, float], Array]:
-    """Standard errors by name; with a prior, the covariance that is left of it too."""
-    parts = _regression(prepared, levels, keys) if keys else None
+    """Standard errors by name; with a prior, the posterior covariance as well."""
+    parts = _whitened_regression(prepared, levels, keys) if keys else None
     if parts is None:
         return {}, np.zeros((0, 0))
-    x, e = _stacked(parts)
+    x, e = _stack_rows(parts)
     if prior is None:
         spread, covariance = least_squares(x, e).spread(1.0), np.zeros((0, 0))
     else:
-        covariance = prior.left(x)
+        covariance = prior.posterior_covariance(x)
         spread = np.sqrt(np.diag(covariance))
     return dict(zip(keys, map(float, spread), strict=True)), covariance

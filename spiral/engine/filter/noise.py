@@ -1,4 +1,4 @@
-"""Process noise: white accelerations as shares of what the states do anyway.
+"""Process noise: white noise of rates, as shares of the settled deviations of states and rates.
 
 A state whose rate the model does not know exactly is driven by white noise of intensity
 
@@ -16,52 +16,56 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spiral.engine.filter.task import Task, linearised
+from spiral.engine.filter.task import Task, state_jacobian
 from spiral.types.record import Array
 
 OBSERVED, HIDDEN = "observed", "hidden"
 
 
-def groups(task: Task) -> dict[str, tuple[int, ...]]:
+def noise_groups(task: Task) -> dict[str, tuple[int, ...]]:
     """States driven by noise, by group: those beside a measured channel, and all others."""
     names, traced = task.states, task.compiled.traced
-    found: dict[str, list[int]] = {OBSERVED: [], HIDDEN: []}
+    members: dict[str, list[int]] = {OBSERVED: [], HIDDEN: []}
     for i, name in enumerate(names):
         if traced.rate_name(name) in names:
             continue
         base = traced.base_name(name)
-        found[HIDDEN if traced.told_of.isdisjoint((base, name)) else OBSERVED].append(i)
-    return {k: tuple(v) for k, v in found.items() if v}
+        members[HIDDEN if traced.told_of.isdisjoint((base, name)) else OBSERVED].append(i)
+    return {k: tuple(v) for k, v in members.items() if v}
 
 
-def driven(task: Task, where: str) -> tuple[int, ...]:
-    """States that a force drives: those of a group, or the one of this name; none without it."""
-    known = groups(task)
+def driven_states(task: Task, where: str) -> tuple[int, ...]:
+    """Indices of the states that a force drives: a group's, or the one of this name; else none."""
+    known = noise_groups(task)
     if where in known:
         return known[where]
     return (task.states.index(where),) if where in task.states else ()
 
 
-def intensity(task: Task, levels: Mapping[str, float]) -> Array:
+def noise_intensity(task: Task, levels: Mapping[str, float]) -> Array:
     """(n,) white-noise intensity of every state, state^2 / s; levels by group or by state."""
-    found = np.zeros(len(task.states))
+    density = np.zeros(len(task.states))
     for where, level in levels.items():
-        at = list(driven(task, where))
-        found[at] += level**2 * task.scales[at] * task.rates[at]
-    return found
+        at = list(driven_states(task, where))
+        density[at] += level**2 * task.scales[at] * task.rates[at]
+    return density
 
 
-def sampled(task: Task, continuous: Array) -> Array:
+def sampled_covariance(task: Task, continuous: Array) -> Array:
     """(n, n) covariance that white noise of this intensity (n,) adds over one sample."""
     known, key = task.disturbed, continuous.tobytes()
     if key not in known:
-        known[key] = _integrated(task, continuous)
+        known[key] = _integrate_noise(task, continuous)
     return known[key]
 
 
-def _integrated(task: Task, continuous: Array) -> Array:
+def _integrate_noise(task: Task, continuous: Array) -> Array:
     size = task.scales
-    a = linearised(task.compiled, task.values, task.mean_inputs, task.centre) * size / size[:, None]
+    a = (
+        state_jacobian(task.compiled, task.values, task.mean_inputs, task.centre)
+        * size
+        / size[:, None]
+    )
     covariance = added_covariance(a, np.diag(continuous / size**2), task.series.dt)
     return covariance * np.outer(size, size)
 

@@ -1,4 +1,4 @@
-"""What a record leaves of the doubt of parameters, and of the process noise beside them.
+"""Posterior of uncertain parameters given a record, with the process noise tuned beside them.
 
 1. the most probable values, log L(innovations) + log p(theta) (``engine.filter.likelihood``), with
    the process noise lowered as they are found, to zero where that is as likely;
@@ -14,19 +14,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.filter.bent import Expansion, drawn, expansion
+from spiral.engine.filter.bent import Expansion, build_expansion, draw_samples
 from spiral.engine.filter.extended import FilterSettings
-from spiral.engine.filter.likelihood import Climbed, climbed
-from spiral.engine.filter.prior import Prior, rooted
-from spiral.engine.filter.setup import chosen_levels, quieted, with_level
+from spiral.engine.filter.likelihood import Climbed, climb_likelihood
+from spiral.engine.filter.prior import Prior, covariance_root
+from spiral.engine.filter.setup import choose_levels, with_level, zero_unneeded_levels
 from spiral.engine.filter.task import Task
 from spiral.engine.filter.tuning import LOWEST
-from spiral.engine.filter.whitened import whitened
+from spiral.engine.filter.whitened import whiten_innovations
 from spiral.types.record import Array
 
 _DRAWS = 32
 _SEED = 14  # of the draws: the same record gives the same bands
-_TOLD = (1e-3, 4e-3)  # shares of the first doubt under which a direction is not mirrored
+_TOLD = (1e-3, 4e-3)  # shares of the prior deviation below which a direction is determined
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Posterior:
     @property
     def root(self) -> Array:
         """(q, r) steps of one standard deviation."""
-        return rooted(self.covariance)
+        return covariance_root(self.covariance)
 
 
 def posterior(
@@ -61,44 +61,44 @@ def posterior(
     assert prior is not None
     none = np.zeros((0, len(prior.keys)))
     if prior.told:
-        levels = chosen_levels(task, settings, given)
+        levels = choose_levels(task, settings, given)
         return Posterior(task, levels, prior.covariance, none, np.zeros(0))
     task = replace(task, moved=prior.keys)
-    known = None if given is None else chosen_levels(task, settings, given)
-    found = _climbed(task, settings, prior, known)
-    if not found.finite or max(found.levels.values()) > LOWEST:  # not this valley, or not the model
-        starts = _mirrored(found, prior) if len(found.covariance) else []
-        others = [_climbed(start, settings, prior, known) for start in starts]
-        found = max([found, *others], key=lambda c: c.log_likelihood)
-    task, levels = found.prepared[0][0], dict(found.levels)
-    covariance = found.covariance
-    if not found.finite or not len(covariance):
+    known = None if given is None else choose_levels(task, settings, given)
+    best = _climb_posterior(task, settings, prior, known)
+    if not best.finite or max(best.levels.values()) > LOWEST:  # another valley, or model error
+        starts = _mirror_starts(best, prior) if len(best.covariance) else []
+        others = [_climb_posterior(start, settings, prior, known) for start in starts]
+        best = max([best, *others], key=lambda c: c.log_likelihood)
+    task, levels = best.prepared[0][0], dict(best.levels)
+    covariance = best.covariance
+    if not best.finite or not len(covariance):
         return Posterior(task, levels, prior.covariance, none, np.zeros(0))
-    bend = _expanded(task, with_level(task, settings, levels), prior, covariance)
+    bend = _expand_innovations(task, with_level(task, settings, levels), prior, covariance)
     if bend is None or bend.straight:
         return Posterior(task, levels, covariance, none, np.zeros(0))
-    w = drawn(bend, _DRAWS, np.random.default_rng(_SEED))
-    draws = task.at(prior.keys) + w @ rooted(covariance).T
-    return Posterior(task, levels, covariance, draws, bend.log(w))
+    w = draw_samples(bend, _DRAWS, np.random.default_rng(_SEED))
+    draws = task.parameter_values(prior.keys) + w @ covariance_root(covariance).T
+    return Posterior(task, levels, covariance, draws, bend.log_density(w))
 
 
-def _mirrored(found: Climbed, prior: Prior) -> list[Task]:
-    """Other first values: those found, the other way round wherever the record tells them least.
+def _mirror_starts(estimate: Climbed, prior: Prior) -> list[Task]:
+    """Other starts: the estimate, mirrored in the directions that the record determines least.
 
     Where two parameters can share what the record tells in two ways, such as the stiffness of two
     bearings, the ways lie on both sides of what was expected. In z, along axes of its covariance,
-    those told better than a share of the prior's deviation stay, and all others change their sign.
+    those known better than a share of the prior's deviation stay, all others change their sign.
     """
-    task = found.prepared[0][0]
+    task = estimate.prepared[0][0]
     inverse = np.linalg.pinv(prior.root)
-    left, axes = np.linalg.eigh(inverse @ found.covariance @ inverse.T)
-    z = axes.T @ prior.coordinates(task.at(prior.keys))
+    left, axes = np.linalg.eigh(inverse @ estimate.covariance @ inverse.T)
+    z = axes.T @ prior.coordinates(task.parameter_values(prior.keys))
     told = [np.sqrt(np.maximum(left, 0.0)) < share for share in _TOLD]
     turned = [prior.mean + prior.root @ axes @ np.where(stay, z, -z) for stay in told]
-    return [task.placed(prior.keys, values) for values in turned]
+    return [task.with_parameters(prior.keys, values) for values in turned]
 
 
-def _climbed(
+def _climb_posterior(
     task: Task, settings: FilterSettings, prior: Prior, known: Mapping[str, float] | None
 ) -> Climbed:
     """The most probable values, then once more with the process noise that is needed there."""
@@ -107,34 +107,34 @@ def _climbed(
         for k, p in task.model.pairs
         if k in prior.keys
     }
-    found = climbed(((task, settings),), prior.keys, known, bounds, prior=prior)
-    if known is not None or not found.finite:
-        return found
-    levels = quieted(found.prepared[0][0], settings, found.levels)
-    return climbed(found.prepared, prior.keys, levels, bounds, prior=prior)
+    estimate = climb_likelihood(((task, settings),), prior.keys, known, bounds, prior=prior)
+    if known is not None or not estimate.finite:
+        return estimate
+    levels = zero_unneeded_levels(estimate.prepared[0][0], settings, estimate.levels)
+    return climb_likelihood(estimate.prepared, prior.keys, levels, bounds, prior=prior)
 
 
-def _expanded(
+def _expand_innovations(
     task: Task, settings: FilterSettings, prior: Prior, covariance: Array
 ) -> Expansion | None:
     """Innovations and prior to second order in steps of one standard deviation."""
-    root, here = rooted(covariance), task.at(prior.keys)
+    root, here = covariance_root(covariance), task.parameter_values(prior.keys)
 
-    def rows(values: Array) -> tuple[Array, Array] | None:
-        part = whitened(task.placed(prior.keys, values), settings, prior.keys)
+    def whitened_rows(values: Array) -> tuple[Array, Array] | None:
+        part = whiten_innovations(task.with_parameters(prior.keys, values), settings, prior.keys)
         if part is None:
             return None
         return part.innovations.reshape(-1), -part.columns.reshape(-1, len(here)) @ root
 
-    base = rows(here)
+    base = whitened_rows(here)
     if base is None:
         return None
     second = np.zeros((root.shape[1], root.shape[1], len(base[0])))
     for axis, step in enumerate(root.T):
-        ahead, behind = rows(here + step), rows(here - step)
+        ahead, behind = whitened_rows(here + step), whitened_rows(here - step)
         if ahead is None or behind is None:
             return None
         second[axis] = 0.5 * (ahead[1] - behind[1]).T
     second = 0.5 * (second + second.transpose(1, 0, 2))
     slopes = np.linalg.lstsq(prior.root, root, rcond=None)[0]
-    return expansion(*base, second, prior.coordinates(here), slopes)
+    return build_expansion(*base, second, prior.coordinates(here), slopes)

@@ -1,4 +1,4 @@
-"""What is known of parameters before a record is looked at, as a Gaussian.
+"""Gaussian prior of parameters: the step to the most probable values, the posterior covariance.
 
     theta = m + L z,  z ~ N(0, I),  L L^T = V
 
@@ -27,7 +27,7 @@ _RANK = 1e-12  # share of the largest variance (of correlations) under which a d
 class Prior:
     """``mean`` (q,) and ``covariance`` (q, q) of parameters by their full names.
 
-    ``told``: the record that is looked at is in them already, as in a fit's own covariance.
+    ``told``: they are of a fit to this very record, so that the prior is the posterior already.
     """
 
     keys: tuple[str, ...]
@@ -38,13 +38,13 @@ class Prior:
     @cached_property
     def root(self) -> Array:
         """(q, directions) L with L L^T = V."""
-        return rooted(self.covariance)
+        return covariance_root(self.covariance)
 
     def coordinates(self, values: Array) -> Array:
         """(directions,) z of values (q,)."""
         return np.linalg.lstsq(self.root, values - self.mean, rcond=None)[0]
 
-    def log(self, values: Array) -> float:
+    def log_density(self, values: Array) -> float:
         """log p of values (q,), a constant left out."""
         z = self.coordinates(values)
         return -0.5 * float(z @ z)
@@ -55,14 +55,14 @@ class Prior:
         rows = np.concatenate([x @ self.root, np.eye(len(z))])
         return self.root @ least_squares(rows, np.concatenate([e, -z])).b
 
-    def left(self, x: Array) -> Array:
-        """(q, q) covariance that a record with these columns leaves."""
+    def posterior_covariance(self, x: Array) -> Array:
+        """(q, q) posterior covariance C for a record with the columns X (n, q)."""
         own = x @ self.root
         inverse = np.linalg.inv(np.eye(own.shape[1]) + own.T @ own)
         return self.root @ inverse @ self.root.T
 
 
-def rooted(covariance: Array) -> Array:
+def covariance_root(covariance: Array) -> Array:
     """L (q, directions) with L L^T = V along eigenvectors of correlations, the widest first."""
     size = np.sqrt(np.diag(covariance))
     scale = np.where(size > 0, size, 1.0)

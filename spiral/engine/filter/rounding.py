@@ -1,4 +1,4 @@
-"""What the steps of integration err by: a process noise that is zero cannot be less.
+"""Integration error as a level of process noise: the least that can stand for zero.
 
 Over one sample from states of the free run, steps and steps of half their length differ by 15/16 of
 the former's error (Runge and Kutta's fourth order, its fifth power summed over twice the steps), so
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.engine.filter.task import Task, free_run, with_finer_steps
+from spiral.engine.filter.task import Task, run_from_rest, with_finer_steps
 from spiral.engine.filter.tuning import LOWEST
 from spiral.engine.kernel import trajectories
 from spiral.types.record import Array
@@ -22,29 +22,31 @@ _FINE, _TIMES = 1e-8, 4  # level that finer steps are to reach, and the most of 
 _LEAST = 1e-12  # the arithmetic's own
 
 
-def rounding(task: Task) -> float:
+def rounding_level(task: Task) -> float:
     """The level of process noise that stands for zero; the smallest tried where none is known."""
-    states = free_run(task.compiled, task.series, task.inputs, task.values)
+    states = run_from_rest(task.compiled, task.series, task.inputs, task.values)
     if states is None or task.inputs is not task.series.inputs:
         return LOWEST  # inputs that a fit has corrected belong to its steps
     first = np.arange(0, task.series.samples - 1, max(2, task.series.samples // _PLACES))
-    usual, finer_steps = (_advanced(t, states[first], first) for t in (task, _finer(task, 2)))
+    usual, finer_steps = (
+        _advance_one_sample(t, states[first], first) for t in (task, _multiply_steps(task, 2))
+    )
     error = _SHARE * np.median(np.abs(usual - finer_steps), axis=0) / task.series.dt
     level = float(np.max(error / task.rates))
     return float(np.clip(level, _LEAST, LOWEST)) if np.isfinite(level) else LOWEST
 
 
-def finer(task: Task) -> Task:
-    """The task with steps of which zero is small, as far as that is worth their time."""
-    times = int(np.clip(np.ceil((rounding(task) / _FINE) ** 0.25), 1, _TIMES))
-    return _finer(task, times) if task.inputs is task.series.inputs else task
+def refine_steps(task: Task) -> Task:
+    """The task with so many more steps that their error is a level of 1e-8; four times at most."""
+    times = int(np.clip(np.ceil((rounding_level(task) / _FINE) ** 0.25), 1, _TIMES))
+    return _multiply_steps(task, times) if task.inputs is task.series.inputs else task
 
 
-def _finer(task: Task, times: int) -> Task:
+def _multiply_steps(task: Task, times: int) -> Task:
     return with_finer_steps(task, times) if times > 1 else task
 
 
-def _advanced(task: Task, starts: Array, first: Array) -> Array:
+def _advance_one_sample(task: Task, starts: Array, first: Array) -> Array:
     """(places, n) states one sample after ``first``."""
     states = np.full((task.series.samples, starts.shape[1]), np.nan)
     trajectories(

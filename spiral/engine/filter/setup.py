@@ -7,12 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.filter.extended import FilterSettings, filtered, tracked_indices
-from spiral.engine.filter.extended import smoothed as backward
-from spiral.engine.filter.noise import driven, groups, intensity, sampled
-from spiral.engine.filter.rounding import rounding
+from spiral.engine.filter.extended import FilterSettings, filter_record, tracked_indices
+from spiral.engine.filter.extended import smooth_run as backward
+from spiral.engine.filter.noise import (
+    driven_states,
+    noise_groups,
+    noise_intensity,
+    sampled_covariance,
+)
+from spiral.engine.filter.rounding import rounding_level
 from spiral.engine.filter.task import Task
-from spiral.engine.filter.tuning import most_likely
+from spiral.engine.filter.tuning import most_likely_levels
 from spiral.engine.study import ORIGIN
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.record import Array
@@ -51,13 +56,13 @@ def tracked_parameters(task: Task, named: tuple[str, ...] | None) -> tuple[str, 
     return tuple(k for k in task.keys if k == ORIGIN and turning and k not in uncertain)
 
 
-def prepared(
+def prepare_filter(
     task: Task,
     track: tuple[str, ...] | None = None,
     doubt: Mapping[str, float] | None = None,
     spread: float = 1.0,
 ) -> tuple[Task, FilterSettings]:
-    """Settings without process noise; a tracked phase origin is first looked for all around.
+    """Task and settings without process noise; a tracked phase origin is searched for first.
 
     Parameters
     ----------
@@ -76,24 +81,24 @@ def prepared(
         start=task.start,
         covariance=np.diag((spread * task.spread) ** 2),
         tracked=tracked,
-        doubt=_doubts(task, tracked, doubt or {}),
-        wander=_wander(task, tracked),
-        volume=_volume(task),
+        doubt=_initial_deviations(task, tracked, doubt or {}),
+        wander=_drift_variances(task, tracked),
+        volume=_log_volume_share(task),
     )
     angle = "system.phase_origin"
     if angle in tracked and angle not in (doubt or {}):
-        task = _turned(task, settings, angle)
+        task = _search_phase_origin(task, settings, angle)
     return task, settings
 
 
 def with_level(task: Task, settings: FilterSettings, levels: Mapping[str, float]) -> FilterSettings:
     """The settings with process noise at these levels, and with that share of the drift."""
-    process = sampled(task, intensity(task, levels))
+    process = sampled_covariance(task, noise_intensity(task, levels))
     drift = settings.wander * levels.get(DRIFT, 1.0) ** 2
     return replace(settings, process=process, wander=drift)
 
 
-def chosen_levels(
+def choose_levels(
     task: Task, settings: FilterSettings, given: Mapping[str, float] | float | None
 ) -> dict[str, float]:
     """The levels given, or the most likely ones.
@@ -102,18 +107,20 @@ def chosen_levels(
     ------
     ConfigError : a group of states that the model does not have, or a negative level.
     """
-    known = tuple(groups(task))
+    known = tuple(noise_groups(task))
     if given is None:
 
         def likelihood(levels: Mapping[str, float]) -> tuple[float, int]:
-            found = filtered(task, with_level(task, settings, levels))
-            return found.log_likelihood, found.done
+            run = filter_record(task, with_level(task, settings, levels))
+            return run.log_likelihood, run.done
 
-        return quieted(task, settings, most_likely(known, task.series.samples, likelihood))
+        return zero_unneeded_levels(
+            task, settings, most_likely_levels(known, task.series.samples, likelihood)
+        )
     known = (*known, DRIFT) if np.any(settings.wander) else known
-    levels = dict(given) if isinstance(given, Mapping) else dict.fromkeys(groups(task), given)
+    levels = dict(given) if isinstance(given, Mapping) else dict.fromkeys(noise_groups(task), given)
     for name, value in levels.items():
-        if name not in known and not driven(task, name):
+        if name not in known and not driven_states(task, name):
             raise ConfigError(
                 f"process_noise of {name!r}", f"one of {', '.join(known)}",
                 did_you_mean(name, known),
@@ -123,30 +130,32 @@ def chosen_levels(
     return {k: float(v) for k, v in levels.items()}
 
 
-def quieted(task: Task, settings: FilterSettings, levels: Mapping[str, float]) -> dict[str, float]:
+def zero_unneeded_levels(
+    task: Task, settings: FilterSettings, levels: Mapping[str, float]
+) -> dict[str, float]:
     """The levels, each zero where that is as likely; of a drift the smallest share that is.
 
-    Zero is what the steps of integration err by (``spiral.engine.filter.rounding``).
+    Zero means the level of the integration error (``spiral.engine.filter.rounding``).
     """
 
-    def height(trial: Mapping[str, float]) -> float:
-        found = filtered(task, with_level(task, settings, trial))
-        return found.log_likelihood if found.done == task.series.samples else -np.inf
+    def trial_likelihood(trial: Mapping[str, float]) -> float:
+        run = filter_record(task, with_level(task, settings, trial))
+        return run.log_likelihood if run.done == task.series.samples else -np.inf
 
-    present, lowest = dict(levels), rounding(task)
-    reached = height(present)
+    present, lowest = dict(levels), rounding_level(task)
+    reached = trial_likelihood(present)
     trials = [dict.fromkeys(present, lowest), *({k: lowest} for k in present)]
     trials += [{DRIFT: share} for share in _SHARES] if np.any(settings.wander) else []
     for change in trials:
         trial = {**present, **change}
         if any(trial[k] != present.get(k) for k in trial):
-            value = height(trial)
+            value = trial_likelihood(trial)
             if value > reached - _WORTHLESS:
                 present, reached = trial, max(value, reached)
     return present
 
 
-def smoothed(
+def smoothed_states(
     task: Task,
     levels: Mapping[str, float] | None = None,
     track: tuple[str, ...] | None = None,
@@ -155,23 +164,23 @@ def smoothed(
 ) -> Array:
     """Smoothed states and tracked parameters (samples, N); the process noise given or tuned.
 
-    ``spread`` of the first states, as in ``prepared``.
+    ``spread`` of the first states, as in ``prepare_filter``.
     """
-    task, settings = prepared(task, track, doubt, spread)
-    levels = chosen_levels(task, settings, levels)
-    found = filtered(task, with_level(task, settings, levels), keep=True)
-    if found.done == task.series.samples:
-        found = backward(found)
-    return np.nan_to_num(found.means)
+    task, settings = prepare_filter(task, track, doubt, spread)
+    levels = choose_levels(task, settings, levels)
+    run = filter_record(task, with_level(task, settings, levels), keep=True)
+    if run.done == task.series.samples:
+        run = backward(run)
+    return np.nan_to_num(run.means)
 
 
-def _volume(task: Task) -> float:
+def _log_volume_share(task: Task) -> float:
     """Logarithm of the share of the machine's first states that a task begins among."""
     narrow = task.spread < task.scales
     return float(np.log(task.spread[narrow] / task.scales[narrow]).sum())
 
 
-def _doubts(task: Task, tracked: tuple[str, ...], given: Mapping[str, float]) -> Array:
+def _initial_deviations(task: Task, tracked: tuple[str, ...], given: Mapping[str, float]) -> Array:
     """First standard deviation of tracked parameters: an eighth turn, or a fifth of the value."""
     for name in given:
         if name not in tracked:
@@ -180,34 +189,38 @@ def _doubts(task: Task, tracked: tuple[str, ...], given: Mapping[str, float]) ->
                 f"observer.track=[{name}]",
             )  # fmt: skip
     known = dict(task.model.pairs)
-    found = []
+    deviations = []
     for name in tracked:
         if name in given:
-            found.append(given[name])
+            deviations.append(given[name])
             continue
         value = abs(task.values[task.keys.index(name)])
-        found.append(np.pi / _TURNS if known[name].unit == "rad" else _SHARE * value or 1.0)
-    return np.array(found, dtype=float)
+        deviations.append(np.pi / _TURNS if known[name].unit == "rad" else _SHARE * value or 1.0)
+    return np.array(deviations, dtype=float)
 
 
-def _wander(task: Task, tracked: tuple[str, ...]) -> Array:
+def _drift_variances(task: Task, tracked: tuple[str, ...]) -> Array:
     """Variance per sample of a random walk: of a phase that was not measured, else zero."""
     measured = "phase" in task.series.record.measured
     drift = 0.0 if measured else _DRIFT**2 * task.series.dt
     return np.array([drift if name == "system.phase_origin" else 0.0 for name in tracked])
 
 
-def _turned(task: Task, settings: FilterSettings, angle: str) -> Task:
+def _search_phase_origin(task: Task, settings: FilterSettings, angle: str) -> Task:
     """The task with its phase origin at the present value, or at the best of eight turns."""
     first = task.values[task.keys.index(angle)]
     samples = min(task.series.samples, max(64, round(_SEARCH / task.series.dt)))
-    levels = dict.fromkeys(groups(task), _SEARCH_LEVEL)
+    levels = dict.fromkeys(noise_groups(task), _SEARCH_LEVEL)
     noisy = with_level(task, settings, levels)
     best, highest = task, -np.inf
     for turn in range(_TURNS):
         trial = task.with_values({angle: first + 2 * np.pi * turn / _TURNS})
-        found = filtered(trial, noisy, samples=samples)
-        score = found.log_likelihood if found.done == samples else -np.inf
+        run = filter_record(trial, noisy, samples=samples)
+        score = run.log_likelihood if run.done == samples else -np.inf
         if score > highest + (_WORTH if turn else 0.0):
             best, highest = trial, score
     return best
+
+
+prepared = prepare_filter
+"""The same, by the name in observers written for version 0.1."""

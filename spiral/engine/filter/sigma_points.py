@@ -9,32 +9,32 @@ from spiral.engine.filter.task import Task
 from spiral.types.record import Array
 
 
-def weights(size: int, alpha: float, beta: float, kappa: float) -> tuple[float, Array]:
+def sigma_weights(size: int, alpha: float, beta: float, kappa: float) -> tuple[float, Array]:
     """sqrt(N + lambda), and weights (2, 2 N + 1) of mean and covariance (van der Merwe 2004)."""
     total = alpha**2 * (size + kappa)
-    found = np.full((2, 2 * size + 1), 0.5 / total)
-    found[0, 0] = (total - size) / total
-    found[1, 0] = found[0, 0] + 1.0 - alpha**2 + beta
-    return float(np.sqrt(total)), found
+    table = np.full((2, 2 * size + 1), 0.5 / total)
+    table[0, 0] = (total - size) / total
+    table[1, 0] = table[0, 0] + 1.0 - alpha**2 + beta
+    return float(np.sqrt(total)), table
 
 
-def sigma_filtered(
+def filter_sigma_points(
     task: Task, settings: FilterSettings, shape: tuple[float, float, float], keep: bool = False
 ) -> Pass:
     """Filter the record; ``shape`` is (alpha, beta, kappa); ``keep`` the covariances."""
-    from spiral.engine.filter.unscented import unscented
+    from spiral.engine.filter.unscented import unscented_filter
 
     tracked = tracked_indices(task, settings.tracked)
     y = task.series.y
     count, m = y.shape
     size = len(settings.start) + len(tracked)
-    spread, table = weights(size, *shape)
+    spread, table = sigma_weights(size, *shape)
     arrays = (
         np.full((count, size), np.nan), np.full((count, size), np.nan),
         np.full((count, m), np.nan), np.full((count, m, m), np.nan),
         np.empty((count if keep else 0, size, size)),
     )  # fmt: skip
-    likelihood, done = unscented(
+    likelihood, done = unscented_filter(
         task.compiled.rate_value, task.compiled.output_value,
         np.concatenate([settings.start, task.values[tracked]]),
         block_diagonal(settings.covariance, settings.doubt**2),

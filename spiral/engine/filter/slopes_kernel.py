@@ -15,7 +15,7 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.engine.filter.kernel import _FAST, hold, reset, room
+from spiral.engine.filter.kernel import _FAST, reset_to_identity, slope_workspace, write_tracked
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
 
@@ -24,7 +24,7 @@ _I1 = types.int64[::1]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _seen(cx, cv, both, tracked, s, gain, d):
+def _measurement_slopes(cx, cv, both, tracked, s, gain, d):
     """d = C S + h_p, and S <- S - K d."""
     m, n = cx.shape
     size, width = s.shape
@@ -43,7 +43,7 @@ def _seen(cx, cv, both, tracked, s, gain, d):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _carried(f, s, out):
+def _propagate_slopes(f, s, out):
     """S <- F S + F_p for the states; tracked rows stay."""
     n = f.shape[0]
     size, width = s.shape
@@ -81,17 +81,17 @@ def prediction_slopes(
     samples, m, width = slopes.shape
     size, n = x.shape[0], x.shape[0] - tracked
     s, out = np.zeros((size, width)), np.zeros((n, width))
-    (f, work), step = room(n, size + width), dt / substeps
+    (f, work), step = slope_workspace(n, size + width), dt / substeps
     h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
     followed = both[:tracked]
     for k in range(samples):
-        hold(values, followed, x)
+        write_tracked(values, followed, x)
         output(x[:n], inputs[k * 2 * substeps], values, h, cx, cv)
-        _seen(cx, cv, both, tracked, s, gains[k], slopes[k])
+        _measurement_slopes(cx, cv, both, tracked, s, gains[k], slopes[k])
         if k == samples - 1:
             break
         x[:] = means[k]
-        hold(values, followed, x)
-        reset(f)
+        write_tracked(values, followed, x)
+        reset_to_identity(f)
         flow(x, inputs, k * substeps * 2, 2, substeps, step, values, f, work)
-        _carried(f, s, out)
+        _propagate_slopes(f, s, out)

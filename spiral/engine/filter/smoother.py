@@ -1,4 +1,4 @@
-"""The fixed-interval smoother: every sample judged by all of the record.
+"""The fixed-interval smoother: every sample estimated from the whole record.
 
 The Rauch-Tung-Striebel estimate in the form of Bryson and Frazier, which inverts only the
 innovations' covariance S, so that a process noise of zero is no trouble:
@@ -24,7 +24,7 @@ _F2, _F3 = types.float64[:, ::1], types.float64[:, :, ::1]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _correct(x, p, adjoint, weight, work):
+def _smooth_sample(x, p, adjoint, weight, work):
     """x <- x - P l and P <- P - P L P, in place."""
     n = x.shape[0]
     for i in range(n):
@@ -47,7 +47,7 @@ def _correct(x, p, adjoint, weight, work):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _through_update(adjoint, weight, c, gain, s, v, work):
+def _reverse_update(adjoint, weight, c, gain, s, v, work):
     """l and L from after a sample's update to before it."""
     n, m = gain.shape
     if s[0, 0] == 0.0:  # nothing was measured
@@ -101,15 +101,15 @@ def _congruence(adjoint, weight, f, work):
     types.void(_F2, _F3, _F2, _F3, _F3, _F3, _F3),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
-def smooth(means, covariances, innovations, spreads, transitions, gains, slopes):
+def smooth_record(means, covariances, innovations, spreads, transitions, gains, slopes):
     """Turn filtered ``means`` (samples, N) and ``covariances`` into smoothed ones, in place.
 
-    The other arrays are those ``kernel.extended`` leaves behind.
+    The other arrays are those ``kernel.extended_filter`` leaves behind.
     """
     samples, n = means.shape
     adjoint, weight, work = np.zeros(n), np.zeros((n, n)), np.zeros((2 * n, n))
     for k in range(samples - 1, -1, -1):
         if k < samples - 1:
             _congruence(adjoint, weight, transitions[k], work[:n])
-        _correct(means[k], covariances[k], adjoint, weight, work)
-        _through_update(adjoint, weight, slopes[k], gains[k], spreads[k], innovations[k], work)
+        _smooth_sample(means[k], covariances[k], adjoint, weight, work)
+        _reverse_update(adjoint, weight, slopes[k], gains[k], spreads[k], innovations[k], work)

@@ -12,13 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.filter.noise import intensity
+from spiral.engine.filter.noise import noise_intensity
 from spiral.engine.filter.task import Task
 from spiral.types.errors import ConfigError
 from spiral.types.record import Array, Record
 
 
-def disturbed(
+def simulate_disturbed(
     task: Task,
     levels: Mapping[str, float],
     noise_level: float,
@@ -37,15 +37,15 @@ def disturbed(
     ------
     ConfigError : a motion that grows without bound.
     """
-    from spiral.engine.filter.stochastic_kernel import wander
+    from spiral.engine.filter.stochastic_kernel import disturbed_trajectory
 
     series, n = task.series, len(task.states)
     steps = (series.samples - 1) * series.substeps
     step = series.dt / series.substeps
-    kicks = rng.normal(size=(steps, n)) * np.sqrt(intensity(task, levels) * step)
+    kicks = rng.normal(size=(steps, n)) * np.sqrt(noise_intensity(task, levels) * step)
     states, readings = np.empty((series.samples, n)), np.empty_like(series.y)
     first = np.zeros(n) if start is None else np.array(start, dtype=float)
-    ok = wander(
+    ok = disturbed_trajectory(
         task.compiled.rate_value, task.compiled.output_value, first, task.values, task.inputs,
         series.substeps, series.dt, kicks, states, readings,
     )  # fmt: skip

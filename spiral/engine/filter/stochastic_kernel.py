@@ -18,7 +18,7 @@ _F1, _F2 = types.float64[::1], types.float64[:, ::1]
     ),
     cache=True, nogil=True, error_model="numpy",
 )  # fmt: skip
-def wander(rate, output, x, values, inputs, substeps, dt, kicks, states, readings):
+def disturbed_trajectory(rate, output, x, values, inputs, substeps, dt, kicks, states, readings):
     """States and readings of one disturbed trajectory; False where it becomes infinite.
 
     ``kicks`` ((samples - 1) * substeps, n) are added after every Runge-Kutta step.

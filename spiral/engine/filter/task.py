@@ -17,8 +17,8 @@ import numpy as np
 from spiral.engine.filter.prior import Prior
 from spiral.engine.filter.static import StaticMap, static_map
 from spiral.engine.kernel import trajectories
-from spiral.engine.series import Series, prepare
-from spiral.engine.start import follow, motion
+from spiral.engine.series import Series, prepare_series
+from spiral.engine.start import fill_like_states, smoothed_motion
 from spiral.engine.study import CompiledStudy
 from spiral.physics.compile import Compiled, compile_model
 from spiral.physics.readings import reading_slopes
@@ -29,7 +29,7 @@ from spiral.types.record import Array, Record
 _STEP = 0.7  # largest phase advance per Runge-Kutta step, rad
 _QUIET = 1e-9  # share of the measured deviation under which a free run says nothing
 _NEWTON, _CLOSE = 50, 1e-6  # steps to where hidden states rest, and the last one's share
-_REST = 1e-12  # a state at rest: a root has no slope at zero itself
+_REST = 1e-12  # for a state at rest: a square root has no finite slope at zero
 
 
 @dataclass(frozen=True)
@@ -77,25 +77,25 @@ class Task:
 
     @cached_property
     def disturbed(self) -> dict[bytes, Array]:
-        """What noise adds over a sample at these values, by its intensity (``filter.noise``)."""
+        """Cache: covariance that noise adds over a sample, by its intensity (``filter.noise``)."""
         return {}
 
     @cached_property
     def felt(self) -> Array:
-        """(channels, n) what rates at the centre add to readings at once (``physics.readings``)."""
+        """(channels, n) slopes of readings by rates, at the centre (``physics.readings``)."""
         system, own = self.model.system, len(self.model.system.states)
-        found = np.zeros((len(self.compiled.traced.channels), len(self.states)))
+        shares = np.zeros((len(self.compiled.traced.channels), len(self.states)))
         if system.readings:
             at, rates, inputs = self.centre[None, :own], np.zeros((1, own)), self.mean_inputs[None]
-            values = list(self.at([f"system.{p.name}" for p in system.parameters]))
-            found[:, :own] = reading_slopes(system, at, rates, inputs, values)[0]
-        return found
+            values = list(self.parameter_values([f"system.{p.name}" for p in system.parameters]))
+            shares[:, :own] = reading_slopes(system, at, rates, inputs, values)[0]
+        return shares
 
-    def at(self, keys: Sequence[str]) -> Array:
+    def parameter_values(self, keys: Sequence[str]) -> Array:
         """Values of these parameters."""
         return self.values[[self.keys.index(k) for k in keys]]
 
-    def placed(self, keys: Sequence[str], values: Array) -> Task:
+    def with_parameters(self, keys: Sequence[str], values: Array) -> Task:
         """The same with these parameters at ``values`` (keys,)."""
         return self.with_values(dict(zip(keys, map(float, values), strict=True)))
 
@@ -134,15 +134,15 @@ def prepare_task(
     own = tuple(k for k, p in model.pairs if p.scope == "record")
     compiled = compile_model(traced, None if every else own)
     values = model.row("model", "values='{{{}: 1.0}}', or let a fit find it (calibrate=true)")
-    return task_with(model, compiled, values, record, start, inputs, substeps)
+    return build_task(model, compiled, values, record, start, inputs, substeps)
 
 
 def with_record(task: Task, record: Record, start: Array | None = None) -> Task:
     """The same model and values on another record, scales found anew; nothing is compiled again."""
-    return task_with(task.model, task.compiled, task.values, record, start)
+    return build_task(task.model, task.compiled, task.values, record, start)
 
 
-def task_with(
+def build_task(
     model: Model,
     compiled: Compiled,
     values: Array,
@@ -160,50 +160,50 @@ def task_with(
     """
     if series is None:
         if substeps is None:
-            substeps = enough_substeps(compiled, values, prepare(model.system, record, 1))
-        series = prepare(model.system, record, substeps)
+            substeps = enough_substeps(compiled, values, prepare_series(model.system, record, 1))
+        series = prepare_series(model.system, record, substeps)
     mapping = static_map(compiled.traced, values)
     grid = series.inputs if inputs is None else inputs
     names = compiled.traced.states
     if like is not None and set(names) <= set(like.states):  # no free run for what is not asked
         centre, scales, rates = (np.zeros(len(names)) for _ in range(3))
     else:
-        centre, scales, rates = _settled(compiled, series, grid, values, mapping)
+        centre, scales, rates = _settled_scales(compiled, series, grid, values, mapping)
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
-    begin = _within_reach(compiled, values, begin, grid[0]) if start is None else begin
+    begin = _finite_state(compiled, values, begin, grid[0]) if start is None else begin
     task = Task(
         model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping
     )
-    return task if like is None else _on_scales(task, like)
+    return task if like is None else _adopt_scales(task, like)
 
 
-def begun_within(task: Task, spread: Array | None) -> Task:
-    """The task with its first state known within ``spread`` (n,), or as of any record.
+def with_start_spread(task: Task, spread: Array | None) -> Task:
+    """The task with standard deviations ``spread`` (n,) of its first state.
 
-    No wider than the machine's motion, which is also taken where ``spread`` is nan.
+    At most those of the settled motion, which are taken where ``spread`` is nan, or None.
     """
     if spread is None:
         return replace(task, spread=task.scales.copy())
     return replace(task, spread=np.fmin(spread, task.scales))
 
 
-def _on_scales(task: Task, other: Task) -> Task:
+def _adopt_scales(task: Task, other: Task) -> Task:
     """A task with another's scales of the states that both have."""
-    found = {name: getattr(task, name).copy() for name in ("spread", "centre", "scales", "rates")}
+    adopted = {name: getattr(task, name).copy() for name in ("spread", "centre", "scales", "rates")}
     for i, state in enumerate(task.states):
         if state in other.states:
-            for name, values in found.items():
+            for name, values in adopted.items():
                 values[i] = getattr(other, name)[other.states.index(state)]
-    return replace(task, **found)
+    return replace(task, **adopted)
 
 
 def with_finer_steps(task: Task, times: int) -> Task:
     """The task with so many times the Runge-Kutta steps per sample; all else is kept."""
-    series = prepare(task.model.system, task.series.record, times * task.series.substeps)
+    series = prepare_series(task.model.system, task.series.record, times * task.series.substeps)
     return replace(task, series=series, inputs=series.inputs)
 
 
-def at_rest(task: Task) -> Array | None:
+def resting_first_state(task: Task) -> Array | None:
     """A first state whose hidden states of first order are where their own rates are zero.
 
     By Newton's steps at the mean inputs: a level where what flows out is what is pumped in, a
@@ -216,11 +216,11 @@ def at_rest(task: Task) -> Array | None:
     hidden = [traced.states.index(s) for s in own if s not in traced.channels]
     start = task.start.copy()
     start[hidden] = np.where(start[hidden] == 0, _REST, start[hidden])
-    x = _still(task.compiled, values, start, task.mean_inputs, hidden)
+    x = _find_rest_state(task.compiled, values, start, task.mean_inputs, hidden)
     return x if x is not None and np.any(np.abs(x - task.start) > task.spread) else None
 
 
-def _still(
+def _find_rest_state(
     compiled: Compiled, values: Array, start: Array, inputs: Array, moving: list[int]
 ) -> Array | None:
     """Where the rates of these states are zero, by Newton's steps from a state; or nothing."""
@@ -239,22 +239,22 @@ def _still(
     return None
 
 
-def _within_reach(compiled: Compiled, values: Array, x: Array, inputs: Array) -> Array:
-    """A state where the model is a number: this one, or with what is zero in it where that rests.
+def _finite_state(compiled: Compiled, values: Array, x: Array, inputs: Array) -> Array:
+    """A state where the model is finite: x, or with its zeros moved to where their rates vanish.
 
     A pressure under a logarithm, or a concentration that divides, has no zero.
     """
     values, u = np.ascontiguousarray(values), np.ascontiguousarray(inputs)
     zero = [i for i, v in enumerate(x) if v == 0]
-    if not zero or _is_number(compiled, values, x, u):
+    if not zero or _is_finite_at(compiled, values, x, u):
         return x
     ones = x.copy()
     ones[zero] = 1.0
-    still = _still(compiled, values, ones, u, zero)
-    return still if still is not None and _is_number(compiled, values, still, u) else ones
+    still = _find_rest_state(compiled, values, ones, u, zero)
+    return still if still is not None and _is_finite_at(compiled, values, still, u) else ones
 
 
-def _is_number(compiled: Compiled, values: Array, x: Array, u: Array) -> bool:
+def _is_finite_at(compiled: Compiled, values: Array, x: Array, u: Array) -> bool:
     rate, reading = np.empty(len(x)), np.empty(len(compiled.traced.channels))
     with np.errstate(all="ignore"):
         compiled.rate_value(x, u, values, rate)
@@ -264,12 +264,14 @@ def _is_number(compiled: Compiled, values: Array, x: Array, u: Array) -> bool:
 
 def enough_substeps(compiled: Compiled, values: Array, series: Series) -> int:
     """Steps per sample that keep |eigenvalue| dt below 0.7 at rest, at the largest inputs."""
-    matrix = linearised(compiled, values, np.abs(series.inputs).max(axis=0, initial=0.0))
+    matrix = state_jacobian(compiled, values, np.abs(series.inputs).max(axis=0, initial=0.0))
     fastest = float(np.abs(np.linalg.eigvals(matrix)).max()) * series.dt
     return int(np.clip(np.ceil(fastest / _STEP), 1, 32))
 
 
-def linearised(compiled: Compiled, values: Array, inputs: Array, at: Array | None = None) -> Array:
+def state_jacobian(
+    compiled: Compiled, values: Array, inputs: Array, at: Array | None = None
+) -> Array:
     """f_x (n, n) at a state, by default rest; zero where it is not finite."""
     n = len(compiled.traced.states)
     a, b = np.zeros((n, n)), np.zeros((n, len(values)))
@@ -279,7 +281,7 @@ def linearised(compiled: Compiled, values: Array, inputs: Array, at: Array | Non
     return a if np.all(np.isfinite(a)) else np.zeros((n, n))
 
 
-def reading_rows(task: Task) -> Array:
+def reading_jacobian(task: Task) -> Array:
     """h_x (channels, n) at the mean of the settled states and inputs."""
     m, n = len(task.compiled.traced.channels), len(task.states)
     rows, by_values = np.zeros((m, n)), np.zeros((m, len(task.values)))
@@ -290,19 +292,19 @@ def reading_rows(task: Task) -> Array:
     return rows
 
 
-def _settled(
+def _settled_scales(
     compiled: Compiled, series: Series, grid: Array, values: Array, mapping: StaticMap | None
 ) -> tuple[Array, Array, Array]:
     """Mean and standard deviation of states, and that of their rates.
 
-    They are those of the free run, or guessed from what was seen.
+    They are those of the free run, or of the smoothed measurements.
     """
-    states = free_run(compiled, series, grid, values)
+    states = run_from_rest(compiled, series, grid, values)
     shown = compiled.traced.shown
     seen = [compiled.traced.states.index(c) for c in shown]
     measured = series.y.std(axis=0)[list(shown.values())]
     if states is None or np.any(states.std(axis=0)[seen] < _QUIET * measured):
-        states = _guessed(compiled, series, mapping)
+        states = _guess_states(compiled, series, mapping)
     rates = np.gradient(states, series.dt, axis=0).std(axis=0)
     scales = states.std(axis=0)
     typical = np.median(scales[scales > 0]) if np.any(scales > 0) else 1.0
@@ -312,12 +314,12 @@ def _settled(
     return np.where(mean == 0, _REST, mean), scales, rates
 
 
-def free_run(compiled: Compiled, series: Series, grid: Array, values: Array) -> Array | None:
+def run_from_rest(compiled: Compiled, series: Series, grid: Array, values: Array) -> Array | None:
     """States (samples, n) from rest under the record's inputs; nothing where it diverges."""
     n = len(compiled.traced.states)
     states, readings = np.empty((series.samples, n)), np.empty_like(series.y)
     whole, first = np.array([series.samples]), np.zeros(1, dtype=np.int64)
-    begin = _within_reach(compiled, values, np.zeros(n), series.mean_inputs)
+    begin = _finite_state(compiled, values, np.zeros(n), series.mean_inputs)
     ok = trajectories(
         compiled.rate_value, compiled.output_value, begin[None, :], first, whole,
         np.ascontiguousarray(values[None, :]), grid, series.substeps, series.dt, states, readings,
@@ -325,17 +327,17 @@ def free_run(compiled: Compiled, series: Series, grid: Array, values: Array) -> 
     return states if ok and np.all(np.isfinite(states)) else None
 
 
-def _guessed(compiled: Compiled, series: Series, mapping: StaticMap | None) -> Array:
+def _guess_states(compiled: Compiled, series: Series, mapping: StaticMap | None) -> Array:
     """Smoothed measurements and their rates; hidden coordinates by the static map."""
     study = CompiledStudy(compiled, (series,))
-    states = motion(study, series, min(41, series.samples // 2 * 2 - 1)).states
+    states = smoothed_motion(study, series, min(41, series.samples // 2 * 2 - 1)).states
     names = compiled.traced.states
     if mapping is not None:
         for place in (str, compiled.traced.rate_name):  # the coordinates, then their rates
             rows = [names.index(place(name)) for name in mapping.observed]
-            found = states[:, rows] @ mapping.matrix.T
+            hidden_values = states[:, rows] @ mapping.matrix.T
             for j, name in enumerate(mapping.hidden):
-                states[:, names.index(place(name))] = found[:, j]
+                states[:, names.index(place(name))] = hidden_values[:, j]
     return states
 
 
@@ -348,5 +350,5 @@ def _first_state(compiled: Compiled, series: Series, mapping: StaticMap | None) 
         hidden = mapping.matrix @ [start[names.index(n)] for n in mapping.observed]
         for name, value in zip(mapping.hidden, hidden, strict=True):
             start[names.index(name)] = value
-    follow(compiled.traced, start, series.inputs[0])
+    fill_like_states(compiled.traced, start, series.inputs[0])
     return start

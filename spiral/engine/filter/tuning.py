@@ -23,7 +23,7 @@ _RUNAWAY = 1e6  # log-likelihood that a sample not reached costs
 Likelihood = Callable[[Mapping[str, float]], tuple[float, int]]
 
 
-def most_likely(
+def most_likely_levels(
     groups: tuple[str, ...],
     samples: int,
     likelihood: Likelihood,
@@ -42,9 +42,9 @@ def most_likely(
         clipped = np.clip(logs, np.log10(LOWEST), np.log10(HIGHEST))
         outside = float(np.sum(np.abs(logs - clipped)))
         levels = dict(zip(groups, 10.0**clipped, strict=True))
-        found, done = likelihood(levels)
-        found = found if np.isfinite(found) else -_RUNAWAY
-        return -found + _RUNAWAY * (samples - done) + outside
+        result, done = likelihood(levels)
+        result = result if np.isfinite(result) else -_RUNAWAY
+        return -result + _RUNAWAY * (samples - done) + outside
 
     if near is None:
         common = [cost(np.full(len(groups), np.log10(level))) for level in _GRID]
@@ -52,10 +52,10 @@ def most_likely(
     else:
         begin = np.log10([max(near[g], LOWEST) for g in groups])
     simplex = np.vstack([begin, *(begin + 0.4 * row for row in np.eye(len(groups)))])
-    found = minimize(
+    result = minimize(
         cost, begin, method="Nelder-Mead",
         options={"initial_simplex": simplex, "maxfev": _EVALUATIONS, "xatol": 0.03,
                  "fatol": _ENOUGH},
     )  # fmt: skip
-    best = np.clip(found.x, np.log10(LOWEST), np.log10(HIGHEST))
+    best = np.clip(result.x, np.log10(LOWEST), np.log10(HIGHEST))
     return {g: float(v) for g, v in zip(groups, 10.0**best, strict=True)}

@@ -12,7 +12,13 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.engine.filter.kernel import _FAST, factor_in_place, hold, solve_in_place, sound
+from spiral.engine.filter.kernel import (
+    _FAST,
+    factor_in_place,
+    is_sound,
+    solve_in_place,
+    write_tracked,
+)
 from spiral.engine.kernel import runge_kutta
 from spiral.physics.compile import VALUE_FUNCTION
 
@@ -21,7 +27,7 @@ _I1 = types.int64[::1]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _draw(x, p, spread, points, root):
+def _draw_sigma_points(x, p, spread, points, root):
     """Sigma points (2 N + 1, N); a covariance without full rank has points that coincide."""
     n = x.shape[0]
     for i in range(n):
@@ -43,7 +49,7 @@ def _draw(x, p, spread, points, root):
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _moments(points, weights, mean, covariance):
+def _sigma_moments(points, weights, mean, covariance):
     """Weighted mean and covariance of points; ``weights`` (2, points): of mean, of covariance."""
     count, n = points.shape
     for i in range(n):
@@ -63,9 +69,9 @@ def _moments(points, weights, mean, covariance):
     types.void(VALUE_FUNCTION, _F1, _F1, _I1, _F2, types.int64, types.int64, types.float64, _F2),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
-def _advance(rate, x, values, tracked, inputs, at, substeps, step, work):
+def _advance_point(rate, x, values, tracked, inputs, at, substeps, step, work):
     """One sample of x' = f by RK4 for one point, in place; its tracked entries stay."""
-    hold(values, tracked, x)
+    write_tracked(values, tracked, x)
     for sub in range(substeps):
         runge_kutta(rate, x, values, inputs, at + 2 * sub, step, work)
 
@@ -74,7 +80,7 @@ def _advance(rate, x, values, tracked, inputs, at, substeps, step, work):
 def _unscented_update(x, p, points, readings, weights, r, y, v, s, expected, cross, w):
     """Mean and covariance after a measurement, in place; its log-likelihood."""
     n, m, count = x.shape[0], y.shape[0], points.shape[0]
-    _moments(readings, weights, expected, s)
+    _sigma_moments(readings, weights, expected, s)
     for j in range(m):
         s[j, j] += r[j]
         v[j] = y[j] - expected[j]
@@ -109,11 +115,11 @@ def _unscented_update(x, p, points, readings, weights, r, y, v, s, expected, cro
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
-def unscented(
+def unscented_filter(
     rate, output, x, p, values, tracked, inputs, substeps, dt, spread, weights, y, r, q,
     means, variances, innovations, spreads, covariances,
 ):  # fmt: skip
-    """Filter one record; parameters as ``kernel.extended``, with value functions.
+    """Filter one record; parameters as ``kernel.extended_filter``, with value functions.
 
     ``spread`` is sqrt(N + lambda); ``weights`` (2, 2 N + 1) of mean and covariance.
     """
@@ -125,15 +131,15 @@ def unscented(
     expected, cross = np.zeros(m), np.zeros((size, m))
     likelihood = 0.0
     for k in range(samples):
-        _draw(x, p, spread, points, root)
+        _draw_sigma_points(x, p, spread, points, root)
         for i in range(count):
-            hold(values, tracked, points[i])
+            write_tracked(values, tracked, points[i])
             output(points[i, :n], inputs[k * 2 * substeps], values, readings[i])
-        found = _unscented_update(x, p, points, readings, weights, r, y[k], innovations[k],
+        term = _unscented_update(x, p, points, readings, weights, r, y[k], innovations[k],
                                   spreads[k], expected, cross, w)  # fmt: skip
-        if not np.isfinite(found):
+        if not np.isfinite(term):
             return likelihood, k
-        likelihood += found
+        likelihood += term
         for i in range(size):
             means[k, i] = x[i]
             variances[k, i] = p[i, i]
@@ -141,14 +147,14 @@ def unscented(
             covariances[k] = p
         if k == samples - 1:
             break
-        _draw(x, p, spread, points, root)
+        _draw_sigma_points(x, p, spread, points, root)
         for i in range(count):
-            _advance(rate, points[i], values, tracked, inputs, k * substeps * 2, substeps,
+            _advance_point(rate, points[i], values, tracked, inputs, k * substeps * 2, substeps,
                          dt / substeps, work)  # fmt: skip
-        _moments(points, weights, x, p)
+        _sigma_moments(points, weights, x, p)
         for i in range(size):
             for a in range(size):
                 p[i, a] += q[i, a]
-        if not sound(x, p):
+        if not is_sound(x, p):
             return likelihood, k + 1
     return likelihood, samples

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.engine.filter.extended import FilterSettings, Pass, filtered, tracked_indices
+from spiral.engine.filter.extended import FilterSettings, Pass, filter_record, tracked_indices
 from spiral.engine.filter.task import Task
 from spiral.physics.flow import compile_flow
 from spiral.types.record import Array
@@ -30,10 +30,12 @@ class Whitened:
 
     innovations: Array
     columns: Array
-    found: Pass
+    filter_pass: Pass
 
 
-def whitened(task: Task, settings: FilterSettings, keys: tuple[str, ...]) -> Whitened | None:
+def whiten_innovations(
+    task: Task, settings: FilterSettings, keys: tuple[str, ...]
+) -> Whitened | None:
     """The record filtered and its innovations whitened; nothing where the filter runs away.
 
     Parameters
@@ -42,25 +44,25 @@ def whitened(task: Task, settings: FilterSettings, keys: tuple[str, ...]) -> Whi
     """
     from spiral.engine.filter.slopes_kernel import prediction_slopes
 
-    found = filtered(task, settings, keep=True)
-    if found.done < task.series.samples:
+    run = filter_record(task, settings, keep=True)
+    if run.done < task.series.samples:
         return None
     tracked = tracked_indices(task, settings.tracked)
     both = np.concatenate([tracked, tracked_indices(task, keys)])
-    slopes = np.zeros((*found.innovations.shape, len(keys)))
+    slopes = np.zeros((*run.innovations.shape, len(keys)))
     if keys:
         flow = compile_flow(task.compiled.traced, (*settings.tracked, *keys))
         prediction_slopes(
             flow.advance, flow.output,
             np.concatenate([settings.start, task.values[tracked]]), task.values.copy(), both,
-            len(tracked), task.inputs, task.series.substeps, task.series.dt, found.means,
-            found.gains, slopes,
+            len(tracked), task.inputs, task.series.substeps, task.series.dt, run.means,
+            run.gains, slopes,
         )  # fmt: skip
     if not np.all(np.isfinite(slopes)):
         return None
-    seen = found.spreads[:, 0, 0] > 0
-    root = np.linalg.cholesky(found.spreads[seen])
-    whole = np.concatenate([found.innovations[seen][..., None], slopes[seen]], axis=2)
+    seen = run.spreads[:, 0, 0] > 0
+    root = np.linalg.cholesky(run.spreads[seen])
+    whole = np.concatenate([run.innovations[seen][..., None], slopes[seen]], axis=2)
     rows = np.zeros((len(seen), *whole.shape[1:]))
     rows[seen] = np.linalg.solve(root, whole)
-    return Whitened(rows[..., 0], rows[..., 1:], found)
+    return Whitened(rows[..., 0], rows[..., 1:], run)

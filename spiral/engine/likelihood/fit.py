@@ -9,8 +9,8 @@ scoring step solves
 whose normal equations are the likelihood's slope and its expected information. Steps are damped
 (Levenberg and Marquardt) until the likelihood rises. A pass of the filter has X with its gains
 held. What is missing there is by differences, one pass each; the slopes by sizes are those of a
-filter that is linear along the motion (``varied``). Both change slowly and are kept from step to
-step (``Kept``), until a step promises more than it keeps.
+filter that is linear along the motion (``vary_noise``). Both change slowly and are kept from
+step to step (``Kept``), until a step promises more than it keeps.
 
 A model that lacks something starts with much process noise, and with it the filter follows the
 record however wrong the model is; as parameters find their values the noise falls, and predictions
@@ -26,20 +26,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from spiral.engine.leastsquares import Fit, solve_triangle, triangle
-from spiral.engine.likelihood.information import regression_rows, widening
-from spiral.engine.likelihood.noise import NoiseModel, limits
+from spiral.engine.likelihood.information import regression_rows, widening_factors
+from spiral.engine.likelihood.noise import NoiseModel, size_limits
 from spiral.engine.likelihood.predict import (
     RUNAWAY,
     Masks,
     Prediction,
     Prepared,
-    all_predicted,
     log_likelihood,
-    side_by_side,
-    varied,
+    predict_cases,
+    run_in_threads,
+    vary_noise,
 )
-from spiral.engine.likelihood.steps import next_step, within
-from spiral.engine.score import block_for
+from spiral.engine.likelihood.steps import drop_bounded_columns, next_damped_step
+from spiral.engine.score import residual_block_samples
 from spiral.types.record import Array
 
 _DIFFERENCE = 0.05  # of the logarithm of a size, for its slopes
@@ -49,12 +49,12 @@ _ENOUGH = 0.02  # log-likelihood that is not worth another step
 ROUGH = 5e-4  # log-likelihood for each reading
 _FLOOR = 1.01  # times its least value up to which a size stays there
 _MOVE = 1e-3  # standard deviations that whitened misses move in a difference
-_TRUE = 0.5  # share of the promised gain, and of the gain in it, from which slopes are good enough
+_TRUE = 0.5  # ratio of gain and promised gain (either way) from which slopes are good enough
 _WELL = 0.75  # share of it from which damping falls twice as fast
-_STALE = 0.7  # of the logarithm of a size, that one moves by before slopes by sizes are made anew
+_STALE = 0.7  # move of the logarithm of a size after which slopes by sizes are made anew
 _FRESH = 0.2  # of the same, up to which they count as made here
 _DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
-_VAIN = 0.05  # share of what is worth a step that one must promise to be tried
+_VAIN = 0.05  # share of ``enough`` that a step must promise to be tried
 
 Beside = Mapping[str, tuple[tuple[Array, Array], ...]]
 """By size of the noise, for every record: slopes of e and of log s by its logarithm."""
@@ -72,14 +72,14 @@ class Kept:
     sizes: Beside = field(default_factory=dict)
     at: Mapping[str, float] = field(default_factory=dict)
 
-    def fits(self, parts: Sequence[Prediction]) -> bool:
-        """Whether they are of such records."""
+    def match_records(self, parts: Sequence[Prediction]) -> bool:
+        """Whether the slopes have the shapes of these records."""
         shapes = [p.misses.shape for p in parts]
         each = (*self.beyond.values(), *([m for m, _ in b] for b in self.sizes.values()))
         return all([x.shape for x in one] == shapes for one in each)
 
-    def stale(self, noise: NoiseModel, names: Sequence[str], moved: float) -> bool:
-        """Whether a size is not there, or the logarithm of one has moved by so much."""
+    def are_stale(self, noise: NoiseModel, names: Sequence[str], moved: float) -> bool:
+        """Whether slopes by a size are missing, or its logarithm has moved by more."""
         return any(
             n not in self.sizes or abs(np.log(noise.values[n] / self.at[n])) > moved for n in names
         )
@@ -150,7 +150,7 @@ class Maximum:
         return squares / max(sum(int(np.sum(p.spreads > 0)) for p in self.parts), 1)
 
 
-def maximise(
+def maximise_likelihood(
     prepared: Prepared,
     keys: tuple[str, ...],
     noise: NoiseModel,
@@ -182,34 +182,36 @@ def maximise(
     enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
     still = not (keys and differences)  # slopes are not made anew
     search = _Search(keys, bounds or {}, masks, tune, enough, rough, still)
-    parts = all_predicted([(prepared, noise)], keys, keep=tune)[0]
+    parts = predict_cases([(prepared, noise)], keys, keep=tune)[0]
     height = log_likelihood(parts, masks)
-    kept = kept if kept is not None and kept.fits(parts) else Kept()
+    kept = kept if kept is not None and kept.match_records(parts) else Kept()
     at = Maximum(prepared, noise, keys, height, parts, None, False, 0, kept=kept)
     damping, fresh = _DAMPING, still
     for left in reversed(range(steps)):
         if not at.finite:
             break
         height = at.log_likelihood
-        at, damping, fresh, done = search.advanced(at, damping, fresh)
+        at, damping, fresh, done = search.take_step(at, damping, fresh)
         gain = at.log_likelihood - height
         if done or (gain > 0 and at.log_likelihood + left * gain < least):
             break
     return at
 
 
-def informed(at: Maximum) -> Maximum:
-    """An estimate with its slopes by differences made where it stands: its standard errors.
+def add_standard_errors(at: Maximum) -> Maximum:
+    """The estimate with slopes by differences at its own values, and standard errors of these.
 
     On the way there slopes are kept from other places, which is good enough for a direction.
     """
     if not at.finite or at.widened:
         return at
     search = _Search(at.keys)
-    at = search.with_differences(at)
+    at = search.with_difference_slopes(at)
     rows = search.rows(at)
     solved = solve_triangle(*triangle(itertools.chain(*rows)))
-    factors = widening(at.parts, rows, solved, block_for(tuple(p.whitened for p in at.parts)))
+    factors = widening_factors(
+        at.parts, rows, solved, residual_block_samples(tuple(p.whitened for p in at.parts))
+    )
     widened = tuple(map(float, factors[: len(at.keys)]))
     return replace(at, solved=solved, sizes=search.sizes(at), widened=widened)
 
@@ -230,7 +232,7 @@ class _Step:
 
 @dataclass(frozen=True)
 class _Search:
-    """What a climb moves and may not leave."""
+    """What a search moves, its bounds, and when it ends."""
 
     keys: tuple[str, ...]
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -240,62 +242,62 @@ class _Search:
     rough: bool = False
     still: bool = False
 
-    def advanced(
+    def take_step(
         self, at: Maximum, damping: float, fresh: bool
     ) -> tuple[Maximum, float, bool, bool]:
-        """One step further: where, the damping, whether slopes are of there, whether it ends."""
-        at = self.with_sizes(at)
-        found = self.climb(at, damping)
-        better, damping = found.better, found.damping
+        """One step: the estimate, the damping, whether slopes are of there, whether it is over."""
+        at = self.with_size_slopes(at)
+        step = self.find_rising_step(at, damping)
+        better, damping = step.better, step.damping
         gain = 0.0 if better is None else better.log_likelihood - at.log_likelihood
         sizes, steps = self.sizes(at), at.steps + 1
-        at = replace(better or at, solved=found.solved, steps=steps, sizes=sizes)
-        faithful = _TRUE * found.promised <= gain <= found.promised / _TRUE
-        over = found.best < self.enough or (fresh and (self.rough or not faithful))
+        at = replace(better or at, solved=step.solved, steps=steps, sizes=sizes)
+        faithful = _TRUE * step.promised <= gain <= step.promised / _TRUE
+        over = step.best < self.enough or (fresh and (self.rough or not faithful))
         if (gain < self.enough and over) or (better is None and fresh):
-            if at.kept.stale(at.noise, sizes, _FRESH):  # by slopes of elsewhere it is not over
-                return self.with_sizes(at, _FRESH), damping, fresh, False
+            if at.kept.are_stale(at.noise, sizes, _FRESH):  # stale slopes do not show convergence
+                return self.with_size_slopes(at, _FRESH), damping, fresh, False
             return replace(at, converged=True), damping, fresh, True
         if better is None:  # no step rises, however short
-            return self.with_differences(at), _DAMPING, True, False
+            return self.with_difference_slopes(at), _DAMPING, True, False
         if faithful:
             return at, damping, self.still, False
-        return (at if fresh else self.with_differences(at)), damping, True, False
+        return (at if fresh else self.with_difference_slopes(at)), damping, True, False
 
     def sizes(self, at: Maximum) -> tuple[str, ...]:
         """The sizes that move: those at their least value stay there."""
         task = at.prepared[0][0]
         names = at.noise.names if self.tune else ()
-        return tuple(n for n in names if at.noise.values[n] > _FLOOR * limits(task, n)[0])
+        return tuple(n for n in names if at.noise.values[n] > _FLOOR * size_limits(task, n)[0])
 
-    def with_sizes(self, at: Maximum, moved: float = _STALE) -> Maximum:
-        """With slopes by sizes of the noise, where those kept are not there or stale."""
+    def with_size_slopes(self, at: Maximum, moved: float = _STALE) -> Maximum:
+        """With slopes by sizes of the noise made anew, where those kept are missing or stale."""
         names = self.sizes(at)
-        if not at.kept.stale(at.noise, names, moved):
+        if not at.kept.are_stale(at.noise, names, moved):
             return at
         larger = np.exp(_DIFFERENCE)
         others = [at.noise.with_values({n: at.noise.values[n] * larger}) for n in names]
         runs = at.parts
         if any(len(p.means) == 0 for p in runs):
-            runs = all_predicted([(at.prepared, at.noise)], keep=True)[0]
+            runs = predict_cases([(at.prepared, at.noise)], keep=True)[0]
 
-        def each(r: int) -> list[tuple[Array, Array]]:
-            return varied(*at.prepared[r], at.noise, others, runs[r])
+        def vary_sizes(r: int) -> list[tuple[Array, Array]]:
+            return vary_noise(*at.prepared[r], at.noise, others, runs[r])
 
-        found = side_by_side(each, range(len(runs))) if names else []
+        changes = run_in_threads(vary_sizes, range(len(runs))) if names else []
         sizes = {
-            n: tuple(_change(p, *other[j]) for p, other in zip(at.parts, found, strict=True))
+            n: tuple(_size_slopes(p, *other[j]) for p, other in zip(at.parts, changes, strict=True))
             for j, n in enumerate(names)
         }
         return replace(at, kept=replace(at.kept, sizes=sizes, at=dict(at.noise.values)))
 
-    def with_differences(self, at: Maximum) -> Maximum:
-        """With all slopes by differences, as they are here."""
-        at = self.with_sizes(at, _FRESH)
+    def with_difference_slopes(self, at: Maximum) -> Maximum:
+        """With all slopes by differences, made at these values."""
+        at = self.with_size_slopes(at, _FRESH)
         held = [p.columns for p in at.parts]
-        widths = _widths(held)
-        others = all_predicted(
-            [(_shifted(at.prepared, self.keys[j], h), at.noise) for j, h in widths.items()]
+        widths = _difference_steps(held)
+        others = predict_cases(
+            [(_shift_parameter(at.prepared, self.keys[j], h), at.noise) for j, h in widths.items()]
         )
         beyond = {}
         for (j, h), other in zip(widths.items(), others, strict=True):
@@ -308,42 +310,42 @@ class _Search:
 
     def columns(self, at: Maximum) -> list[Array]:
         """Slopes of the whitened misses by parameters (sign turned), for every record."""
-        found = [p.columns.copy() for p in at.parts]  # of a slope that overflows nothing is told
+        slopes = [p.columns.copy() for p in at.parts]  # slopes that overflow count as zero
         for j, key in enumerate(self.keys):
-            for mine, more in zip(found, at.kept.beyond.get(key, ()), strict=False):
+            for mine, more in zip(slopes, at.kept.beyond.get(key, ()), strict=False):
                 mine[:, :, j] += more
-        for mine in found:
+        for mine in slopes:
             mine[:, :, ~np.isfinite(mine).all(axis=(0, 1))] = 0.0
-        return found
+        return slopes
 
     def rows(self, at: Maximum) -> list[list[Array]]:
         """The scoring regression's rows of every record."""
-        found = []
+        blocks = []
         names, columns = self.sizes(at), self.columns(at)
         for r, part in enumerate(at.parts):
             chosen = None if self.masks is None else self.masks[r]
             mask = slice(None) if chosen is None else chosen
             beside = [at.kept.sizes[n][r] for n in names]
-            found.append(regression_rows(part, columns[r], beside, mask))
-        return found
+            blocks.append(regression_rows(part, columns[r], beside, mask))
+        return blocks
 
-    def climb(self, at: Maximum, damping: float) -> _Step:
+    def find_rising_step(self, at: Maximum, damping: float) -> _Step:
         """The first damped step that rises."""
         names = (*self.keys, *self.sizes(at))
         upper, count = triangle(itertools.chain(*self.rows(at)))
         solved = solve_triangle(upper, count)
         limit = np.array([self.bounds.get(k, (-np.inf, np.inf)) for k in self.keys])
-        upper, best = within(upper, solved, np.array(list(at.values.values())), limit)
+        upper, best = drop_bounded_columns(upper, solved, np.array(list(at.values.values())), limit)
         norms = np.linalg.norm(upper[:, :-1], axis=0)
         before = float(np.sum(upper[:, -1] ** 2))
         promised, step = 0.0, None
         for _ in range(_TRIES):
-            step, damping = next_step(upper, norms, damping, _STRAIN, step)
+            step, damping = next_damped_step(upper, norms, damping, _STRAIN, step)
             promised = 0.5 * (before - float(np.sum((upper[:, :-1] @ step - upper[:, -1]) ** 2)))
             if promised < _VAIN * self.enough and promised < _VAIN * best:
                 break
-            trial = self._moved(at, names, step, solved.kept)
-            parts = all_predicted([trial], self.keys, keep=self.tune)[0]
+            trial = self._apply_step(at, names, step, solved.kept)
+            parts = predict_cases([trial], self.keys, keep=self.tune)[0]
             height = log_likelihood(parts, self.masks)
             if height > at.log_likelihood:
                 better = Maximum(*trial, self.keys, height, parts, None, False, 0, kept=at.kept)
@@ -352,7 +354,7 @@ class _Search:
             damping = max(damping, 1e-6) * _STRAIN
         return _Step(None, damping, solved, promised, best)
 
-    def _moved(
+    def _apply_step(
         self, at: Maximum, names: tuple[str, ...], step: Array, kept: Array
     ) -> tuple[Prepared, NoiseModel]:
         task = at.prepared[0][0]
@@ -364,28 +366,28 @@ class _Search:
                 most = max(high if now <= 0 or low < 0 else _GROWTH * now, low)
                 values[name] = float(np.clip(now + (delta if told else 0.0), low, min(high, most)))
             elif told:
-                low, high = limits(task, name)
+                low, high = size_limits(task, name)
                 grown = at.noise.values[name] * np.exp(np.clip(delta, -_LARGEST, _LARGEST))
                 sizes[name] = float(np.clip(grown, low, high))
         prepared = tuple((t.with_values(values), s) for t, s in at.prepared)
         return prepared, at.noise.with_values(sizes)
 
 
-def _widths(columns: Sequence[Array]) -> dict[int, float]:
+def _difference_steps(columns: Sequence[Array]) -> dict[int, float]:
     """For every column the step that moves the whitened misses by ``_MOVE`` on average."""
     energy = np.sum([np.sum(c**2, axis=(0, 1)) for c in columns], axis=0)
     count = sum(c.shape[0] * c.shape[1] for c in columns)
     return {j: _MOVE * float(np.sqrt(count / e)) for j, e in enumerate(energy) if e > 0}
 
 
-def _shifted(prepared: Prepared, key: str, step: float) -> Prepared:
+def _shift_parameter(prepared: Prepared, key: str, step: float) -> Prepared:
     """The records with one parameter moved."""
     task = prepared[0][0]
     value = float(task.values[task.keys.index(key)]) + step
     return tuple((t.with_values({key: value}), s) for t, s in prepared)
 
 
-def _change(part: Prediction, misses: Array, spreads: Array) -> tuple[Array, Array]:
+def _size_slopes(part: Prediction, misses: Array, spreads: Array) -> tuple[Array, Array]:
     """Slopes of the misses over s^(1/2), and of log s, from a run with one size a little larger.
 
     Nothing, where that run overflows: the size does not move.

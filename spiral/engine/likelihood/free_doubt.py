@@ -16,10 +16,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.filter.setup import prepared
+from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import Task
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
-from spiral.engine.likelihood.predict import predicted
+from spiral.engine.likelihood.predict import predict_readings
 from spiral.types.record import Array
 
 _MOST = 1e9  # deviations of the noise by which a doubt is seen to move a reading
@@ -37,14 +37,14 @@ def free_doubt(
     keys : parameters whose ``covariance`` is known. noise : of the sensors. settled : samples that
         told where the record begins.
     """
-    task, settings = prepared(replace(task, moved=tuple(keys)), ())  # one flow for all passes
+    task, settings = prepare_filter(replace(task, moved=tuple(keys)), ())  # one flow for all passes
     sure = replace(settings, covariance=np.zeros_like(settings.covariance))
     deviations = task.series.deviations
     deaf = first_noise(task, 0.0, deviations)  # a filter that is sure of its state corrects nothing
     spreads = _SMALL * task.spread
 
     def misses(x: Array, names: Sequence[str] = ()) -> tuple[Array, Array]:
-        run = predicted(task, replace(sure, start=x), deaf, names)
+        run = predict_readings(task, replace(sure, start=x), deaf, names)
         left = run.misses if run.whole else np.full_like(run.misses, np.nan)
         return left, run.slopes
 
@@ -52,19 +52,19 @@ def free_doubt(
         base, slopes = misses(start, keys)
         moved = [misses(start + step)[0] - base for step in np.diag(spreads)]
         by_start = np.stack(moved, axis=2) / _SMALL
-        by_values = -slopes @ _root(covariance)
+        by_values = -slopes @ _covariance_root(covariance)
         scaled = np.concatenate([by_start, by_values], axis=2)  # for doubts of one
         white = np.array([noise.values[f"white.{c}"] for c in task.compiled.traced.channels])
         head = (scaled[:settled] / white[:, None]).reshape(-1, scaled.shape[2])
         head = np.clip(np.nan_to_num(head), -_MOST, _MOST)  # of a run that leaves all bounds
         known = np.linalg.qr(np.concatenate([np.eye(scaled.shape[2]), head]), mode="r")
         parts = scaled[settled:] @ np.linalg.inv(known)
-        found = np.sqrt(np.sum(parts**2, axis=2))
+        doubt = np.sqrt(np.sum(parts**2, axis=2))
     most = np.sqrt(2.0) * deviations
-    return np.minimum(np.nan_to_num(found, nan=np.inf, posinf=np.inf), most)
+    return np.minimum(np.nan_to_num(doubt, nan=np.inf, posinf=np.inf), most)
 
 
-def _root(covariance: Array) -> Array:
+def _covariance_root(covariance: Array) -> Array:
     """L of V = L L^T."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))

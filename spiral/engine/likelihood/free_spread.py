@@ -17,7 +17,7 @@ import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.task import Task
-from spiral.engine.likelihood.noise import Matrices, NoiseModel, matrices
+from spiral.engine.likelihood.noise import Matrices, NoiseModel, noise_matrices
 from spiral.types.noise import COLOURED
 from spiral.types.record import Array
 
@@ -31,32 +31,35 @@ def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel) -> Arra
     It is as large as it can be from where a motion leaves all bounds.
     """
     most = np.sqrt(2.0) * task.series.deviations
-    parts, n = matrices(task, settings, noise.without(*COLOURED, "drift")), len(task.states)
+    parts, n = noise_matrices(task, settings, noise.without(*COLOURED, "drift")), len(task.states)
     samples, substeps = task.series.samples, task.series.substeps
     count = int(np.clip(_STEPS // max((samples - 1) * substeps, 1), _FEWEST, _MOST))
     rng, total = np.random.default_rng(0), np.zeros_like(task.series.y)
-    white, forces = _root(parts.q[:n, :n], task.scales), _remembering(parts, samples, count, rng)
+    white, forces = (
+        _scaled_covariance_root(parts.q[:n, :n], task.scales),
+        _draw_coloured_forces(parts, samples, count, rng),
+    )
     kicks = np.zeros((samples - 1, substeps, n))
-    usual = _motion(task, settings.start, kicks)
+    usual = _disturbed_readings(task, settings.start, kicks)
     for z in forces:
         kicks[:] = (z[:-1] @ parts.driven.T * (task.series.dt / substeps))[:, None]
         kicks[:, -1] += rng.normal(size=(samples - 1, n)) @ white.T
         with np.errstate(all="ignore"):
-            miss = _motion(task, settings.start, kicks) + z @ parts.seen.T - usual
+            miss = _disturbed_readings(task, settings.start, kicks) + z @ parts.seen.T - usual
             total += np.minimum(np.nan_to_num(miss**2, nan=np.inf, posinf=np.inf), most**2)
     return np.sqrt(total / count)
 
 
-def _motion(task: Task, start: Array, kicks: Array) -> Array:
+def _disturbed_readings(task: Task, start: Array, kicks: Array) -> Array:
     """(samples, channels) readings of one motion; infinite from where it leaves all bounds.
 
     ``kicks`` (samples - 1, substeps, n) are added to the states after each step.
     """
-    from spiral.engine.filter.stochastic_kernel import wander
+    from spiral.engine.filter.stochastic_kernel import disturbed_trajectory
 
     series = task.series
     states, readings = np.empty((series.samples, len(task.states))), np.full_like(series.y, np.inf)
-    wander(
+    disturbed_trajectory(
         task.compiled.rate_value, task.compiled.output_value, np.array(start, dtype=float),
         task.values, task.inputs, series.substeps, series.dt,
         kicks.reshape(-1, kicks.shape[2]), states, readings,
@@ -64,13 +67,18 @@ def _motion(task: Task, start: Array, kicks: Array) -> Array:
     return readings
 
 
-def _remembering(parts: Matrices, samples: int, count: int, rng: np.random.Generator) -> Array:
+def _draw_coloured_forces(
+    parts: Matrices, samples: int, count: int, rng: np.random.Generator
+) -> Array:
     """(count, samples, k) forces with a memory, of so many motions."""
     k = len(parts.phi)
     if not k:
         return np.zeros((count, samples, 0))
     sizes = np.sqrt(np.maximum(np.diag(parts.p)[-k:], np.finfo(float).tiny))
-    first, added = _root(parts.p[-k:, -k:], sizes), _root(parts.q[-k:, -k:], sizes)
+    first, added = (
+        _scaled_covariance_root(parts.p[-k:, -k:], sizes),
+        _scaled_covariance_root(parts.q[-k:, -k:], sizes),
+    )
     z = rng.normal(size=(samples, count, k))
     z[0] = z[0] @ first.T
     for i in range(1, samples):
@@ -78,7 +86,7 @@ def _remembering(parts: Matrices, samples: int, count: int, rng: np.random.Gener
     return np.ascontiguousarray(z.swapaxes(0, 1))
 
 
-def _root(covariance: Array, sizes: Array) -> Array:
+def _scaled_covariance_root(covariance: Array, sizes: Array) -> Array:
     """L of V = L L^T; ``sizes`` are of the deviations, for which it is well scaled."""
     values, vectors = np.linalg.eigh(covariance / np.outer(sizes, sizes))
     return sizes[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))

@@ -20,7 +20,7 @@ from spiral.engine.filter.task import Task
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import OWN, NoiseModel
-from spiral.engine.likelihood.predict import likelihood_of
+from spiral.engine.likelihood.predict import total_log_likelihood
 from spiral.types.record import Array
 
 _FALL = 2.0  # of log L
@@ -30,7 +30,7 @@ _FIRST, _FACTOR = 1e-4, 3.0  # least level that is tried, and from one to the ne
 def larger_forces(at: Maximum) -> tuple[NoiseModel, ...]:
     """The noise with each white force as large as the records would not show, the others kept."""
     forces = (t for t in at.noise.terms if t.kind == "force")
-    return tuple(at.noise.with_values({t.size: _largest(at, t.size)}) for t in forces)
+    return tuple(at.noise.with_values({t.size: _largest_level(at, t.size)}) for t in forces)
 
 
 def hidden_force_spread(
@@ -44,13 +44,15 @@ def hidden_force_spread(
     return np.sqrt(most)
 
 
-def _largest(at: Maximum, size: str) -> float:
+def _largest_level(at: Maximum, size: str) -> float:
     """The largest level of one force that costs no more than ``_FALL``."""
     known, lost = at.noise.values[size], 0.0
     level = max(known, _FIRST / _FACTOR)
     while level < OWN:
         further = min(level * _FACTOR, OWN)
-        fell = at.log_likelihood - likelihood_of(at.prepared, at.noise.with_values({size: further}))
+        fell = at.log_likelihood - total_log_likelihood(
+            at.prepared, at.noise.with_values({size: further})
+        )
         if fell > _FALL:
             way = (_FALL - lost) / (fell - lost)
             return float(max(known, level * (further / level) ** way))

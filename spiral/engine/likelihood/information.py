@@ -31,7 +31,7 @@ Beside = Sequence[tuple[Array, Array]]
 def regression_rows(
     part: Prediction, columns: Array, beside: Beside, mask: Array | slice = slice(None)
 ) -> list[Array]:
-    """Rows of one record; of the samples of a mask."""
+    """Rows [X, -w | e] and [0, l / 2^(1/2) | (e^2 - 1) / 2^(1/2)] of one record, in a mask."""
     seen = part.spreads[mask] > 0
     e, columns = part.whitened[mask][seen], columns[mask][seen]
     width = columns.shape[1]
@@ -45,7 +45,7 @@ def regression_rows(
     return [first, second] if beside else [first]
 
 
-def widening(
+def widening_factors(
     parts: Sequence[Prediction], rows: Sequence[Sequence[Array]], solved: Fit, block: int
 ) -> Array:
     """(columns of the regression,) factors from I's standard errors to those of blocks.

@@ -23,20 +23,20 @@ import numpy as np
 from numba import types
 
 from spiral.engine.filter.algebra import ABSORB, PRODUCT
-from spiral.engine.filter.kernel import hold, reset, room, sound
+from spiral.engine.filter.kernel import is_sound, reset_to_identity, slope_workspace, write_tracked
 from spiral.engine.likelihood.transition import (
-    carried,
-    carried_slopes,
-    carry_covariance,
+    add_forces,
+    advance_noise_states,
+    apply_transition,
     entries_of,
-    forget,
-    push,
+    store_transition,
+    transition_covariance,
     transition_rows,
-    whole,
+    transition_slopes,
 )
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
-from spiral.physics.lanes import INNER, LOOP, padded
+from spiral.physics.lanes import INNER, LOOP, padded_width
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
@@ -44,7 +44,7 @@ _FAST = {"contract", "reassoc"}
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def _rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses):
+def _reading_rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses):
     """Rows c of all channels by (x, theta, z), and y less what the mean predicts."""
     m, n = cx.shape
     first = n + tracked
@@ -60,7 +60,7 @@ def _rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def _measured(
+def _absorb_sample(
     absorb, x, p, c, cv, both, tracked, r, scratch, work, k, d, misses, spreads, slopes, gains
 ):  # fmt: skip
     """All channels of a sample taken in one by one; False where a variance is not positive.
@@ -93,16 +93,16 @@ def _measured(
 
 
 @nb.njit(cache=True, nogil=True)
-def _square(matrix, width):
+def _pad_covariance(matrix, width):
     """[P | S] with S = 0 of so many columns, in room for lanes."""
-    wide = padded(len(matrix))
-    out = np.zeros((wide, wide + padded(width)))
+    wide = padded_width(len(matrix))
+    out = np.zeros((wide, wide + padded_width(width)))
     out[: len(matrix), : len(matrix)] = matrix
     return out
 
 
 @nb.njit(**INNER)
-def _keep(k, c, x, rows, means):
+def _store_sample(k, c, x, rows, means):
     """Rows and mean of a sample, where they are asked for."""
     if rows.shape[0] > 0:
         for j in range(rows.shape[1]):
@@ -114,38 +114,38 @@ def _keep(k, c, x, rows, means):
 
 
 @nb.njit(**LOOP, fastmath=_FAST)
-def _along_record(
+def _predict_along(
     values, flow, output, product, lower, absorb, both, tracked, inputs, stages, substeps, dt,
     y, r, q, phi, seen, driven, misses, spreads, slopes, means, transitions, gains, rows,
     states, followed_states, followed, entries, f, work, p, later, a, turned, x, c, d,
     scratch, space, h, cx, cv,
 ):  # fmt: skip
-    """``predict_record`` in room that is there."""
+    """The loop of ``predict_record``, in arrays made before."""
     size, width = len(q), slopes.shape[2]
     n, first, half, step = len(states), len(followed_states), 0.5 * dt, dt / substeps
     k = 0
     for k in range(y.shape[0]):
-        hold(values, followed, followed_states)
+        write_tracked(values, followed, followed_states)
         output(states, inputs[k * 2 * substeps], values, h, cx, cv)
-        _rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses)
-        if not _measured(absorb, x, p, c, cv, both, tracked, r, scratch, space, k, d, misses,
+        _reading_rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses)
+        if not _absorb_sample(absorb, x, p, c, cv, both, tracked, r, scratch, space, k, d, misses,
                          spreads, slopes, gains):  # fmt: skip
             return k
-        _keep(k, c, x, rows, means)
-        if k == y.shape[0] - 1 or not sound(x, p):
+        _store_sample(k, c, x, rows, means)
+        if k == y.shape[0] - 1 or not is_sound(x, p):
             break
-        reset(f)
-        hold(values, followed, followed_states)
-        push(x, driven, entries, first, half)
+        reset_to_identity(f)
+        write_tracked(values, followed, followed_states)
+        add_forces(x, driven, entries, first, half)
         flow(x, stages, k * substeps * 3, 3, substeps, step, values, f, work)
-        push(x, driven, entries, first, half)
-        forget(x, phi, first, scratch[0])
+        add_forces(x, driven, entries, first, half)
+        advance_noise_states(x, phi, first, scratch[0])
         transition_rows(f, driven, entries, first, half, a, turned)
-        whole(k, a, phi, n, transitions)
-        carried(product, a, phi, p, later, n, size)
-        carried_slopes(later, f, p, n, first, size, width)
-        carry_covariance(lower, later, turned, phi, q, p, n, size)
-    return k + 1 if sound(x, p) else k
+        store_transition(k, a, phi, n, transitions)
+        apply_transition(product, a, phi, p, later, n, size)
+        transition_slopes(later, f, p, n, first, size, width)
+        transition_covariance(lower, later, turned, phi, q, p, n, size)
+    return k + 1 if is_sound(x, p) else k
 
 
 @nb.njit(
@@ -179,7 +179,7 @@ def predict_record(
     misses, spreads : (samples, channels) out: e and s; s is 0 where a channel is missing.
     slopes : (samples, channels, width) out: d. means : (samples, N) out, or no rows.
     transitions, gains, rows : (samples, N, N) F, (samples, channels, N) K and c out, for
-        ``carry_signatures``, or no rows.
+        ``propagate_signatures``, or no rows.
 
     Returns
     -------
@@ -188,15 +188,15 @@ def predict_record(
     m, size, width = y.shape[1], mean.shape[0], slopes.shape[2]
     n = size - tracked - phi.shape[0]
     first = n + tracked
-    f, work = room(n, first + width)
-    p = _square(covariance, width)
+    f, work = slope_workspace(n, first + width)
+    p = _pad_covariance(covariance, width)
     wide, later = len(p), np.zeros_like(p)
-    a, turned = np.zeros((padded(n), size)), np.zeros((size, padded(n)))
-    x, c, d = np.zeros(wide), np.zeros((m, wide)), np.zeros((m, padded(width)))
+    a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(n)))
+    x, c, d = np.zeros(wide), np.zeros((m, wide)), np.zeros((m, padded_width(width)))
     scratch, space = np.zeros((2, wide)), np.zeros(2 * p.shape[1])
     h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
     x[:size] = mean
-    return _along_record(
+    return _predict_along(
         values, flow, output, product, lower, absorb, both, tracked, inputs, stages, substeps, dt,
         y, r, q, phi, seen, driven, misses, spreads, slopes, means, transitions, gains, rows,
         x[:n], x[:first], both[:tracked], entries_of(driven), f, work, p, later, a, turned, x, c, d,
@@ -205,8 +205,10 @@ def predict_record(
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def _follow(absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, misses, spreads):
-    """A sample taken in with other noise: x is how far its mean is from that of the first run."""
+def _absorb_varied(
+    absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, misses, spreads
+):
+    """Update at one sample under other noise; x is the mean less that of the first run."""
     size, c, gain = rows.shape[2], scratch[:1], scratch[1]
     for j in range(len(misses)):
         misses[j] = spreads[j] = 0.0
@@ -222,7 +224,7 @@ def _follow(absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, 
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def _departed(x, a, z, phi, before, n, first, later):
+def _propagate_departure(x, a, z, phi, before, n, first, later):
     """x <- F x + (Phi - Phi_0) z, F with this Phi."""
     k = phi.shape[0]
     for i in range(n):
@@ -247,25 +249,25 @@ def _vary_along(
     n, first, followed_states, entries, none, f, work, p, x, here, later,
     scratch, space, w, a, turned,
 ):  # fmt: skip
-    """``vary_record`` in room that is there."""
+    """The loop of ``vary_record``, in arrays made before."""
     samples, size = means.shape
     for k in range(samples):
         for v in range(len(x)):
-            _follow(absorb, k, x[v], p[v], rows, gains, before, seen, r[v], scratch, none,
+            _absorb_varied(absorb, k, x[v], p[v], rows, gains, before, seen, r[v], scratch, none,
                     space, misses[v, k], spreads[v, k])  # fmt: skip
         if k == samples - 1:
             break
         for i in range(size):
             here[i] = means[k, i]
-        reset(f)
-        hold(values, followed, followed_states)
-        push(here, driven, entries, first, 0.5 * dt)
+        reset_to_identity(f)
+        write_tracked(values, followed, followed_states)
+        add_forces(here, driven, entries, first, 0.5 * dt)
         flow(here, stages, k * substeps * 3, 3, substeps, dt / substeps, values, f, work)
         transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for v in range(len(x)):
-            _departed(x[v], a, means[k], phis[v], phi, n, first, later)
-            carried(product, a, phis[v], p[v], w, n, size)
-            carry_covariance(lower, w, turned, phis[v], q[v], p[v], n, size)
+            _propagate_departure(x[v], a, means[k], phis[v], phi, n, first, later)
+            apply_transition(product, a, phis[v], p[v], w, n, size)
+            transition_covariance(lower, w, turned, phis[v], q[v], p[v], n, size)
 
 
 @nb.njit(
@@ -295,12 +297,12 @@ def vary_record(
     """
     size = means.shape[1]
     first, n = size - phi.shape[0], size - phi.shape[0] - len(followed)
-    f, work = room(n, first)
-    blank = _square(starts[0], 0)
+    f, work = slope_workspace(n, first)
+    blank = _pad_covariance(starts[0], 0)
     wide, p = len(blank), np.zeros((len(starts), *blank.shape))
     x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
     scratch, space, w = np.zeros((2, wide)), np.zeros(2 * wide), np.zeros_like(blank)
-    a, turned = np.zeros((padded(n), size)), np.zeros((size, padded(n)))
+    a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(n)))
     p[:, :size, :size] = starts
     _vary_along(
         values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven,

@@ -27,7 +27,12 @@ from functools import lru_cache
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, block_diagonal
-from spiral.engine.filter.noise import driven, groups, intensity, sampled
+from spiral.engine.filter.noise import (
+    driven_states,
+    noise_groups,
+    noise_intensity,
+    sampled_covariance,
+)
 from spiral.engine.filter.task import Task
 from spiral.types.noise import COLOURED, Kind
 from spiral.types.record import Array
@@ -37,7 +42,7 @@ EXTRA: tuple[Kind, ...] = (*COLOURED, "drift", "gust")
 
 _LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a level
 _LEVEL = 1e-5  # least level of a force
-OWN = 1.0  # its largest: beside a random force larger than the machine's own no term is told
+OWN = 1.0  # its largest: beside a random force above the machine's own no term can be identified
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
 STEEPEST = 8
 """Highest order of the low-pass of a ``band``."""
@@ -86,10 +91,10 @@ class NoiseModel:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the sizes, times and damping ratios, each once."""
-        found = (n for t in self.terms for n in (t.size, t.time, t.damping) if n)
-        return tuple(dict.fromkeys(found))
+        all_names = (n for t in self.terms for n in (t.size, t.time, t.damping) if n)
+        return tuple(dict.fromkeys(all_names))
 
-    def has(self, kind: Kind) -> bool:
+    def has_kind(self, kind: Kind) -> bool:
         """Whether there is a term of this kind."""
         return any(t.kind == kind for t in self.terms)
 
@@ -97,16 +102,16 @@ class NoiseModel:
         """The same terms with other sizes."""
         return replace(self, values={**self.values, **values})
 
-    def added(self, terms: tuple[NoiseTerm, ...], values: Mapping[str, float]) -> NoiseModel:
+    def with_terms(self, terms: tuple[NoiseTerm, ...], values: Mapping[str, float]) -> NoiseModel:
         """With further terms."""
         return NoiseModel((*self.terms, *terms), {**self.values, **values})
 
     def without(self, *kinds: Kind) -> NoiseModel:
         """Without the terms of these kinds."""
-        return self.of(t for t in self.terms if t.kind not in kinds)
+        return self.select_terms(t for t in self.terms if t.kind not in kinds)
 
-    def whitened(self, *kinds: Kind) -> NoiseModel:
-        """Without the terms of these kinds, what is white in their place as large as both.
+    def replace_with_white(self, *kinds: Kind) -> NoiseModel:
+        """Without the terms of these kinds, white ones in their place: (a_white^2 + a^2)^(1/2).
 
         White noise that had vanished beside them would not come back: on the logarithmic scale of
         sizes it has no slope.
@@ -119,7 +124,7 @@ class NoiseModel:
                 sizes[white] = float(np.hypot(sizes[white], self.values[term.size]))
         return less.with_values(sizes)
 
-    def of(self, terms: Iterable[NoiseTerm]) -> NoiseModel:
+    def select_terms(self, terms: Iterable[NoiseTerm]) -> NoiseModel:
         """Some of its terms alone."""
         kept = tuple(terms)
         names = NoiseModel(kept, {}).names
@@ -137,13 +142,13 @@ def first_noise(task: Task, level: float, sizes: Array | None = None) -> NoiseMo
     white = task.series.sigma if sizes is None else sizes
     terms = (
         *(NoiseTerm("white", c) for c in channels),
-        *(NoiseTerm("force", g) for g in groups(task)),
+        *(NoiseTerm("force", g) for g in noise_groups(task)),
     )
     values = {f"white.{c}": float(s) for c, s in zip(channels, white, strict=True)}
-    return NoiseModel(terms, values | {f"force.{g}": level for g in groups(task)})
+    return NoiseModel(terms, values | {f"force.{g}": level for g in noise_groups(task)})
 
 
-def limits(task: Task, name: str) -> tuple[float, float]:
+def size_limits(task: Task, name: str) -> tuple[float, float]:
     """Smallest and largest value that a size or time may take."""
     kind, _, where = name.partition(".")
     if where == "time":
@@ -160,19 +165,19 @@ def limits(task: Task, name: str) -> tuple[float, float]:
     return _LEAST * spread, _MOST * spread
 
 
-def acting_on(task: Task, noise: NoiseModel) -> NoiseModel:
+def drop_inapplicable_forces(task: Task, noise: NoiseModel) -> NoiseModel:
     """The noise without forces on states that a model does not have.
 
-    An effect with states of its own takes them with it when it is let go.
+    An effect that is dropped from the model takes its own states with it.
     """
-    return noise.of(
-        t for t in noise.terms if t.kind not in ("force", "gust") or driven(task, t.where)
+    return noise.select_terms(
+        t for t in noise.terms if t.kind not in ("force", "gust") or driven_states(task, t.where)
     )
 
 
 @dataclass(frozen=True)
 class Matrices:
-    """What the kernel is told of one record: see ``kernel.predict_record``; ``p`` before it."""
+    """Noise of one record for ``kernel.predict_record``; ``p`` is before the first sample."""
 
     r: Array
     q: Array
@@ -182,15 +187,15 @@ class Matrices:
     driven: Array
 
 
-def matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> Matrices:
+def noise_matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> Matrices:
     """The noise of one record as matrices."""
     n, channels = len(task.states), task.compiled.traced.channels
     white = [noise.values.get(f"white.{c}", 0.0) for c in channels]
     levels = {t.where: noise.values[t.size] for t in noise.terms if t.kind == "force"}
-    steady = np.where(task.felt.any(axis=0), 0.0, intensity(task, levels))
-    q = block_diagonal(sampled(task, steady), settings.wander)
+    steady = np.where(task.felt.any(axis=0), 0.0, noise_intensity(task, levels))
+    q = block_diagonal(sampled_covariance(task, steady), settings.wander)
     p = block_diagonal(settings.covariance, settings.doubt**2)
-    blocks = [b for t in noise.terms for b in _blocks(task, t, noise.values)]
+    blocks = [b for t in noise.terms for b in _term_blocks(task, t, noise.values)]
     k = sum(len(b.phi) for b in blocks)
     phi, added, first = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k))
     seen, driven = np.zeros((len(channels), k)), np.zeros((n, k))
@@ -210,9 +215,9 @@ def matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> Matrice
     return Matrices(np.array(white) ** 2, whole, start, phi, seen, driven)
 
 
-def places(task: Task, noise: NoiseModel) -> dict[str, int]:
+def state_offsets(task: Task, noise: NoiseModel) -> dict[str, int]:
     """By size of a term: the first of its states, counted from the first of all terms' states."""
-    counts = [sum(len(b.phi) for b in _blocks(task, t, noise.values)) for t in noise.terms]
+    counts = [sum(len(b.phi) for b in _term_blocks(task, t, noise.values)) for t in noise.terms]
     return {t.size: sum(counts[:i]) for i, t in enumerate(noise.terms)}
 
 
@@ -227,44 +232,44 @@ class _Block:
     state: int = -1
 
 
-def _blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_Block]:
+def _term_blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_Block]:
     dt, size = task.series.dt, values[term.size]
     if term.kind == "force":
         at_once = np.flatnonzero(task.felt.any(axis=0))
         if not at_once.size:
             return []
-        spread = np.sqrt(intensity(task, {term.where: size}) / dt)
-        return [replace(_held(spread[i]), state=int(i)) for i in at_once if spread[i] > 0]
+        spread = np.sqrt(noise_intensity(task, {term.where: size}) / dt)
+        return [replace(_white_block(spread[i]), state=int(i)) for i in at_once if spread[i] > 0]
     if not term.states:
         return []
     if term.kind == "gust":
         return [
-            replace(_relaxing(dt, values[term.time], size * float(task.rates[i])), state=i)
-            for i in driven(task, term.where)
+            replace(_relaxation_block(dt, values[term.time], size * float(task.rates[i])), state=i)
+            for i in driven_states(task, term.where)
         ]
     channel = task.compiled.traced.channels.index(term.where)
     if term.kind == "drift":
         one = np.ones((1, 1))
         return [_Block(one, one * size**2 * dt, 0.0 * one, channel)]
     if term.kind in ("band", "vibration"):
-        return [replace(_filtered(dt, term, values), channel=channel)]
-    return [replace(_relaxing(dt, values[term.time], size), channel=channel)]
+        return [replace(_shaped_block(dt, term, values), channel=channel)]
+    return [replace(_relaxation_block(dt, values[term.time], size), channel=channel)]
 
 
-def _held(size: float) -> _Block:
-    """A value of standard deviation ``size`` that is another at every sample."""
+def _white_block(size: float) -> _Block:
+    """White noise held within a sample, of standard deviation ``size``."""
     whole = np.full((1, 1), size**2)
     return _Block(np.zeros((1, 1)), whole, whole)
 
 
-def _relaxing(dt: float, time: float, size: float) -> _Block:
+def _relaxation_block(dt: float, time: float, size: float) -> _Block:
     """A stationary process of standard deviation ``size`` that forgets with this time constant."""
     phi = np.full((1, 1), np.exp(-dt / time))
     whole = np.full((1, 1), size**2)
     return _Block(phi, whole * (1 - phi**2), whole)
 
 
-def _filtered(dt: float, term: NoiseTerm, values: Mapping[str, float]) -> _Block:
+def _shaped_block(dt: float, term: NoiseTerm, values: Mapping[str, float]) -> _Block:
     """White noise behind a low-pass or a resonance with w0 = 1 / time.
 
     The states are z and its derivatives over the powers of w0. Stationary, z with the standard

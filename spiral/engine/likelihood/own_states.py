@@ -20,7 +20,7 @@ import numpy as np
 import sympy as sp
 
 from spiral.physics.compile import Compiled, compile_model
-from spiral.physics.signatures import Along, Own, at_port_along, inputs_seen
+from spiral.physics.signatures import Along, Own, effect_inputs, port_motion_along
 from spiral.physics.trace import Traced
 from spiral.types.cache import kept
 from spiral.types.effect import Effect, expand
@@ -38,15 +38,15 @@ def own_states_along(
     ----------
     shapes : (copies,) of each shape parameter. shift : rad added to ``u.phase``.
     """
-    from spiral.engine.likelihood.own_states_kernel import drive_own
+    from spiral.engine.likelihood.own_states_kernel import drive_own_states
 
     port = check_effect(along.system, effect)
     axes = max(len(port.axes), 1)
-    u = vars(inputs_seen(along, shift))
+    u = vars(effect_inputs(along, shift))
     names = tuple(sorted(u))
-    compiled = compiled_alone(type(effect), axes, names)
-    position, velocity = at_port_along(along, effect)
-    middle, turning = halfway(position, velocity, dt)
+    compiled = compile_own_rates(type(effect), axes, names)
+    position, velocity = port_motion_along(along, effect)
+    middle, turning = midpoint_motion(position, velocity, dt)
     count = len(along.states)
     inputs = np.column_stack([np.broadcast_to(u[n], (count,)) for n in names] or [np.zeros(count)])
     copies = len(next(iter(shapes.values()), np.zeros(1)))
@@ -58,8 +58,8 @@ def own_states_along(
             values[:, i] = shapes.get(known.name, shapes.get(name, known.start or 0.0))
     own = len(compiled.traced.states) - 2 * axes
     states = np.zeros((copies, count, own))
-    states[:, 0] = _first(effect, position)
-    drive_own(
+    states[:, 0] = _first_own_states(effect, position)
+    drive_own_states(
         compiled.rate_value, np.ascontiguousarray(np.hstack([position, velocity])),
         np.ascontiguousarray(np.hstack([middle, turning])), np.ascontiguousarray(inputs), values,
         dt, states,
@@ -67,29 +67,29 @@ def own_states_along(
     return states
 
 
-def _first(effect: Effect, position: Array) -> list[float]:
-    """Where own states begin."""
-    found: list[float] = []
+def _first_own_states(effect: Effect, position: Array) -> list[float]:
+    """First values of own states: zero, or the port's position for one that is ``like`` it."""
+    values: list[float] = []
     for state in effect.states:
         place = position[0] if state.per_axis else position[0, :1]
-        found += list(place) if state.like else [0.0] * len(place)
-    return found
+        values += list(place) if state.like else [0.0] * len(place)
+    return values
 
 
-def own_of(effect: Effect, axes: int, states: Array) -> Own:
+def arrange_own_states(effect: Effect, axes: int, states: Array) -> Own:
     """One copy's own states (samples, states) as the effect's equations see them."""
-    found, at = {}, 0
+    own, at = {}, 0
     for state in effect.states:
         if not state.per_axis:
-            found[state.name], at = states[:, at], at + 1
+            own[state.name], at = states[:, at], at + 1
             continue
-        found[state.name] = tuple(states[:, at + i] for i in range(axes))
+        own[state.name] = tuple(states[:, at + i] for i in range(axes))
         at += axes
-    return found
+    return own
 
 
 @kept(64)
-def compiled_alone(kind: type[Effect], axes: int, inputs: tuple[str, ...]) -> Compiled:
+def compile_own_rates(kind: type[Effect], axes: int, inputs: tuple[str, ...]) -> Compiled:
     """The rates of an effect's own states, by (own states, positions, velocities)."""
     effect = kind()
     counts = [axes if s.per_axis else 1 for s in effect.states]
@@ -102,8 +102,8 @@ def compiled_alone(kind: type[Effect], axes: int, inputs: tuple[str, ...]) -> Co
     symbols = dict(zip(keys, sp.symbols(f"p0:{len(pairs)}", real=True), strict=True))
     p, own, at = SimpleNamespace(), SimpleNamespace(), 0
     for parameter in effect.parameters:
-        found = [symbols[k] for k, _ in expand(effect.label, (parameter,), names)]
-        setattr(p, parameter.name, tuple(found) if parameter.per_axis else found[0])
+        chosen = [symbols[k] for k, _ in expand(effect.label, (parameter,), names)]
+        setattr(p, parameter.name, tuple(chosen) if parameter.per_axis else chosen[0])
     for state, count in zip(effect.states, counts, strict=True):
         part = tuple(x[at : at + count])
         setattr(own, state.name, part if state.per_axis else part[0])
@@ -124,7 +124,7 @@ def compiled_alone(kind: type[Effect], axes: int, inputs: tuple[str, ...]) -> Co
     )  # fmt: skip
 
 
-def halfway(position: Array, velocity: Array, dt: float) -> tuple[Array, Array]:
+def midpoint_motion(position: Array, velocity: Array, dt: float) -> tuple[Array, Array]:
     """Position and velocity between samples, by cubic Hermite curves."""
     middle, turning = position.copy(), velocity.copy()
     middle[:-1] = 0.5 * (position[:-1] + position[1:]) + dt / 8 * (velocity[:-1] - velocity[1:])

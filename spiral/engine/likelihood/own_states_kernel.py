@@ -23,7 +23,9 @@ _FINER, _MOST = 4, 64  # times as many parts, and at most
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _step(rate, motion, between, inputs, k, first, share, dt, p, z, largest, x, u, f, slopes):
+def _runge_kutta_step(
+    rate, motion, between, inputs, k, first, share, dt, p, z, largest, x, u, f, slopes
+):
     """z one step on, from ``first`` of the way between two samples over a ``share`` of it.
 
     Returns the largest e, as a share of the largest state.
@@ -59,7 +61,7 @@ def _step(rate, motion, between, inputs, k, first, share, dt, p, z, largest, x, 
     types.void(VALUE_FUNCTION, _F2, _F2, _F2, _F2, types.float64, _F3),
     cache=True, nogil=True, error_model="numpy",
 )  # fmt: skip
-def drive_own(rate, motion, between, inputs, values, dt, states):
+def drive_own_states(rate, motion, between, inputs, values, dt, states):
     """States z of an effect alone, driven by a motion, by classical Runge-Kutta from rest.
 
     Parameters
@@ -80,7 +82,7 @@ def drive_own(rate, motion, between, inputs, values, dt, states):
                 after[:] = states[copy, k]
                 worst = 0.0
                 for part in range(parts):
-                    error = _step(
+                    error = _runge_kutta_step(
                         rate, motion, between, inputs, k, part / parts, 1.0 / parts, dt,
                         values[copy], after, largest, x, u, f, slopes,
                     )  # fmt: skip

@@ -15,10 +15,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from spiral.engine.filter.algebra import algebra
+from spiral.engine.filter.algebra import compiled_algebra
 from spiral.engine.filter.extended import FilterSettings, tracked_indices
 from spiral.engine.filter.task import Task
-from spiral.engine.likelihood.noise import NoiseModel, matrices
+from spiral.engine.likelihood.noise import NoiseModel, noise_matrices
 from spiral.engine.series import Series
 from spiral.engine.threads import THREADS
 from spiral.physics.flow import Flow, compile_flow
@@ -80,10 +80,10 @@ class Prediction:
         seen = self.spreads > 0
         with np.errstate(divide="ignore", invalid="ignore"):
             each = np.where(seen, np.log(2 * np.pi * self.spreads) + self.whitened**2, 0.0)
-        found = -0.5 * each.sum(axis=1)
-        found[:1] += self.volume
-        found[self.done :] = -np.inf
-        return found
+        total = -0.5 * each.sum(axis=1)
+        total[:1] += self.volume
+        total[self.done :] = -np.inf
+        return total
 
     @cached_property
     def weight(self) -> Array:
@@ -92,18 +92,18 @@ class Prediction:
             return np.where(self.spreads > 0, 1 / np.sqrt(self.spreads), 0.0)
 
 
-def predicted(
+def predict_readings(
     task: Task, settings: FilterSettings, noise: NoiseModel, keys: Sequence[str] = (),
     keep: bool = False, carry: bool = False,
 ) -> Prediction:  # fmt: skip
-    """One record, with slopes by ``keys``; ``keep`` means, gains and rows, ``carry`` all."""
+    """Predict a record, with slopes by ``keys``; ``keep`` means, gains, rows, ``carry`` F too."""
     from spiral.engine.likelihood.kernel import predict_record
 
     tracked = tracked_indices(task, settings.tracked)
     both = np.concatenate([tracked, tracked_indices(task, tuple(keys))]).astype(np.int64)
-    flow, compiled = _flow(task, settings, tuple(keys)), algebra()
-    parts = matrices(task, settings, noise)
-    white = _white(parts.r, task.series)
+    flow, compiled = _task_flow(task, settings, tuple(keys)), compiled_algebra()
+    parts = noise_matrices(task, settings, noise)
+    white = _white_variances(parts.r, task.series)
     samples, m = task.series.y.shape
     size, kept = len(parts.q), samples if keep or carry else 0
     more = samples if carry else 0
@@ -125,18 +125,18 @@ def predicted(
     return Prediction(*arrays, int(done), settings.volume)
 
 
-def _white(variance: Array, series: Series) -> Array:
+def _white_variances(variance: Array, series: Series) -> Array:
     """(samples or 1, channels) variance of the white noise of each reading."""
     return variance[None, :] if series.grown is None else variance * series.grown
 
 
-def _flow(task: Task, settings: FilterSettings, keys: tuple[str, ...] = ()) -> Flow:
+def _task_flow(task: Task, settings: FilterSettings, keys: tuple[str, ...] = ()) -> Flow:
     """The flow of a task with slopes by tracked parameters and these; one for all that it moves."""
     moved = task.moved if task.moved[: len(keys)] == keys else keys
     return compile_flow(task.compiled.traced, (*settings.tracked, *moved))
 
 
-def varied(
+def vary_noise(
     task: Task, settings: FilterSettings, noise: NoiseModel, others: Sequence[NoiseModel],
     run: Prediction,
 ) -> list[tuple[Array, Array]]:  # fmt: skip
@@ -147,10 +147,13 @@ def varied(
     from spiral.engine.likelihood.kernel import vary_record
 
     tracked = tracked_indices(task, settings.tracked)
-    flow, compiled = _flow(task, settings), algebra()
-    first, parts = matrices(task, settings, noise), [matrices(task, settings, n) for n in others]
+    flow, compiled = _task_flow(task, settings), compiled_algebra()
+    first, parts = (
+        noise_matrices(task, settings, noise),
+        [noise_matrices(task, settings, n) for n in others],
+    )
     p, q, phi = (np.array([getattr(m, a) for m in parts]) for a in ("p", "q", "phi"))
-    r = np.array([_white(m.r, task.series) for m in parts])
+    r = np.array([_white_variances(m.r, task.series) for m in parts])
     misses, spreads = (np.zeros((len(others), *run.misses.shape)) for _ in range(2))
     series = task.series
     vary_record(
@@ -161,24 +164,24 @@ def varied(
     return [(misses[j], spreads[j]) for j in range(len(others))]
 
 
-def all_predicted(
+def predict_cases(
     cases: Sequence[tuple[Prepared, NoiseModel]], keys: Sequence[str] = (), keep: bool = False
 ) -> list[tuple[Prediction, ...]]:
     """Every record of every case; cases run side by side, and know nothing of one another."""
     jobs = [(task, settings, noise) for prepared, noise in cases for task, settings in prepared]
 
-    def run(job: tuple[Task, FilterSettings, NoiseModel]) -> Prediction:
-        return predicted(*job, keys, keep)
+    def predict_job(job: tuple[Task, FilterSettings, NoiseModel]) -> Prediction:
+        return predict_readings(*job, keys, keep)
 
-    flat, found, at = side_by_side(run, jobs), [], 0
+    flat, grouped, at = run_in_threads(predict_job, jobs), [], 0
     for prepared, _ in cases:
-        found.append(tuple(flat[at : at + len(prepared)]))
+        grouped.append(tuple(flat[at : at + len(prepared)]))
         at += len(prepared)
-    return found
+    return grouped
 
 
-def side_by_side(run: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
-    """A function of every job, on as many threads as there may be."""
+def run_in_threads(run: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
+    """Results of a function of every job, on up to ``THREADS`` threads."""
     with np.errstate(all="ignore"):
         if len(jobs) == 1 or THREADS == 1:
             return [run(job) for job in jobs]
@@ -201,6 +204,6 @@ def log_likelihood(parts: Sequence[Prediction], masks: Masks = None) -> float:
     return total if np.isfinite(total) else RUNAWAY
 
 
-def likelihood_of(prepared: Prepared, noise: NoiseModel) -> float:
+def total_log_likelihood(prepared: Prepared, noise: NoiseModel) -> float:
     """Log-likelihood of all samples at the values and the noise that are given."""
-    return log_likelihood(all_predicted([(prepared, noise)])[0])
+    return log_likelihood(predict_cases([(prepared, noise)])[0])

@@ -1,4 +1,4 @@
-"""Slopes by amplitudes that are zero along a filtered record, and what they are made of."""
+"""Slopes of predictions by amplitudes that are zero, propagated along a filtered record."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TILE = 16  # samples whose columns are put side by side at a time
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _side_by_side(pushes, readings, first, b, h):
+def _fill_tile(pushes, readings, first, b, h):
     """The columns of some samples next to one another: b (tile + 1, n, width), h (tile, m, width).
 
     Samples that are not there are zero.
@@ -33,7 +33,7 @@ def _side_by_side(pushes, readings, first, b, h):
     types.void(_F3, _F3, _F3, _F3, _F3, _F2, types.float64, _F3),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
-def carry_signatures(transitions, gains, rows, pushes, readings, s, half, slopes):
+def propagate_signatures(transitions, gains, rows, pushes, readings, s, half, slopes):
     """Slopes of predictions by amplitudes that are zero, along a filtered stretch.
 
         d = c S + H,   S <- S - K d,   S <- F S + dt/2 (F_x B_k + B_{k+1})
@@ -52,7 +52,7 @@ def carry_signatures(transitions, gains, rows, pushes, readings, s, half, slopes
     push, told = np.zeros((_TILE + 1, n, width)), np.zeros((_TILE, m, width))
     for k in range(samples):
         if k % _TILE == 0:
-            _side_by_side(pushes, readings, k, push, told)
+            _fill_tile(pushes, readings, k, push, told)
         at = k % _TILE
         for j in range(m):
             d = slopes[k, j]

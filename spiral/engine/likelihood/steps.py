@@ -11,10 +11,10 @@ _STRONGEST = 1e6  # damping from which no step is another one
 _OTHER = 0.3  # share of a step that the next one tried differs by
 
 
-def next_step(
+def next_damped_step(
     upper: Array, sizes: Array, damping: float, strain: float, last: Array | None
 ) -> tuple[Array, float]:
-    """A step with this damping, or with as much more as makes it another one than the last.
+    """A damped step that differs from the last one (with more damping if need be); its damping.
 
     Where damping is far below the smallest eigenvalue of the unit columns' products, ten times as
     much changes nothing.
@@ -24,18 +24,20 @@ def next_step(
     upper : R (k + 1, k + 1) of [X | e]. sizes : (k,) norms of X's columns. strain : factor by which
         damping grows. last : the step tried before, if any.
     """
-    step = damped(upper, sizes, damping)
+    step = damped_solution(upper, sizes, damping)
     if last is None:
         return step, damping
     least = _OTHER * float(np.linalg.norm(sizes * last))
     while np.linalg.norm(sizes * (step - last)) < least and damping < _STRONGEST:
         damping *= strain
-        step = damped(upper, sizes, damping)
+        step = damped_solution(upper, sizes, damping)
     return step, damping
 
 
-def within(upper: Array, solved: Fit, values: Array, limits: Array) -> tuple[Array, float]:
-    """A triangle without columns of values that press on a bound; what the step then gains.
+def drop_bounded_columns(
+    upper: Array, solved: Fit, values: Array, limits: Array
+) -> tuple[Array, float]:
+    """The triangle with columns of values that press on a bound set to zero; its step's gain.
 
     Parameters
     ----------
@@ -53,7 +55,7 @@ def within(upper: Array, solved: Fit, values: Array, limits: Array) -> tuple[Arr
     return upper, 0.5 * (float(np.sum(upper[:, -1] ** 2)) - solved.rss)
 
 
-def damped(upper: Array, sizes: Array, damping: float) -> Array:
+def damped_solution(upper: Array, sizes: Array, damping: float) -> Array:
     """Least squares with every unit column held at zero by ``damping``."""
     scale = np.where(sizes > 0, sizes, 1.0)
     k = len(scale)

@@ -22,18 +22,18 @@ _NOTHING = 1e-280  # a variance, in any unit
 @nb.njit(cache=True, nogil=True)
 def entries_of(driven):
     """Rows and columns of the entries of G that are not zero."""
-    found = np.zeros((driven.size, 2), dtype=np.int64)
+    entries = np.zeros((driven.size, 2), dtype=np.int64)
     count = 0
     for i in range(driven.shape[0]):
         for j in range(driven.shape[1]):
             if driven[i, j] != 0.0:
-                found[count, 0], found[count, 1] = i, j
+                entries[count, 0], entries[count, 1] = i, j
                 count += 1
-    return found[:count].copy()
+    return entries[:count].copy()
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def push(x, driven, entries, first, half):
+def add_forces(x, driven, entries, first, half):
     """x <- x + G z dt / 2."""
     for e in range(entries.shape[0]):
         i, j = entries[e, 0], entries[e, 1]
@@ -41,7 +41,7 @@ def push(x, driven, entries, first, half):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def forget(x, phi, first, later):
+def advance_noise_states(x, phi, first, later):
     """z <- Phi z."""
     k = phi.shape[0]
     for i in range(k):
@@ -74,8 +74,8 @@ def transition_rows(f, driven, entries, first, half, a, turned):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def whole(k, a, phi, n, transitions):
-    """F of a sample, where it is asked for."""
+def store_transition(k, a, phi, n, transitions):
+    """Store F of a sample, where transitions are kept."""
     if transitions.shape[0] == 0:
         return
     size = transitions.shape[1]
@@ -89,7 +89,7 @@ def whole(k, a, phi, n, transitions):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def carried(product, a, phi, m, w, n, size):
+def apply_transition(product, a, phi, m, w, n, size):
     """W = F M."""
     first = size - phi.shape[0]
     product(a, m, w, n, size)
@@ -107,11 +107,11 @@ def carried(product, a, phi, m, w, n, size):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def carry_covariance(lower, w, turned, phi, q, m, n, size):
+def transition_covariance(lower, w, turned, phi, q, m, n, size):
     """P <- W F^T + Q with W = F P; P stays exactly symmetric.
 
-    What nothing disturbs is known ever better; before its variance is too small to be a number of
-    full precision, and negative by rounding, it is zero.
+    A state without process noise is known ever better; its variance is set to zero before it is too
+    small to be a number of full precision, or negative by rounding.
     """
     first = size - phi.shape[0]
     lower(w, turned, m, n, size)
@@ -145,7 +145,7 @@ def carry_covariance(lower, w, turned, phi, q, m, n, size):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def carried_slopes(w, f, m, n, first, size, width):
+def transition_slopes(w, f, m, n, first, size, width):
     """S <- F S + F_p, from W."""
     wide = m.shape[0]
     for i in range(n):

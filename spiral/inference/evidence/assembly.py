@@ -13,13 +13,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from spiral.engine.series import prepare
+from spiral.engine.series import prepare_series
 from spiral.engine.study import ORIGIN, CompiledStudy, ParameterColumns, columns_for
 from spiral.inference.evidence.lines import strongest_line
-from spiral.inference.evidence.scales import extremes, scale, spread_out, usable, visited
+from spiral.inference.evidence.scales import (
+    covering_samples,
+    is_usable_scale,
+    largest_port_motion,
+    shape_scale,
+    states_along_records,
+)
 from spiral.inference.problem import Problem
 from spiral.physics.compile import Compiled, compile_model
-from spiral.physics.rest import check_rest, finite_along, undefined_along
+from spiral.physics.rest import check_rest, is_finite_along, undefined_effects_along
 from spiral.physics.trace import trace
 from spiral.types.effect import Effect
 from spiral.types.model import Model
@@ -93,15 +99,15 @@ def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()
     all.
     """
     waiting = tuple(c for c in problem.candidates if c.states)
-    variants, left_out, states = offers(problem, waiting)
+    variants, left_out, states = build_variants(problem, waiting)
     left_out |= {c.label: _OWN_STATES for c in waiting if not resonates(c)}
     variants += more
-    assembly = compiled_with(problem, variants, substeps)
-    undefined = _undefined(assembly, states)
+    assembly = compile_assembly(problem, variants, substeps)
+    undefined = _undefined_candidates(assembly, states)
     if undefined:
         left_out |= dict.fromkeys(undefined, NO_NUMBER)
         kept = [v for v in variants if v.original.label not in undefined]
-        assembly = compiled_with(problem, kept, substeps)
+        assembly = compile_assembly(problem, kept, substeps)
     return replace(assembly, left_out=left_out)
 
 
@@ -110,35 +116,37 @@ def resonates(effect: Effect) -> bool:
     return bool(effect.states) and any(p.spectrum for p in effect.parameters)
 
 
-def offers(
+def build_variants(
     problem: Problem, waiting: Sequence[Effect], expected: Sequence[Array] = ()
 ) -> tuple[list[Variant], dict[str, str], Sequence[Array]]:
-    """Variants of the candidates but those that wait.
+    """Variants of all candidates but those that wait.
 
-    Beside them those left out and why, and the states that the records visit. ``expected`` as in
-    ``extremes``.
+    Returns them with the candidates left out and why, and the states that the records visit.
+    ``expected`` as in ``largest_port_motion``.
     """
     now = [c for c in problem.candidates if c not in waiting]
-    states = visited(problem.model, problem.records) if now else ()
-    largest = extremes(problem.model.system, problem.records, states, expected) if now else {}
+    states = states_along_records(problem.model, problem.records) if now else ()
+    largest = (
+        largest_port_motion(problem.model.system, problem.records, states, expected) if now else {}
+    )
     variants: list[Variant] = []
     left_out: dict[str, str] = {}
     for candidate in now:
-        found = _variants(problem.model, candidate, largest, problem)
-        variants += found
-        if not found:
-            left_out[candidate.label] = _unaskable(problem.model, candidate, largest)
+        copies = _candidate_variants(problem.model, candidate, largest, problem)
+        variants += copies
+        if not copies:
+            left_out[candidate.label] = _untestable_reason(problem.model, candidate, largest)
     return variants, left_out, states
 
 
-def compiled_with(problem: Problem, variants: Sequence[Variant], substeps: int) -> Assembly:
+def compile_assembly(problem: Problem, variants: Sequence[Variant], substeps: int) -> Assembly:
     """One compiled study of the problem's model and these variants."""
-    compiled, knot = compiled_of(problem, variants), problem.settings.phase_knot
-    series = tuple(prepare(problem.model.system, r, substeps, knot) for r in problem.records)
+    compiled, knot = compile_with_variants(problem, variants), problem.settings.phase_knot
+    series = tuple(prepare_series(problem.model.system, r, substeps, knot) for r in problem.records)
     return Assembly(problem, CompiledStudy(compiled, series), tuple(variants))
 
 
-def compiled_of(problem: Problem, variants: Sequence[Variant]) -> Compiled:
+def compile_with_variants(problem: Problem, variants: Sequence[Variant]) -> Compiled:
     """The problem's model and these variants, compiled."""
     model = problem.model
     effects = [*model.effects]
@@ -165,28 +173,28 @@ def check_candidates(problem: Problem) -> None:
     check_rest(compile_model(trace(model.system, effects)), model.system, effects)
 
 
-def _undefined(assembly: Assembly, states: Sequence[Array]) -> tuple[str, ...]:
+def _undefined_candidates(assembly: Assembly, states: Sequence[Array]) -> tuple[str, ...]:
     """Candidates whose force or slopes are no numbers somewhere along the records."""
     study = assembly.study
-    rows = first_row(assembly)
+    rows = initial_values(assembly)
     inputs = [s.inputs[:: 2 * s.substeps] for s in study.series]
     for record, (x, u) in enumerate(zip(states, inputs, strict=False)):
-        where = spread_out(x)
-        if finite_along(study.compiled, rows[record], x[where], u[where]):
+        where = covering_samples(x)
+        if is_finite_along(study.compiled, rows[record], x[where], u[where]):
             continue
         values = dict(zip(study.keys, rows[record], strict=False))
         effects = {v.effect.label: v.effect for v in assembly.variants}
         system = assembly.problem.model.system
-        bad = undefined_along(system, tuple(effects.values()), values, x[where], u[where])
+        bad = undefined_effects_along(system, tuple(effects.values()), values, x[where], u[where])
         return tuple(dict.fromkeys(assembly.variant(x).original.label for x in bad))
     return ()
 
 
-def _unaskable(model: Model, effect: Effect, largest: Mapping[str, float]) -> str:
-    """Why no value of an effect's shapes can be tried on these records."""
+def _untestable_reason(model: Model, effect: Effect, largest: Mapping[str, float]) -> str:
+    """Why these records cannot test an effect: no motion at its port, or too low a sample rate."""
     port = model.system.place(effect)
     for parameter in effect.parameters:
-        if parameter.grid and not usable(scale(parameter, largest, port)):
+        if parameter.grid and not is_usable_scale(shape_scale(parameter, largest, port)):
             return (
                 f"nothing moves at {port.name} in these records: its {parameter.name} has no scale"
             )
@@ -198,7 +206,7 @@ def with_records(
 ) -> Assembly:
     """The same compiled model with other records, their phase corrected only where asked."""
     system = assembly.problem.model.system
-    series = tuple(prepare(system, r, substeps, knot) for r in records)
+    series = tuple(prepare_series(system, r, substeps, knot) for r in records)
     return replace(assembly, study=replace(assembly.study, series=series))
 
 
@@ -208,18 +216,20 @@ def with_steps(assembly: Assembly, substeps: int) -> Assembly:
     return with_records(assembly, problem.records, substeps, problem.settings.phase_knot)
 
 
-def _variants(
+def _candidate_variants(
     model: Model, effect: Effect, largest: Mapping[str, float], problem: Problem
 ) -> list[Variant]:
     port = model.system.place(effect)
     shapes = [p for p in effect.parameters if p.role == "shape"]
     directed = any(e.undirected() for e in model.effects)
     companion = effect.undirected() and not directed
-    found = []
+    variants = []
     for number, shares in enumerate(itertools.product(*(p.grid or (1.0,) for p in shapes))):
         tag = str(number + 1) if shapes else ""
         copy = replace(effect, variant=tag)
-        tried = [_tried(p, s, largest, port, problem) for p, s in zip(shapes, shares, strict=True)]
+        tried = [
+            _shape_trial(p, s, largest, port, problem) for p, s in zip(shapes, shares, strict=True)
+        ]
         if not all(count for _, count in tried):
             continue
         keys = [f"{copy.label}.{p.name}" for p in shapes]
@@ -227,17 +237,17 @@ def _variants(
         tuned = tuple(k for k, p in zip(keys, shapes, strict=True) if len(p.grid) != 1)
         turned = replace(effect, variant=f"{tag}quarter") if companion else None
         searched = int(np.prod([count for _, count in tried]))
-        found.append(Variant(copy, effect, sizes, turned, tuned, searched))
-    return found
+        variants.append(Variant(copy, effect, sizes, turned, tuned, searched))
+    return variants
 
 
-def _tried(
+def _shape_trial(
     parameter: Parameter, share: float, largest: Mapping[str, float], port: Port, problem: Problem
 ) -> tuple[float, int]:
     """A shape's value and among how many it was looked for; 0 where the records cannot show it."""
-    size = scale(parameter, largest, port)
+    size = shape_scale(parameter, largest, port)
     value = share * size
-    if parameter.grid and not usable(size):
+    if parameter.grid and not is_usable_scale(size):
         return value, 0
     if not parameter.search:
         return value, 1
@@ -268,7 +278,7 @@ def active_keys(
         elif owner == "system" or owner in model.labels:
             if key in movable and (owner == "system" or owner in labels):
                 keys.append(key)
-        elif owner in labels and (key in freed or _role(assembly, key) == "amplitude"):
+        elif owner in labels and (key in freed or _parameter_role(assembly, key) == "amplitude"):
             keys.append(key)
     return (*keys, *corrections)
 
@@ -294,25 +304,25 @@ def effects_of(assembly: Assembly, labels: Collection[str]) -> list[Effect]:
     return own + [v.effect for v in assembly.variants if v.label in labels]
 
 
-def _role(assembly: Assembly, key: str) -> str:
+def _parameter_role(assembly: Assembly, key: str) -> str:
     return assembly.study.compiled.traced.parameters[assembly.study.index(key)].role
 
 
-def columns(
+def columns_with_bounds(
     assembly: Assembly, keys: tuple[str, ...]
 ) -> tuple[ParameterColumns, tuple[Array, Array]]:
     """Columns with their bounds; the phase origin is shared where phase was measured."""
     study = assembly.study
     shared = all("phase" in s.record.measured for s in study.series)
-    found = columns_for(study, keys, shared)
+    moving = columns_for(study, keys, shared)
     known = study.compiled.traced.parameters
-    parameters = [known[i] if i < len(known) else None for i in found.index]
+    parameters = [known[i] if i < len(known) else None for i in moving.index]
     low = np.array([-np.inf if p is None or p.lower is None else p.lower for p in parameters])
     high = np.array([np.inf if p is None or p.upper is None else p.upper for p in parameters])
-    return found, (low, high)
+    return moving, (low, high)
 
 
-def first_row(assembly: Assembly) -> Array:
+def initial_values(assembly: Assembly) -> Array:
     """Values (records, parameters) known before any fit: given, starts, shapes; else zero."""
     study = assembly.study
     row = np.zeros(len(study.keys) + study.corrections)
@@ -337,17 +347,19 @@ def unknown_keys(assembly: Assembly, keys: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(k for k in keys if k not in given and k in starts and starts[k].start is None)
 
 
-def placed(assembly: Assembly, labels: tuple[str, ...], values: Array, model: Model) -> Array:
+def with_model_values(
+    assembly: Assembly, labels: tuple[str, ...], values: Array, model: Model
+) -> Array:
     """A study's values with those of a fitted model in their columns, all others unchanged."""
     own = {"system", *labels}
     rename = {v.label: v.original.label for v in assembly.variants if v.label in own}
-    found = values.copy()
+    new_values = values.copy()
     for column, key in enumerate(assembly.study.keys):
         owner, name = key.rsplit(".", 1)
         value = model.values.get(f"{rename.get(owner, owner)}.{name}")
         if owner in own and value is not None:
-            found[:, column] = value
-    return found
+            new_values[:, column] = value
+    return new_values
 
 
 def to_model(
@@ -358,7 +370,7 @@ def to_model(
     freed: tuple[str, ...] = (),
     held: tuple[str, ...] = (),
 ) -> Model:
-    """The model that a standing of the study amounts to, under its effects' real names.
+    """The model with the study's active effects and values, under its effects' real names.
 
     ``freed`` shapes move in later fits of it, ``held`` amplitudes do not.
     """
@@ -368,18 +380,20 @@ def to_model(
     effects = tuple(e for e in model.effects if e.label in labels)
     effects += tuple(v.original for v in chosen)
 
-    def real(key: str) -> str:
+    def original_key(key: str) -> str:
         owner, name = key.rsplit(".", 1)
         return f"{rename.get(owner, owner)}.{name}"
 
     kept = {"system", *labels}
     row = dict(zip(assembly.study.keys, values[0], strict=False))  # corrections left out
-    known = {real(k): float(v) for k, v in row.items() if k.rsplit(".", 1)[0] in kept}
+    known = {original_key(k): float(v) for k, v in row.items() if k.rsplit(".", 1)[0] in kept}
     return replace(
         model,
         effects=effects,
         values=known,
-        errors={real(k): float(v) for k, v in errors.items() if k.rsplit(".", 1)[0] in kept},
-        freed=(*model.freed, *(real(k) for k in freed)),
-        fixed=(*model.fixed, *(real(k) for k in held)),
+        errors={
+            original_key(k): float(v) for k, v in errors.items() if k.rsplit(".", 1)[0] in kept
+        },
+        freed=(*model.freed, *(original_key(k) for k in freed)),
+        fixed=(*model.fixed, *(original_key(k) for k in held)),
     )

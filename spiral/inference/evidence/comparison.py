@@ -13,14 +13,24 @@ from spiral.engine.statistics import whiteness
 from spiral.inference.evidence.assembly import (
     Assembly,
     assemble,
-    columns,
+    columns_with_bounds,
     to_model,
     with_records,
     with_steps,
 )
-from spiral.inference.evidence.fit_state import FitState, Masks, begin, grown
-from spiral.inference.evidence.horizons import unseen
-from spiral.inference.evidence.judge import FreeRun, free_run, run_free, whole
+from spiral.inference.evidence.fit_state import (
+    FitState,
+    Masks,
+    fit_growing_windows,
+    initial_fit_state,
+)
+from spiral.inference.evidence.horizons import errors_on_unseen_records
+from spiral.inference.evidence.judge import (
+    FreeRun,
+    fit_whole_records,
+    free_run_from_stage,
+    settled_free_run,
+)
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.effect import Effect
 from spiral.types.model import Model
@@ -32,20 +42,20 @@ _SETTLE = 0.1  # share of a test record that settles its nuisances, where no tim
 _STEP = 0.3  # largest phase advance per integration step, rad
 
 
-def prepared(
+def prepare_study(
     problem: Problem, candidates: tuple[Effect, ...] | None = None
 ) -> tuple[Assembly, FitState]:
-    """The problem assembled with its first standing, steps fine enough for its fastest mode."""
+    """The compiled problem and its first fit state, steps fine enough for its fastest mode."""
     if candidates is not None:
         problem = replace(problem, candidates=candidates)
     assembly = assemble(problem)
-    standing = begin(assembly, problem.model.labels)
-    return refined(assembly, standing), standing
+    fit_state = initial_fit_state(assembly, problem.model.labels)
+    return refine_substeps(assembly, fit_state), fit_state
 
 
-def refined(assembly: Assembly, standing: FitState) -> Assembly:
-    """The same study with steps fine enough for the fastest mode of a standing."""
-    substeps = substeps_for(assembly, standing.values[0])
+def refine_substeps(assembly: Assembly, fit_state: FitState) -> Assembly:
+    """The same study with steps fine enough for the fastest mode of a fit state."""
+    substeps = substeps_for(assembly, fit_state.values[0])
     return assembly if substeps <= 1 else with_steps(assembly, substeps)
 
 
@@ -64,20 +74,20 @@ def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
 
 
 def last_stage(
-    assembly: Assembly, standing: FitState, masks: Masks, lengths: list[int] | None = None
+    assembly: Assembly, fit_state: FitState, masks: Masks, lengths: list[int] | None = None
 ) -> Stage:
     """The longest windows whose fit converged (the first, converged or not, if none did)."""
     kept: Stage | None = None
-    for stage in grown(assembly, standing, masks, lengths):
+    for stage in fit_growing_windows(assembly, fit_state, masks, lengths):
         if kept is None or stage.fitted.converged:
             kept = stage
     assert kept is not None
     return kept
 
 
-def standard_errors(assembly: Assembly, standing: FitState, stage: Stage) -> dict[str, float]:
+def standard_errors(assembly: Assembly, fit_state: FitState, stage: Stage) -> dict[str, float]:
     """Standard error of every fitted parameter, inflated where chi2 per dof is above 1."""
-    moving, _ = columns(assembly, standing.keys(assembly))
+    moving, _ = columns_with_bounds(assembly, fit_state.keys(assembly))
     if stage.fitted.reduction is None:
         return {}
     spread = standard_deviations(stage.fitted) * np.sqrt(max(stage.fitted.chi2_per_dof, 1.0))
@@ -89,43 +99,45 @@ def standard_errors(assembly: Assembly, standing: FitState, stage: Stage) -> dic
     return errors
 
 
-def fitted_model(assembly: Assembly, standing: FitState, stage: Stage) -> Model:
-    """The model of a standing with a stage's values and their standard errors."""
-    values, errors = stage.fitted.point.values, standard_errors(assembly, standing, stage)
-    return to_model(assembly, standing.labels, values, errors, standing.freed, standing.held)
+def fitted_model(assembly: Assembly, fit_state: FitState, stage: Stage) -> Model:
+    """The model of a fit state with a stage's values and their standard errors."""
+    values, errors = stage.fitted.point.values, standard_errors(assembly, fit_state, stage)
+    return to_model(assembly, fit_state.labels, values, errors, fit_state.freed, fit_state.held)
 
 
-def judged(
-    assembly: Assembly, standing: FitState, stage: Stage, progress: Progress = silent
+def compare_fit(
+    assembly: Assembly, fit_state: FitState, stage: Stage, progress: Progress = silent
 ) -> Comparison:
-    """The comparison of a fitted standing: free runs, chi2 and whiteness on all samples."""
-    fitted = replace(standing, values=stage.fitted.point.values)
-    model = fitted_model(assembly, standing, stage)
-    return compared(assembly, fitted, model, stage.length, stage.fitted.converged, progress)
+    """The comparison of a stage's fit: free runs, chi2 and whiteness on all samples."""
+    fitted = replace(fit_state, values=stage.fitted.point.values)
+    model = fitted_model(assembly, fit_state, stage)
+    return compare_fitted_model(
+        assembly, fitted, model, stage.length, stage.fitted.converged, progress
+    )
 
 
-def compared(
+def compare_fitted_model(
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     model: Model,
     longest: int | None,
     converged: bool,
     progress: Progress = silent,
 ) -> Comparison:
-    """The comparison of a model whose parameters stand: only records' own nuisances are fitted.
+    """The comparison of a model with fixed parameters: only each record's nuisances are fitted.
 
     ``longest`` limits the windows on which chi2 and whiteness are taken.
     """
     problem = assembly.problem
-    labels, values = standing.labels, standing.values
+    labels, values = fit_state.labels, fit_state.values
     progress("free run on the test record")
-    full = whole(assembly, labels, values, longest)
+    full = fit_whole_records(assembly, labels, values, longest)
     left = residuals(assembly.study, full.layouts, full.fitted.point)
     names = problem.model.system.observed
     records = tuple(0 for _ in problem.records)
-    own = run_free(assembly, full, records).errors(names)
-    other = with_test(assembly, values)
-    run = None if other is None else _free(other, labels, values)
+    own = free_run_from_stage(assembly, full, records).errors(names)
+    other = with_test_records(assembly, values)
+    run = None if other is None else _run_test_records(other, labels, values)
     channels = run.errors(names) if run is not None else own
     white = whiteness(left, problem.settings.lags)
     return Comparison(
@@ -134,37 +146,39 @@ def compared(
         test_error=float(np.mean([e.relative for e in channels.values()])),
         channels=channels,
         noise_floor=_noise_floor(problem.test or problem.records, model, run),
-        chi2_per_dof=_per_dof(assembly, standing, full),
+        chi2_per_dof=_chi2_per_dof(assembly, fit_state, full),
         whiteness_p=white.p,
         whiteness_effect=white.effect,
         horizon=int(full.length),
         converged=converged,
         notes=tuple(n for r in problem.records for n in r.remarks),
         spoilt=tuple(n for r in problem.records for n in r.spoilt_words),
-        noise_ratio=stated_ratio(problem.records),
+        noise_ratio=noise_over_declared(problem.records),
         unseen=() if other is None or run is None
-        else unseen(assembly, other, model, labels, values, run),
+        else errors_on_unseen_records(assembly, other, model, labels, values, run),
     )  # fmt: skip
 
 
-def chi2_on(assembly: Assembly, standing: FitState, length: int) -> float:
+def chi2_on_windows(assembly: Assembly, fit_state: FitState, length: int) -> float:
     """Chi2 per degree of freedom on windows of a length; infinite where they run away."""
-    full = whole(assembly, standing.labels, standing.values, length)
-    return _per_dof(assembly, standing, full) if full.length == length else float("inf")
+    full = fit_whole_records(assembly, fit_state.labels, fit_state.values, length)
+    return _chi2_per_dof(assembly, fit_state, full) if full.length == length else float("inf")
 
 
-def _per_dof(assembly: Assembly, standing: FitState, full: Stage) -> float:
-    dof = full.fitted.samples - full.fitted.nuisances - len(standing.keys(assembly))
+def _chi2_per_dof(assembly: Assembly, fit_state: FitState, full: Stage) -> float:
+    dof = full.fitted.samples - full.fitted.nuisances - len(fit_state.keys(assembly))
     return full.fitted.cost / max(dof, 1)
 
 
-def test_run(assembly: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun | None:
+def free_run_on_test(
+    assembly: Assembly, labels: tuple[str, ...], values: np.ndarray
+) -> FreeRun | None:
     """Free run on the test records, or nothing where there are none."""
-    other = with_test(assembly, values)
-    return None if other is None else _free(other, labels, values)
+    other = with_test_records(assembly, values)
+    return None if other is None else _run_test_records(other, labels, values)
 
 
-def with_test(assembly: Assembly, values: np.ndarray) -> Assembly | None:
+def with_test_records(assembly: Assembly, values: np.ndarray) -> Assembly | None:
     """The study with the test records in place of the fitted ones, steps fine enough for them."""
     problem = assembly.problem
     if not problem.test:
@@ -174,19 +188,19 @@ def with_test(assembly: Assembly, values: np.ndarray) -> Assembly | None:
     return other if substeps <= 1 else with_records(assembly, problem.test, substeps)
 
 
-def _free(other: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun:
-    """Free run on the records of a study that is at the test records."""
-    return free_run(other, labels, values, settling(other))
+def _run_test_records(other: Assembly, labels: tuple[str, ...], values: np.ndarray) -> FreeRun:
+    """Free run on a study whose records are the test records, settled at their beginning."""
+    return settled_free_run(other, labels, values, settling_seconds(other))
 
 
-def settling(other: Assembly) -> float:
+def settling_seconds(other: Assembly) -> float:
     """Seconds of each test record that fix its own nuisances."""
     settle = other.problem.settle
     return _SETTLE * min(r.samples * r.dt for r in other.problem.test) if settle is None else settle
 
 
-def stated_ratio(records: tuple[Record, ...]) -> float | None:
-    """Noise that the records show without a model over what they declare, rms over channels."""
+def noise_over_declared(records: tuple[Record, ...]) -> float | None:
+    """Noise estimated from the signal alone over the declared noise, rms over channels."""
     ratios = [
         estimate_noise(r.reading(name)) / declared
         for r in records

@@ -2,8 +2,8 @@
 
 A rim over which a tank spills, or a limit at which a sensor stops, has no small version: far from
 zero lies another basin. Where the model is far off such candidates are refitted from a tenth of
-their bounds (``admission.admit``), and the fall of the cost that the refit reaches replaces that
-of the linear step, where it is larger:
+their bounds (``admission.admit_candidate``), and the fall of the cost that the refit reaches
+replaces that of the linear step, where it is larger:
 
     F    = (fall / q) / (rest / dof),
     Wald = (g / se(g))^2 / q,
@@ -22,41 +22,47 @@ import numpy as np
 from spiral.engine.score import log_tail
 from spiral.engine.sensitivities import residuals
 from spiral.engine.statistics import paired_errors
-from spiral.inference.evidence.admission import admit, afar
+from spiral.inference.evidence.admission import admit_candidate, far_start_variants
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Evidence, Ranked, bic
 from spiral.types.record import Array
 
 
-def from_afar(assembly: Assembly, standing: FitState, evidence: Evidence) -> Evidence:
+def rescore_from_far_starts(
+    assembly: Assembly, fit_state: FitState, evidence: Evidence
+) -> Evidence:
     """The evidence with refits in place of linear steps for candidates with a second basin."""
     stage = evidence.stage
     before = residuals(assembly.study, stage.layouts, stage.fitted.point)
-    found = [_rescored(assembly, standing, evidence, r, before) for r in evidence.ranked]
-    return replace(evidence, ranked=tuple(sorted(found, key=lambda r: r.rank)))
+    rescored = [
+        _rescore_candidate(assembly, fit_state, evidence, r, before) for r in evidence.ranked
+    ]
+    return replace(evidence, ranked=tuple(sorted(rescored, key=lambda r: r.rank)))
 
 
-def _rescored(
+def _rescore_candidate(
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     evidence: Evidence,
     ranked: Ranked,
     before: tuple[Array, ...],
 ) -> Ranked:
-    variants = afar(assembly, standing, evidence.stage, ranked.variant.original.label)
+    variants = far_start_variants(
+        assembly, fit_state, evidence.stage, ranked.variant.original.label
+    )
     if not variants:
         return ranked
-    found = admit(assembly, standing, evidence.stage, ranked)
-    gain = evidence.stage.fitted.cost - found.stage.fitted.cost
+    admitted = admit_candidate(assembly, fit_state, evidence.stage, ranked)
+    gain = evidence.stage.fitted.cost - admitted.stage.fitted.cost
     if not gain > ranked.score.gain:
         return ranked
-    table, shapes = evidence.table, len(found.variant.tuned)
+    table, shapes = evidence.table, len(admitted.variant.tuned)
     q = max(ranked.score.rank + shapes, 1)
     dof, rest = max(table.dof - q, 1), max(table.rest - gain, 1e-300)
     statistic = (gain / q) / (rest / dof)
-    after = residuals(assembly.study, found.stage.layouts, found.stage.fitted.point)
-    wald, wald_log_p = _wald(before, after, evidence.block, q)
+    after = residuals(assembly.study, admitted.stage.layouts, admitted.stage.fitted.point)
+    wald, wald_log_p = _refit_wald(before, after, evidence.block, q)
     score = replace(
         ranked.score,
         gain=gain,
@@ -72,7 +78,7 @@ def _rescored(
     return replace(ranked, score=score, rank=bic(table, score), tests=tests)
 
 
-def _wald(
+def _refit_wald(
     before: tuple[Array, ...], after: tuple[Array, ...], block: int, q: int
 ) -> tuple[float, float]:
     """The robust statistic of a refit, and the logarithm of its p-value (blocks as cases)."""

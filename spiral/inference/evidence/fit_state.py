@@ -1,4 +1,4 @@
-"""Where a study stands, and its fits on growing windows."""
+"""State of a study's fit (active effects, values, freed shapes), and fits on growing windows."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from spiral.engine.growth import Stage, first_starts, grow, layouts_for, lengths_for
+from spiral.engine.growth import Stage, first_starts, grow_windows, layouts_for, lengths_for
 from spiral.engine.likelihood.noise import NoiseModel
-from spiral.engine.sensitivities import reduce
-from spiral.engine.start import SMOOTHING, balance, balances, first_values
+from spiral.engine.sensitivities import reduce_windows
+from spiral.engine.start import SMOOTHING, first_values, has_balance, prepare_balance
 from spiral.engine.study import Point
 from spiral.engine.windows import block_length, fair_block, halves
 from spiral.inference.evidence.assembly import (
     Assembly,
     active_keys,
-    columns,
-    first_row,
+    columns_with_bounds,
+    initial_values,
     unknown_keys,
 )
 from spiral.physics.trace import trace
@@ -30,7 +30,7 @@ Masks = tuple[Array | None, ...]
 
 @dataclass(frozen=True)
 class FitState:
-    """Where a study stands: active effects (compiled labels), values, shapes set free.
+    """State of a fit: active effects (compiled labels), parameter values, freed shapes.
 
     ``held`` are amplitudes of active effects that stay at zero, not admitted themselves;
     ``shortest`` the shortest windows of later fits: those on which an effect was found from afar,
@@ -58,9 +58,9 @@ class FitState:
     settle: float | None = None
 
     def keys(self, assembly: Assembly) -> tuple[str, ...]:
-        """Parameters that a fit of this standing moves."""
-        found = active_keys(assembly, self.labels, self.freed, self.corrected)
-        return tuple(k for k in found if k not in self.held)
+        """Full names of the parameters that a fit from this state moves."""
+        active = active_keys(assembly, self.labels, self.freed, self.corrected)
+        return tuple(k for k in active if k not in self.held)
 
 
 def half_masks(assembly: Assembly) -> tuple[Masks, Masks]:
@@ -82,25 +82,25 @@ def stage_lengths(assembly: Assembly) -> list[int]:
     return lengths_for(assembly.study, block_length(shortest))
 
 
-def begin(assembly: Assembly, labels: tuple[str, ...]) -> FitState:
-    """The first standing: unknown values from the balance of forces.
+def initial_fit_state(assembly: Assembly, labels: tuple[str, ...]) -> FitState:
+    """The first fit state: unknown values from the balance of forces.
 
     Several smoothing windows are tried; the one whose shortest-window fit promises the smallest
     error after one step is kept. Where coordinates are hidden, effects begin at zero.
     """
-    known = FitState(labels, first_row(assembly))
+    known = FitState(labels, initial_values(assembly))
     keys = known.keys(assembly)
     unknown = unknown_keys(assembly, keys)
     study, model = assembly.study, assembly.problem.model
     if not unknown:
-        far = any(two_sided(e) for e in model.effects if e.label in labels)
+        far = any(has_two_sided_bounds(e) for e in model.effects if e.label in labels)
         return replace(known, shortest=stage_lengths(assembly)[-1]) if far else known
     traced = trace(model.system, tuple(e for e in model.effects if e.label in labels))
-    if not balances(traced) and not any(k.startswith("system.") for k in unknown):
+    if not has_balance(traced) and not any(k.startswith("system.") for k in unknown):
         return known  # effects begin at zero
-    equations = balance(study, traced, unknown)
+    equations = prepare_balance(study, traced, unknown)
     layouts = layouts_for(study, stage_lengths(assembly)[0], all_samples(assembly))
-    moving, _ = columns(assembly, keys)
+    moving, _ = columns_with_bounds(assembly, keys)
     best, lowest = known, np.inf
     shortest = min(s.samples for s in study.series)
     for window in (w for w in SMOOTHING if 4 * w <= shortest):
@@ -108,43 +108,44 @@ def begin(assembly: Assembly, labels: tuple[str, ...]) -> FitState:
         if not np.all(np.isfinite(values)):
             continue
         point = Point(values, first_starts(study, layouts, values, window))
-        reduction = reduce(study, layouts, point, moving)
+        reduction = reduce_windows(study, layouts, point, moving)
         promised = float(reduction.triangle[-1, -1] ** 2) if reduction.finite else np.inf
         if promised < lowest:
             best, lowest = FitState(labels, values), promised
     return best
 
 
-def grown(
+def fit_growing_windows(
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     masks: Masks,
     lengths: list[int] | None = None,
     patient: bool = False,
 ) -> Iterator[Stage]:
-    """Fit the standing model on growing windows; ``patient`` as in ``grow``.
+    """Fit the model of a fit state on growing windows; ``patient`` as in ``grow``.
 
-    Values found from afar are kept while the window starts find theirs. Shapes set free are held
-    on windows shorter than those that freed them, where a gap may flee beyond the motion.
+    Where ``shortest`` is set, the windows' initial states are fitted first, with all parameters
+    fixed. Freed shapes are fixed on windows shorter than those on which they were freed, where a
+    gap may grow beyond the motion and then acts nowhere.
     """
-    moving, bounds = columns(assembly, standing.keys(assembly))
-    sizes = lengths or [n for n in stage_lengths(assembly) if n >= standing.shortest]
-    alone = columns(assembly, ()) if standing.shortest else None
-    study, values = assembly.study, standing.values
-    early = [n for n in sizes[:-1] if n < standing.free_from]
+    moving, bounds = columns_with_bounds(assembly, fit_state.keys(assembly))
+    sizes = lengths or [n for n in stage_lengths(assembly) if n >= fit_state.shortest]
+    alone = columns_with_bounds(assembly, ()) if fit_state.shortest else None
+    study, values = assembly.study, fit_state.values
+    early = [n for n in sizes[:-1] if n < fit_state.free_from]
     stage: Stage | None = None
     if early:
-        shapes = [i in {study.index(k) for k in standing.freed} for i in moving.index]
+        shapes = [i in {study.index(k) for k in fit_state.freed} for i in moving.index]
         at = moving.current(values)
         still = (np.where(shapes, at, bounds[0]), np.where(shapes, at, bounds[1]))
-        for stage in grow(study, values, moving, still, masks, early, patient, alone):
+        for stage in grow_windows(study, values, moving, still, masks, early, patient, alone):
             yield stage
         if stage is None or not (stage.fitted.converged or patient):
             return
     late = sizes[len(early) :]
-    yield from grow(study, values, moving, bounds, masks, late, patient, alone, stage)
+    yield from grow_windows(study, values, moving, bounds, masks, late, patient, alone, stage)
 
 
-def two_sided(effect: Effect) -> bool:
+def has_two_sided_bounds(effect: Effect) -> bool:
     """Whether all amplitudes of an effect are bounded on both sides."""
     return all(p.lower is not None and p.upper for p in effect.amplitudes())

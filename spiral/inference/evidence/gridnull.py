@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from spiral.engine.score import MINIMUM_BLOCKS, ScoreTable, projected
+from spiral.engine.score import MINIMUM_BLOCKS, ScoreTable, project_group
 from spiral.types.record import Array
 
 _DRAWS = 999
@@ -38,7 +38,7 @@ def effective_tests(
     """
     if len(groups) == 1:
         return 1.0
-    scores = _scores(table, groups, best)
+    scores = _block_scores(table, groups, best)
     if len(table.blocks) < MINIMUM_BLOCKS // 2 or not scores:
         return float(len(groups))
     signs = rng.choice([-1.0, 1.0], size=(_DRAWS, len(table.blocks)))
@@ -50,21 +50,21 @@ def effective_tests(
         rank = score.shape[1]
         largest[rank] = np.maximum(largest.get(rank, 0.0), wald)
     smallest = np.min([special.chdtrc(rank, wald) for rank, wald in largest.items()], axis=0)
-    found = -_DRAWS / float(np.sum(np.log1p(-np.minimum(smallest, 1 - 1e-12))))
-    return float(np.clip(found, 1.0, len(groups)))
+    tests = -_DRAWS / float(np.sum(np.log1p(-np.minimum(smallest, 1 - 1e-12))))
+    return float(np.clip(tests, 1.0, len(groups)))
 
 
-def _scores(table: ScoreTable, groups: list[tuple[int, ...]], best: int) -> list[Array]:
+def _block_scores(table: ScoreTable, groups: list[tuple[int, ...]], best: int) -> list[Array]:
     """(blocks, rank) of every group with a rank, from the residual after the best one's step."""
     if not len(table.blocks):
         return []
     chosen = list(groups[best])
-    step = projected(table, chosen).step
-    found = []
+    step = project_group(table, chosen).step
+    scores = []
     for group in (list(g) for g in groups):
-        part = projected(table, group)
+        part = project_group(table, group)
         if not part.rank:
             continue
         raw = table.blocks[:, group, -1] - table.blocks[:, group][:, :, chosen] @ step
-        found.append(raw @ part.basis)
-    return found
+        scores.append(raw @ part.basis)
+    return scores

@@ -23,10 +23,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.filter.extended import FilterSettings, filtered, tracked_indices
-from spiral.engine.filter.noise import intensity, sampled
-from spiral.engine.filter.setup import chosen_levels, prepared
-from spiral.engine.filter.task import Task, task_with
+from spiral.engine.filter.extended import FilterSettings, filter_record, tracked_indices
+from spiral.engine.filter.noise import noise_intensity, sampled_covariance
+from spiral.engine.filter.setup import choose_levels, prepare_filter
+from spiral.engine.filter.task import Task, build_task
 from spiral.engine.kernel import trajectories
 from spiral.engine.series import Series
 from spiral.inference.evidence.assembly import ORIGIN, Assembly, nuisance_keys
@@ -58,10 +58,10 @@ class Disturbed:
 
 
 Forecaster = Callable[[int, Task, int, int], tuple[Array, Array]]
-"""(record, task, first sample, samples ahead) -> what predictions miss, as from ``forecast``."""
+"""(record, task, first sample, samples ahead) -> what predictions miss, as ``forecast_misses``."""
 
 
-def unseen(
+def errors_on_unseen_records(
     fitted: Assembly, test: Assembly, model: Model, labels: tuple[str, ...], values: Array,
     run: FreeRun,
 ) -> tuple[Horizon, ...]:  # fmt: skip
@@ -77,25 +77,25 @@ def unseen(
     disturbed = process_noise(fitted, model, labels, values)
 
     def forecaster(record: int, task: Task, first: int, steps: int) -> tuple[Array, Array]:
-        return forecast(task, disturbed, first, steps)
+        return forecast_misses(task, disturbed, first, steps)
 
-    return at_horizons(test, model, run, forecaster)
+    return errors_at_horizons(test, model, run, forecaster)
 
 
-def at_horizons(
+def errors_at_horizons(
     test: Assembly, model: Model, run: FreeRun, forecaster: Forecaster
 ) -> tuple[Horizon, ...]:
     """Errors of a free run, and of what a filter forecasts, on the records of a study."""
-    seconds = _seconds(test, run)
+    seconds = _middle_horizon(test, run)
     misses: dict[str, list[Array]] = {"one_sample": [], "ahead": [], "free_run": []}
     free = run.misses()
     for r, series in enumerate(test.study.series):
         first, steps = run.settled[r], round(seconds / series.dt)
-        task = task_for(test, model, run.values[r], series.record, series.substeps)
+        task = filter_task(test, model, run.values[r], series.record, series.substeps)
         one, ahead = forecaster(r, task, first, steps)
-        misses["one_sample"].append(_told(one, series, first))
+        misses["one_sample"].append(_scored_misses(one, series, first))
         misses["ahead"].append(ahead)
-        misses["free_run"].append(_told(free[r], series, first))
+        misses["free_run"].append(_scored_misses(free[r], series, first))
     dt = test.study.series[0].dt
     reach = {"one_sample": dt, "ahead": seconds, "free_run": None}
     scale, names = run.deviations(), model.system.observed
@@ -104,15 +104,15 @@ def at_horizons(
             name,
             None if (far := reach[name]) is None else round(far / dt),
             far,
-            dict(zip(names, _squares(found, scale), strict=True)),
+            dict(zip(names, _block_mean_squares(channel_misses, scale), strict=True)),
         )
-        for name, found in misses.items()
+        for name, channel_misses in misses.items()
         if name != "ahead" or seconds > dt
     )
 
 
-def _told(misses: Array, series: Series, first: int) -> Array:
-    """Misses from a sample on: zero where nothing was measured, the others larger by as much."""
+def _scored_misses(misses: Array, series: Series, first: int) -> Array:
+    """Misses from a sample on, 0 where nothing was measured; scaled so that their rms is kept."""
     if series.seen is None:
         return misses
     seen = series.seen[first:]
@@ -125,46 +125,52 @@ def process_noise(
     """The most likely process noise of a model on the part of its records that moves most."""
     known = dict(model.pairs)
     tracked = tuple(k for k in nuisance_keys(fitted, labels) if k in known)
-    r, start, stop = liveliest(fitted.study.series)
+    r, start, stop = liveliest_stretch(fitted.study.series)
     series = fitted.study.series[r]
     record = series.record.part(start, stop, series.record.name)
     record = replace(record, noise=series.record.sigma())
-    task = task_for(fitted, model, values[r], record, series.substeps)
-    task, settings = prepared(task, tracked, doubts(tracked))
-    levels = chosen_levels(task, settings, None)
-    return Disturbed(intensity(task, levels), settings.covariance, tracked)
+    task = filter_task(fitted, model, values[r], record, series.substeps)
+    task, settings = prepare_filter(task, tracked, tracked_deviations(tracked))
+    levels = choose_levels(task, settings, None)
+    return Disturbed(noise_intensity(task, levels), settings.covariance, tracked)
 
 
-def task_for(
+def filter_task(
     assembly: Assembly, model: Model, row: Array, record: Record, substeps: int,
     like: Task | None = None,
 ) -> Task:  # fmt: skip
-    """A record for the filter, by functions that are compiled already; scales of ``like``."""
+    """A record's filter task, from functions already compiled; its scales are those of ``like``."""
     compiled = assembly.study.compiled
     own = np.ascontiguousarray(row[: len(compiled.traced.keys)], dtype=float).copy()
-    return task_with(model, compiled, own, record, substeps=substeps, like=like)
+    return build_task(model, compiled, own, record, substeps=substeps, like=like)
 
 
-def forecast(task: Task, disturbed: Disturbed, first: int, steps: int) -> tuple[Array, Array]:
+def forecast_misses(
+    task: Task, disturbed: Disturbed, first: int, steps: int
+) -> tuple[Array, Array]:
     """What predictions miss, from sample ``first`` on.
 
     Returns (samples, channels) one sample ahead and (starts, channels) ``steps`` ahead, of starts
     spread evenly; infinite where the filter or a prediction runs away.
     """
-    task, settings = prepared(task, disturbed.tracked, doubts(disturbed.tracked))
+    task, settings = prepare_filter(task, disturbed.tracked, tracked_deviations(disturbed.tracked))
     settings = replace(
         settings,
         covariance=disturbed.covariance,
-        process=sampled(task, disturbed.intensity),
+        process=sampled_covariance(task, disturbed.intensity),
     )
-    found = filtered(task, settings)
-    if found.done < task.series.samples:
+    filter_pass = filter_record(task, settings)
+    if filter_pass.done < task.series.samples:
         lost = np.full((task.series.samples - first, task.series.y.shape[1]), np.inf)
         return lost, lost
-    return found.innovations[first:], ahead_of(task, settings, found.means, first, steps)
+    return filter_pass.innovations[first:], misses_ahead(
+        task, settings, filter_pass.means, first, steps
+    )
 
 
-def ahead_of(task: Task, settings: FilterSettings, means: Array, first: int, steps: int) -> Array:
+def misses_ahead(
+    task: Task, settings: FilterSettings, means: Array, first: int, steps: int
+) -> Array:
     """(starts, channels) y(t + h) - h(phi_h(x^(t | t)))."""
     series, n = task.series, len(task.states)
     last = series.samples - 1 - steps
@@ -186,12 +192,12 @@ def ahead_of(task: Task, settings: FilterSettings, means: Array, first: int, ste
     return misses
 
 
-def doubts(tracked: tuple[str, ...]) -> dict[str, float]:
-    """First standard deviation of a phase origin that the record has told already."""
+def tracked_deviations(tracked: tuple[str, ...]) -> dict[str, float]:
+    """First standard deviation of a phase origin that the settling part has determined."""
     return {ORIGIN: _DOUBT} if ORIGIN in tracked else {}
 
 
-def _seconds(test: Assembly, run: FreeRun) -> float:
+def _middle_horizon(test: Assembly, run: FreeRun) -> float:
     """The middle horizon: AHEAD, or ten samples, or a tenth of a short record; whole samples."""
     series = test.study.series
     dt = max(s.dt for s in series)
@@ -202,7 +208,7 @@ def _seconds(test: Assembly, run: FreeRun) -> float:
     return dt * max(round(min(samples, _LONGEST * scored)), 1)
 
 
-def liveliest(records: Sequence[Series]) -> tuple[int, int, int]:
+def liveliest_stretch(records: Sequence[Series]) -> tuple[int, int, int]:
     """Record, first and last sample of the stretch whose channels move most, over their noise."""
     best, most = (0, 0, 0), -1.0
     for r, series in enumerate(records):
@@ -215,7 +221,7 @@ def liveliest(records: Sequence[Series]) -> tuple[int, int, int]:
     return best
 
 
-def _squares(misses: list[Array], scale: Array) -> list[tuple[float, ...]]:
+def _block_mean_squares(misses: list[Array], scale: Array) -> list[tuple[float, ...]]:
     """m_jb of every channel: blocks of time, shared by records according to their samples."""
     total = sum(len(m) for m in misses)
     parts: list[Array] = []

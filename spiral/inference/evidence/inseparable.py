@@ -30,8 +30,8 @@ class Inseparable:
     whole: bool = False
 
 
-def inseparable(triangle: Array, active: int, group: tuple[int, ...]) -> Inseparable:
-    """Judge a group of columns of the triangle of one pass.
+def inseparable_part(triangle: Array, active: int, group: tuple[int, ...]) -> Inseparable:
+    """The part of a candidate's columns that the model's active columns can imitate.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def inseparable(triangle: Array, active: int, group: tuple[int, ...]) -> Insepar
         return Inseparable()
     unit = triangle / np.where(norms == 0, 1.0, norms)
     left = unit[active:, at]
-    free = _independent(left)
+    free = _independent_columns(left)
     if len(free) == len(at):
         return Inseparable()
     held = tuple(i for i in range(len(at)) if i not in free)
@@ -60,7 +60,7 @@ def inseparable(triangle: Array, active: int, group: tuple[int, ...]) -> Insepar
     return Inseparable(tuple(sorted(taking)), held, not free)
 
 
-def _independent(columns: Array) -> list[int]:
+def _independent_columns(columns: Array) -> list[int]:
     """Columns that add a direction to those before them."""
     kept: list[int] = []
     basis = np.zeros((len(columns), 0))

@@ -1,4 +1,4 @@
-"""Judging: with the machine's parameters held, only a record's own nuisances are estimated."""
+"""Fits and free runs with the machine's parameters fixed: only each record's nuisances move."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from spiral.engine.fit import Fitted, fit
 from spiral.engine.growth import (
     Stage,
-    carried_starts,
     first_starts,
-    grow,
+    grow_windows,
     layouts_for,
     lengths_for,
+    transfer_window_starts,
 )
-from spiral.engine.sensitivities import reduce, residuals, run_windows
+from spiral.engine.sensitivities import reduce_windows, residuals, run_windows
 from spiral.engine.study import Point
-from spiral.engine.windows import cut
+from spiral.engine.windows import cut_windows
 from spiral.inference.evidence.assembly import (
     ORIGIN,
     Assembly,
-    columns,
+    columns_with_bounds,
     nuisance_keys,
     with_records,
 )
@@ -47,14 +47,14 @@ class FreeRun:
 
     def errors(self, names: tuple[str, ...]) -> dict[str, ChannelError]:
         """Error of each channel over all records, relative to its standard deviation."""
-        found = {}
+        by_channel = {}
         for j, (name, spread) in enumerate(zip(names, self.deviations(), strict=True)):
             miss = np.concatenate([m[:, j] for m in self.misses()])
             with np.errstate(over="ignore", invalid="ignore"):
                 rmse = float(np.sqrt(np.nanmean(miss**2))) if np.isfinite(miss).any() else np.inf
             rmse = rmse if np.isfinite(rmse) else np.inf
-            found[name] = ChannelError(rmse, rmse / float(spread) if spread > 0 else np.inf)
-        return found
+            by_channel[name] = ChannelError(rmse, rmse / float(spread) if spread > 0 else np.inf)
+        return by_channel
 
     def deviations(self) -> Array:
         """(channels,) standard deviation of what is scored, each record about its own mean."""
@@ -72,19 +72,19 @@ class FreeRun:
         return tuple(misses)
 
 
-def held_out(
+def fit_held_out(
     assembly: Assembly, labels: tuple[str, ...], stage: Stage, masks: tuple[Array | None, ...]
 ) -> tuple[Fitted, tuple[Array, ...]]:
     """Residuals on other samples of the fitted records, at the stage's window length."""
     study = assembly.study
     layouts = layouts_for(study, stage.length, masks)
-    point = Point(stage.fitted.point.values, carried_starts(study, stage, layouts))
-    found, bounds = columns(assembly, nuisance_keys(assembly, labels))
-    fitted = fit(study, layouts, point, found, bounds, iterations=8)
+    point = Point(stage.fitted.point.values, transfer_window_starts(study, stage, layouts))
+    moving, bounds = columns_with_bounds(assembly, nuisance_keys(assembly, labels))
+    fitted = fit(study, layouts, point, moving, bounds, iterations=8)
     return fitted, residuals(study, layouts, fitted.point)
 
 
-def whole(
+def fit_whole_records(
     assembly: Assembly,
     labels: tuple[str, ...],
     values: Array,
@@ -99,29 +99,29 @@ def whole(
     """
     study = assembly.study
     nuisances = nuisance_keys(assembly, labels)
-    found, bounds = columns(assembly, (*nuisances, *beside))
+    moving, bounds = columns_with_bounds(assembly, (*nuisances, *beside))
     block = min(64, min(s.samples for s in study.series))
     lengths = [n for n in lengths_for(study, block) if longest is None or n <= longest]
     lengths = lengths or [longest or block]
     masks: tuple[Array | None, ...] = (None,) * len(study.series)
     if any_origin and ORIGIN in nuisances:
-        values = _best_origin(assembly, values, lengths, masks)
+        values = _best_phase_origins(assembly, values, lengths, masks)
     last: Stage | None = None
-    for stage in grow(study, values, found, bounds, masks, lengths, patient=True):
+    for stage in grow_windows(study, values, moving, bounds, masks, lengths, patient=True):
         if last is None or np.isfinite(stage.fitted.cost):
             last = stage
     assert last is not None
     return last
 
 
-def _best_origin(
+def _best_phase_origins(
     assembly: Assembly, values: Array, lengths: list[int], masks: tuple[Array | None, ...]
 ) -> Array:
     """Each record's phase origin to start from: the present one, or the best of eight turns."""
     study = assembly.study
     position = study.index(ORIGIN)
     layouts = layouts_for(study, lengths[min(1, len(lengths) - 1)], masks)
-    none, _ = columns(assembly, ())
+    none, _ = columns_with_bounds(assembly, ())
     starts = first_starts(study, layouts, values)
     best = values.copy()
     for record, series in enumerate(study.series):
@@ -131,14 +131,14 @@ def _best_origin(
             trial = values[record : record + 1].copy()
             trial[:, position] += 2 * np.pi * turn / _ORIGINS
             point = Point(trial, (starts[record],))
-            reduction = reduce(alone, (layouts[record],), point, none)
+            reduction = reduce_windows(alone, (layouts[record],), point, none)
             cost = float(reduction.triangle[-1, -1] ** 2) if reduction.finite else np.inf
             if cost < 0.98 * lowest:
                 best[record], lowest = trial[0], cost
     return best
 
 
-def free_run(
+def settled_free_run(
     assembly: Assembly, labels: tuple[str, ...], values: Array, settle: float | None = None
 ) -> FreeRun:
     """Free run on records: nuisances from the first ``settle`` seconds (all, where None)."""
@@ -153,17 +153,17 @@ def free_run(
         )
         heads = with_records(assembly, parts, study.series[0].substeps)
     rows = np.repeat(values[:1], len(study.series), axis=0)
-    stage = whole(heads, labels, rows, any_origin=settle is not None)
-    return run_free(assembly, stage, settled)
+    stage = fit_whole_records(heads, labels, rows, any_origin=settle is not None)
+    return free_run_from_stage(assembly, stage, settled)
 
 
-def run_free(assembly: Assembly, stage: Stage, settled: tuple[int, ...]) -> FreeRun:
+def free_run_from_stage(assembly: Assembly, stage: Stage, settled: tuple[int, ...]) -> FreeRun:
     """Integrate every record from the first window's start of a stage to its end."""
     study = assembly.study
     starts = tuple(x[:1] for x in stage.fitted.point.starts)
     point = Point(stage.fitted.point.values, starts)
     predicted = tuple(
-        run_windows(study, r, cut(s.samples, s.samples), point)[1]
+        run_windows(study, r, cut_windows(s.samples, s.samples), point)[1]
         for r, s in enumerate(study.series)
     )
     return FreeRun(

@@ -25,11 +25,11 @@ def strongest_line(
     if frequency + half >= 0.5 / max(r.dt for r in records):
         return None
     trials = frequency + np.linspace(-half, half, _OVERSAMPLED * count + 1)
-    power = np.sum([_power(r, trials) for r in records], axis=0)
+    power = np.sum([_spectral_power(r, trials) for r in records], axis=0)
     return float(trials[int(np.argmax(power))]), count
 
 
-def _power(record: Record, trials: Array) -> Array:
+def _spectral_power(record: Record, trials: Array) -> Array:
     """Power of the channels at equally spaced frequencies, each channel over its variance.
 
     By the chirp z-transform, at a cost of n log n whatever the number of frequencies.

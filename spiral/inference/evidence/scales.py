@@ -25,14 +25,14 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.engine.filter.extended import filtered
-from spiral.engine.filter.noise import groups
-from spiral.engine.filter.setup import prepared, with_level
-from spiral.engine.filter.task import free_run, task_with
-from spiral.engine.series import Series, prepare
-from spiral.engine.start import motion
+from spiral.engine.filter.extended import filter_record
+from spiral.engine.filter.noise import noise_groups
+from spiral.engine.filter.setup import prepare_filter, with_level
+from spiral.engine.filter.task import build_task, run_from_rest
+from spiral.engine.series import Series, prepare_series
+from spiral.engine.start import smoothed_motion
 from spiral.engine.study import CompiledStudy
-from spiral.inference.evidence.spectrum import band, spectral
+from spiral.inference.evidence.spectrum import frequency_band, frequency_shapes
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import Traced, trace
 from spiral.types.effect import Effect
@@ -46,7 +46,7 @@ _LEVEL = 0.3  # process noise of the filter: a model that is wrong by three tent
 _WINDOW = 11  # samples of a local polynomial
 
 
-def extremes(
+def largest_port_motion(
     system: System, records: Sequence[Record], along: Sequence[Array],
     expected: Sequence[Array] = (),
 ) -> dict[str, float]:  # fmt: skip
@@ -60,13 +60,13 @@ def extremes(
     inferred = np.concatenate(expected) if expected else measured
     seen = {*traced.shown, *(traced.rate_name(c) for c in traced.shown)}
     hidden = {s for s, n in zip(traced.x, traced.states, strict=True) if n not in seen}
-    found = {}
+    largest = {}
     for port in (*system.ports, *system.links):
-        for kind, expressions in at_port(system, port, traced):
+        for kind, expressions in port_motion_expressions(system, port, traced):
             unseen = any(sp.sympify(e).free_symbols & hidden for e in expressions)
             states = inferred if unseen else measured
             values = sp.lambdify(traced.x, expressions, "numpy")(*states.T)
-            found[f"{port.name}.{kind}"] = max(
+            largest[f"{port.name}.{kind}"] = max(
                 float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
             )
     for port in system.filled:
@@ -77,21 +77,21 @@ def extremes(
             outside = [r.inputs[port.against] for r in records]
             low, high = (float(f(np.concatenate(outside))) for f in (np.min, np.max))
             levels = np.stack([levels - low, levels - high])
-        found[f"{port.name}.position"] = float(np.abs(levels).max())
+        largest[f"{port.name}.position"] = float(np.abs(levels).max())
     for port in system.driven:
         given = [(r.inputs[name], r.dt) for r in records for name in port.axes]
-        found[f"{port.name}.position"] = float(max(np.abs(u).max() for u, _ in given))
-        found[f"{port.name}.velocity"] = float(
+        largest[f"{port.name}.position"] = float(max(np.abs(u).max() for u, _ in given))
+        largest[f"{port.name}.velocity"] = float(
             max(np.abs(np.diff(u)).max() / dt for u, dt in given)
         )
     for port in system.sensed:
         seen = [np.abs(r.channels[name]).max() for r in records for name in port.axes]
-        found[f"{port.name}.position"] = float(max(seen))
-    return found
+        largest[f"{port.name}.position"] = float(max(seen))
+    return largest
 
 
-def scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> float:
-    """What a grid's values are shares of; a parameter without a grid has its start."""
+def shape_scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> float:
+    """The size of which a shape's grid gives shares; without a grid the parameter's start."""
     if not parameter.grid:
         return parameter.start or 1.0
     unit = "velocity" if parameter.unit == "position/s" else parameter.unit  # as formulas have it
@@ -110,29 +110,31 @@ def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model
     lacking = {
         effect.label: shapes
         for effect in model.effects
-        if (shapes := [p for p in effect.parameters if _without_value(model, effect, p)])
+        if (shapes := [p for p in effect.parameters if _lacks_value(model, effect, p)])
     }
     if not lacking:
         return model, ()
     bare = model
     for label in lacking:
         bare = bare.without(label)
-    largest = extremes(model.system, records, visited(bare, records))
+    largest = largest_port_motion(model.system, records, states_along_records(bare, records))
     values = {}
     for effect in model.effects:
         for shape in lacking.get(effect.label, ()):
             if shape.spectrum:
-                middle = float(np.sqrt(np.prod(band(records[0].samples, records[0].dt))))
-                values[f"{effect.label}.{shape.name}"] = spectral(effect, middle)[shape.name]
+                middle = float(np.sqrt(np.prod(frequency_band(records[0].samples, records[0].dt))))
+                values[f"{effect.label}.{shape.name}"] = frequency_shapes(effect, middle)[
+                    shape.name
+                ]
                 continue
-            size = scale(shape, largest, model.system.place(effect))
-            if usable(size):
+            size = shape_scale(shape, largest, model.system.place(effect))
+            if is_usable_scale(size):
                 middle = shape.grid[len(shape.grid) // 2]
                 values[f"{effect.label}.{shape.name}"] = middle * size
     return replace(model, values={**model.values, **values}), tuple(values)
 
 
-def _without_value(model: Model, effect: Effect, parameter: Parameter) -> bool:
+def _lacks_value(model: Model, effect: Effect, parameter: Parameter) -> bool:
     scaled = parameter.spectrum or (parameter.grid and parameter.start is None)
     return (
         bool(parameter.role == "shape" and scaled)
@@ -140,55 +142,59 @@ def _without_value(model: Model, effect: Effect, parameter: Parameter) -> bool:
     )
 
 
-def usable(size: float) -> bool:
+def is_usable_scale(size: float) -> bool:
     """Whether a scale is a positive number."""
     return bool(np.isfinite(size) and size > 0)
 
 
-def spread_out(states: Array, count: int = 64) -> Array:
-    """Some samples that cover what is visited: evenly spaced, and every state's extremes."""
+def covering_samples(states: Array, count: int = 64) -> Array:
+    """Indices of samples that cover a motion: evenly spaced, and every state's extremes."""
     even = np.linspace(0, len(states) - 1, min(count, len(states))).astype(np.int64)
     return np.unique(np.concatenate([even, states.argmin(axis=0), states.argmax(axis=0)]))
 
 
-def visited(model: Model, records: tuple[Record, ...]) -> tuple[Array, ...]:
+def states_along_records(model: Model, records: tuple[Record, ...]) -> tuple[Array, ...]:
     """The system's states (samples, n) along every record; hidden ones as the model infers them."""
     traced = trace(model.system, ())
     study = CompiledStudy(
-        compile_model(traced), tuple(prepare(model.system, r, 1) for r in records)
+        compile_model(traced), tuple(prepare_series(model.system, r, 1) for r in records)
     )
-    seen = [motion(study, s, _WINDOW).states for s in study.series]
-    hidden = [i for i, name in enumerate(traced.states) if name not in _shown(traced)]
+    seen = [smoothed_motion(study, s, _WINDOW).states for s in study.series]
+    hidden = [
+        i for i, name in enumerate(traced.states) if name not in _states_from_channels(traced)
+    ]
     if hidden:
         for states, series in zip(seen, study.series, strict=True):
-            states[:, hidden] = _inferred(model, series)[:, hidden]
+            states[:, hidden] = _infer_states(model, series)[:, hidden]
     return tuple(seen)
 
 
-def _shown(traced: Traced) -> set[str]:
+def _states_from_channels(traced: Traced) -> set[str]:
     """States that ``motion`` takes from channels: measured, rates of such, and those like one."""
     known = {*traced.shown, *traced.accelerated}
     return known | {traced.rate_name(c) for c in known} | {name for name, _ in traced.like}
 
 
-def _inferred(model: Model, series: Series) -> Array:
+def _infer_states(model: Model, series: Series) -> Array:
     """(samples, n) hidden states by a filter, else by a free run, else zero."""
     traced = trace(model.system, model.effects)
     own = tuple(k for k, p in model.pairs if p.scope == "record")
     known = [model.values.get(k, p.start or 0.0) for k, p in model.pairs]
     n = len(trace(model.system, ()).states)
     with np.errstate(all="ignore"):
-        task = task_with(model, compile_model(traced, own), np.array(known, float), series.record)
-        task, settings = prepared(task)
-        noisy = with_level(task, settings, dict.fromkeys(groups(task), _LEVEL))
-        passed = filtered(task, noisy)
+        task = build_task(model, compile_model(traced, own), np.array(known, float), series.record)
+        task, settings = prepare_filter(task)
+        noisy = with_level(task, settings, dict.fromkeys(noise_groups(task), _LEVEL))
+        passed = filter_record(task, noisy)
         if passed.done == series.samples and np.isfinite(passed.means).all():
             return passed.means[:, :n]
-        run = free_run(task.compiled, task.series, task.inputs, task.values)
+        run = run_from_rest(task.compiled, task.series, task.inputs, task.values)
     return np.zeros((series.samples, n)) if run is None else run[:, :n]
 
 
-def at_port(system: System, port: Port, traced: Traced) -> list[tuple[str, list[Any]]]:
+def port_motion_expressions(
+    system: System, port: Port, traced: Traced
+) -> list[tuple[str, list[Any]]]:
     """A port's position, and in a mechanical system its velocity, as expressions of the states."""
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
     own = zip(traced.keys, traced.parameters, strict=True)

@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.growth import Stage
-from spiral.engine.score import Score, ScoreTable, block_for, score, tabulate
-from spiral.engine.sensitivities import Reduction, reduce, residuals
+from spiral.engine.score import Score, ScoreTable, build_score_table, residual_block_samples, score
+from spiral.engine.sensitivities import Reduction, reduce_windows, residuals
 from spiral.engine.study import ParameterColumns
 from spiral.inference.evidence.assembly import (
     ORIGIN,
     Assembly,
     Variant,
-    columns,
+    columns_with_bounds,
 )
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.gridnull import effective_tests
-from spiral.inference.evidence.inseparable import inseparable
+from spiral.inference.evidence.inseparable import inseparable_part
 
 _NEAR = 0.8  # share of the best variant's gain from which another scores nearly as well
 
@@ -79,72 +79,78 @@ class Group:
     sides: tuple[bool, ...]
 
 
-def score_stage(assembly: Assembly, standing: FitState, stage: Stage) -> Evidence:
+def score_stage(assembly: Assembly, fit_state: FitState, stage: Stage) -> Evidence:
     """Score all candidates that are not active, in one pass."""
-    keys = standing.keys(assembly)
-    groups = [group_of(assembly, v) for v in absent(assembly, standing)]
+    keys = fit_state.keys(assembly)
+    groups = [column_group(assembly, v) for v in inactive_variants(assembly, fit_state)]
     candidate_keys = tuple(k for g in groups for k in dict.fromkeys(g.keys))
     residual = residuals(assembly.study, stage.layouts, stage.fitted.point)
-    block = block_for(residual)
-    moving, _ = columns(assembly, (*keys, *candidate_keys))
-    active, _ = columns(assembly, keys)
-    reduction = reduce(assembly.study, stage.layouts, stage.fitted.point, moving, block)
-    found = rank(reduction, owners_of(assembly, active), groups, block)
-    return Evidence(found.ranked, found.table, block, stage)
+    block = residual_block_samples(residual)
+    moving, _ = columns_with_bounds(assembly, (*keys, *candidate_keys))
+    active, _ = columns_with_bounds(assembly, keys)
+    reduction = reduce_windows(assembly.study, stage.layouts, stage.fitted.point, moving, block)
+    ranking = rank_groups(reduction, column_owners(assembly, active), groups, block)
+    return Evidence(ranking.ranked, ranking.table, block, stage)
 
 
-def absent(assembly: Assembly, standing: FitState) -> list[Variant]:
+def inactive_variants(assembly: Assembly, fit_state: FitState) -> list[Variant]:
     """Variants of the candidates that are not active."""
-    present = present_labels(assembly, standing)
+    present = active_labels(assembly, fit_state)
     return [v for v in assembly.variants if v.original.label not in present]
 
 
-def group_of(assembly: Assembly, variant: Variant) -> Group:
+def column_group(assembly: Assembly, variant: Variant) -> Group:
     """The columns of a compiled variant's amplitudes."""
     parameters = assembly.study.compiled.traced.parameters
-    index = columns(assembly, tested_keys(assembly, variant))[0].index
+    index = columns_with_bounds(assembly, amplitude_keys(assembly, variant))[0].index
     sides = tuple(parameters[i].lower == 0.0 and variant.companion is None for i in index)
     return Group(variant, tuple(assembly.study.keys[i] for i in index), sides)
 
 
-def owners_of(assembly: Assembly, active: ParameterColumns) -> list[str]:
+def column_owners(assembly: Assembly, active: ParameterColumns) -> list[str]:
     """The effect that each active column belongs to."""
-    return [_owner(assembly, int(i)) for i in active.index]
+    return [_column_owner(assembly, int(i)) for i in active.index]
 
 
 Parts = Callable[[Group], Sequence[tuple[int, ...]]]
-"""Of a candidate's columns those that may be taken without the others, several such sets."""
+"""Subsets of a candidate's columns (positions), each of which may be taken by itself."""
 
 
-def rank(
+def rank_groups(
     reduction: Reduction, owners: Sequence[str], groups: Sequence[Group], block: int,
     parts: Parts | None = None,
 ) -> Ranking:  # fmt: skip
-    """Candidates by their evidence in a reduced pass over [active | candidates | residual].
+    """Candidates, best first, by their evidence in a pass over [active | candidates | residual].
 
     ``owners`` are the effects of the active columns. Of each candidate the best variant is kept,
     and of its ``parts`` the best; what is in none of them does nothing here and is held.
     """
     active = len(owners)
-    table = tabulate(reduction, active)
+    table = build_score_table(reduction, active)
     keys = [k for g in groups for k in g.keys]
     ranks: dict[str, list[Ranked]] = {}
-    for group, found in scored(table, groups, parts):
+    for group, candidate_score in score_groups(table, groups, parts):
         variant = group.variant
-        tied = inseparable(reduction.triangle, active, found.columns)
+        tied = inseparable_part(reduction.triangle, active, candidate_score.columns)
         names = dict.fromkeys(owners[i] for i in tied.with_)
-        inside = tuple(keys[i] for i in found.columns)
+        inside = tuple(keys[i] for i in candidate_score.columns)
         held = [inside[i] for i in tied.held] + [k for k in group.keys if k not in inside]
         ranked = Ranked(
-            variant, found.columns, found, bic(table, found), variant.searched,
-            tuple(names), tuple(dict.fromkeys(held)), tied.whole,
-        )  # fmt: skip
+            variant,
+            candidate_score.columns,
+            candidate_score,
+            bic(table, candidate_score),
+            variant.searched,
+            tuple(names),
+            tuple(dict.fromkeys(held)),
+            tied.whole,
+        )
         ranks.setdefault(variant.original.label, []).append(ranked)
-    best = [_best(table, variants) for variants in ranks.values()]
+    best = [_best_variant(table, variants) for variants in ranks.values()]
     return Ranking(tuple(sorted(best, key=lambda r: r.rank)), table, block)
 
 
-def scored(
+def score_groups(
     table: ScoreTable, groups: Sequence[Group], parts: Parts | None = None
 ) -> Iterator[tuple[Group, Score]]:
     """Each candidate's columns with their score, or each of its parts that the records show."""
@@ -160,7 +166,7 @@ def scored(
         first += len(whole)
 
 
-def _owner(assembly: Assembly, index: int) -> str:
+def _column_owner(assembly: Assembly, index: int) -> str:
     """The effect that an active column belongs to; phase and its correction are the unbalance's."""
     keys = assembly.study.keys
     owner = keys[index].rsplit(".", 1)[0] if index < len(keys) else "system"
@@ -170,7 +176,7 @@ def _owner(assembly: Assembly, index: int) -> str:
     return known.get(owner, owner)
 
 
-def _best(table: ScoreTable, variants: list[Ranked]) -> Ranked:
+def _best_variant(table: ScoreTable, variants: list[Ranked]) -> Ranked:
     """The best value of a candidate's shapes, and how many tests choosing it amounts to."""
     best = min(range(len(variants)), key=lambda i: variants[i].rank)
     groups = [r.columns for r in variants]
@@ -183,12 +189,12 @@ def _best(table: ScoreTable, variants: list[Ranked]) -> Ranked:
     )  # fmt: skip
 
 
-def present_labels(assembly: Assembly, standing: FitState) -> set[str]:
+def active_labels(assembly: Assembly, fit_state: FitState) -> set[str]:
     """Real names of the candidates that are active."""
-    return {v.original.label for v in assembly.variants if v.label in standing.labels}
+    return {v.original.label for v in assembly.variants if v.label in fit_state.labels}
 
 
-def tested_keys(assembly: Assembly, variant: Variant) -> tuple[str, ...]:
+def amplitude_keys(assembly: Assembly, variant: Variant) -> tuple[str, ...]:
     """Amplitudes of a variant, and of its companion."""
     owners = [variant.label] + ([variant.companion.label] if variant.companion else [])
     names = {p.name for p in variant.effect.amplitudes()}

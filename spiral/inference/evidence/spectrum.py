@@ -15,24 +15,24 @@ _RESONANT, _RELAXING = 1.1, 1.5  # ratio of neighbouring frequencies
 _LOWEST, _HIGHEST = 4.0, 0.1  # band: periods in the record; share of the sample rate
 
 
-def band(samples: int, dt: float) -> tuple[float, float]:
+def frequency_band(samples: int, dt: float) -> tuple[float, float]:
     """Hz that a record can show: from four periods in it to a tenth of its rate."""
     return _LOWEST / (samples * dt), _HIGHEST / dt
 
 
-def shortest_time(dt: float) -> float:
-    """s, of what relaxes at the highest frequency that steps of ``dt`` can show."""
+def shortest_time_constant(dt: float) -> float:
+    """Shortest time constant 1 / (2 pi f) in s, f the highest frequency that ``dt`` can show."""
     return float(dt / (2 * np.pi * _HIGHEST))
 
 
-def frequencies(effect: Effect, series: Series) -> Array:
+def trial_frequencies(effect: Effect, series: Series) -> Array:
     """Frequencies of an effect's spectrum, Hz, over the band that a record can show."""
-    low, high = band(series.samples, series.dt)
-    count = max(int(np.ceil(np.log(high / low) / np.log(step(effect)))), 1) + 1
+    low, high = frequency_band(series.samples, series.dt)
+    count = max(int(np.ceil(np.log(high / low) / np.log(frequency_ratio(effect)))), 1) + 1
     return np.geomspace(low, high, count)
 
 
-def step(effect: Effect) -> float:
+def frequency_ratio(effect: Effect) -> float:
     """Ratio of neighbouring frequencies at which an effect is tried.
 
     A mode is as narrow as its damping is small. What relaxes in a time T, 1 / (1 + i w T), is not:
@@ -47,26 +47,26 @@ def _shapes(effect: Effect) -> list[Parameter]:
     return [p for p in effect.parameters if p.role == "shape"]
 
 
-def _others(parameter: Parameter) -> tuple[float, ...]:
+def _grid_values(parameter: Parameter) -> tuple[float, ...]:
     return parameter.grid or (parameter.start or 1.0,)
 
 
-def spectral(effect: Effect, frequency: float) -> dict[str, float]:
-    """The shapes that a frequency stands for: itself in Hz, 1 / (2 pi f) in s."""
+def frequency_shapes(effect: Effect, frequency: float) -> dict[str, float]:
+    """The spectral shapes of an effect at a frequency: f in Hz, a time 1 / (2 pi f) in s."""
     late = float(1.0 / (2 * np.pi * frequency))
     hertz = float(frequency)
     return {p.name: late if p.unit == "s" else hertz for p in _shapes(effect) if p.spectrum}
 
 
-def others_of(effect: Effect) -> tuple[dict[str, float], list[dict[str, float]]]:
-    """Shapes that are no frequency: their middle values, and all values to try."""
+def other_shapes(effect: Effect) -> tuple[dict[str, float], list[dict[str, float]]]:
+    """Shapes that are no frequency: their middle values, and all combinations to try."""
     shapes = [p for p in _shapes(effect) if not p.spectrum]
-    usual = {p.name: _others(p)[len(_others(p)) // 2] for p in shapes}
-    grids = itertools.product(*(_others(p) for p in shapes))
+    usual = {p.name: _grid_values(p)[len(_grid_values(p)) // 2] for p in shapes}
+    grids = itertools.product(*(_grid_values(p) for p in shapes))
     return usual, [dict(zip(usual, values, strict=True)) for values in grids]
 
 
-def peaks(share: Array) -> list[int]:
+def local_maxima(share: Array) -> list[int]:
     """Positions of the local maxima, the largest first; the ends count."""
     padded = np.concatenate([[-np.inf], share, [-np.inf]])
     at = np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))

@@ -1,4 +1,4 @@
-"""What is said of parameters that a record cannot tell from others: held, or with large errors."""
+"""Sentences about parameters that a record cannot determine: held, or known in combination."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from collections.abc import Mapping
 from typing import Any
 
 
-def groups_of(details: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
-    """What the seed's record cannot tell apart, of a round's details: effects, or parameters."""
+def tied_groups(details: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
+    """Groups of effects or parameters that the record cannot tell apart, from a round's details."""
     return tuple(tuple(g) for g in details.get("tied", {}).get("groups", ()))
 
 
-def effects_tied(details: Mapping[str, Any]) -> bool:
+def has_tied_effects(details: Mapping[str, Any]) -> bool:
     """Whether several effects are tied: a candidate may then look like a sum of them."""
-    return any("." not in label for group in groups_of(details) for label in group)
+    return any("." not in label for group in tied_groups(details) for label in group)
 
 
-def held_said(details: Mapping[str, Any]) -> str:
+def describe_held_parameters(details: Mapping[str, Any]) -> str:
     """Which parameters were held and why, in words; empty where none was."""
     names = tuple(details.get("tied", {}).get("parameters", ()))
     if not names:
         return ""
-    tied = "; ".join(" with ".join(g) for g in groups_of(details))
+    tied = "; ".join(" with ".join(g) for g in tied_groups(details))
     keep = "keeps the value that it was" if len(names) == 1 else "keep the values that they were"
     return (
         f"The record cannot tell some of the model's own parameters apart ({tied}): "
@@ -29,8 +29,8 @@ def held_said(details: Mapping[str, Any]) -> str:
     )
 
 
-def untold_said(details: Mapping[str, Any]) -> str:
-    """Which parameters of a model to which effects were added have no values of their own."""
+def describe_undetermined_parameters(details: Mapping[str, Any]) -> str:
+    """Which parameters are determined only together once effects were added; empty for none."""
     untold = details.get("untold", {})
     if not untold:
         return ""

@@ -44,7 +44,7 @@ class Identification(Readable):
     ----------
     verdict : whether the terms can be told apart.
     terms : the columns by full name.
-    found : rank, mu, condition and the Gram matrix.
+    richness : rank, mu, condition and the Gram matrix.
     aliases : groups of effects that the record cannot tell apart.
     noise, acceleration : rms of the noise in the target and of the target, in its unit.
     epsilon : eps_0, the share of the target that the terms leave beyond noise.
@@ -56,7 +56,7 @@ class Identification(Readable):
 
     verdict: Literal["identifiable", "not_identifiable"]
     terms: tuple[str, ...]
-    found: Richness
+    richness: Richness
     aliases: tuple[tuple[str, ...], ...]
     noise: float
     acceleration: float
@@ -68,11 +68,11 @@ class Identification(Readable):
 
     def _shown(self) -> Summary:
         needed = number(self.samples_needed) if np.isfinite(self.samples_needed) else "no number"
-        rank = f"{self.found.rank} of {len(self.terms)}"
+        rank = f"{self.richness.rank} of {len(self.terms)}"
         return Summary(
             f"{self.verdict}: {len(self.terms)} terms",
             ("rank", "condition", "mu", "samples needed", "cannot be told apart"),
-            ((rank, number(self.found.condition, 3), number(self.mu, 3), needed,
+            ((rank, number(self.richness.condition, 3), number(self.mu, 3), needed,
               "; ".join(", ".join(group) for group in self.aliases) or "-"),),
             self.advice,
         )  # fmt: skip
@@ -80,18 +80,18 @@ class Identification(Readable):
     @property
     def mu(self) -> float:
         """The Gram matrix's smallest eigenvalue; 0 where a direction is unseen."""
-        return self.found.mu if self.verdict == "identifiable" else 0.0
+        return self.richness.mu if self.verdict == "identifiable" else 0.0
 
     @property
     def samples_needed(self) -> float:
         """Eq. (Nmin) for the smallest term of interest; infinite where a direction is unseen."""
-        s, p = self.settings, self.found.columns
+        s, p = self.settings, self.richness.columns
         return samples_needed(self.mu, p, self.noise / self.acceleration, s.share, s.level, s.miss)
 
     @property
     def snr_min(self) -> float:
         """Eq. (SNR_min)."""
-        p, n = self.found.columns, self.found.samples
+        p, n = self.richness.columns, self.richness.samples
         return snr_min(self.mu, p, n, self.epsilon, self.settings.level)
 
     @property
@@ -102,7 +102,7 @@ class Identification(Readable):
     @property
     def spread_bound(self) -> float:
         """Theorem 1's standard deviation, as a share of the target's rms."""
-        p, n = self.found.columns, self.found.samples
+        p, n = self.richness.columns, self.richness.samples
         return spread_bound(self.mu, p, n, self.noise / self.acceleration)
 
     @property
@@ -112,16 +112,16 @@ class Identification(Readable):
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
-        found = self.found
+        excitation = self.richness
         return {
             "verdict": self.verdict,
-            "rank": found.rank,
-            "columns": found.columns,
-            "mu": found.mu,
-            "coherence": found.coherence,
-            "condition": found.condition,
+            "rank": excitation.rank,
+            "columns": excitation.columns,
+            "mu": excitation.mu,
+            "coherence": excitation.coherence,
+            "condition": excitation.condition,
             "aliases": [list(g) for g in self.aliases],
-            "samples": found.samples,
+            "samples": excitation.samples,
             "samples_needed": self.samples_needed,
             "snr": self.snr,
             "snr_min": self.snr_min,
@@ -129,7 +129,7 @@ class Identification(Readable):
             "bias_bound": self.bias_bound,
             "variance_bound": self.spread_bound,
             "terms": list(self.terms),
-            "gram": found.gram.tolist(),
+            "gram": excitation.gram.tolist(),
             "left_out": dict(self.left_out),
             "planned": self.planned,
             "advice": self.advice,
@@ -167,24 +167,24 @@ def identify(
     motions = []
     for record in problem.records:
         progress(f"signatures along {record.name}")
-        motions.append(_motion(model, record, derivative))
+        motions.append(_motion_along(model, record, derivative))
     made = [signatures(model, problem.candidates, m.states, m.record) for m in motions]
     keys = tuple(k for k in made[0].keys if all(k in other.keys for other in made))
-    phi = _stacked(made, keys, motions)
-    again = _once_more(problem, motions, keys)
+    phi = _stack_signatures(made, keys, motions)
+    again = _disturbed_signatures(problem, motions, keys)
     target = np.concatenate([m.target[:, m.cut].ravel() for m in motions])
     size = float(np.sqrt(np.mean(target**2)))
     noise = float(np.sqrt(np.mean([m.noise**2 for m in motions])))
-    asked = [i for i, key in enumerate(keys) if not _known(model, key)]
+    asked = [i for i, key in enumerate(keys) if not _is_known(model, key)]
     unseen = _STANDS_OUT * noise / (np.sqrt(len(target)) * size)
-    found = richness(phi[:, asked], None if again is None else again[:, asked], unseen)
+    excitation = richness(phi[:, asked], None if again is None else again[:, asked], unseen)
     terms = tuple(keys[i] for i in asked)
-    aliases = alias_groups(found, made[0].only(terms).owners)
-    identified = found.rank == found.columns
+    aliases = alias_groups(excitation, made[0].only(terms).owners)
+    identified = excitation.rank == excitation.columns
     return Identification(
         verdict="identifiable" if identified else "not_identifiable",
         terms=terms,
-        found=found,
+        richness=excitation,
         aliases=aliases,
         noise=noise,
         acceleration=size,
@@ -196,23 +196,27 @@ def identify(
     )
 
 
-def _known(model: Model, key: str) -> bool:
+def _is_known(model: Model, key: str) -> bool:
     """Whether a parameter of the system itself is known; one of each record never is."""
     if not key.startswith("system.") or key in model.active:
         return False
     return dict(model.pairs)[key].scope == "machine"
 
 
-def _once_more(problem: Problem, motions: list[_Motion], keys: tuple[str, ...]) -> Array | None:
+def _disturbed_signatures(
+    problem: Problem, motions: list[_Motion], keys: tuple[str, ...]
+) -> Array | None:
     """The signatures at states disturbed by noise once more; none where states are true ones."""
     disturbed = [(m.disturbed, m.record) for m in motions if m.disturbed is not None]
     if len(disturbed) < len(motions):
         return None
     moved = [signatures(problem.model, problem.candidates, d, r) for d, r in disturbed]
-    return _stacked(moved, keys, motions)
+    return _stack_signatures(moved, keys, motions)
 
 
-def _stacked(made: list[Signatures], keys: tuple[str, ...], motions: list[_Motion]) -> Array:
+def _stack_signatures(
+    made: list[Signatures], keys: tuple[str, ...], motions: list[_Motion]
+) -> Array:
     """(rows, p): all equations of all records below one another, ends left out."""
     parts = [
         s.only(keys).columns[:, m.cut, :].reshape(-1, len(keys))
@@ -221,7 +225,7 @@ def _stacked(made: list[Signatures], keys: tuple[str, ...], motions: list[_Motio
     return np.concatenate(parts)
 
 
-def _motion(model: Model, record: Record, derivative: Derivative) -> _Motion:
+def _motion_along(model: Model, record: Record, derivative: Derivative) -> _Motion:
     """True states of a simulated record, else estimated ones."""
     rows = equation_rows(model.system)
     if all(n in record.truth for n in (*model.system.observed, *rows)):
@@ -231,31 +235,40 @@ def _motion(model: Model, record: Record, derivative: Derivative) -> _Motion:
         return _Motion(record, record.truth, target, None, noise, cut)
     y = np.column_stack([record.channels[c] for c in model.system.observed])
     once = differentiate(derivative, y, record.dt, record.inputs.get("speed"))
-    twice = differentiate(derivative, y + _drawn(record), record.dt, record.inputs.get("speed"))
-    target, moved = _target(model, once), _target(model, twice)
+    twice = differentiate(
+        derivative, y + _draw_noise(record), record.dt, record.inputs.get("speed")
+    )
+    target, moved = _target_rates(model, once), _target_rates(model, twice)
     noise = float(np.sqrt(np.mean((moved - target)[:, once.inner] ** 2)))
-    return _Motion(record, _states(model, once), target, _states(model, twice), noise, once.inner)
+    return _Motion(
+        record,
+        _state_estimates(model, once),
+        target,
+        _state_estimates(model, twice),
+        noise,
+        once.inner,
+    )
 
 
-def _drawn(record: Record) -> Array:
+def _draw_noise(record: Record) -> Array:
     """(N, C) noise of the record's own size."""
     sigma = np.array(list(record.sigma().values()))
     return np.random.default_rng(0).normal(size=(record.samples, len(sigma))) * sigma
 
 
-def _states(model: Model, found: Derivatives) -> dict[str, Array]:
+def _state_estimates(model: Model, derivatives: Derivatives) -> dict[str, Array]:
     """Measured channels, and their velocities where the system has them."""
     rows = equation_rows(model.system)
-    rates = dict(zip(rows, found.velocity.T, strict=True))
-    return {**rates, **dict(zip(model.system.observed, found.position.T, strict=True))}
+    rates = dict(zip(rows, derivatives.velocity.T, strict=True))
+    return {**rates, **dict(zip(model.system.observed, derivatives.position.T, strict=True))}
 
 
-def _target(model: Model, found: Derivatives) -> Array:
+def _target_rates(model: Model, derivatives: Derivatives) -> Array:
     """(n, N): accelerations, or rates of a channel that is a state of first order."""
     names = zip(model.system.observed, equation_rows(model.system), strict=True)
     return np.array(
         [
-            (found.velocity if name == row else found.acceleration)[:, i]
+            (derivatives.velocity if name == row else derivatives.acceleration)[:, i]
             for i, (name, row) in enumerate(names)
         ]
     )
@@ -268,8 +281,8 @@ def _planned_noise(record: Record, derivative: Derivative, model: Model) -> floa
     clean = np.column_stack([record.truth[c] for c in model.system.observed])
     speed = record.inputs.get("speed")
     once = differentiate(derivative, clean, record.dt, speed)
-    twice = differentiate(derivative, clean + _drawn(record), record.dt, speed)
-    off = (_target(model, twice) - _target(model, once))[:, once.inner]
+    twice = differentiate(derivative, clean + _draw_noise(record), record.dt, speed)
+    off = (_target_rates(model, twice) - _target_rates(model, once))[:, once.inner]
     return float(np.sqrt(np.mean(off**2)))
 
 
@@ -286,11 +299,11 @@ def _advice(problem: Problem, identified: bool, aliases: tuple[tuple[str, ...], 
     if identified:
         return "The record can tell these terms apart: spiral discover with the same overrides."
     groups = "; ".join(", ".join(g) for g in aliases)
-    return f"This record cannot tell apart: {groups}. {_proposal(problem)}"
+    return f"This record cannot tell apart: {groups}. {_propose_test(problem)}"
 
 
-def _proposal(problem: Problem) -> str:
-    """Which test would tell more."""
+def _propose_test(problem: Problem) -> str:
+    """In words, a test that would tell the terms apart: an excitation or a speed sweep."""
     names = [i.name for i in problem.model.system.inputs]
     if "speed" not in names:
         name = next((i.name for i in problem.model.system.inputs if i.derived_from is None), "")

@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.sensitivities import reduce
+from spiral.engine.sensitivities import reduce_windows
 from spiral.engine.study import Layouts, ParameterColumns, Point
-from spiral.inference.evidence.assembly import Assembly, columns, first_row
+from spiral.inference.evidence.assembly import Assembly, columns_with_bounds, initial_values
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import tested_keys
+from spiral.inference.evidence.scoring import amplitude_keys
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
 from spiral.types.record import Array
@@ -61,7 +61,7 @@ class Pair:
         }
 
 
-def separation(pairs: Sequence[Pair], level: float) -> float | None:
+def separation_probability(pairs: Sequence[Pair], level: float) -> float | None:
     """Probability that all pairs come apart at a level: product of Phi(sqrt(lambda / 8) - z)."""
     from scipy.stats import norm
 
@@ -92,54 +92,58 @@ class View:
         ------
         ConfigError : the model does not stay finite on the record.
         """
-        standing = FitState(assembly.problem.model.labels, point.values)
-        keys = standing.keys(assembly)
-        more = tuple(k for v in assembly.variants for k in tested_keys(assembly, v))
-        moving, _ = columns(assembly, (*keys, *more))
-        reduction = reduce(assembly.study, layouts, point, moving)
+        fit_state = FitState(assembly.problem.model.labels, point.values)
+        keys = fit_state.keys(assembly)
+        more = tuple(k for v in assembly.variants for k in amplitude_keys(assembly, v))
+        moving, _ = columns_with_bounds(assembly, (*keys, *more))
+        reduction = reduce_windows(assembly.study, layouts, point, moving)
         if not reduction.finite:
             raise ConfigError("a motion that grows without bound", "a stable one")
-        count = columns(assembly, keys)[0].count
+        count = columns_with_bounds(assembly, keys)[0].count
         return cls(assembly, moving, count, reduction.triangle[:-1, :-1])
 
-    def alone(self, label: str) -> float:
+    def noncentrality_alone(self, label: str) -> float:
         """lambda of an effect of the model against all else that is fitted: what it changes."""
-        own = self._columns(label)
+        own = self._amplitude_columns(label)
         rest = [i for i in range(self.fitted) if i not in own]
-        return _outside(self._response(own), self.triangle[:, rest]) if own else 0.0
+        return (
+            _squared_distance_to_span(self._response(own), self.triangle[:, rest]) if own else 0.0
+        )
 
     def pairs(self, label: str, others: tuple[Effect, ...]) -> list[Pair]:
         """An effect of the model against others; of a shape the value that is nearest counts."""
-        own = self._columns(label)
+        own = self._amplitude_columns(label)
         if not own:
             return []
-        response, alone = self._response(own), self.alone(label)
+        response, alone = self._response(own), self.noncentrality_alone(label)
         rest = [i for i in range(self.fitted) if i not in own]
-        found = []
+        pairs = []
         for other in others:
             labels = [v.label for v in self.assembly.variants if v.original.label == other.label]
             left = min(
-                _outside(response, self.triangle[:, [*rest, *self._beside(x)]])
+                _squared_distance_to_span(
+                    response, self.triangle[:, [*rest, *self._variant_columns(x)]]
+                )
                 for x in (labels or [other.label])
             )
-            found.append(Pair(label, other.label, left, alone))
-        return found
+            pairs.append(Pair(label, other.label, left, alone))
+        return pairs
 
     def _response(self, own: list[int]) -> Array:
         """J_A a: what an effect's amplitudes change, to first order."""
-        return self.triangle[:, own] @ self.moving.current(first_row(self.assembly))[own]
+        return self.triangle[:, own] @ self.moving.current(initial_values(self.assembly))[own]
 
-    def error(self, parameter: str) -> float:
+    def standard_error(self, parameter: str) -> float:
         """Standard error of a parameter, all others that are fitted being free."""
         place = self.assembly.study.index(parameter)
         at = [i for i in range(self.fitted) if self.moving.index[i] == place]
         if not at:
             raise ConfigError(f"{parameter}, which no fit moves", "free=[...] to free it")
         rest = [i for i in range(self.fitted) if i not in at]
-        seen = _outside(self.triangle[:, at[0]], self.triangle[:, rest])
+        seen = _squared_distance_to_span(self.triangle[:, at[0]], self.triangle[:, rest])
         return float(1.0 / np.sqrt(seen)) if seen > 0 else float("inf")
 
-    def _columns(self, label: str) -> list[int]:
+    def _amplitude_columns(self, label: str) -> list[int]:
         """Amplitudes of an effect of the model among the fitted columns."""
         keys = self.assembly.study.keys
         roles = self.assembly.study.compiled.traced.parameters
@@ -151,7 +155,7 @@ class View:
             and roles[self.moving.index[i]].role == "amplitude"
         ]
 
-    def _beside(self, label: str) -> list[int]:
+    def _variant_columns(self, label: str) -> list[int]:
         """Columns of a variant that is not fitted, its companion's too."""
         owners = {label}
         for variant in self.assembly.variants:
@@ -162,7 +166,7 @@ class View:
         return [i for i in last if keys[self.moving.index[i]].rsplit(".", 1)[0] in owners]
 
 
-def _outside(response: Array, others: Array) -> float:
+def _squared_distance_to_span(response: Array, others: Array) -> float:
     """Squared length of what the span of other columns cannot make, columns scaled first."""
     size = np.linalg.norm(others, axis=0)
     unit = others[:, size > 0] / size[size > 0]

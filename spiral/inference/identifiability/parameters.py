@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.growth import Stage
-from spiral.engine.sensitivities import reduce
+from spiral.engine.sensitivities import reduce_windows
 from spiral.engine.study import ParameterColumns
-from spiral.inference.evidence.assembly import Assembly, columns
-from spiral.inference.evidence.fit_state import FitState, all_samples, grown
-from spiral.inference.evidence.scoring import tested_keys
+from spiral.inference.evidence.assembly import Assembly, columns_with_bounds
+from spiral.inference.evidence.fit_state import FitState, all_samples, fit_growing_windows
+from spiral.inference.evidence.scoring import amplitude_keys
 from spiral.types.record import Array
 
 _COLLINEAR = 0.1  # singular value of unit signatures under which a combination is looked at
@@ -34,8 +34,8 @@ class Entanglement:
     noise_share: float
 
 
-def entangled(assembly: Assembly, standing: FitState) -> Entanglement | None:
-    """Check the standing's parameters; nothing where the record tells them apart.
+def find_entanglement(assembly: Assembly, fit_state: FitState) -> Entanglement | None:
+    """Parameters of a fit state that the record cannot tell apart; None where it can.
 
     A combination counts as entangled where its unit signatures are nearly collinear (singular
     value s < 0.1) *and* what is left of them is made by noise: with the initial states drawn anew
@@ -45,12 +45,14 @@ def entangled(assembly: Assembly, standing: FitState) -> Entanglement | None:
     initial states still excites a transient. Window lengths are tried in turn; one that tells
     the parameters apart is enough.
     """
-    standing = replace(standing, corrected=False)  # speed taken as exact
-    moving, _ = columns(assembly, standing.keys(assembly))
+    fit_state = replace(fit_state, corrected=False)  # speed taken as exact
+    moving, _ = columns_with_bounds(assembly, fit_state.keys(assembly))
     if moving.count == 0:
         return None
     worst: Entanglement | None = None
-    for stage in grown(assembly, standing, all_samples(assembly), None, patient=True):
+    for stage in fit_growing_windows(
+        assembly, fit_state, all_samples(assembly), None, patient=True
+    ):
         if stage.fitted.reduction is None:
             break
         triangle = stage.fitted.reduction.triangle[:-1, :-1]
@@ -64,7 +66,9 @@ def entangled(assembly: Assembly, standing: FitState) -> Entanglement | None:
         if not len(bad):
             return None
         owners = [assembly.study.keys[i] for i in moving.index]
-        worst = Entanglement(_groups(assembly, standing, stage, bad, owners), smallest, share)
+        worst = Entanglement(
+            _entangled_groups(assembly, fit_state, stage, bad, owners), smallest, share
+        )
     return worst
 
 
@@ -78,7 +82,7 @@ def _noisy_directions(
         return np.zeros((0, len(norms))), float(singular[-1]), 0.0
     grown_energy = np.zeros(len(suspects))
     for draw in range(_DRAWS):
-        other = _redrawn(assembly, stage, moving, np.random.default_rng(draw))
+        other = _redrawn_triangle(assembly, stage, moving, np.random.default_rng(draw))
         for place, i in enumerate(suspects):
             grown_energy[place] += float(np.sum((other @ (right[i] / norms)) ** 2)) / _DRAWS
     shares = grown_energy / np.maximum(singular[suspects] ** 2, 1e-300) - 1.0
@@ -86,7 +90,7 @@ def _noisy_directions(
     return np.array(bad), float(singular[-1]), float(np.max(shares))
 
 
-def _redrawn(
+def _redrawn_triangle(
     assembly: Assembly, stage: Stage, moving: ParameterColumns, rng: np.random.Generator
 ) -> Array:
     """The triangle of signatures, initial states moved by fresh noise of the residual's size."""
@@ -100,24 +104,24 @@ def _redrawn(
     )
     assert stage.fitted.reduction is not None
     now = [e[:, :, -1] for e in stage.fitted.reduction.elimination]
-    then = reduce(noisy, stage.layouts, point, moving).elimination
+    then = reduce_windows(noisy, stage.layouts, point, moving).elimination
     starts = tuple(
         x + e[:, :, -1] - base for x, e, base in zip(point.starts, then, now, strict=True)
     )
-    moved = reduce(study, stage.layouts, replace(point, starts=starts), moving)
+    moved = reduce_windows(study, stage.layouts, replace(point, starts=starts), moving)
     return moved.triangle[:-1, :-1]
 
 
-def _groups(
-    assembly: Assembly, standing: FitState, stage: Stage, bad: Array, owners: list[str]
+def _entangled_groups(
+    assembly: Assembly, fit_state: FitState, stage: Stage, bad: Array, owners: list[str]
 ) -> tuple[tuple[str, ...], ...]:
     """Effects tied together: the model's entangled ones, and candidates that they mimic."""
-    links = [{_owner(owners[i]) for i in np.flatnonzero(np.abs(v) > 0.1)} for v in bad]
-    groups = [(v, tested_keys(assembly, v)) for v in assembly.variants]
+    links = [{_owner_label(owners[i]) for i in np.flatnonzero(np.abs(v) > 0.1)} for v in bad]
+    groups = [(v, amplitude_keys(assembly, v)) for v in assembly.variants]
     keys = tuple(k for _, g in groups for k in g)
-    active = columns(assembly, standing.keys(assembly))[0].count
-    moving, _ = columns(assembly, (*standing.keys(assembly), *keys))
-    triangle = reduce(assembly.study, stage.layouts, stage.fitted.point, moving).triangle
+    active = columns_with_bounds(assembly, fit_state.keys(assembly))[0].count
+    moving, _ = columns_with_bounds(assembly, (*fit_state.keys(assembly), *keys))
+    triangle = reduce_windows(assembly.study, stage.layouts, stage.fitted.point, moving).triangle
     norms = np.linalg.norm(triangle, axis=0)
     norms[norms == 0] = 1.0
     unit = triangle / norms
@@ -132,17 +136,19 @@ def _groups(
         if np.min(rest) > _TIED:
             continue
         shares = right[kept].T @ (along / singular[kept][:, None])
-        tied = {_owner(owners[i]) for i in np.flatnonzero(np.max(np.abs(shares), axis=1) > 0.1)}
+        tied = {
+            _owner_label(owners[i]) for i in np.flatnonzero(np.max(np.abs(shares), axis=1) > 0.1)
+        }
         links.append({variant.original.label, *tied})
-    return components(links)
+    return merge_overlapping_groups(links)
 
 
-def _owner(key: str) -> str:
+def _owner_label(key: str) -> str:
     owner, name = key.rsplit(".", 1)
     return "unbalance" if name == "phase_origin" else owner
 
 
-def components(links: list[set[str]]) -> tuple[tuple[str, ...], ...]:
+def merge_overlapping_groups(links: list[set[str]]) -> tuple[tuple[str, ...], ...]:
     """Connected components of overlapping sets."""
     merged: list[set[str]] = []
     for link in links:

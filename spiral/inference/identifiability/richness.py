@@ -84,7 +84,7 @@ def richness(phi: Array, disturbed: Array | None = None, least: float = 0.0) -> 
     threshold = max(FLOOR, least)
     kept: Array = np.sqrt(seen) > threshold
     gram = unit.T @ unit
-    mu = _eigenvalue(singular)
+    mu = _smallest_eigenvalue(singular)
     off = np.abs(gram - np.diag(np.diag(gram)))
     return Richness(
         samples=count,
@@ -99,19 +99,19 @@ def richness(phi: Array, disturbed: Array | None = None, least: float = 0.0) -> 
     )
 
 
-def _eigenvalue(singular: Array) -> float:
+def _smallest_eigenvalue(singular: Array) -> float:
     """The smallest eigenvalue of the Gram matrix; 0 where it is the rounding of the largest."""
     rounding = len(singular) * np.finfo(float).eps * singular[0]
     return float(singular[-1] ** 2) if singular[-1] > rounding else 0.0
 
 
-def alias_groups(found: Richness, owners: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+def alias_groups(excitation: Richness, owners: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     """Effects whose columns appear together in an unseen combination.
 
     The projector V V^T on the unseen directions does not depend on their basis: columns with a
     large entry in it are tied, effects with tied columns form one group.
     """
-    tied = np.abs(found.unseen @ found.unseen.T) > _TIED
+    tied = np.abs(excitation.unseen @ excitation.unseen.T) > _TIED
     groups: list[set[str]] = []
     for i in range(len(owners)):
         together = {owners[j] for j, tie in enumerate(tied[i]) if tie}

@@ -99,7 +99,7 @@ def signatures(
     left_out: dict[str, str] = {}
     kept: list[Effect] = []
     for effect in wanted:
-        reason = _unseen(system, effect, states)
+        reason = _missing_states(system, effect, states)
         if reason and effect in model.effects:
             raise InputError(
                 f"{effect.label} in the equations of {system.plugin_name()}, which need {reason}",
@@ -112,16 +112,16 @@ def signatures(
             kept.append(effect)
     traced = trace(system, tuple(kept))
     rows = equation_rows(system)
-    shapes = {**_shapes(traced, system, states), **_input_shapes(system, kept, record)}
+    shapes = {**_middle_shapes(traced, system, states), **_input_shapes(system, kept, record)}
     values = {**shapes, **model.values}
-    keys, columns = _columns(traced, rows, values, states, _inputs(system, record))
+    keys, columns = _nonzero_columns(traced, rows, values, states, _input_samples(system, record))
     for effect in kept:
         if not any(owner_of(k) == effect.label for k in keys):
             left_out[effect.label] = "no force anywhere along the record"
     return Signatures(keys, rows, columns, left_out, shapes)
 
 
-def _unseen(system: System, effect: Effect, states: Mapping[str, Array]) -> str:
+def _missing_states(system: System, effect: Effect, states: Mapping[str, Array]) -> str:
     """States that an effect's columns need and nobody has; empty where there are none."""
     traced = trace(system, (effect,))
     needed: set[str] = set()
@@ -133,21 +133,21 @@ def _unseen(system: System, effect: Effect, states: Mapping[str, Array]) -> str:
     return ", ".join(sorted(needed - set(states)))
 
 
-def _shapes(traced: Traced, system: System, states: Mapping[str, Array]) -> dict[str, float]:
+def _middle_shapes(traced: Traced, system: System, states: Mapping[str, Array]) -> dict[str, float]:
     """Shapes with a grid, at its middle: shares of the largest displacement or velocity."""
-    found = {}
+    shapes = {}
     rates = [r for r in equation_rows(system) if r not in system.observed]
     for key, parameter in zip(traced.keys, traced.parameters, strict=True):
         if parameter.role == "shape" and parameter.grid:
             names = rates if rates and "velocity" in parameter.unit else system.observed
             largest = max(float(np.max(np.abs(states[n]))) for n in names)
-            found[key] = parameter.grid[len(parameter.grid) // 2] * largest
-    return found
+            shapes[key] = parameter.grid[len(parameter.grid) // 2] * largest
+    return shapes
 
 
 def _input_shapes(system: System, effects: Sequence[Effect], record: Record) -> dict[str, float]:
     """Shapes of what an actuator makes of an input: shares of that input's largest value."""
-    found = {}
+    shapes = {}
     for effect in effects:
         port = system.place(effect)
         if port.name not in {p.name for p in system.driven}:
@@ -155,16 +155,16 @@ def _input_shapes(system: System, effects: Sequence[Effect], record: Record) -> 
         largest = max(float(np.max(np.abs(record.inputs[name]))) for name in port.axes)
         for shape in effect.parameters:
             if shape.role == "shape" and shape.grid and "position" in shape.unit:
-                found[f"{effect.label}.{shape.name}"] = shape.grid[len(shape.grid) // 2] * largest
-    return found
+                shapes[f"{effect.label}.{shape.name}"] = shape.grid[len(shape.grid) // 2] * largest
+    return shapes
 
 
-def _inputs(system: System, record: Record) -> Array:
+def _input_samples(system: System, record: Record) -> Array:
     """(N, inputs) in the order of the traced inputs, rates included."""
     return half_step_inputs(system, record, 1)[::2]
 
 
-def _columns(
+def _nonzero_columns(
     traced: Traced,
     rows: tuple[str, ...],
     given: Mapping[str, float],
@@ -180,24 +180,24 @@ def _columns(
     x = [np.asarray(states.get(n, np.zeros(count)), dtype=float) for n in traced.states]
     pairs = list(zip(traced.keys, traced.parameters, strict=True))
     moving = [i for i, (k, q) in enumerate(pairs) if q.role == "amplitude" or k.startswith("sys")]
-    own = {i for i, (k, q) in enumerate(pairs) if q.role == "amplitude" and not _of_system(k)}
-    base = np.array([_value(k, q, given) for k, q in pairs])
+    own = {i for i, (k, q) in enumerate(pairs) if q.role == "amplitude" and not _is_system_key(k)}
+    base = np.array([_value_or_one(k, q, given) for k, q in pairs])
     off = np.where([i in own for i in range(len(pairs))], 0.0, base)
     on = np.where([i in own for i in range(len(pairs))], 1.0, base)
     function = _jacobian(traced, rows, moving)
-    found = _evaluated(function, x, inputs, off, (len(rows), count, len(moving)))
-    beside = _evaluated(function, x, inputs, on, found.shape)
-    silent = ~np.any(found, axis=(0, 1))
-    found[:, :, silent] = beside[:, :, silent]
-    seen = np.flatnonzero(np.any(found, axis=(0, 1)))
-    return tuple(pairs[moving[i]][0] for i in seen), found[:, :, seen]
+    columns = _evaluate_columns(function, x, inputs, off, (len(rows), count, len(moving)))
+    beside = _evaluate_columns(function, x, inputs, on, columns.shape)
+    silent = ~np.any(columns, axis=(0, 1))
+    columns[:, :, silent] = beside[:, :, silent]
+    seen = np.flatnonzero(np.any(columns, axis=(0, 1)))
+    return tuple(pairs[moving[i]][0] for i in seen), columns[:, :, seen]
 
 
-def _of_system(key: str) -> bool:
+def _is_system_key(key: str) -> bool:
     return key.startswith("system.")
 
 
-def _value(key: str, parameter, given: Mapping[str, float]) -> float:
+def _value_or_one(key: str, parameter, given: Mapping[str, float]) -> float:
     value = given.get(key, parameter.start)
     return 1.0 if value is None else float(value)
 
@@ -211,15 +211,15 @@ def _jacobian(traced: Traced, rows: tuple[str, ...], moving: list[int]):
     return sp.lambdify([traced.x, traced.u, traced.p], entries, modules="numpy", cse=True)
 
 
-def _evaluated(function, x: list[Array], inputs: Array, p: Array, shape) -> Array:
+def _evaluate_columns(function, x: list[Array], inputs: Array, p: Array, shape) -> Array:
     with np.errstate(all="ignore"):
         entries = function(x, list(inputs.T), p)
-    found = np.empty(shape)
+    columns = np.empty(shape)
     for row, line in enumerate(entries):
         for column, values in enumerate(line):
-            found[row, :, column] = values
-    if not np.isfinite(found).all():
+            columns[row, :, column] = values
+    if not np.isfinite(columns).all():
         raise ConfigError(
             "a signature that is not finite", "effects with finite forces along the record"
         )
-    return found
+    return columns

@@ -1,4 +1,4 @@
-"""Where records begin, and within what a filter looks for it.
+"""Initial states of the records, and the spread that a filter starts with around them.
 
 A filter is linear about its own mean. Where the machine is not linear and nothing is known of a
 hidden state, what the first readings say of it is read with the wrong slopes, and the mean is
@@ -21,46 +21,46 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.filter.extended import filtered
-from spiral.engine.filter.extended import smoothed as backward
-from spiral.engine.filter.setup import chosen_levels, smoothed, with_level
-from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.task import Task, begun_within
+from spiral.engine.filter.extended import filter_record
+from spiral.engine.filter.extended import smooth_run as backward
+from spiral.engine.filter.setup import choose_levels, smoothed_states, with_level
+from spiral.engine.filter.setup import prepare_filter as filter_prepared
+from spiral.engine.filter.task import Task, with_start_spread
 from spiral.engine.likelihood.noise import NoiseModel
-from spiral.engine.likelihood.predict import Masks, all_predicted, log_likelihood, predicted
+from spiral.engine.likelihood.predict import Masks, log_likelihood, predict_cases, predict_readings
 from spiral.engine.series import Series
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.horizons import doubts
+from spiral.inference.evidence.horizons import tracked_deviations
 from spiral.inference.likelihood.fitting import (
     WORTH,
     LikelihoodFit,
-    explains,
+    fit_by_likelihood,
     force_levels,
-    refitted,
-    subjects,
+    is_random_force_small,
+    prepare_filter_tasks,
 )
 from spiral.types.record import Array
 
-_FAR = 30.0  # times its motion that a hidden state may lie from where it is first looked for
-_AGAIN = 12  # times that beginnings are looked for
-_HEAD = 2048  # samples that tell where a record begins
+_FAR = 30.0  # spreads of its motion by which a hidden state may be off its first guess
+_AGAIN = 12  # searches for initial states, at most
+_HEAD = 2048  # samples at the head of a record from which its initial state is estimated
 _SHORTER = (1.0, 0.1, 0.01)  # of the machine's motion, how far one step of the search may lead
 _SAME = 0.5  # log-likelihood that is no difference
-_TIMES = (100.0, 10.0)  # what a record leaves open of its beginning, that the filter begins with
+_TIMES = (100.0, 10.0)  # c: initial spread of the filter over the smoothed deviation
 
 
 @dataclass(frozen=True)
 class Beginning:
-    """The mean (n,) and spread (n,) of a first state; ``height`` the likelihood of the head."""
+    """Mean (n,) and spread (n,) of an initial state; ``height`` is the head's log-likelihood."""
 
     start: Array
     spread: Array
     height: float
 
 
-def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
-    """The fit again with each record begun where all of it says.
+def refit_initial_states(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
+    """The fit again from initial states that are smoothed over the head of each record.
 
     A hidden state far from the mean that it was first given (zero) would cost likelihood until the
     record has told it, and a filter of a machine that is not linear is misled by it for longer.
@@ -68,103 +68,108 @@ def restarted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
     the motion of what is measured suggests (those who may still fall ill, beside those who are):
     beginnings are looked for that far, and the fit taken on from there, while that pays.
     """
-    found = begun_closely(assembly, found)
+    fit = narrow_initial_states(assembly, fit)
     for _ in range(_AGAIN):
-        better = _begun_again(assembly, found, 1.0)
-        if better is found:
+        better = _refit_from_smoothed_states(assembly, fit, 1.0)
+        if better is fit:
             break
-        found = better
-    if explains(found):
-        return found
+        fit = better
+    if is_random_force_small(fit):
+        return fit
     stretch = 1.0
     for _ in range(_AGAIN):
-        better = _begun_again(assembly, found, _FAR, stretch)
-        if better.height > found.height + WORTH:
-            found, stretch = better, 2 * stretch
+        better = _refit_from_smoothed_states(assembly, fit, _FAR, stretch)
+        if better.height > fit.height + WORTH:
+            fit, stretch = better, 2 * stretch
         elif stretch == 1.0:
             break
         else:
             stretch = 1.0
-    return found
+    return fit
 
 
-def _begun_again(
-    assembly: Assembly, found: LikelihoodFit, spread: float, stretch: float = 1.0
+def _refit_from_smoothed_states(
+    assembly: Assembly, fit: LikelihoodFit, spread: float, stretch: float = 1.0
 ) -> LikelihoodFit:
-    """The fit from where the records say they begin, if that is more likely.
+    """The fit from smoothed initial states, if that is more likely.
 
-    Within the doubt that a filter of a linear machine begins with it changes next to nothing.
+    Where these lie within the filter's first spread a refit is tried only if they alone are
+    likelier: for a linear machine they change next to nothing.
     """
-    at = found.estimate
+    at = fit.estimate
     if not at.finite:
-        return found
-    state, far = _beginnings(found, spread, stretch)
+        return fit
+    state, far = _smoothed_initial_states(fit, spread, stretch)
     if not far:
-        trial = all_predicted([(subjects(assembly, state, at.prepared), at.noise)])[0]
-        if not log_likelihood(trial) > found.height + WORTH:
-            return found
-    again = refitted(assembly, state, rough=True, kept=at.kept)
-    return again if again.height > found.height else found
+        trial = predict_cases([(prepare_filter_tasks(assembly, state, at.prepared), at.noise)])[0]
+        if not log_likelihood(trial) > fit.height + WORTH:
+            return fit
+    again = fit_by_likelihood(assembly, state, rough=True, kept=at.kept)
+    return again if again.height > fit.height else fit
 
 
-def _beginnings(found: LikelihoodFit, spread: float, stretch: float) -> tuple[FitState, bool]:
-    """The fit's state with every record begun where it says, of first states that lie so far off.
+def _smoothed_initial_states(
+    fit: LikelihoodFit, spread: float, stretch: float
+) -> tuple[FitState, bool]:
+    """The fit's state with smoothed initial states, and whether one lies beyond its first spread.
 
-    And whether that is beyond the doubt that the filter has of a state. What it follows (a phase's
-    origin) begins where the record has it as well: a filter that is linear about a first guess far
-    off misses the first samples, and an effect that is not there may make up for these.
+    ``spread`` widens the doubt that the smoother starts with. Tracked parameters (a phase's
+    origin) start where the record has them as well: a filter that is linear about a first guess
+    far off misses the first samples, and an effect that is not there may make up for these.
 
     Along a valley where a parameter makes up for a beginning the smoother goes in small steps,
     which are ``stretch`` times as long here.
     """
-    starts, far, values = [], False, found.state.values.copy()
-    for row, (task, settings) in zip(values, found.estimate.prepared, strict=True):
-        head = head_of(task)
-        levels, n = force_levels(found.estimate.noise), len(task.states)
-        known = doubts(settings.tracked)
-        first = smoothed(head, levels, settings.tracked, known, spread)[0]
+    starts, far, values = [], False, fit.state.values.copy()
+    for row, (task, settings) in zip(values, fit.estimate.prepared, strict=True):
+        head = head_task(task)
+        levels, n = force_levels(fit.estimate.noise), len(task.states)
+        known = tracked_deviations(settings.tracked)
+        first = smoothed_states(head, levels, settings.tracked, known, spread)[0]
         doubt = task.scales
         far = far or bool(np.any(np.abs(first[:n] - settings.start) > doubt))
         starts.append(settings.start + stretch * (first[:n] - settings.start))
         row[[task.keys.index(k) for k in settings.tracked]] = first[n:]
-    return replace(found.state, starts=tuple(starts), values=values), far
+    return replace(fit.state, starts=tuple(starts), values=values), far
 
 
-def begun_closely(
-    assembly: Assembly, found: LikelihoodFit, masks: Masks = None, steps: int = 40
+def narrow_initial_states(
+    assembly: Assembly, fit: LikelihoodFit, masks: Masks = None, steps: int = 40
 ) -> LikelihoodFit:
-    """The fit with filters that begin near the first states, where that is more likely.
+    """The fit with filters that start close to the most likely initial states, if it is likelier.
 
-    ``masks`` and ``steps`` as in ``refitted``.
+    ``masks`` and ``steps`` as in ``fit_by_likelihood``.
     """
-    at = found.estimate
+    at = fit.estimate
     if not at.finite or any(settings.tracked for _, settings in at.prepared):
-        return found
-    begun = [closest(task, at.noise) for task, _ in at.prepared]
+        return fit
+    begun = [likely_initial_state(task, at.noise) for task, _ in at.prepared]
     if all(b.start is task.start for b, (task, _) in zip(begun, at.prepared, strict=True)):
-        return found
+        return fit
     starts, spreads = tuple(b.start for b in begun), tuple(b.spread for b in begun)
-    state = replace(found.state, starts=starts, spreads=spreads)
-    trial = all_predicted([(subjects(assembly, state, at.prepared), at.noise)])[0]
-    if not log_likelihood(trial, masks) > found.height + WORTH:
-        return found
-    again = refitted(assembly, state, at.noise, masks, steps, rough=True, like=at.prepared)
-    return again if again.height > found.height else found
+    state = replace(fit.state, starts=starts, spreads=spreads)
+    trial = predict_cases([(prepare_filter_tasks(assembly, state, at.prepared), at.noise)])[0]
+    if not log_likelihood(trial, masks) > fit.height + WORTH:
+        return fit
+    again = fit_by_likelihood(assembly, state, at.noise, masks, steps, rough=True, like=at.prepared)
+    return again if again.height > fit.height else fit
 
 
-def closest(task: Task, noise: NoiseModel) -> Beginning:
-    """Where the record of a task most likely begins, and within what a filter should begin.
+def likely_initial_state(task: Task, noise: NoiseModel) -> Beginning:
+    """The most likely initial state of a task's record, with the spread that a filter starts with.
 
     Where the first step of the search changes nothing the machine is as good as linear, and the
     task's own beginning stands.
     """
-    head = head_of(task)
-    begun = best = replace(_at(head, noise, task.start, task.spread), start=task.start)
-    first = next(_tried(head, noise, best.start, _SHORTER[:1]), None)
+    head = head_task(task)
+    begun = best = replace(
+        _evaluate_initial_state(head, noise, task.start, task.spread), start=task.start
+    )
+    first = next(_initial_state_trials(head, noise, best.start, _SHORTER[:1]), None)
     if first is not None and abs(first.height - best.height) < _SAME:
         return begun
     for _ in range(_AGAIN):
-        tried = _tried(head, noise, best.start, _SHORTER)
+        tried = _initial_state_trials(head, noise, best.start, _SHORTER)
         better = max(tried, key=lambda b: b.height, default=best)
         if not better.height > best.height + _SAME:
             break
@@ -172,46 +177,50 @@ def closest(task: Task, noise: NoiseModel) -> Beginning:
     return best
 
 
-def begun_near(task: Task, noise: NoiseModel) -> Task:
-    """The task with its beginning where its record most likely has it (``closest``)."""
-    begun = closest(task, noise)
-    return begun_within(replace(task, start=begun.start), begun.spread)
+def set_likely_initial_state(task: Task, noise: NoiseModel) -> Task:
+    """The task with the initial state and spread of ``likely_initial_state``."""
+    begun = likely_initial_state(task, noise)
+    return with_start_spread(replace(task, start=begun.start), begun.spread)
 
 
-def _tried(
+def _initial_state_trials(
     head: Task, noise: NoiseModel, start: Array, shares: Sequence[float]
 ) -> Iterator[Beginning]:
-    """Beginnings one step of the search from ``start``."""
+    """Initial states one step of the search (Levenberg and Marquardt) away from ``start``."""
     levels = force_levels(noise)
     for share in shares:
         task, settings = filter_prepared(
-            begun_within(replace(head, start=start), None), (), {}, share
+            with_start_spread(replace(head, start=start), None), (), {}, share
         )
-        found = filtered(
-            task, with_level(task, settings, chosen_levels(task, settings, levels)), keep=True
+        filter_pass = filter_record(
+            task, with_level(task, settings, choose_levels(task, settings, levels)), keep=True
         )
-        if found.done < task.series.samples:
+        if filter_pass.done < task.series.samples:
             continue
-        found, n = backward(found), len(task.states)
-        mean, variances = found.means[0, :n], found.variances[0, :n]
+        filter_pass, n = backward(filter_pass), len(task.states)
+        mean, variances = filter_pass.means[0, :n], filter_pass.variances[0, :n]
         if np.all(np.isfinite(mean)) and np.all(variances > 0):
-            yield from (_at(head, noise, mean, t * np.sqrt(variances)) for t in _TIMES)
+            yield from (
+                _evaluate_initial_state(head, noise, mean, t * np.sqrt(variances)) for t in _TIMES
+            )
 
 
-def _at(head: Task, noise: NoiseModel, start: Array, spread: Array) -> Beginning:
-    """A beginning, no wider than the machine's own, with its likelihood."""
-    task = begun_within(replace(head, start=start.copy()), spread)
-    parts = predicted(*filter_prepared(task, (), {}), noise)
+def _evaluate_initial_state(
+    head: Task, noise: NoiseModel, start: Array, spread: Array
+) -> Beginning:
+    """An initial state, its spread at most the machine's own, with the head's log-likelihood."""
+    task = with_start_spread(replace(head, start=start.copy()), spread)
+    parts = predict_readings(*filter_prepared(task, (), {}), noise)
     return Beginning(task.start, task.spread, log_likelihood((parts,)))
 
 
-def head_of(task: Task) -> Task:
-    """The first samples of a task's record, within the machine's own spread."""
+def head_task(task: Task) -> Task:
+    """The task over the first samples of its record, with the machine's own initial spread."""
     inputs = _head_inputs(task)
-    return begun_within(replace(task, series=_head(task.series), inputs=inputs), None)
+    return with_start_spread(replace(task, series=_head_series(task.series), inputs=inputs), None)
 
 
-def _head(series: Series) -> Series:
+def _head_series(series: Series) -> Series:
     samples = min(series.samples, _HEAD)
     seen = None if series.seen is None else series.seen[:samples]
     return replace(series, y=np.ascontiguousarray(series.y[:samples]), seen=seen)

@@ -1,4 +1,4 @@
-"""How inputs run between their samples, where no record says: the likelihood decides.
+"""Interpolation of inputs between samples, selected by likelihood where no record declares it.
 
 A force that a controller holds, that was recorded in few points, or that was made in straight lines
 is another force between its samples than a smooth curve through them. What the difference does
@@ -13,10 +13,15 @@ from typing import get_args
 
 import numpy as np
 
-from spiral.engine.likelihood.predict import Masks, all_predicted
+from spiral.engine.likelihood.predict import Masks, predict_cases
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.likelihood.fitting import LikelihoodFit, explains, refitted, subjects
+from spiral.inference.likelihood.fitting import (
+    LikelihoodFit,
+    fit_by_likelihood,
+    is_random_force_small,
+    prepare_filter_tasks,
+)
 from spiral.inference.problem import Problem, Progress
 from spiral.types.parameter import Input, Interpolation
 
@@ -26,132 +31,134 @@ _ODDS = 100.0  # to one, for which an input runs in another way than its system 
 _SHOWN = 1.0  # squared change of the whitened misses from which a record can tell two ways apart
 
 
-def with_likely_inputs(
-    assembly: Assembly, found: LikelihoodFit, progress: Progress
+def select_input_interpolation(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
 ) -> LikelihoodFit:
-    """The fit with every input run between its samples in the way that is most likely.
+    """The fit with the most likely interpolation of every input between its samples.
 
-    Asked where no candidate can be held against it. The system's own way stands unless another is
-    a hundred times as likely and the model explains the records with it: what a model lacks makes
-    wrong ways likely too.
+    For use where no candidate competes with it. The system's own interpolation stays unless
+    another is a hundred times as likely and leaves only a small random force: what a model lacks
+    makes wrong interpolations likely too.
     """
-    for some in _together(assembly.problem):
-        least = found.height + float(np.log(_ODDS))
-        others = _others(assembly, found, some, None, least, progress)
-        best = max(filter(explains, others), key=lambda f: f.height, default=found)
-        found = best if best.height > least else found
-    return found
+    for some in _undeclared_input_groups(assembly.problem):
+        least = fit.height + float(np.log(_ODDS))
+        others = _refit_interpolations(assembly, fit, some, None, least, progress)
+        best = max(filter(is_random_force_small, others), key=lambda f: f.height, default=fit)
+        fit = best if best.height > least else fit
+    return fit
 
 
-def with_own_inputs(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
-    """The fit with inputs run as their system says again, where another way is not needed now."""
+def restore_declared_interpolation(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
+) -> LikelihoodFit:
+    """The fit with the system's own interpolation again, where another is no longer needed."""
     for known in assembly.problem.model.system.inputs:
-        if known.name not in found.state.between:
+        if known.name not in fit.state.between:
             continue
-        progress(_asking((known,)))
-        state = replace(found.state, between=_with(found, (known,), known.interpolation))
-        least = found.height - float(np.log(_ODDS))
-        own = refitted(assembly, state, rough=True, least=least)
-        found = own if own.height > least else found
-    return found
+        progress(_progress_message((known,)))
+        state = replace(
+            fit.state, between=_replace_interpolation(fit, (known,), known.interpolation)
+        )
+        least = fit.height - float(np.log(_ODDS))
+        own = fit_by_likelihood(assembly, state, rough=True, least=least)
+        fit = own if own.height > least else fit
+    return fit
 
 
-def run_otherwise(
-    assembly: Assembly, found: LikelihoodFit, state: FitState, least: float, progress: Progress
+def fit_with_other_interpolations(
+    assembly: Assembly, fit: LikelihoodFit, state: FitState, least: float, progress: Progress
 ) -> list[LikelihoodFit]:
-    """Fits of another state than a fit's own (of one with an effect less), inputs run otherwise.
+    """Fits of ``state`` (a fit's own with an effect less, say) with other input interpolations.
 
-    ``least`` : log-likelihood from which they are of use.
+    ``least`` : log-likelihood under which a fit may stop early.
     """
     fits: list[LikelihoodFit] = []
-    for some in _together(assembly.problem):
-        for ways in _other_ways(found, some):
-            progress(_asking(some))
+    for some in _undeclared_input_groups(assembly.problem):
+        for ways in _other_interpolations(fit, some):
+            progress(_progress_message(some))
             other = replace(state, between=ways)
-            fits.append(refitted(assembly, other, rough=True, least=least))
+            fits.append(fit_by_likelihood(assembly, other, rough=True, least=least))
     return fits
 
 
-def likelier_inputs(
+def likelier_interpolation_fit(
     assembly: Assembly, base: LikelihoodFit, masks: Masks, least: float, progress: Progress
 ) -> LikelihoodFit | None:
-    """The fit with inputs run in another way, where that makes most of the samples that count.
+    """The likeliest fit with another input interpolation; nothing where it gains too little.
 
-    ``least`` : log-likelihood that something else (a candidate) makes of them.
+    It has to gain over ``base`` at least ``least``, the best candidate's gain, and the log odds.
     """
     needed = base.height + max(least, float(np.log(_ODDS)))
     fits = [
         fit
-        for some in _together(assembly.problem)
-        for fit in _others(assembly, base, some, masks, needed, progress)
+        for some in _undeclared_input_groups(assembly.problem)
+        for fit in _refit_interpolations(assembly, base, some, masks, needed, progress)
     ]
     best = max(fits, key=lambda f: f.height, default=None)
     return None if best is None or best.height < needed else best
 
 
-def _together(problem: Problem) -> list[tuple[Input, ...]]:
-    """Inputs whose way no record declares and that nothing follows from: each, then all at once.
+def _undeclared_input_groups(problem: Problem) -> list[tuple[Input, ...]]:
+    """Inputs whose interpolation no record declares and that are not derived: each, then all.
 
-    What one controller gives runs in one way; beside another input that runs otherwise none of them
-    may look right alone.
+    Inputs from one controller share one interpolation; with the others still wrong, changing one
+    alone may look no better.
     """
     known = problem.model.system.inputs
-    free = tuple(i for i in known if _open(problem, i))
+    free = tuple(i for i in known if _is_interpolation_open(problem, i))
     return [*((i,) for i in free), *((free,) if len(free) > 1 else ())]
 
 
-def _others(
-    assembly: Assembly, found: LikelihoodFit, some: tuple[Input, ...], masks: Masks,
+def _refit_interpolations(
+    assembly: Assembly, fit: LikelihoodFit, some: tuple[Input, ...], masks: Masks,
     least: float, progress: Progress,
 ) -> list[LikelihoodFit]:  # fmt: skip
-    """Fits with inputs run in each other way that changes what is predicted.
+    """Fits with each other interpolation of these inputs that changes the predictions.
 
-    A way is fitted where it changes the whitened misses, in squares and summed, by one; ``least``
-    is the log-likelihood from which it is of use.
+    One is fitted where the squared changes of the whitened innovations sum to more than ``_SHOWN``;
+    ``least`` is the log-likelihood under which a fit may stop early.
     """
     fits: list[LikelihoodFit] = []
-    for ways in _other_ways(found, some) if found.estimate.finite else ():
-        state = replace(found.state, between=ways)
-        if _differs(assembly, found, state):
-            progress(_asking(some))
-            fits.append(refitted(assembly, state, masks=masks, rough=True, least=least))
+    for ways in _other_interpolations(fit, some) if fit.estimate.finite else ():
+        state = replace(fit.state, between=ways)
+        if _is_prediction_changed(assembly, fit, state):
+            progress(_progress_message(some))
+            fits.append(fit_by_likelihood(assembly, state, masks=masks, rough=True, least=least))
     return fits
 
 
-def _other_ways(found: LikelihoodFit, some: tuple[Input, ...]) -> Iterator[Ways]:
-    """The ways of a fit with these inputs run in each way that one of them has not."""
+def _other_interpolations(fit: LikelihoodFit, some: tuple[Input, ...]) -> Iterator[Ways]:
+    """A fit's interpolations with these inputs set to each one that some of them do not have."""
     for way in get_args(Interpolation):
-        if any(way != _way(found, known) for known in some):
-            yield _with(found, some, way)
+        if any(way != _current_interpolation(fit, known) for known in some):
+            yield _replace_interpolation(fit, some, way)
 
 
-def _asking(some: tuple[Input, ...]) -> str:
+def _progress_message(some: tuple[Input, ...]) -> str:
     return f"asking how {' and '.join(i.name for i in some)} run between samples"
 
 
-def _open(problem: Problem, known: Input) -> bool:
+def _is_interpolation_open(problem: Problem, known: Input) -> bool:
     declared = any(known.name in r.hold for r in (*problem.records, *problem.test))
     return not (declared or known.derivative or known.derived_from)
 
 
-def _way(found: LikelihoodFit, known: Input) -> Interpolation:
-    return found.state.between.get(known.name, known.interpolation)
+def _current_interpolation(fit: LikelihoodFit, known: Input) -> Interpolation:
+    return fit.state.between.get(known.name, known.interpolation)
 
 
-def _with(found: LikelihoodFit, some: tuple[Input, ...], way: Interpolation) -> Ways:
-    """The ways of a fit with these; the system's own need not be told."""
+def _replace_interpolation(fit: LikelihoodFit, some: tuple[Input, ...], way: Interpolation) -> Ways:
+    """A fit's interpolations with these inputs changed; the system's own are left out."""
     gone = {i.name for i in some}
-    others: dict[str, Interpolation] = {
-        k: w for k, w in found.state.between.items() if k not in gone
-    }
+    others: dict[str, Interpolation] = {k: w for k, w in fit.state.between.items() if k not in gone}
     others.update((i.name, way) for i in some if way != i.interpolation)
     return others
 
 
-def _differs(assembly: Assembly, found: LikelihoodFit, other: FitState) -> bool:
-    """Whether the same values and noise predict otherwise, by more than the records' noise."""
-    at = found.estimate
-    trial = all_predicted([(subjects(assembly, other), at.noise)])[0]
+def _is_prediction_changed(assembly: Assembly, fit: LikelihoodFit, other: FitState) -> bool:
+    """Whether another state with the same values and noise changes the predictions noticeably."""
+    at = fit.estimate
+    trial = predict_cases([(prepare_filter_tasks(assembly, other), at.noise)])[0]
     if not all(p.whole for p in trial):
         return True
     changes = ((t.misses - p.misses) * p.weight for p, t in zip(at.parts, trial, strict=True))

@@ -1,4 +1,4 @@
-"""A model fitted by likelihood, compared: free runs, chi2 and whiteness of its innovations.
+"""Comparison of a model fitted by likelihood: free runs, chi2, whiteness of its innovations.
 
 A free run begins where a smoother has the states at the first sample: over the whole of a fitted
 record, over the settling part of a test record. Its start is then refined by least squares over
@@ -13,38 +13,38 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.task import Task, linearised
+from spiral.engine.filter.setup import prepare_filter as filter_prepared
+from spiral.engine.filter.task import Task, state_jacobian
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.free_doubt import free_doubt
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
-from spiral.engine.likelihood.noise import NoiseModel, places
-from spiral.engine.likelihood.predict import predicted
-from spiral.inference.acting import inputs_said
+from spiral.engine.likelihood.noise import NoiseModel, state_offsets
+from spiral.engine.likelihood.predict import predict_readings
+from spiral.inference.acting import input_sentences
 from spiral.inference.evidence.assembly import Assembly, to_model
-from spiral.inference.evidence.comparison import settling, with_test
+from spiral.inference.evidence.comparison import settling_seconds, with_test_records
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import (
     Forecaster,
-    ahead_of,
-    at_horizons,
-    doubts,
-    task_for,
+    errors_at_horizons,
+    filter_task,
+    misses_ahead,
+    tracked_deviations,
 )
 from spiral.inference.evidence.judge import FreeRun
-from spiral.inference.likelihood.beginnings import begun_near
-from spiral.inference.likelihood.departures import departures
+from spiral.inference.likelihood.beginnings import set_likely_initial_state
+from spiral.inference.likelihood.departures import describe_departures
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
-    colour,
+    apply_integration_settings,
+    innovation_whiteness,
     innovations,
-    integrated,
-    settled_values,
+    with_tracked_values,
 )
-from spiral.inference.likelihood.free_fit import FREELY, by_free_runs
-from spiral.inference.likelihood.free_starts import free_runs, nuisances, usual_states
-from spiral.inference.likelihood.independence import followed_share
+from spiral.inference.likelihood.free_fit import FREELY, refit_by_free_run
+from spiral.inference.likelihood.free_starts import free_runs, mean_hidden_states, tracked_nuisances
+from spiral.inference.likelihood.independence import motion_explained_share
 from spiral.inference.nearness import LASTING
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
@@ -57,85 +57,87 @@ _PERIODS = 3  # of the slowest mode that tell where a record begins
 _STILL = 1e-6  # share of the fastest rate under which a mode does not move
 _AGREE = 1.25  # ratio within which two estimates of the noise agree
 _SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
-_TOLD = 0.5  # standard error of the logarithm of a size up to which it is told
+_TOLD = 0.5  # standard error of the logarithm of a size up to which the size is reported
 _TOLD_WITH_TIME = 1.0  # the same beside a correlation time: a slow force has few values in a record
 _COUNTS = 0.005  # share from which what acts at random counts
 
 
-def compared_by_likelihood(
-    assembly: Assembly, found: LikelihoodFit, progress: Progress, halves_agree: bool = True
+def compare_by_likelihood(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress, halves_agree: bool = True
 ) -> tuple[FitState, Comparison]:
-    """The state of a fit with what belongs to each record, and its comparison.
+    """The comparison of a fit with its records, and its state with what belongs to each record.
 
-    What is at random, and what is left, is told beside the most likely values; the model that is
-    shown predicts by those of ``by_free_runs``, to which ``halves_agree`` goes.
+    Noise and residuals are reported for the most likely values; the model that is shown predicts
+    with those of ``refit_by_free_run``, to which ``halves_agree`` is passed.
     """
-    estimate, free = found.estimate, by_free_runs(assembly, found, progress, halves_agree)
-    state = settled_values(found) if estimate.finite else found.state
-    shown = state if free is found else settled_values(free)
-    model = _model(assembly, shown, free.estimate)
-    assembly = integrated(assembly, state)
+    estimate, free = fit.estimate, refit_by_free_run(assembly, fit, progress, halves_agree)
+    state = with_tracked_values(fit) if estimate.finite else fit.state
+    shown = state if free is fit else with_tracked_values(free)
+    model = _fitted_model(assembly, shown, free.estimate)
+    assembly = apply_integration_settings(assembly, state)
     progress("free run on the test record")
     own, starts = free_runs(assembly, shown, model, None, None)
     names, run, seen, tested = model.system.observed, own, {}, ()
-    other = with_test(assembly, shown.values)
+    other = with_test_records(assembly, shown.values)
     if other is not None:
-        settle = _settling(other, state.settle, free.estimate.prepared[0][0])
+        settle = _settling_time(other, state.settle, free.estimate.prepared[0][0])
         state, shown = replace(state, settle=settle), replace(shown, settle=settle)
-        run, starts, unseen = _judged(other, shown, model, free.estimate)
+        run, starts, unseen = _test_run(other, shown, model, free.estimate)
         seen, tested = {"unseen": unseen}, run.predicted
     errors, problem = run.errors(names), assembly.problem
-    carried = _carried(other or assembly, model, run, starts, free.estimate, estimate.noise)
+    carried = _free_run_uncertainty(
+        other or assembly, model, run, starts, free.estimate, estimate.noise
+    )
     return state, Comparison(
         model=model,
         fit_error=_mean(e.relative for e in own.errors(names).values()),
         test_error=_mean(e.relative for e in errors.values()),
         channels=errors,
-        noise_floor=_floor(state.noise, names, run, other or assembly),
+        noise_floor=_relative_noise_floor(state.noise, names, run, other or assembly),
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
-        **_remarks(problem, state, free is not found),
-        noise_ratio=_stated(problem.records, state.noise),
+        **_note_fields(problem, state, free is not fit),
+        noise_ratio=_declared_noise_ratio(problem.records, state.noise),
         **seen,
-        **_told(assembly, found, model, carried),
+        **_noise_and_residual_fields(assembly, fit, model, carried),
         uncertain=0.0 if other is None else carried.doubts,
-        traces=Traces(own.predicted, tested, run.settled[0], innovations(found)),
+        traces=Traces(own.predicted, tested, run.settled[0], innovations(fit)),
     )
 
 
-def _told(
-    assembly: Assembly, found: LikelihoodFit, model: Model, carried: _Carried
+def _noise_and_residual_fields(
+    assembly: Assembly, fit: LikelihoodFit, model: Model, carried: _Carried
 ) -> dict[str, Any]:
-    """What acts at random, what is left, and how the records depart from both."""
-    sizes, times = acting(found.estimate, carried.forces)
-    left, white = _left(assembly, found)
+    """Fields of the comparison: noise sizes, residual statistics, departures from the model."""
+    sizes, times = reportable_noise(fit.estimate, carried.forces)
+    left, white = _residual_statistics(assembly, fit)
     return {
         **left,
         "random": sizes,
         "random_times": times,
         "disturbed": carried.forces,
-        "departures": departures(model, found.estimate, white, sizes),
+        "departures": describe_departures(model, fit.estimate, white, sizes),
     }
 
 
-def _model(assembly: Assembly, state: FitState, estimate: Maximum) -> Model:
+def _fitted_model(assembly: Assembly, state: FitState, estimate: Maximum) -> Model:
     """The model of a state, with the standard errors of an estimate."""
     errors = estimate.errors
     return to_model(assembly, state.labels, state.values, errors, state.freed, state.held)
 
 
-def _judged(
+def _test_run(
     other: Assembly, state: FitState, model: Model, estimate: Maximum
 ) -> tuple[FreeRun, tuple[Array, ...], tuple[Horizon, ...]]:
-    """The free run on the test records, where it begins, and errors at all horizons."""
-    run, starts = free_runs(other, state, model, state.settle, usual_states(estimate))
-    forecaster = _forecaster(state, nuisances(other, state, model), starts, estimate)
-    return run, starts, at_horizons(other, model, run, forecaster)
+    """The free run on the test records, its initial states, and errors at all horizons."""
+    run, starts = free_runs(other, state, model, state.settle, mean_hidden_states(estimate))
+    forecaster = _make_forecaster(state, tracked_nuisances(other, state, model), starts, estimate)
+    return run, starts, errors_at_horizons(other, model, run, forecaster)
 
 
-def _remarks(problem: Problem, state: FitState, free: bool) -> dict[str, Any]:
-    """What is to be said of the records, of how their inputs run, and of the values."""
-    said = (*(n for r in problem.records for n in r.remarks), *inputs_said(state.between))
+def _note_fields(problem: Problem, state: FitState, free: bool) -> dict[str, Any]:
+    """Fields of the comparison: notes on records and values, bad samples, input interpolation."""
+    said = (*(n for r in problem.records for n in r.remarks), *input_sentences(state.between))
     return {
         "notes": (*said, FREELY) if free else said,
         "spoilt": tuple(n for r in problem.records for n in r.spoilt_words),
@@ -145,7 +147,7 @@ def _remarks(problem: Problem, state: FitState, free: bool) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Carried:
-    """What a free run may be off by, over the deviations of its readings, mean over channels.
+    """Error that a free run may have, over the deviations of its readings, mean over channels.
 
     ``forces`` that act at random; ``doubts`` of values, starts, and forces too small to be seen.
     """
@@ -154,13 +156,13 @@ class _Carried:
     doubts: float = 0.0
 
 
-def _carried(
+def _free_run_uncertainty(
     other: Assembly, model: Model, run: FreeRun, starts: tuple[Array, ...], estimate: Maximum,
     noise: NoiseModel,
 ) -> _Carried:  # fmt: skip
-    """Along the free runs of ``run``, one of each record of a study, from ``starts``.
+    """The uncertainty of the free runs ``run``, one for each record of a study, from ``starts``.
 
-    Forces act as ``noise`` has them; what is not known is that of ``estimate``.
+    Random forces are those of ``noise``; the uncertainty of values is that of ``estimate``.
     """
     if not estimate.finite:
         return _Carried()
@@ -168,7 +170,7 @@ def _carried(
     larger = larger_forces(estimate)
     for r, series in enumerate(other.study.series):
         begin = starts[r][0][: len(fitted.states)]
-        task = task_for(other, model, run.values[r], series.record, series.substeps, fitted)
+        task = filter_task(other, model, run.values[r], series.record, series.substeps, fitted)
         first = run.settled[r]
         own, settings = filter_prepared(replace(task, moved=tuple(estimate.keys)), ())
         settings = replace(settings, start=begin)
@@ -184,32 +186,32 @@ def _carried(
     return _Carried(*shares)
 
 
-def _left(assembly: Assembly, found: LikelihoodFit) -> tuple[dict[str, float], bool]:
-    """Chi2 and whiteness of what is left, and whether it is white."""
-    estimate = found.estimate
+def _residual_statistics(assembly: Assembly, fit: LikelihoodFit) -> tuple[dict[str, float], bool]:
+    """Chi2 and whiteness of the innovations by name, and whether they are white."""
+    estimate = fit.estimate
     chi2 = estimate.chi2 if estimate.finite else np.inf
     told = {"chi2_per_dof": chi2, "innovation_chi2": chi2}
     if not estimate.finite:
         return told | {"whiteness_p": 0.0, "whiteness_effect": np.inf}, False
-    seen = colour(assembly, found)
-    told |= {"whiteness_p": seen.p, "whiteness_effect": seen.effect * _weight(estimate)}
+    seen = innovation_whiteness(assembly, fit)
+    told |= {"whiteness_p": seen.p, "whiteness_effect": seen.effect * _innovation_share(estimate)}
     if white := seen.p >= assembly.problem.settings.whiteness_level:
         return told, white
-    return told | {"followed": followed_share(found)}, white
+    return told | {"followed": motion_explained_share(fit)}, white
 
 
-def _settling(other: Assembly, known: float | None, task: Task) -> float:
-    """Seconds of each test record that tell where it begins.
+def _settling_time(other: Assembly, known: float | None, task: Task) -> float:
+    """Seconds of each test record from which its initial state is estimated.
 
     Those known, or asked for, else a tenth of the shortest record, or three periods of the model's
     slowest mode where that is more, up to a third.
     """
     if known is not None:
         return known
-    asked = settling(other)
+    asked = settling_seconds(other)
     if other.problem.settle is not None:
         return asked
-    matrix = linearised(task.compiled, task.values, task.mean_inputs, task.centre)
+    matrix = state_jacobian(task.compiled, task.values, task.mean_inputs, task.centre)
     sizes = np.abs(np.linalg.eigvals(matrix))
     sizes = sizes[sizes > _STILL * sizes.max(initial=0.0)]
     slowest = 2 * np.pi / float(sizes.min()) if len(sizes) else 0.0
@@ -217,8 +219,10 @@ def _settling(other: Assembly, known: float | None, task: Task) -> float:
     return float(max(asked, min(_PERIODS * slowest, shortest / 3)))
 
 
-def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[str, float]]:
-    """What acts at random beside white noise, and its times: sizes that matter and are told.
+def reportable_noise(
+    estimate: Maximum, disturbed: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Sizes of the noise beside white measurement noise that matter and are determined; its times.
 
     A force matters by its share of the machine's own or by what forces make of a free run.
     """
@@ -226,7 +230,7 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
     task = estimate.prepared[0][0]
     channels, length = task.compiled.traced.channels, task.series.dt * task.series.samples
     spread = dict(zip(channels, np.std(task.series.y, axis=0), strict=True))
-    sizes, times, gone = {}, {}, _gone(estimate)
+    sizes, times, gone = {}, {}, _slow_noise_excursions(estimate)
     for term in noise.terms:
         size = noise.values[term.size]
         least = _TOLD_WITH_TIME if term.time else _TOLD
@@ -246,14 +250,14 @@ def acting(estimate: Maximum, disturbed: float) -> tuple[dict[str, float], dict[
     return sizes, times
 
 
-def _gone(estimate: Maximum) -> dict[str, float]:
-    """How far slow noise of a sensor goes over the records, by its size.
+def _slow_noise_excursions(estimate: Maximum) -> dict[str, float]:
+    """How far slow noise of a sensor moves over the records, by the name of its size.
 
     A drift from where it was at first: one that drifts steadily goes further than one that wanders
     by as much from sample to sample. What lasts longer than a tenth of a record from its mean, as
     the reading's own deviation is: the size is that of many such records, and a zero is part of it.
     """
-    found: dict[str, float] = {}
+    excursions: dict[str, float] = {}
     for task, settings in estimate.prepared:
         noise, length = estimate.noise, task.series.dt * task.series.samples
         times = {t.size: noise.values[t.time] for t in noise.terms if t.time}
@@ -264,20 +268,20 @@ def _gone(estimate: Maximum) -> dict[str, float]:
         }  # fmt: skip
         if not slow:
             continue
-        run = predicted(task, settings, noise, keep=True)
+        run = predict_readings(task, settings, noise, keep=True)
         first = len(task.states) + len(settings.tracked)
-        for size, place in places(task, noise).items():
+        for size, place in state_offsets(task, noise).items():
             if size in slow:
                 z = run.means[: run.done, first + place]
                 far = np.abs(z).max(initial=0.0) if slow[size] == "drift" else np.std(z)
-                found[size] = max(found.get(size, 0.0), float(far))
-    return found
+                excursions[size] = max(excursions.get(size, 0.0), float(far))
+    return excursions
 
 
-def _forecaster(
+def _make_forecaster(
     state: FitState, tracked: tuple[str, ...], starts: tuple[Array, ...], estimate: Maximum
 ) -> Forecaster:
-    """Forecasts of a filter with the noise of a fit, begun as free runs are.
+    """A forecaster: the filter with the noise of a fit, started from where free runs start.
 
     It knows the parameters only as well as the fit does: of a machine that integrates, a value that
     is off within its error would else carry it away from readings that it no longer listens to.
@@ -290,30 +294,30 @@ def _forecaster(
     def forecast(record: int, task: Task, first: int, steps: int) -> tuple[Array, Array]:
         if begins := bool(np.all(np.isfinite(starts[record]))):
             task = replace(task, start=starts[record][0].copy())
-            task = task if tracked else begun_near(task, noise)
+            task = task if tracked else set_likely_initial_state(task, noise)
         for more in (told, {}) if told else ({},):  # sure of its values where it runs away else
-            known = {**doubts(tracked), **more}
+            known = {**tracked_deviations(tracked), **more}
             own, settings = filter_prepared(task, (*tracked, *more), known)
             if begins:
                 settings = replace(settings, start=task.start)
-            run = predicted(own, settings, noise, keep=True)
+            run = predict_readings(own, settings, noise, keep=True)
             if run.whole:
-                return run.misses[first:], ahead_of(own, settings, run.means, first, steps)
+                return run.misses[first:], misses_ahead(own, settings, run.means, first, steps)
         lost = np.full((task.series.samples - first, task.series.y.shape[1]), np.inf)
         return lost, lost
 
     return forecast
 
 
-def _floor(
+def _relative_noise_floor(
     noise: NoiseModel | None, names: Sequence[str], run: FreeRun, judging: Assembly
 ) -> float:
     """Measurement noise over the deviation of each channel, mean over channels.
 
-    It is the fitted one, times what the judging records show without a model over what the fitted
-    ones show, where that is more than one (a sensor may be noisier there) and where what is shown
-    without a model is the fitted noise, so that it can be relied on. Noise that grows with its
-    reading is as large as the readings of the judging records make it.
+    The fitted noise is scaled by the ratio of model-free noise estimates, test records over fitted
+    records, where that is above one (a sensor may be noisier there) and where the model-free
+    estimate agrees with the fitted noise, so that it is reliable. Noise that grows with its reading
+    is as large as the readings of the test records make it.
     """
     assert noise is not None
     sizes, problem = [], judging.problem
@@ -338,7 +342,7 @@ def _floor(
         return float(np.mean(np.array(sizes) / run.deviations()))
 
 
-def _stated(records: Sequence[Record], noise: NoiseModel | None) -> float | None:
+def _declared_noise_ratio(records: Sequence[Record], noise: NoiseModel | None) -> float | None:
     """Fitted white noise over what the records declare, rms over channels; nothing if none do."""
     assert noise is not None
     ratios = [
@@ -350,7 +354,7 @@ def _stated(records: Sequence[Record], noise: NoiseModel | None) -> float | None
     return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
 
 
-def _weight(estimate: Maximum) -> float:
+def _innovation_share(estimate: Maximum) -> float:
     """Variance of the misses over that of the sensors' noise, mean over channels, at most 1.
 
     Coloured noise that its own past predicts leaves small misses: what is left of its colour in

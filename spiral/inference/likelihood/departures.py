@@ -7,9 +7,9 @@ With e the whitened misses of a fit and X their slopes by parameters:
                                                   its deviation
     heavy tails           e ~ s t_nu,             Student's t with nu degrees of freedom
 
-They are told where twice their gain in log-likelihood is above 20. That of a drift must be so by
-the misses' sums over blocks as well, and change the parameter by a share that counts. A noise is
-judged only where the misses are white: else they are no noise.
+They are reported where twice their gain in log-likelihood is above 20. A drift must also pass by
+sums of the misses over blocks, and change its parameter by more than half a percent. The shape of
+the noise is judged only where the misses are white: else they are not noise.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from spiral.engine.filter.noise import driven
+from spiral.engine.filter.noise import driven_states
 from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.fit import Maximum
-from spiral.engine.score import block_for
+from spiral.engine.score import residual_block_samples
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model
 from spiral.types.record import Array
 
-_KNOWN = 3.0  # standard errors from zero of a parameter that is asked whether it drifts
-_TOLD = 20.0  # twice the gain in log-likelihood from which a departure is told
+_KNOWN = 3.0  # standard errors from zero from which a parameter is tested for drift
+_TOLD = 20.0  # twice the gain in log-likelihood from which a departure is reported
 _ALIKE = 9.2  # 2 log 100, of the same, under which two parameters are not told apart
 _COUNTS = 0.005  # share of its value that a parameter drifts by
 _RATIOS = np.geomspace(0.03, 100.0, 18)  # b / a of noise that grows
@@ -38,10 +38,10 @@ _TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
 _FEWEST = 64  # samples
 
 
-def departures(
+def describe_departures(
     model: Model, estimate: Maximum, white: bool, random: Iterable[str]
 ) -> tuple[str, ...]:
-    """What is told of a model's fit, remarks of its effects first.
+    """Sentences on how the records depart from a model's fit, remarks of its effects first.
 
     Parameters
     ----------
@@ -50,17 +50,17 @@ def departures(
     samples = sum(len(p.misses) for p in estimate.parts)
     if not estimate.finite or samples < _FEWEST:
         return ()
-    shapes = _shapes(estimate) if white else ()
+    shapes = _noise_shape_remarks(estimate) if white else ()
     return (
-        *_remarks(model, estimate),
-        *_weighted(estimate),
-        *_noisy_inputs(estimate, random),
-        *_drifts(estimate),
+        *_effect_remarks(model, estimate),
+        *_noise_weighting_remarks(estimate),
+        *_noisy_input_remark(estimate, random),
+        *_drift_remark(estimate),
         *shapes,
     )
 
 
-def _remarks(model: Model, estimate: Maximum) -> Iterator[str]:
+def _effect_remarks(model: Model, estimate: Maximum) -> Iterator[str]:
     step, table = estimate.prepared[0][0].series.dt, model.estimates()
     for effect in model.effects:
         values = {k: v.estimate for k, v in table.get(effect.label, {}).items()}
@@ -68,11 +68,13 @@ def _remarks(model: Model, estimate: Maximum) -> Iterator[str]:
             yield f"{effect.label}: {said}"
 
 
-def _noisy_inputs(estimate: Maximum, random: Iterable[str]) -> tuple[str, ...]:
-    """Inputs whose noise would push the machine as a white random force does."""
+def _noisy_input_remark(estimate: Maximum, random: Iterable[str]) -> tuple[str, ...]:
+    """A sentence naming inputs whose noise would act on the machine like its random force."""
     task = estimate.prepared[0][0]
     traced = task.compiled.traced
-    pushed = [driven(task, w) for k, _, w in (r.partition(".") for r in random) if k == "force"]
+    pushed = [
+        driven_states(task, w) for k, _, w in (r.partition(".") for r in random) if k == "force"
+    ]
     symbols = {s for rows in pushed for i in rows for s in traced.rate[i].free_symbols}
     given = {i.name for i in task.model.system.inputs}
     columns = zip(traced.inputs, traced.u, strict=True)
@@ -83,8 +85,8 @@ def _noisy_inputs(estimate: Maximum, random: Iterable[str]) -> tuple[str, ...]:
     return (f"noise in the measured {many} {', '.join(names)} would look like that random force",)
 
 
-def _drifts(estimate: Maximum) -> tuple[str, ...]:
-    """The parameter that drifts most clearly, and those that look alike."""
+def _drift_remark(estimate: Maximum) -> tuple[str, ...]:
+    """A sentence on the parameter that drifts most clearly, and those that look alike."""
     parts, keys, values = estimate.parts, estimate.keys, estimate.values
     if not keys:
         return ()
@@ -94,13 +96,13 @@ def _drifts(estimate: Maximum) -> tuple[str, ...]:
         return ()
     m = parts[0].misses.shape[1]
     times = [np.repeat(np.linspace(-0.5, 0.5, len(p.misses)), m) for p in parts]
-    t, width = np.concatenate(times), block_for(tuple(p.whitened for p in parts)) * m
+    t, width = np.concatenate(times), residual_block_samples(tuple(p.whitened for p in parts)) * m
     slopes, inverse = t[:, None] * x, least_squares(x, e).inverse
     beyond = slopes - x @ (inverse @ (inverse.T @ (x.T @ slopes)))
     errors = estimate.errors
-    found = {k: _drift(e, slopes[:, j], beyond[:, j], width)
+    drifts = {k: _estimate_drift(e, slopes[:, j], beyond[:, j], width)
              for j, k in enumerate(keys) if abs(values[k]) > _KNOWN * errors[k]}  # fmt: skip
-    told = {k: d for k, d in found.items()
+    told = {k: d for k, d in drifts.items()
             if d.ratio**2 > _TOLD and abs(d.change) > _COUNTS * abs(values[k])}  # fmt: skip
     if not told:
         return ()
@@ -119,17 +121,17 @@ def _drifts(estimate: Maximum) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Drift:
-    """The change of a parameter over a record, twice its gain, and it over its error by blocks."""
+    """Change of a parameter over a record, twice its gain, and change over its error by blocks."""
 
     change: float
     gain: float = 0.0
     ratio: float = 0.0
 
 
-def _drift(e: Array, column: Array, beyond: Array, width: int) -> _Drift:
-    """The drift whose slopes are ``column``, ``beyond`` what parameters that stay leave of it.
+def _estimate_drift(e: Array, column: Array, beyond: Array, width: int) -> _Drift:
+    """The drift with slopes ``column``: change = b.e / b.b, where b is ``beyond``.
 
-    Blocks are of ``width`` rows.
+    ``beyond`` is what constant parameters cannot explain of ``column``; blocks have ``width`` rows.
     """
     energy = float(beyond @ beyond)
     if energy <= 1e-9 * float(column @ column):
@@ -142,31 +144,37 @@ def _drift(e: Array, column: Array, beyond: Array, width: int) -> _Drift:
     return _Drift(change, change**2 * energy, ratio)
 
 
-def _shapes(estimate: Maximum) -> tuple[str, ...]:
-    """The shape of the noise of every channel, the one that it departs to most."""
+def _noise_shape_remarks(estimate: Maximum) -> tuple[str, ...]:
+    """Sentences on channels whose noise grows with its reading or has heavy tails."""
     channels = estimate.prepared[0][0].compiled.traced.channels
     told = []
     for j, name in enumerate(channels):
-        e, h, mean = _channel(estimate, j)
+        e, h, mean = _channel_innovations(estimate, j)
         if len(e) < _FEWEST:
             continue
-        growth, from_zero, tails = _growth(e, h), _growth(e, h + mean, True), _tails(e)
+        growth, from_zero, tails = (
+            _noise_growth_gain(e, h),
+            _noise_growth_gain(e, h + mean, True),
+            _heavy_tail_gain(e),
+        )
         if from_zero[0] > growth[0] + _TWO:
             growth = from_zero
         if max(growth[0], tails[0]) <= _TOLD:
             continue
         if growth[0] > tails[0]:
-            told.append(f"the noise of sensor {name} grows with {_grows(growth, h + mean)}")
+            told.append(
+                f"the noise of sensor {name} grows with {_describe_noise_growth(growth, h + mean)}"
+            )
         else:
             told.append(
                 f"the noise of sensor {name} has heavy tails (outliers), like Student's t with "
-                f"{number(tails[1], 2)} degrees of freedom: {_beyond(e)} are more than 4 standard "
-                "deviations off"
+                f"{number(tails[1], 2)} degrees of freedom: {_outlier_share(e)} are more than 4 "
+                "standard deviations off"
             )
     return tuple(told)
 
 
-def _grows(growth: tuple[float, float, bool], h: Array) -> str:
+def _describe_noise_growth(growth: tuple[float, float, bool], h: Array) -> str:
     """How noise grows, in words; ``h`` are the readings from zero, over their deviation."""
     _, ratio, from_zero = growth
     if not from_zero:
@@ -180,8 +188,8 @@ def _grows(growth: tuple[float, float, bool], h: Array) -> str:
     return f"its reading, {times}-fold over the middle 90 % of its values"
 
 
-def _weighted(estimate: Maximum) -> Iterator[str]:
-    """Noise that grows with its reading, where the fit counts it so."""
+def _noise_weighting_remarks(estimate: Maximum) -> Iterator[str]:
+    """Sentences on noise that grows with its reading, where the fit is weighted accordingly."""
     task = estimate.prepared[0][0]
     for j, name in enumerate(task.compiled.traced.channels):
         if task.series.grown is not None and (task.series.growth[j] is not None):
@@ -193,15 +201,19 @@ def _weighted(estimate: Maximum) -> Iterator[str]:
             )
 
 
-def growths(estimate: Maximum) -> dict[str, tuple[float, float, float]]:
-    """Of every channel whose noise grows with its reading: ``Record.growth``."""
-    found: dict[str, tuple[float, float, float]] = {}
+def noise_growth_by_channel(estimate: Maximum) -> dict[str, tuple[float, float, float]]:
+    """c, h, m by channel whose noise variance grows by (1 + ((y - c) / h)^2) / m."""
+    by_channel: dict[str, tuple[float, float, float]] = {}
     samples = sum(len(p.misses) for p in estimate.parts)
     if not estimate.finite or samples < _FEWEST:
-        return found
+        return by_channel
     for j, name in enumerate(estimate.prepared[0][0].compiled.traced.channels):
-        e, h, mean = _channel(estimate, j)
-        centred, from_zero, tails = _growth(e, h), _growth(e, h + mean, True), _tails(e)
+        e, h, mean = _channel_innovations(estimate, j)
+        centred, from_zero, tails = (
+            _noise_growth_gain(e, h),
+            _noise_growth_gain(e, h + mean, True),
+            _heavy_tail_gain(e),
+        )
         best = from_zero if from_zero[0] > centred[0] + _TWO else centred
         if len(e) < _FEWEST or best[0] <= max(_TOLD, tails[0]):
             continue
@@ -210,15 +222,15 @@ def growths(estimate: Maximum) -> dict[str, tuple[float, float, float]]:
         offset = mean if best[2] else 0.0
         centre = 0.0 if best[2] else float(series.y[:, j].mean())
         share = float(np.mean(1 + ((h + offset) * size) ** 2))
-        found[name] = (centre, spread / size, share)
-    return found
+        by_channel[name] = (centre, spread / size, share)
+    return by_channel
 
 
-def _beyond(e: Array) -> str:
+def _outlier_share(e: Array) -> str:
     return f"{percent(float(np.mean(np.abs(e) > 4 * e.std())))} of its readings"
 
 
-def _channel(estimate: Maximum, j: int) -> tuple[Array, Array, float]:
+def _channel_innovations(estimate: Maximum, j: int) -> tuple[Array, Array, float]:
     """Misses of a channel, its predictions from their mean over their deviation, and that mean."""
     misses, readings, means = [], [], []
     for (task, _), part in zip(estimate.prepared, estimate.parts, strict=True):
@@ -231,28 +243,28 @@ def _channel(estimate: Maximum, j: int) -> tuple[Array, Array, float]:
     return np.concatenate(misses), np.concatenate(readings), float(np.mean(means))
 
 
-def _growth(e: Array, h: Array, from_zero: bool = False) -> tuple[float, float, bool]:
-    """Twice the gain of a variance a (1 + r h^2) over a constant one, the best r, and a mark."""
+def _noise_growth_gain(e: Array, h: Array, from_zero: bool = False) -> tuple[float, float, bool]:
+    """Twice the gain of a variance a (1 + r h^2) over a constant one; r; ``from_zero``."""
     still = len(e) * np.log(np.mean(e**2))
-    gains = [still - _size(e, 1 + r * h**2) for r in _RATIOS]
+    gains = [still - _deviance(e, 1 + r * h**2) for r in _RATIOS]
     best = int(np.argmax(gains))
     return float(gains[best]), float(_RATIOS[best]), from_zero
 
 
-def _size(e: Array, variance: Array) -> float:
-    """-2 log L of N(0, a v), a the most likely, less what all have."""
+def _deviance(e: Array, variance: Array) -> float:
+    """-2 log L of N(0, a v), a the most likely, up to a constant."""
     return float(len(e) * np.log(np.mean(e**2 / variance)) + np.sum(np.log(variance)))
 
 
-def _tails(e: Array) -> tuple[float, float]:
+def _heavy_tail_gain(e: Array) -> tuple[float, float]:
     """Twice the gain of Student's t over the normal distribution, and its degrees of freedom."""
     normal = -0.5 * len(e) * (np.log(2 * np.pi * np.mean(e**2)) + 1)
-    gains = [2 * (_student(e, float(nu)) - normal) for nu in _TAILS]
+    gains = [2 * (_student_log_likelihood(e, float(nu)) - normal) for nu in _TAILS]
     best = int(np.argmax(gains))
     return float(gains[best]), float(_TAILS[best])
 
 
-def _student(e: Array, nu: float) -> float:
+def _student_log_likelihood(e: Array, nu: float) -> float:
     """log L of s t_nu, s the most likely (by expectation and maximisation)."""
     square = float(np.median(e**2)) or 1.0
     for _ in range(30):

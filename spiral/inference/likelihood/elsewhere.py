@@ -1,4 +1,4 @@
-"""Candidates tried from other fits than the model's own, where that may hide what is missing.
+"""Candidates tried from other fits than the model's own, which may hide what is missing.
 
 A model that lacks something makes up for it with whatever it may move, and from such a fit the
 missing effect makes nothing more likely, although from another both come right together:
@@ -20,140 +20,151 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.likelihood.fit import maximise
-from spiral.engine.likelihood.noise import EXTRA, first_noise, limits
+from spiral.engine.likelihood.fit import maximise_likelihood
+from spiral.engine.likelihood.noise import EXTRA, first_noise, size_limits
 from spiral.engine.likelihood.predict import Masks
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.likelihood.candidates import Rival, first_steps, promising, rival_of
+from spiral.inference.likelihood.candidates import (
+    Rival,
+    fit_candidate_briefly,
+    make_rival,
+    select_promising,
+)
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     WARM,
     LikelihoodFit,
-    explains,
-    moving,
-    refitted,
-    subjects,
+    fit_by_likelihood,
+    free_parameters,
+    is_random_force_small,
+    prepare_filter_tasks,
     with_estimate,
 )
-from spiral.inference.likelihood.ladder import climbed_ladder
-from spiral.inference.likelihood.scores import ranking
-from spiral.inference.likelihood.starts import sensors_alone
+from spiral.inference.likelihood.ladder import select_noise_model
+from spiral.inference.likelihood.scores import rank_candidates
+from spiral.inference.likelihood.starts import sensor_noise_only
 from spiral.inference.problem import Progress
 from spiral.types.noise import COLOURED
 
-_BEHIND = 2.0  # factor by which a fitted value differs from the one given that is left behind
+_BEHIND = 2.0  # factor from the given value beyond which a fitted one is far from it
 _LASTING = 0.5  # share of the longest correlation time from which noise is as good as constant
 _MOST = 4  # candidates refitted from each of these fits
 
 
-def from_given(
+def rivals_from_given_values(
     assembly: Assembly, base: LikelihoodFit, masks: Masks, progress: Progress
 ) -> list[Rival]:
-    """The most promising candidates after their first steps from the values given.
+    """The most promising candidates, fitted briefly from the values given.
 
-    They are held against ``base``. None where that is near these; ``masks`` are the blocks that
-    select.
+    They are compared with ``base``. None where its values are near those given; ``masks`` are the
+    blocks that select.
     """
-    starts = _at_given(assembly, base.state, masks, progress)
-    return [r for start in starts for r in _from(assembly, base, start, masks)]
+    starts = _fits_at_given_values(assembly, base.state, masks, progress)
+    return [r for start in starts for r in _rivals_from_fit(assembly, base, start, masks)]
 
 
-def from_less_noise(
+def rivals_beside_less_noise(
     assembly: Assembly, base: LikelihoodFit, masks: Masks, progress: Progress
 ) -> list[Rival]:
-    """The same from white noise alone, and from sensor noise alone; see ``from_given``.
+    """The most promising candidates beside white noise alone, and beside sensor noise alone.
 
-    None where nothing but little acts at random.
+    As in ``rivals_from_given_values``. None where the noise is white and the random force small.
     """
-    noise, less = base.estimate.noise, base.estimate.noise.whitened(*EXTRA)
+    noise, less = base.estimate.noise, base.estimate.noise.replace_with_white(*EXTRA)
     rivals = []
     if len(less.terms) < len(noise.terms):
         progress("trying candidates beside white noise alone")
-        white = _from(
-            assembly, base, refitted(assembly, base.state, less, masks, WARM, True), masks
+        white = _rivals_from_fit(
+            assembly, base, fit_by_likelihood(assembly, base.state, less, masks, WARM, True), masks
         )
-        if white and _slow(base):
+        if white and _has_slow_sensor_noise(base):
             best = max(white, key=lambda r: r.worth)
-            white.append(_with_own_noise(base, best, masks, progress))
+            white.append(_refit_rival_noise(base, best, masks, progress))
         rivals += white
-    if not explains(base):
+    if not is_random_force_small(base):
         progress("trying candidates beside sensor noise alone")
-        deaf = refitted(assembly, base.state, sensors_alone(base), masks, WARM, True)
-        rivals += _from(assembly, base, deaf, masks)
+        deaf = fit_by_likelihood(assembly, base.state, sensor_noise_only(base), masks, WARM, True)
+        rivals += _rivals_from_fit(assembly, base, deaf, masks)
     return rivals
 
 
-def _slow(found: LikelihoodFit) -> bool:
-    """Whether noise of a sensor hardly moves within the record, as its zero does."""
-    noise, task = found.estimate.noise, found.estimate.prepared[0][0]
+def _has_slow_sensor_noise(fit: LikelihoodFit) -> bool:
+    """Whether noise of a sensor is nearly constant over the record, as an offset is."""
+    noise, task = fit.estimate.noise, fit.estimate.prepared[0][0]
     times = {t.time for t in noise.terms if t.kind in COLOURED}
-    lasting = any(noise.values[n] >= _LASTING * limits(task, n)[1] for n in times)
-    return lasting or noise.has("drift")
+    lasting = any(noise.values[n] >= _LASTING * size_limits(task, n)[1] for n in times)
+    return lasting or noise.has_kind("drift")
 
 
-def _with_own_noise(base: LikelihoodFit, rival: Rival, masks: Masks, progress: Progress) -> Rival:
-    """A rival beside the noise that the record wants with it."""
+def _refit_rival_noise(
+    base: LikelihoodFit, rival: Rival, masks: Masks, progress: Progress
+) -> Rival:
+    """A rival refitted with the noise model selected for it."""
     own = rival.assembly
-    whole = refitted(own, rival.fit.state, rival.fit.estimate.noise, steps=WARM, rough=True)
-    climbed = climbed_ladder(own, whole, progress)
-    fit = refitted(own, climbed.state, masks=masks, steps=WARM, rough=True)
-    return rival_of(own, base, rival.ranked, fit, rival.shapes)
+    whole = fit_by_likelihood(
+        own, rival.fit.state, rival.fit.estimate.noise, steps=WARM, rough=True
+    )
+    climbed = select_noise_model(own, whole, progress)
+    fit = fit_by_likelihood(own, climbed.state, masks=masks, steps=WARM, rough=True)
+    return make_rival(own, base, rival.ranked, fit, rival.shapes)
 
 
-def _from(
+def _rivals_from_fit(
     assembly: Assembly, base: LikelihoodFit, start: LikelihoodFit, masks: Masks
 ) -> list[Rival]:
-    """The most promising candidates of another fit, held against ``base``."""
+    """The most promising candidates of another fit, compared with ``base``."""
     ranked = None
     if start.estimate.finite:
-        ranked = ranking(assembly, start, start.estimate.noise, masks)
-    some = () if ranked is None else promising(list(ranked.ranked), _MOST)
-    rivals = [first_steps(assembly, base, r, masks, start=start) for r in some]
-    return [_beside_noise_of(base, r, masks) for r in rivals]
+        ranked = rank_candidates(assembly, start, start.estimate.noise, masks)
+    some = () if ranked is None else select_promising(list(ranked.ranked), _MOST)
+    rivals = [fit_candidate_briefly(assembly, base, r, masks, start=start) for r in some]
+    return [_with_base_noise_terms(base, r, masks) for r in rivals]
 
 
-def _beside_noise_of(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
-    """A rival with the kinds of noise that the model as it is has, where that is likelier.
+def _with_base_noise_terms(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
+    """A rival with the noise terms of the model as it is, where it is worth more with them.
 
     What acts at random with a memory is there whatever is missing; beside white noise alone a
     candidate would have to explain that too.
     """
     noise, own = base.estimate.noise, rival.assembly
-    if not any(noise.has(kind) for kind in EXTRA) or not rival.fit.estimate.finite:
+    if not any(noise.has_kind(kind) for kind in EXTRA) or not rival.fit.estimate.finite:
         return rival
     like = base.estimate.prepared
-    fit = refitted(own, rival.fit.state, noise, masks, WARM, True, differences=False, like=like)
-    again = rival_of(own, base, rival.ranked, fit, rival.shapes)
+    fit = fit_by_likelihood(
+        own, rival.fit.state, noise, masks, WARM, True, differences=False, like=like
+    )
+    again = make_rival(own, base, rival.ranked, fit, rival.shapes)
     return again if fit.estimate.finite and again.worth > rival.worth else rival
 
 
-def _at_given(
+def _fits_at_given_values(
     assembly: Assembly, state: FitState, masks: Masks, progress: Progress
 ) -> list[LikelihoodFit]:
-    """The system's values as they were given, with the noise that they want, and sensors' alone.
+    """Fits at the given values, with their most likely noise, and with sensor noise alone.
 
-    None where the fit is near them.
+    None where the state is near these values.
     """
-    given = _given(assembly, state)
+    given = _given_values_if_far(assembly, state)
     if given is None:
         return []
     progress("trying candidates from the values given")
-    prepared = subjects(assembly, given)
+    prepared = prepare_filter_tasks(assembly, given)
     noise = first_noise(prepared[0][0], LEVEL)
-    estimate = maximise(prepared, (), noise, {}, masks, WARM, rough=True)
+    estimate = maximise_likelihood(prepared, (), noise, {}, masks, WARM, rough=True)
     grown = LikelihoodFit(with_estimate(given, estimate), estimate)
-    if not estimate.finite or explains(grown):
+    if not estimate.finite or is_random_force_small(grown):
         return [grown]
-    estimate = maximise(prepared, (), sensors_alone(grown), {}, masks, 0)
+    estimate = maximise_likelihood(prepared, (), sensor_noise_only(grown), {}, masks, 0)
     return [grown, LikelihoodFit(with_estimate(given, estimate), estimate)]
 
 
-def _given(assembly: Assembly, state: FitState) -> FitState | None:
+def _given_values_if_far(assembly: Assembly, state: FitState) -> FitState | None:
     """The state with the system's values as they were given; nothing where it is near them."""
     known, values = assembly.problem.model.values, state.values.copy()
     behind = False
-    for key in (k for k in moving(assembly, state) if known.get(k)):
+    for key in (k for k in free_parameters(assembly, state) if known.get(k)):
         at = assembly.study.index(key)
         share = float(values[0, at]) / known[key]
         behind = behind or not 1 / _BEHIND <= share <= _BEHIND

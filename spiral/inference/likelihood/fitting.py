@@ -1,4 +1,4 @@
-"""A study's state fitted by the likelihood of its one-step predictions."""
+"""A study's state fitted by maximum likelihood of its one-step predictions."""
 
 from __future__ import annotations
 
@@ -6,37 +6,42 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.task import begun_within, linearised, task_with
-from spiral.engine.likelihood.fit import Kept, Maximum, maximise
-from spiral.engine.likelihood.noise import NoiseModel, acting_on, first_noise, limits
+from spiral.engine.filter.setup import prepare_filter as filter_prepared
+from spiral.engine.filter.task import build_task, state_jacobian, with_start_spread
+from spiral.engine.likelihood.fit import Kept, Maximum, maximise_likelihood
+from spiral.engine.likelihood.noise import (
+    NoiseModel,
+    drop_inapplicable_forces,
+    first_noise,
+    size_limits,
+)
 from spiral.engine.likelihood.predict import (
     Masks,
     Prepared,
-    predicted,
+    predict_readings,
 )
 from spiral.engine.statistics import Whiteness, whiteness
 from spiral.inference.evidence.assembly import Assembly, with_steps
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.horizons import doubts
-from spiral.inference.evidence.scales import spread_out
-from spiral.inference.evidence.spectrum import shortest_time
+from spiral.inference.evidence.horizons import tracked_deviations
+from spiral.inference.evidence.scales import covering_samples
+from spiral.inference.evidence.spectrum import shortest_time_constant
 from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
-WARM = 6  # scoring steps from the values on all samples to those on the selecting half
-LEAST = 1.5  # times its least value from which a random force is one
-LITTLE = 0.05  # share up to which what acts at random is little
-_FAINT = 0.1  # of what one step misses: white noise below makes next to nothing of it
-WORTH = 1.0  # log-likelihood for which they are looked for once more
+WARM = 6  # scoring steps of a fit on some blocks that starts from a fit of all samples
+LEAST = 1.5  # times its lower limit, up to which the size of a random force counts as none
+LITTLE = 0.05  # random force up to which it is small, as a share of the model's own
+_FAINT = 0.1  # share of the innovations' rms under which white noise counts as vanished
+WORTH = 1.0  # gain in log-likelihood from which other initial states or starts are taken
 _ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
 MOST_SUBSTEPS = 32
-_FURTHEST = 1e9  # times its given value
+_FURTHEST = 1e9  # times its given value: the bound of every parameter
 
 
 @dataclass(frozen=True)
 class LikelihoodFit:
-    """A state of a study with its most likely values, and the estimate that has them."""
+    """A maximum-likelihood fit: the study's state at the maximum, and the maximum itself."""
 
     state: FitState
     estimate: Maximum
@@ -47,84 +52,93 @@ class LikelihoodFit:
         return self.estimate.log_likelihood
 
 
-def taken_on(
-    assembly: Assembly, found: LikelihoodFit, noise: NoiseModel | None = None, rough: bool = False,
+def continue_fit(
+    assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel | None = None, rough: bool = False,
     least: float = -np.inf,
 ) -> LikelihoodFit:  # fmt: skip
-    """A fit taken on from where it is, with its own noise or another, to its very maximum.
+    """A fit continued to the maximum of its likelihood, with its own noise model or ``noise``.
 
     ``rough`` and ``least`` as in ``maximise``.
     """
-    at = found.estimate
-    bounds, noise = bounds_of(assembly, at.keys, found.state.substeps), noise or at.noise
-    estimate = maximise(at.prepared, at.keys, noise, bounds, rough=rough, kept=at.kept, least=least)
-    return LikelihoodFit(with_estimate(found.state, estimate), estimate)
+    at = fit.estimate
+    bounds, noise = parameter_bounds(assembly, at.keys, fit.state.substeps), noise or at.noise
+    estimate = maximise_likelihood(
+        at.prepared, at.keys, noise, bounds, rough=rough, kept=at.kept, least=least
+    )
+    return LikelihoodFit(with_estimate(fit.state, estimate), estimate)
 
 
-def tracked(assembly: Assembly, state: FitState) -> tuple[str, ...]:
-    """Parameters that belong to a record; the filter follows them."""
+def per_record_parameters(assembly: Assembly, state: FitState) -> tuple[str, ...]:
+    """Parameters of single records (a phase's origin), which the filter tracks as states."""
     known = dict(assembly.problem.model.pairs)
     keys = state.keys(assembly)
     return tuple(k for k in keys if k in known and known[k].scope == "record")
 
 
-def moving(assembly: Assembly, state: FitState) -> tuple[str, ...]:
-    """Parameters that the likelihood decides: all that a fit moves but those that are tracked."""
-    followed = tracked(assembly, state)
+def free_parameters(assembly: Assembly, state: FitState) -> tuple[str, ...]:
+    """Parameters that the likelihood estimates: all that a fit moves but the tracked ones."""
+    followed = per_record_parameters(assembly, state)
     return tuple(k for k in state.keys(assembly) if k not in followed)
 
 
-def bounds_of(
+def parameter_bounds(
     assembly: Assembly, keys: tuple[str, ...], substeps: int = 1
 ) -> dict[str, tuple[float, float]]:
-    """Lowest and highest values by name.
+    """Lowest and highest value of every parameter, by name.
 
-    A time of an effect's own states ends where the integration ``substeps`` per sample carry it:
-    states that are stiff would stop every step of the fit. A value that the record does not tell
-    ends at ``_FURTHEST`` times what was given, beyond which squares are no numbers any more.
+    A time constant of an effect's own states is at least the shortest that ``substeps``
+    integration steps per sample resolve: stiff states would stop every step of the fit. A value
+    that the record does not determine stays within ``_FURTHEST`` times the one given, beyond which
+    squares overflow.
     """
     given = assembly.problem.model.values
     traced = assembly.study.compiled.traced
     known = dict(zip(traced.keys, traced.parameters, strict=True))
     steps = (s.dt / max(s.substeps, substeps) for s in assembly.study.series)
-    shortest, found = shortest_time(min(steps)), {}
+    shortest, bounds = shortest_time_constant(min(steps)), {}
     for key in keys:
         one = known[key]
         low, high = (-np.inf if one.lower is None else one.lower), one.upper
         low = shortest if one.spectrum and one.unit == "s" else low
         most = _FURTHEST * abs(given.get(key) or np.inf)
-        found[key] = (max(float(low), -most), most if high is None else min(float(high), most))
-    return found
+        bounds[key] = (max(float(low), -most), most if high is None else min(float(high), most))
+    return bounds
 
 
-def subjects(assembly: Assembly, state: FitState, like: Prepared | None = None) -> Prepared:
-    """Every record with the state's values and integration steps.
+def prepare_filter_tasks(
+    assembly: Assembly, state: FitState, like: Prepared | None = None
+) -> Prepared:
+    """A filter task for every record, with the state's values and integration steps.
 
-    ``like`` : whose scales of the states are taken, so that sizes of the noise mean the same.
+    ``like`` : tasks whose scales of the states are taken, so that sizes of the noise mean the same.
     """
     model, traced = assembly.problem.model, assembly.study.compiled.traced
-    followed = tracked(assembly, state)
+    followed = per_record_parameters(assembly, state)
     compiled = assembly.study.compiled
     rows = np.ascontiguousarray(state.values[:, : len(traced.keys)])
-    known = doubts(followed) if state.noise is not None else {}
+    known = tracked_deviations(followed) if state.noise is not None else {}
     begins = state.starts or (None,) * len(rows)
     spreads = state.spreads if state.starts and state.spreads else (None,) * len(rows)
     others = (None,) * len(rows) if like is None else tuple(task for task, _ in like)
     tasks = [
-        task_with(model, compiled, row.copy(), series.record, start, series=series, like=other)
+        build_task(model, compiled, row.copy(), series.record, start, series=series, like=other)
         for row, start, series, other in zip(
-            rows, begins, integrated(assembly, state).study.series, others, strict=True
+            rows,
+            begins,
+            apply_integration_settings(assembly, state).study.series,
+            others,
+            strict=True,
         )
     ]
-    moved = moving(assembly, state)
+    moved = free_parameters(assembly, state)
     return tuple(
-        filter_prepared(replace(begun_within(t, spread), moved=moved), followed, known)
+        filter_prepared(replace(with_start_spread(t, spread), moved=moved), followed, known)
         for t, spread in zip(tasks, spreads, strict=True)
     )
 
 
-def integrated(assembly: Assembly, state: FitState) -> Assembly:
-    """The study with at least a state's steps per sample, its inputs run as the state says."""
+def apply_integration_settings(assembly: Assembly, state: FitState) -> Assembly:
+    """The study with a state's interpolation of inputs and at least its integration steps."""
     substeps = max(state.substeps, assembly.study.series[0].substeps)
     if not state.between and substeps == assembly.study.series[0].substeps:
         return assembly
@@ -132,20 +146,20 @@ def integrated(assembly: Assembly, state: FitState) -> Assembly:
     return with_steps(replace(assembly, problem=problem), substeps)
 
 
-def finer(found: LikelihoodFit) -> int:
-    """Integration steps per sample that the motion asks for: |eigenvalue| dt of 0.3 along it."""
+def required_substeps(fit: LikelihoodFit) -> int:
+    """Integration steps per sample so that |eigenvalue| dt <= 0.3 all along the motion."""
     fastest = 0.0
-    for task, settings in found.estimate.prepared:
-        run = predicted(task, settings, found.estimate.noise, keep=True)
+    for task, settings in fit.estimate.prepared:
+        run = predict_readings(task, settings, fit.estimate.noise, keep=True)
         states = run.means[: run.done, : len(task.states)]
         inputs = task.inputs[:: 2 * task.series.substeps]
-        for k in spread_out(states):
-            matrix = linearised(task.compiled, task.values, inputs[k], states[k])
+        for k in covering_samples(states):
+            matrix = state_jacobian(task.compiled, task.values, inputs[k], states[k])
             fastest = max(fastest, float(np.abs(np.linalg.eigvals(matrix)).max()) * task.series.dt)
     return int(np.clip(np.ceil(fastest / _ADVANCE), 1, MOST_SUBSTEPS))
 
 
-def refitted(
+def fit_by_likelihood(
     assembly: Assembly,
     state: FitState,
     noise: NoiseModel | None = None,
@@ -157,20 +171,23 @@ def refitted(
     like: Prepared | None = None,
     least: float = -np.inf,
 ) -> LikelihoodFit:
-    """The most likely values of a state's parameters and of its noise.
+    """The maximum-likelihood values of a state's parameters and of its noise model.
 
     Parameters
     ----------
     noise : to start from; left out, the state's own, or white noise as the record has it with
         much process noise.
     masks : samples of each record that count. steps : at most so many; ``rough``, ``kept``
-        ``differences`` and ``least`` as in ``maximise``; ``like`` as in ``subjects``.
+        ``differences`` and ``least`` as in ``maximise``; ``like`` as in
+        ``prepare_filter_tasks``.
     """
-    prepared = subjects(assembly, state, like)
-    noise = acting_on(prepared[0][0], noise or state.noise or first_noise(prepared[0][0], LEVEL))
-    keys = moving(assembly, state)
-    bounds = bounds_of(assembly, keys, state.substeps)
-    estimate = maximise(
+    prepared = prepare_filter_tasks(assembly, state, like)
+    noise = drop_inapplicable_forces(
+        prepared[0][0], noise or state.noise or first_noise(prepared[0][0], LEVEL)
+    )
+    keys = free_parameters(assembly, state)
+    bounds = parameter_bounds(assembly, keys, state.substeps)
+    estimate = maximise_likelihood(
         prepared, keys, noise, bounds, masks, steps,
         rough=rough, kept=kept, differences=differences, least=least,
     )  # fmt: skip
@@ -185,50 +202,52 @@ def with_estimate(state: FitState, estimate: Maximum) -> FitState:
     return replace(state, values=values, noise=estimate.noise)
 
 
-def explains(found: LikelihoodFit) -> bool:
-    """Whether no more than a small random force acts beside the model."""
-    return largest_force(found.estimate.noise) <= LITTLE
+def is_random_force_small(fit: LikelihoodFit) -> bool:
+    """Whether the largest random force beside the model is at most ``LITTLE``, or there is none."""
+    return largest_force(fit.estimate.noise) <= LITTLE
 
 
 def largest_force(noise: NoiseModel) -> float:
-    """The largest random force beside a model, as a share of its own; none is zero."""
+    """The largest random force, as a share of the model's own forces; zero where there is none."""
     kinds = ("force", "gust")
     return max((noise.values[t.size] for t in noise.terms if t.kind in kinds), default=0.0)
 
 
-def reopened(
-    assembly: Assembly, found: LikelihoodFit, masks: Masks = None, steps: int = 40
+def restart_vanished_noise(
+    assembly: Assembly, fit: LikelihoodFit, masks: Masks = None, steps: int = 40
 ) -> LikelihoodFit:
-    """The fit with random terms that have vanished begun again, where that is more likely.
+    """The fit with vanished noise terms started again from finite sizes, if that is more likely.
 
     Sizes are on a logarithmic scale, on which one near zero has no slope: noise of a sensor that a
     large random force has made superfluous never comes back by itself when the model no longer
     needs that force. Nothing is tried where the model explains the records and leaves white noise.
     """
-    if not found.estimate.finite or (explains(found) and is_white(assembly, found)):
-        return found
-    sizes = _vanished(found.estimate)
+    if not fit.estimate.finite or (is_random_force_small(fit) and is_white(assembly, fit)):
+        return fit
+    sizes = _vanished_noise_sizes(fit.estimate)
     if not sizes:
-        return found
-    at = found.estimate
+        return fit
+    at = fit.estimate
     noise = at.noise.with_values(sizes)
-    again = refitted(assembly, found.state, noise, masks, steps, rough=True, like=at.prepared)
-    return again if again.height > found.height else found
+    again = fit_by_likelihood(
+        assembly, fit.state, noise, masks, steps, rough=True, like=at.prepared
+    )
+    return again if again.height > fit.height else fit
 
 
-def _vanished(at: Maximum) -> dict[str, float]:
-    """White noise and white forces that are next to nothing, with sizes to begin again."""
+def _vanished_noise_sizes(at: Maximum) -> dict[str, float]:
+    """Sizes to start again from, of white noise and white forces that have vanished."""
     task = at.prepared[0][0]
     rms = np.sqrt(np.mean(np.concatenate([p.misses for p in at.parts]) ** 2, axis=0))
     missed = dict(zip(task.compiled.traced.channels, rms, strict=True))
-    found = {}
+    sizes = {}
     for term in at.noise.terms:
         size = at.noise.values[term.size]
         if term.kind == "white" and size < _FAINT * missed[term.where]:
-            found[term.size] = 0.5 * float(missed[term.where])
-        elif term.kind == "force" and size < LEAST * limits(task, term.size)[0]:
-            found[term.size] = LEVEL
-    return found
+            sizes[term.size] = 0.5 * float(missed[term.where])
+        elif term.kind == "force" and size < LEAST * size_limits(task, term.size)[0]:
+            sizes[term.size] = LEVEL
+    return sizes
 
 
 def force_levels(noise: NoiseModel) -> dict[str, float]:
@@ -236,50 +255,50 @@ def force_levels(noise: NoiseModel) -> dict[str, float]:
     return {t.where: noise.values[t.size] for t in noise.terms if t.kind == "force"}
 
 
-def settled_values(found: LikelihoodFit) -> FitState:
-    """The state with what belongs to each record as the filter has it at the record's end."""
-    values = found.state.values.copy()
-    for row, (task, settings) in zip(values, found.estimate.prepared, strict=True):
+def with_tracked_values(fit: LikelihoodFit) -> FitState:
+    """The state with the tracked parameters as filtered at the end of each record."""
+    values = fit.state.values.copy()
+    for row, (task, settings) in zip(values, fit.estimate.prepared, strict=True):
         if not settings.tracked:
             continue
-        run = predicted(task, settings, found.estimate.noise, keep=True)
+        run = predict_readings(task, settings, fit.estimate.noise, keep=True)
         for place, key in enumerate(settings.tracked):
             row[task.keys.index(key)] = run.means[-1, len(task.states) + place]
-    return replace(found.state, values=values)
+    return replace(fit.state, values=values)
 
 
-def expected_states(found: LikelihoodFit) -> tuple[Array, ...]:
-    """(samples, n) the system's states of every record before each reading.
+def predicted_states(fit: LikelihoodFit) -> tuple[Array, ...]:
+    """(samples, n) states of the system that the filter predicts before each reading, by record.
 
-    None where a filter ran away.
+    An empty tuple where a filter diverges.
     """
-    parts = [(t, predicted(t, s, found.estimate.noise, keep=True))
-             for t, s in found.estimate.prepared]  # fmt: skip
+    parts = [(t, predict_readings(t, s, fit.estimate.noise, keep=True))
+             for t, s in fit.estimate.prepared]  # fmt: skip
     if not all(p.whole for _, p in parts):
         return ()
     return tuple(p.expected[:, : len(t.model.system.states)] for t, p in parts)
 
 
-def innovations(found: LikelihoodFit) -> tuple[Array, ...]:
-    """Whitened misses (samples, channels) of every record."""
-    return tuple(p.whitened for p in found.estimate.parts)
+def innovations(fit: LikelihoodFit) -> tuple[Array, ...]:
+    """Whitened innovations (samples, channels) of every record."""
+    return tuple(p.whitened for p in fit.estimate.parts)
 
 
-def colour(assembly: Assembly, found: LikelihoodFit) -> Whiteness:
-    """Whether the misses are white."""
-    return whiteness(innovations(found), assembly.problem.settings.lags)
+def innovation_whiteness(assembly: Assembly, fit: LikelihoodFit) -> Whiteness:
+    """The whiteness test of the innovations."""
+    return whiteness(innovations(fit), assembly.problem.settings.lags)
 
 
-def is_white(assembly: Assembly, found: LikelihoodFit) -> bool:
-    """Whether the misses are white at the level of the settings."""
-    return colour(assembly, found).p >= assembly.problem.settings.whiteness_level
+def is_white(assembly: Assembly, fit: LikelihoodFit) -> bool:
+    """Whether the innovations are white at ``settings.whiteness_level``."""
+    return innovation_whiteness(assembly, fit).p >= assembly.problem.settings.whiteness_level
 
 
-def price(parameters: int, prepared: Prepared) -> float:
-    """What parameters cost in log-likelihood (Schwarz): q / 2 log N, N readings."""
-    return 0.5 * parameters * float(np.log(samples_of(prepared)))
+def schwarz_penalty(parameters: int, prepared: Prepared) -> float:
+    """Schwarz's penalty of q parameters in log-likelihood: q / 2 log N, with N readings."""
+    return 0.5 * parameters * float(np.log(reading_count(prepared)))
 
 
-def samples_of(prepared: Prepared) -> int:
-    """Readings in all records."""
+def reading_count(prepared: Prepared) -> int:
+    """The number N of readings in all records."""
     return sum(task.series.y.size for task, _ in prepared)

@@ -1,4 +1,4 @@
-"""Values by which a model predicts best without correction, where much acts at random beside it.
+"""Values that minimise the free-run error, for models beside which a large random force acts.
 
 One-step predictions tell a machine's values best where what acts on it is random. Where it only
 looks so, because the model still lacks something, the filter is corrected at every sample by what
@@ -21,73 +21,73 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.likelihood.fit import informed, maximise
+from spiral.engine.likelihood.fit import add_standard_errors, maximise_likelihood
 from spiral.engine.likelihood.noise import NoiseModel
-from spiral.engine.likelihood.predict import Masks, Prepared, all_predicted
+from spiral.engine.likelihood.predict import Masks, Prepared, predict_cases
 from spiral.engine.windows import halves
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
-    explains,
-    refitted,
+    fit_by_likelihood,
+    is_random_force_small,
     with_estimate,
 )
-from spiral.inference.likelihood.starts import sensors_alone
+from spiral.inference.likelihood.starts import sensor_noise_only
 from spiral.inference.problem import Progress
 
 FREELY = (
     "the values are those that predict best without correction: much acts beside the model that "
     "is not random, and one-step predictions, which are corrected for it, would choose others"
 )
-"""What is said where values are those of free runs."""
+"""The note on a comparison whose values are those of free runs."""
 
 _BETTER = 0.9  # share of the other's error below which values by free runs are taken
 
 
-def by_free_runs(
-    assembly: Assembly, found: LikelihoodFit, progress: Progress, halves_agree: bool = True
+def refit_by_free_run(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress, halves_agree: bool = True
 ) -> LikelihoodFit:
-    """The fit with the values that predict best without correction, if these are far better.
+    """The fit with the values that minimise the free-run error, if these are far better.
 
     Its noise is the most likely one beside them, its standard errors those of the free run
-    (widened by how much blocks of the record differ). Without ``halves_agree`` halves are not
-    asked: data that neither has seen are to decide then.
+    (widened by how much blocks of the record differ). Without ``halves_agree`` the check on halves
+    is left out, for callers that decide on data which neither fit has seen.
     """
-    if not found.estimate.finite or explains(found) or not found.estimate.keys:
-        return found
+    if not fit.estimate.finite or is_random_force_small(fit) or not fit.estimate.keys:
+        return fit
     progress("asking what predicts best without correction")
-    deaf = sensors_alone(found)
-    deaf = deaf.of(t for t in deaf.terms if t.kind == "white")
-    free = refitted(assembly, found.state, deaf, rough=True, like=found.estimate.prepared)
-    ours, theirs = (_missed(f, deaf, None) for f in (found, free))
+    deaf = sensor_noise_only(fit)
+    deaf = deaf.select_terms(t for t in deaf.terms if t.kind == "white")
+    free = fit_by_likelihood(assembly, fit.state, deaf, rough=True, like=fit.estimate.prepared)
+    ours, theirs = (_mean_free_run_error(f, deaf, None) for f in (fit, free))
     if not theirs < _BETTER * ours:
-        return found
+        return fit
     if not halves_agree:
-        return _with_noise_of(assembly, free, found)
+        return _with_noise_terms_of(assembly, free, fit)
     ours = theirs = 0.0
-    for fitted, other in itertools.permutations(_halves(found.estimate.prepared)):
-        stepwise = refitted(
-            assembly, found.state, masks=fitted, rough=True, kept=found.estimate.kept
+    for fitted, other in itertools.permutations(_record_halves(fit.estimate.prepared)):
+        stepwise = fit_by_likelihood(
+            assembly, fit.state, masks=fitted, rough=True, kept=fit.estimate.kept
         )
-        freely = refitted(assembly, free.state, deaf, fitted, rough=True)
-        ours += _missed(stepwise, deaf, other) ** 2
-        theirs += _missed(freely, deaf, other) ** 2
+        freely = fit_by_likelihood(assembly, free.state, deaf, fitted, rough=True)
+        ours += _mean_free_run_error(stepwise, deaf, other) ** 2
+        theirs += _mean_free_run_error(freely, deaf, other) ** 2
     if not theirs < ours:
-        return found
-    return _with_noise_of(assembly, free, found)
+        return fit
+    return _with_noise_terms_of(assembly, free, fit)
 
 
-def _halves(prepared: Prepared) -> tuple[Masks, Masks]:
+def _record_halves(prepared: Prepared) -> tuple[Masks, Masks]:
     """The first half of every record, and the second."""
     counts = [task.series.samples for task, _ in prepared]
     first, second = zip(*(halves(n, (n + 1) // 2) for n in counts), strict=True)
     return first, second
 
 
-def _missed(found: LikelihoodFit, deaf: NoiseModel, masks: Masks) -> float:
-    """Mean over channels of what free runs of a fit miss, over the channels' deviations."""
-    prepared = found.estimate.prepared
-    parts = all_predicted([(prepared, deaf)])[0]
+def _mean_free_run_error(fit: LikelihoodFit, deaf: NoiseModel, masks: Masks) -> float:
+    """Free-run error of a fit, rms over each channel's deviation, mean over channels."""
+    prepared = fit.estimate.prepared
+    parts = predict_cases([(prepared, deaf)])[0]
     if not all(p.whole for p in parts):
         return np.inf
     total, count = 0.0, 0
@@ -98,11 +98,13 @@ def _missed(found: LikelihoodFit, deaf: NoiseModel, masks: Masks) -> float:
     return float(np.mean(np.sqrt(total / max(count, 1))))
 
 
-def _with_noise_of(assembly: Assembly, free: LikelihoodFit, found: LikelihoodFit) -> LikelihoodFit:
-    """A free fit's values with the noise terms of another, at their most likely sizes."""
-    known, keys = informed(free.estimate), free.estimate.keys
-    noisy = maximise(free.estimate.prepared, (), found.estimate.noise, rough=True)
-    parts = all_predicted([(noisy.prepared, noisy.noise)], keys, keep=True)[0]
+def _with_noise_terms_of(
+    assembly: Assembly, free: LikelihoodFit, fit: LikelihoodFit
+) -> LikelihoodFit:
+    """The values of ``free`` with the noise terms of another fit, at their most likely sizes."""
+    known, keys = add_standard_errors(free.estimate), free.estimate.keys
+    noisy = maximise_likelihood(free.estimate.prepared, (), fit.estimate.noise, rough=True)
+    parts = predict_cases([(noisy.prepared, noisy.noise)], keys, keep=True)[0]
     estimate = replace(
         noisy, keys=keys, parts=parts, solved=known.solved, sizes=known.sizes,
         widened=known.widened,

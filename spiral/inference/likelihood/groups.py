@@ -1,4 +1,4 @@
-"""Candidates that the records do not tell apart, and which of them is named first."""
+"""Candidates that the records cannot distinguish, and which of them is named first."""
 
 from __future__ import annotations
 
@@ -9,51 +9,51 @@ from spiral.inference.likelihood.candidates import Rival
 from spiral.types.effect import SensorEffect
 from spiral.types.label import make_label
 
-_TWIN = 0.98  # share of the gain from which one that should do the same does
+_TWIN = 0.98  # share of the gain from which a declared twin counts as one
 
 
-def alike(rivals: list[Rival], odds: float) -> tuple[str, ...]:
-    """Rivals that the whole records do not tell from the first one: less than ``odds`` to one.
+def indistinguishable_rivals(rivals: list[Rival], odds: float) -> tuple[str, ...]:
+    """Effects that the whole records do not distinguish from the first rival's by ``odds`` to one.
 
-    The price of their numbers counts, but not of a sensor's beside a change of the machine: it has
-    a number for every channel, and still it may be the sensors.
+    Schwarz's penalty counts, but not that of a sensor effect beside a change of the machine: it
+    has parameters for every channel, and still it may be the sensors.
     """
     first, *others = rivals
-    near = [r for r in others if lead(first, r) < np.log(odds)]
+    near = [r for r in others if log_likelihood_lead(first, r) < np.log(odds)]
     return tuple(dict.fromkeys(r.label for r in near if r.label != first.label))
 
 
-def lead(first: Rival, other: Rival) -> float:
-    """By how much the first is more likely on the whole records, beyond its numbers' price."""
-    likely = _height(first) - _height(other)
-    if _of_sensors(other) and not _of_sensors(first):
+def log_likelihood_lead(first: Rival, other: Rival) -> float:
+    """Lead of the first in log-likelihood on the whole records, less its additional penalty."""
+    likely = _log_likelihood_of(first) - _log_likelihood_of(other)
+    if _is_sensor_effect(other) and not _is_sensor_effect(first):
         return likely
-    return likely - _price(first) + _price(other)
+    return likely - _rival_penalty(first) + _rival_penalty(other)
 
 
-def _height(rival: Rival) -> float:
+def _log_likelihood_of(rival: Rival) -> float:
     return log_likelihood(rival.fit.estimate.parts)
 
 
-def _price(rival: Rival) -> float:
+def _rival_penalty(rival: Rival) -> float:
     return rival.gain - rival.worth
 
 
-def _of_sensors(rival: Rival) -> bool:
+def _is_sensor_effect(rival: Rival) -> bool:
     return isinstance(rival.ranked.variant.original, SensorEffect)
 
 
-def twins(chosen: Rival, rivals: list[Rival]) -> tuple[str, ...]:
-    """Rivals elsewhere that do the same as the chosen one, and explain nearly as much."""
+def twin_rivals(chosen: Rival, rivals: list[Rival]) -> tuple[str, ...]:
+    """Rivals declared as the chosen one's twins (``Effect.twins``) that explain nearly as much."""
     names = chosen.ranked.variant.original.twins
     near = [r for r in rivals if r.gain > _TWIN * chosen.gain]
     return tuple(r.label for r in near if r.ranked.variant.original.plugin_name() in names)
 
 
-def plainest(
+def simplest_rival(
     rival: Rival, aliases: tuple[str, ...], rivals: list[Rival]
 ) -> tuple[Rival, tuple[str, ...]]:
-    """The plainest of a group that the records do not tell apart, and the rest of it.
+    """The simplest of a group that the records cannot distinguish, and the labels of the others.
 
     A change of the machine comes before one of a sensor, then one of few parameters, then a special
     case of another: an actuator that limits its rate far beyond what it is asked for is one that
@@ -64,9 +64,9 @@ def plainest(
     special = {make_label(x, e.port) for e in (r.ranked.variant.original for r in group)
                for x in e.special}  # fmt: skip
 
-    def order(one: Rival) -> tuple[bool, int, bool]:
+    def complexity(one: Rival) -> tuple[bool, int, bool]:
         effect = one.ranked.variant.original
-        return _of_sensors(one), len(effect.parameters), one.label not in special
+        return _is_sensor_effect(one), len(effect.parameters), one.label not in special
 
-    chosen = min(group, key=order)
+    chosen = min(group, key=complexity)
     return chosen, tuple(r.label for r in group if r is not chosen)

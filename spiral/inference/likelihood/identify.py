@@ -1,9 +1,9 @@
-"""Whether the records tell the model's own parameters apart, by the information they hold.
+"""Identifiability of the model's own parameters, by the information in the records.
 
 With X the slopes of the whitened misses and each parameter counted in units of its own value, the
 singular values of X diag(theta) are inverse standard errors of combinations of relative changes.
-A combination of several effects that may change by its whole size unseen is one that the records
-cannot tell.
+A combination that may change by its whole size without being seen is one that the records do not
+identify.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.inference.identifiability.parameters import components
+from spiral.inference.identifiability.parameters import merge_overlapping_groups
 from spiral.inference.likelihood.fitting import LikelihoodFit
 from spiral.types.record import Array
 
-_WHOLE = 1.0  # relative standard error of a combination from which it is not told
+_WHOLE = 1.0  # relative standard error from which a combination is not identified
 _PART = 0.3  # relative change, of a whole or of the largest, from which a parameter takes part
 _FLATTEST = 1e-24  # information that a combination is taken to have at least
 
 
 @dataclass(frozen=True)
 class Ties:
-    """What records cannot tell apart: ``groups`` of effects, or of parameters where one has all.
+    """``groups`` of effects, or of parameters of one effect, that records do not identify apart.
 
-    ``parts`` are parameters, those with the largest part in the flat combinations first. One that
-    is held takes one combination away; others are looked for again beside it, as a fit that has
-    gone astray tells nothing, and may find its way with one parameter less.
+    ``parts`` are parameters, those with the largest part in the flat combinations first. Holding
+    one of them removes one combination; ties are then sought again in a new fit, as those of a fit
+    that has gone astray mean nothing, and it may recover with one parameter less.
     """
 
     groups: tuple[tuple[str, ...], ...] = ()
@@ -37,13 +37,13 @@ class Ties:
         return bool(self.groups)
 
 
-def untold(found: LikelihoodFit) -> Ties:
-    """What these records cannot tell apart; nothing where they can.
+def find_parameter_ties(fit: LikelihoodFit) -> Ties:
+    """Parameters that the records do not identify apart; empty ties where they do.
 
     A combination may be flat beside the noise as it is, or only where the sizes of the noise move
     with it (a hidden state counted in another unit, and the random force on it).
     """
-    estimate = found.estimate
+    estimate = fit.estimate
     if not estimate.finite or not estimate.keys:
         return Ties()
     sizes = np.array([abs(estimate.values[k]) for k in estimate.keys])
@@ -54,7 +54,7 @@ def untold(found: LikelihoodFit) -> Ties:
     keys = [k for k, t in zip(estimate.keys, told, strict=True) if t]
     groups: list[set[str]] = []
     flat = []
-    for vector in _flat(gram, estimate.covariance, sizes, told):
+    for vector in _flat_directions(gram, estimate.covariance, sizes, told):
         change = np.abs(vector)
         part = change > _PART * min(change.max(), _WHOLE)
         owners = {k.rsplit(".", 1)[0] for k, p in zip(keys, part, strict=True) if p}
@@ -65,11 +65,11 @@ def untold(found: LikelihoodFit) -> Ties:
         return Ties()
     parts = np.sum(np.square(flat), axis=0)
     order = [i for i in np.argsort(-parts, kind="stable") if parts[i] > 0.0]
-    return Ties(components(groups), tuple(keys[i] for i in order))
+    return Ties(merge_overlapping_groups(groups), tuple(keys[i] for i in order))
 
 
-def _flat(gram: Array, covariance: Array, sizes: Array, told: Array) -> list[Array]:
-    """Combinations of relative changes whose standard error is whole, each as long as that is.
+def _flat_directions(gram: Array, covariance: Array, sizes: Array, told: Array) -> list[Array]:
+    """Combinations of relative changes with a standard error above one, of that length each.
 
     First those of the information beside the noise as it is, then those of the covariance, in which
     the noise's sizes move too.

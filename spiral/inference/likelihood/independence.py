@@ -1,9 +1,9 @@
-"""Whether what is left follows the motion and the inputs, or its own past alone.
+"""How much of the innovations the motion and the inputs explain, beyond the innovations' own past.
 
-Noise that is not quite as it was modelled is told by its own past and by nothing else; what a model
-lacks follows what moves (residuals held against themselves and against inputs: Ljung, System
-Identification, 1999, 16.6). With e the whitened misses of a channel and s the predicted readings
-and the inputs, each in standard deviations from its mean,
+Noise that is modelled imperfectly is predictable from its own past alone; what a model lacks
+depends on the motion (correlation tests of residuals: Ljung, System Identification, 1999, 16.6).
+With e the whitened misses of a channel and s the predicted readings and the inputs, each in
+standard deviations from its mean,
 
     e_t = sum_k a_k e_(t-k) + r_t                               of all channels, k to ``_PAST``
     e_t = sum_k a_k e_(t-k) + sum_j b_j f_j(s_t, s_(t-1), ...) + r'_t
@@ -30,20 +30,22 @@ _SHARP = 5.0  # of the rounded sign tanh(5 s)
 _READINGS = 20  # for each column, at least
 
 
-def followed_share(found: LikelihoodFit) -> float:
+def motion_explained_share(fit: LikelihoodFit) -> float:
     """Share of the whitened misses that predicted readings and inputs explain beside their past.
 
     The largest over channels; infinite where records are too short to tell.
     """
-    at = found.estimate
-    rows = [_rows(task, part) for (task, _), part in zip(at.prepared, at.parts, strict=True)]
+    at = fit.estimate
+    rows = [
+        _regression_rows(task, part) for (task, _), part in zip(at.prepared, at.parts, strict=True)
+    ]
     misses, past, moved = (np.concatenate(x) for x in zip(*rows, strict=True))
     if not len(misses) > _READINGS * (past.shape[1] + moved.shape[1]):
         return np.inf
-    return max(_share(column, past, moved) for column in misses.T)
+    return max(_channel_explained_share(column, past, moved) for column in misses.T)
 
 
-def _share(miss: Array, past: Array, moved: Array) -> float:
+def _channel_explained_share(miss: Array, past: Array, moved: Array) -> float:
     seen = miss != 0.0  # readings that are missing have none
     if not seen.any():
         return 0.0
@@ -53,7 +55,7 @@ def _share(miss: Array, past: Array, moved: Array) -> float:
     return max(1.0 - after.rss / before.rss - chance, 0.0) if before.rss > 0 else 0.0
 
 
-def _rows(task: Task, part: Prediction) -> tuple[Array, Array, Array]:
+def _regression_rows(task: Task, part: Prediction) -> tuple[Array, Array, Array]:
     """(samples, ...) misses, their past and what moves, from the sample that has all of it on."""
     first, last = max(_PAST, *_LAGS), len(part.misses)
     names = task.compiled.traced.inputs
@@ -66,10 +68,10 @@ def _rows(task: Task, part: Prediction) -> tuple[Array, Array, Array]:
     s = (s - s.mean(axis=0)) / np.where(sizes > 0, sizes, 1.0)
     e = part.whitened
 
-    def ago(values: Array, lag: int) -> Array:
+    def delayed_by(values: Array, lag: int) -> Array:
         return values[first - lag : last - lag]
 
     bent = (s**2, s**3, np.tanh(_SHARP * s))
-    moved = [*(ago(s, k) for k in _LAGS), *(ago(b, 0) for b in bent)]
-    past = [np.ones((last - first, 1)), *(ago(e, k) for k in range(1, _PAST + 1))]
+    moved = [*(delayed_by(s, k) for k in _LAGS), *(delayed_by(b, 0) for b in bent)]
+    past = [np.ones((last - first, 1)), *(delayed_by(e, k) for k in range(1, _PAST + 1))]
     return e[first:last], np.column_stack(past), np.column_stack(moved)

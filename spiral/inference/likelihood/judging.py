@@ -1,8 +1,8 @@
-"""A winner of the race on the blocks that did not select it.
+"""The winner of the race judged on the blocks that did not select it.
 
-There it must predict better than the model as it is, both with their values from the blocks that
-select; and by Wilks' test, both refitted there, significantly so, for as many tests as values of
-its shapes were tried.
+It must predict these blocks better than the model as it is, both with their values from the
+selecting blocks; and, both refitted there, be significantly likelier by Wilks' test, corrected for
+the number of values of its shapes that were tried.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 from scipy import special
 
-from spiral.engine.likelihood.fit import Maximum, maximise
+from spiral.engine.likelihood.fit import Maximum, maximise_likelihood
 from spiral.engine.likelihood.predict import Masks
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.candidates import Rival
-from spiral.inference.likelihood.fitting import LikelihoodFit, bounds_of
+from spiral.inference.likelihood.fitting import LikelihoodFit, parameter_bounds
 
 _STEPS = 12  # scoring steps, at most
 
@@ -37,7 +37,7 @@ class Judged:
     searched: int
 
     def passes(self, level: float) -> bool:
-        """Whether it holds there, at a level of error."""
+        """Whether it predicts better and is significant at ``level``."""
         return self.predicted > 0 and self.p_value < level
 
     @property
@@ -49,7 +49,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Unselected:
-    """A model on the blocks that did not select: with its values from the others, and with its own.
+    """A model on the judging blocks: with values from the selecting ones, and refitted.
 
     The noise is as these blocks have it.
     """
@@ -58,21 +58,21 @@ class Unselected:
     refitted: Maximum
 
 
-def unselected(fit: LikelihoodFit, assembly: Assembly, masks: Masks) -> Unselected:
-    """A fit on other blocks than its own; ``assembly`` is the study in whose terms it is."""
-    carried = most_likely(fit.estimate, masks, {})
-    bounds = bounds_of(assembly, fit.estimate.keys, fit.state.substeps)
-    return Unselected(carried, most_likely(carried, masks, bounds))
+def fit_on_judging_blocks(fit: LikelihoodFit, assembly: Assembly, masks: Masks) -> Unselected:
+    """A fit evaluated and refitted on other blocks; ``assembly`` is its own study."""
+    carried = maximise_on_blocks(fit.estimate, masks, {})
+    bounds = parameter_bounds(assembly, fit.estimate.keys, fit.state.substeps)
+    return Unselected(carried, maximise_on_blocks(carried, masks, bounds))
 
 
-def judged(base: LikelihoodFit, ours: Unselected, rival: Rival, masks: Masks) -> Judged:
-    """A winner against the model as it is on other blocks than those that chose it.
+def judge_winner(base: LikelihoodFit, ours: Unselected, rival: Rival, masks: Masks) -> Judged:
+    """The winner compared with the model as it is on the blocks that did not select it.
 
     Parameters
     ----------
     base : the model as it is; ours : the same on the blocks that did not select. masks : these.
     """
-    theirs = unselected(rival.fit, rival.assembly, masks)
+    theirs = fit_on_judging_blocks(rival.fit, rival.assembly, masks)
     freed = set(rival.fit.state.freed) - set(base.state.freed)
     terms = len(rival.ranked.columns) + len(freed)
     searched = rival.ranked.variant.searched if freed else 1
@@ -83,6 +83,10 @@ def judged(base: LikelihoodFit, ours: Unselected, rival: Rival, masks: Masks) ->
     return Judged(predicted, refitted_, terms, searched)
 
 
-def most_likely(at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, float]]) -> Maximum:
-    """A model at its most likely on some blocks, by its noise and what has bounds, from here on."""
-    return maximise(at.prepared, tuple(bounds), at.noise, bounds, masks, _STEPS, kept=at.kept)
+def maximise_on_blocks(
+    at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, float]]
+) -> Maximum:
+    """The maximum on some blocks, from ``at`` on, over noise and the parameters in ``bounds``."""
+    return maximise_likelihood(
+        at.prepared, tuple(bounds), at.noise, bounds, masks, _STEPS, kept=at.kept
+    )

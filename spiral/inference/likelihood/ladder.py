@@ -1,4 +1,4 @@
-"""Which model of what is random the record wants: terms tried one at a time, kept by likelihood.
+"""Selection of the noise model: terms tried one at a time, kept by likelihood.
 
 From white measurement noise and a white random force upwards: coloured measurement noise, noise
 behind a low-pass, a sensor that drifts, a force with a correlation time. A term is kept where
@@ -17,20 +17,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spiral.engine.filter.noise import groups
-from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.task import Task, task_with
-from spiral.engine.likelihood.fit import Maximum, maximise
-from spiral.engine.likelihood.noise import STEEPEST, NoiseModel, NoiseTerm, limits
+from spiral.engine.filter.noise import noise_groups
+from spiral.engine.filter.setup import prepare_filter as filter_prepared
+from spiral.engine.filter.task import Task, build_task
+from spiral.engine.likelihood.fit import Maximum, maximise_likelihood
+from spiral.engine.likelihood.noise import STEEPEST, NoiseModel, NoiseTerm, size_limits
 from spiral.engine.likelihood.predict import Prepared
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.horizons import doubts, liveliest
+from spiral.inference.evidence.horizons import liveliest_stretch, tracked_deviations
 from spiral.inference.likelihood.fitting import (
     LEAST,
     LikelihoodFit,
+    continue_fit,
     is_white,
-    price,
-    taken_on,
+    schwarz_penalty,
 )
 from spiral.inference.problem import Progress
 from spiral.types.noise import COLOURED, Kind
@@ -53,88 +53,88 @@ _NARROW = 0.1  # damping ratio that a line begins with
 
 @dataclass(frozen=True)
 class Rung:
-    """Terms that come together, with sizes to start from: their own, and of others beside them."""
+    """Noise terms added together, with sizes to start from, theirs and those of other terms."""
 
     terms: tuple[NoiseTerm, ...]
     values: dict[str, float]
 
 
 class _Look(NamedTuple):
-    """A term after its first steps: what it gains beyond its price, the noise with it, its kind."""
+    """A term fitted briefly: its gain less its penalty, the noise model with it, its kind."""
 
     gain: float
     noise: NoiseModel
     kind: Kind
 
 
-def climbed_ladder(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
-    """The fit with the noise that its record wants, parameters and sizes refitted together.
+def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> LikelihoodFit:
+    """The fit with the noise model that its records prefer, parameters and sizes refitted together.
 
-    Nothing is tried where the misses are white.
+    Terms are added only while the innovations are not white.
     """
-    if not found.estimate.finite:
-        return found
+    if not fit.estimate.finite:
+        return fit
     for _ in range(_ROUNDS):
-        if is_white(assembly, found):
+        if is_white(assembly, fit):
             break
         progress("trying what may act at random")
-        best = _best(found.estimate)
+        best = _best_additional_term(fit.estimate)
         if best is None:
             break
-        found = taken_on(assembly, found, best.noise, rough=True)
-    if found.estimate.finite and not is_white(assembly, found):
-        apart = _worthy(found.estimate, list(_apart(found.estimate)))
-        found = found if apart is None else taken_on(assembly, found, apart.noise, rough=True)
-    return _located(assembly, found)
+        fit = continue_fit(assembly, fit, best.noise, rough=True)
+    if fit.estimate.finite and not is_white(assembly, fit):
+        apart = _best_noise_model(fit.estimate, list(_separate_forces(fit.estimate)))
+        fit = fit if apart is None else continue_fit(assembly, fit, apart.noise, rough=True)
+    return _select_force_location(assembly, fit)
 
 
-def _located(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
-    """The fit with a force on one state in place of its group, or with a memory, if likelier.
+def _select_force_location(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
+    """The fit with a force on one state in place of its group, or a correlated one, if likelier.
 
     What disturbs one coordinate, or lasts, leaves misses that are white, or nearly, with a white
     force of one size on all of its group too; but then it is no smaller and no other force, and
     candidates are judged beside noise that is not there. It is taken by the same odds. Where
-    misses are not white ``_apart`` has been asked.
+    misses are not white ``_separate_forces`` has been tried.
     """
     for _ in range(_ROUNDS):
-        at = found.estimate
-        if not at.finite or not is_white(assembly, found):
+        at = fit.estimate
+        if not at.finite or not is_white(assembly, fit):
             break
-        best = _worthy(at, list(_elsewhere(at)))
+        best = _best_noise_model(at, list(_alternative_forces(at)))
         if best is None:
             break
-        found = taken_on(assembly, found, best.noise, rough=True)
-    return found
+        fit = continue_fit(assembly, fit, best.noise, rough=True)
+    return fit
 
 
-def _elsewhere(at: Maximum) -> Iterator[NoiseModel]:
-    """The noise with a force on one state of a group, or one with a memory, in place of a force."""
+def _alternative_forces(at: Maximum) -> Iterator[NoiseModel]:
+    """Noise models in which a force acts on one state of its group alone, or is correlated."""
     task, noise = at.prepared[0][0], at.noise
     shared = shared_groups(task)
     for term in (t for t in noise.terms if t.kind in ("force", "gust")):
         size = noise.values[term.size]
-        if not size > LEAST * limits(task, term.size)[0]:
+        if not size > LEAST * size_limits(task, term.size)[0]:
             continue
-        others = noise.of(t for t in noise.terms if t is not term)
+        others = noise.select_terms(t for t in noise.terms if t is not term)
         states = [task.states[i] for i in shared.get(term.where, ())]
         times = {k: v for k, v in noise.values.items() if k == term.time}
         for one in (replace(term, where=state) for state in states):
-            yield others.added((one,), {**times, one.size: size})
-        if term.kind == "gust" or noise.has("gust"):
+            yield others.with_terms((one,), {**times, one.size: size})
+        if term.kind == "gust" or noise.has_kind("gust"):
             continue
         for one in (NoiseTerm("gust", where) for where in (term.where, *states)):
-            yield others.added(
-                (one,), {one.size: size, one.time: _first_time(task, _GUST_TIMES[0])}
+            yield others.with_terms(
+                (one,), {one.size: size, one.time: _initial_correlation_time(task, _GUST_TIMES[0])}
             )
 
 
 def shared_groups(task: Task) -> dict[str, tuple[int, ...]]:
-    """States of the groups that have several, of which a force may be on one."""
-    return {n: s for n, s in groups(task).items() if 2 <= len(s) <= _MOST_APART}
+    """Groups of two to ``_MOST_APART`` states, of which a force may act on one alone."""
+    return {n: s for n, s in noise_groups(task).items() if 2 <= len(s) <= _MOST_APART}
 
 
-def _apart(at: Maximum) -> Iterator[NoiseModel]:
-    """The noise with a force on each state, in place of, or beside, one for a group of states.
+def _separate_forces(at: Maximum) -> Iterator[NoiseModel]:
+    """Noise models with a force on each state, in place of, or beside, one for a group of states.
 
     What disturbs one coordinate of several (a gust on the cabin, not on the drive) leaves coloured
     misses of all where they share one size, and is not worth a size for all where it acts on one.
@@ -147,22 +147,24 @@ def _apart(at: Maximum) -> Iterator[NoiseModel]:
         size, each = noise.values[term.size], tuple(
             replace(term, where=task.states[i]) for i in shared[term.where]
         )  # fmt: skip
-        if size > LEAST * limits(task, term.size)[0]:
-            others = noise.of(t for t in noise.terms if t is not term)
+        if size > LEAST * size_limits(task, term.size)[0]:
+            others = noise.select_terms(t for t in noise.terms if t is not term)
             kept = {k: v for k, v in noise.values.items() if k != term.size}
-            yield others.added(each, kept | {t.size: size for t in each})
-    for state in (task.states[i] for s in shared.values() for i in s if not noise.has("gust")):
+            yield others.with_terms(each, kept | {t.size: size for t in each})
+    for state in (task.states[i] for s in shared.values() for i in s if not noise.has_kind("gust")):
         one = NoiseTerm("gust", state)
-        yield noise.added((one,), {one.size: _GUST, one.time: _first_time(task, _GUST_TIMES[0])})
+        yield noise.with_terms(
+            (one,), {one.size: _GUST, one.time: _initial_correlation_time(task, _GUST_TIMES[0])}
+        )
 
 
-def _first_time(task: Task, share: float) -> float:
+def _initial_correlation_time(task: Task, share: float) -> float:
     """A correlation time to begin with, as a share of the record; three samples at least."""
     return max(share * task.series.dt * task.series.samples, 3 * task.series.dt)
 
 
-def _best(at: Maximum) -> Maximum | None:
-    """The noise with one term more that is worth most beyond its price; none where none is.
+def _best_additional_term(at: Maximum) -> Maximum | None:
+    """The noise with the additional term that gains most beyond its penalty, if any does.
 
     Terms are looked at on the part of the records that moves most; what keeps up there is judged on
     all, and where noise of a sensor leads its other kinds are, too: few steps do not tell a line
@@ -170,13 +172,13 @@ def _best(at: Maximum) -> Maximum | None:
     it begins beside a white one that already does its work, and a few steps do not tell what it is
     worth.
     """
-    part = _part(at)
-    now = maximise(part, (), at.noise, steps=_LOOK)
+    part = _liveliest_part(at)
+    now = maximise_likelihood(part, (), at.noise, steps=_LOOK)
     looks = []
-    for rung in (*rungs(now), *_ringing(now)):
-        noise = now.noise.added(rung.terms, rung.values)
-        look = maximise(part, (), noise, steps=_LOOK)
-        gain = look.log_likelihood - _price(noise, at.noise, part) - now.log_likelihood
+    for rung in (*additional_noise_terms(now), *_vibration_terms(now)):
+        noise = now.noise.with_terms(rung.terms, rung.values)
+        look = maximise_likelihood(part, (), noise, steps=_LOOK)
+        gain = look.log_likelihood - _noise_penalty(noise, at.noise, part) - now.log_likelihood
         looks.append(_Look(gain, look.noise, rung.terms[0].kind))
     best = max(looks, key=lambda x: x.gain, default=None)
     if best is None:
@@ -185,17 +187,17 @@ def _best(at: Maximum) -> Maximum | None:
         x.noise for x in looks
         if x.gain > 0 and (x.gain >= _KEEP * best.gain or {x.kind, best.kind} <= {*COLOURED})
     ]  # fmt: skip
-    if (chosen := _worthy(at, kept)) is not None or at.noise.has("gust"):
+    if (chosen := _best_noise_model(at, kept)) is not None or at.noise.has_kind("gust"):
         return chosen
     gust = max((x for x in looks if x.kind == "gust"), key=lambda x: x.gain).noise
-    return None if gust in kept else _worthy(at, [gust])
+    return None if gust in kept else _best_noise_model(at, [gust])
 
 
-def _worthy(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | None:
-    """Of several models of the noise, tuned on all records, the one that is worth most."""
-    best = [_steepened(tuned(at.prepared, noise)) for noise in noises]
+def _best_noise_model(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | None:
+    """The noise model that gains most beyond its penalty on all records, if by the odds."""
+    best = [_raise_low_pass_order(tune_noise(at.prepared, noise)) for noise in noises]
     worths = [
-        (t.log_likelihood - at.log_likelihood - _price(t.noise, at.noise, at.prepared), t)
+        (t.log_likelihood - at.log_likelihood - _noise_penalty(t.noise, at.noise, at.prepared), t)
         for t in best
         if t.finite
     ]
@@ -203,13 +205,13 @@ def _worthy(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | None:
     return chosen if worth > np.log(ODDS) else None
 
 
-def tuned(prepared: Prepared, noise: NoiseModel) -> Maximum:
-    """The noise alone, a few steps on the whole records."""
-    return maximise(prepared, (), noise, steps=_TUNE, rough=True)
+def tune_noise(prepared: Prepared, noise: NoiseModel) -> Maximum:
+    """A noise model fitted alone, for a few scoring steps on the whole records."""
+    return maximise_likelihood(prepared, (), noise, steps=_TUNE, rough=True)
 
 
-def _steepened(at: Maximum) -> Maximum:
-    """The noise with a low-pass of as high an order as the record wants; the same without one.
+def _raise_low_pass_order(at: Maximum) -> Maximum:
+    """The noise with the low-pass of the most likely order; unchanged where it has none.
 
     Anti-alias filters are of fourth to eighth order. Behind one every further order makes the next
     sample much more certain, which a random force would explain otherwise.
@@ -219,16 +221,16 @@ def _steepened(at: Maximum) -> Maximum:
         if order > STEEPEST:
             break
         terms = tuple(replace(t, order=order) if t in band else t for t in at.noise.terms)
-        more = tuned(at.prepared, replace(at.noise, terms=terms))
+        more = tune_noise(at.prepared, replace(at.noise, terms=terms))
         if not (more.finite and more.log_likelihood > at.log_likelihood + np.log(ODDS)):
             break
         at = more
     return at
 
 
-def _part(at: Maximum) -> Prepared:
+def _liveliest_part(at: Maximum) -> Prepared:
     """The liveliest stretch of the records, at the values of an estimate."""
-    r, start, stop = liveliest([task.series for task, _ in at.prepared])
+    r, start, stop = liveliest_stretch([task.series for task, _ in at.prepared])
     task, settings = at.prepared[r]
     if start == 0 and stop == task.series.samples:
         return (at.prepared[r],)
@@ -236,50 +238,50 @@ def _part(at: Maximum) -> Prepared:
         task.series.record.part(start, stop, task.series.record.name),
         noise=task.series.record.sigma(),
     )
-    short = task_with(
+    short = build_task(
         task.model, task.compiled, task.values.copy(), record, substeps=task.series.substeps
     )
     short = replace(short, moved=task.moved)
-    return (filter_prepared(short, settings.tracked, doubts(settings.tracked)),)
+    return (filter_prepared(short, settings.tracked, tracked_deviations(settings.tracked)),)
 
 
-def quieted(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
-    """The fit without random forces that are not worth their price.
+def drop_needless_forces(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
+    """The fit with forces reduced to their lower limits, where they are not worth their penalty.
 
     Of a machine that nothing disturbs half the records would have some by chance, and standard
     errors that are too large with it.
     """
-    noise, task = found.estimate.noise, found.estimate.prepared[0][0]
+    noise, task = fit.estimate.noise, fit.estimate.prepared[0][0]
     least = {
-        t.size: limits(task, t.size)[0]
+        t.size: size_limits(task, t.size)[0]
         for t in noise.terms
-        if t.kind == "force" and noise.values[t.size] > LEAST * limits(task, t.size)[0]
+        if t.kind == "force" and noise.values[t.size] > LEAST * size_limits(task, t.size)[0]
     }
-    if not found.estimate.finite or not least:
-        return found
-    enough = found.height - price(len(least), found.estimate.prepared)
-    trial = taken_on(assembly, found, noise.with_values(least), rough=True, least=enough)
-    return trial if trial.height > enough else found
+    if not fit.estimate.finite or not least:
+        return fit
+    enough = fit.height - schwarz_penalty(len(least), fit.estimate.prepared)
+    trial = continue_fit(assembly, fit, noise.with_values(least), rough=True, least=enough)
+    return trial if trial.height > enough else fit
 
 
-def _price(noise: NoiseModel, before: NoiseModel, prepared: Prepared) -> float:
-    return price(len(noise.names) - len(before.names), prepared)
+def _noise_penalty(noise: NoiseModel, before: NoiseModel, prepared: Prepared) -> float:
+    return schwarz_penalty(len(noise.names) - len(before.names), prepared)
 
 
-def rungs(now: Maximum) -> Iterator[Rung]:
-    """What may come next.
+def additional_noise_terms(now: Maximum) -> Iterator[Rung]:
+    """The noise terms that may be added next.
 
-    Noise of a sensor that a random force has made superfluous begins with half of what is missed.
+    Noise of a sensor that a random force has made superfluous starts at half the innovations' rms.
     """
     task, noise = now.prepared[0][0], now.noise
     channels, dt = task.compiled.traced.channels, task.series.dt
     missed = np.sqrt(np.mean(now.parts[0].misses ** 2, axis=0))
     white = {
-        c: max(noise.values[f"white.{c}"], limits(task, f"white.{c}")[0], 0.5 * float(m))
+        c: max(noise.values[f"white.{c}"], size_limits(task, f"white.{c}")[0], 0.5 * float(m))
         for c, m in zip(channels, missed, strict=True)
     }
     spread = dict(zip(channels, np.std(task.series.y, axis=0), strict=True))
-    if not noise.has("coloured") and not noise.has("band"):
+    if not noise.has_kind("coloured") and not noise.has_kind("band"):
         kinds: tuple[tuple[Kind, float], ...] = (("coloured", 4.0), ("band", 1.0))
         for kind, steps in kinds:
             terms = tuple(NoiseTerm(kind, c) for c in channels)
@@ -292,28 +294,28 @@ def rungs(now: Maximum) -> Iterator[Rung]:
             continue
         length = float(np.sqrt(dt * task.series.samples))
         yield Rung((term,), {term.size: 0.1 * float(spread[c]) / length})
-    if not noise.has("gust"):
-        terms = tuple(NoiseTerm("gust", g) for g in groups(task))
-        for values in first_gusts(task, terms):
+    if not noise.has_kind("gust"):
+        terms = tuple(NoiseTerm("gust", g) for g in noise_groups(task))
+        for values in initial_gust_sizes(task, terms):
             yield Rung(terms, values)
 
 
-def first_gusts(task: Task, terms: Sequence[NoiseTerm]) -> Iterator[dict[str, float]]:
-    """Sizes that forces with a memory begin with, and their correlation time, short and long."""
+def initial_gust_sizes(task: Task, terms: Sequence[NoiseTerm]) -> Iterator[dict[str, float]]:
+    """Initial sizes of correlated forces with their correlation time, a short and a long one."""
     for share in _GUST_TIMES:
         sizes = {t.size: _GUST for t in terms}
-        yield sizes | {t.time: _first_time(task, share) for t in terms}
+        yield sizes | {t.time: _initial_correlation_time(task, share) for t in terms}
 
 
-def _ringing(now: Maximum) -> Iterator[Rung]:
-    """A narrow line of one sensor, where the spectrum of its misses stands out most.
+def _vibration_terms(now: Maximum) -> Iterator[Rung]:
+    """A narrow-band noise term for each sensor whose innovations have a clear spectral line.
 
     At a frequency at which the machine moves, misses are of the model: only a line that is mostly
     missed is the sensor's own.
     """
     from scipy.signal import welch
 
-    if now.noise.has("vibration"):
+    if now.noise.has_kind("vibration"):
         return
     task, part = now.prepared[0][0], now.parts[0]
     length = int(min(_SEGMENT, task.series.samples // 4))
@@ -334,24 +336,26 @@ def _ringing(now: Maximum) -> Iterator[Rung]:
             continue
         term = NoiseTerm("vibration", channel)
         white = now.noise.values[f"white.{channel}"]
-        size = max(white, limits(task, f"white.{channel}")[0])
+        size = max(white, size_limits(task, f"white.{channel}")[0])
         time = 1 / (2 * np.pi * float(hertz[top]))
         yield Rung((term,), {term.size: size, term.time: time, term.damping: _NARROW})
 
 
-def pruned(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
-    """The fit without the terms beyond white that it no longer wants."""
-    noise = found.estimate.noise
-    if not found.estimate.finite:
-        return found
+def drop_needless_noise(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
+) -> LikelihoodFit:
+    """The fit without the terms beyond white noise that are no longer worth their penalty."""
+    noise = fit.estimate.noise
+    if not fit.estimate.finite:
+        return fit
     for kind in (*COLOURED, "gust", "drift"):
-        if not noise.has(kind):
+        if not noise.has_kind(kind):
             continue
         progress("asking whether less acts at random")
-        less = noise.whitened(kind)
-        worth = _price(noise, less, found.estimate.prepared)
-        enough = found.height - worth - float(np.log(ODDS))
-        trial = taken_on(assembly, found, less, rough=True, least=enough)
+        less = noise.replace_with_white(kind)
+        worth = _noise_penalty(noise, less, fit.estimate.prepared)
+        enough = fit.height - worth - float(np.log(ODDS))
+        trial = continue_fit(assembly, fit, less, rough=True, least=enough)
         if trial.height > enough:
-            found, noise = trial, less
-    return found
+            fit, noise = trial, less
+    return fit

@@ -1,4 +1,4 @@
-"""Whether what is missing has memory: a function of the present state against one of its history.
+"""Whether the missing force has memory: a function of the present state, or of its history.
 
 Where no candidate is admitted any more two further models of the machine are fitted, parameters and
 noise, on the blocks that select:
@@ -8,7 +8,8 @@ noise, on the blocks that select:
     past        the same, and a force with memory there: springs that yield, forces that relax
 
 (``spiral.physics.history``). The port is the one where forces with memory score best. Memory is
-told where the past is significant on the blocks that select (Wilks' test, ``settings.level``) and
+reported where the past is significant on the blocks that select (Wilks' test,
+``settings.level``) and
 
     log L(past) - log L(present) > log(1 / level)
 
@@ -18,7 +19,8 @@ above 1 / level with a probability of ``level`` at most (Markov's inequality; th
 ratio of Wasserman, Ramdas and Balakrishnan 2020); here both are estimates, so its rate of false
 alarms is measured (``experiments/memory``). What changes the predictions by less than
 ``settings.smallest`` standard deviations, or is under a twentieth of the missing force's mean
-square, is not told: a curve or a sensor that the present cannot follow exactly leaves that much.
+square, is not reported: a curve or a sensor that the present cannot follow exactly leaves as
+much.
 """
 
 from __future__ import annotations
@@ -33,15 +35,15 @@ from scipy import special
 
 from spiral.engine.filter.task import Task
 from spiral.engine.leastsquares import least_squares
-from spiral.engine.likelihood.own_states import own_of, own_states_along
-from spiral.engine.likelihood.predict import Masks, predicted
+from spiral.engine.likelihood.own_states import arrange_own_states, own_states_along
+from spiral.engine.likelihood.predict import Masks, predict_readings
 from spiral.inference.evidence.assembly import Assembly, Variant
-from spiral.inference.evidence.scoring import tested_keys
-from spiral.inference.likelihood.fitting import LikelihoodFit, refitted
-from spiral.inference.likelihood.judging import most_likely
-from spiral.inference.likelihood.scores import Passage, motion_of, ranked_along
+from spiral.inference.evidence.enlarge import make_variant, transfer_fit_state, with_variants
+from spiral.inference.evidence.scoring import amplitude_keys
+from spiral.inference.likelihood.fitting import LikelihoodFit, fit_by_likelihood
+from spiral.inference.likelihood.judging import maximise_on_blocks
+from spiral.inference.likelihood.scores import Passage, predicted_motion, rank_variants
 from spiral.inference.problem import Progress
-from spiral.inference.unknown.holding import carried, variant_of, with_variants
 from spiral.inference.unknown.memory import Kind, Loop, Memory
 from spiral.physics.history import (
     RELAXING,
@@ -51,14 +53,14 @@ from spiral.physics.history import (
     PresentForce,
     RememberedForce,
 )
-from spiral.physics.signatures import Along, at_port_along, inputs_seen
+from spiral.physics.signatures import Along, effect_inputs, port_motion_along
 from spiral.types.effect import Effect, values_for
 from spiral.types.placement import at_every_place
 from spiral.types.port import At
 from spiral.types.record import Array
 from spiral.types.system import has_coordinates, place_name
 
-_LEAST = 0.05  # share of the missing force's mean square from which memory counts
+_LEAST = 0.05  # share of the missing force's mean square from which memory is reported
 _KEPT = 0.5  # of what an effect does alone: left beside a force with memory if it is no stand-in
 _STEPS = 40  # scoring steps, at most, with the filter's gains held
 _CLEARLY = 3.0  # times the other's Wald statistic from which one kind of memory is told
@@ -74,20 +76,20 @@ class _Trial:
 
 
 class Remembered(NamedTuple):
-    """What is told of a force with memory, and the ``force`` that stood for it in the fits."""
+    """The memory of a missing force as reported, and the ``force`` that modelled it in the fits."""
 
     memory: Memory
     force: Variant
 
 
-def memory_of(
+def detect_memory(
     assembly: Assembly,
     base: LikelihoodFit,
     masks: tuple[Masks, Masks],
     progress: Progress,
     rival: LikelihoodFit | None = None,
 ) -> Remembered | None:
-    """The memory of what a model lacks; nothing where none is told, and of a system without forces.
+    """The memory of the missing force; nothing where none is significant, or without forces.
 
     Parameters
     ----------
@@ -97,59 +99,65 @@ def memory_of(
     if not has_coordinates(assembly.problem.model.system):
         return None
     level, (select, judge) = assembly.problem.settings.level, masks
-    past = _most_promising(assembly, base, select, level)
+    past = _best_memory_force(assembly, base, select, level)
     if past is None:
         return None
     progress("asking whether what is missing has memory")
-    present = _wider(_Trial(assembly, base), _without_memory(assembly, past), select)
-    wide = _wider(present, (past,), select)
+    present = _refit_with_variants(
+        _Trial(assembly, base), _memoryless_variants(assembly, past), select
+    )
+    wide = _refit_with_variants(present, (past,), select)
     if not (present.fit.estimate.finite and wide.fit.estimate.finite):
         return None
-    terms = len(tested_keys(wide.assembly, wide.assembly.variant(past.label)))
+    terms = len(amplitude_keys(wide.assembly, wide.assembly.variant(past.label)))
     gain = max(wide.fit.height - present.fit.height, 0.0)
     p_value = float(special.chdtrc(terms, 2 * gain))
     others = [present.fit, *([] if rival is None else [rival])]
-    alone, *rest = (most_likely(f.estimate, judge, {}).log_likelihood for f in (wide.fit, *others))
+    alone, *rest = (
+        maximise_on_blocks(f.estimate, judge, {}).log_likelihood for f in (wide.fit, *others)
+    )
     told = alone - max(rest)
-    size = np.sqrt(2 * max(told, 0.0) / _readings(base, judge))
+    size = np.sqrt(2 * max(told, 0.0) / _count_readings(base, judge))
     if p_value >= level or not told > -np.log(level):
         return None
     if size < assembly.problem.settings.smallest:
         return None
-    found = _described(wide, past, p_value, told)
-    return Remembered(found, past) if found.share >= _LEAST else None
+    memory = _describe_memory(wide, past, p_value, told)
+    return Remembered(memory, past) if memory.share >= _LEAST else None
 
 
-def replaced_by_memory(
+def effects_replaced_by_memory(
     assembly: Assembly, base: LikelihoodFit, before: LikelihoodFit, past: Variant,
     labels: Sequence[str], select: Masks,
 ) -> tuple[str, ...]:  # fmt: skip
-    """Which of these effects, held without memory, give way to a force that has it.
+    """Which of these memoryless effects a force with memory makes superfluous.
 
     The model is fitted with that force beside them, and so is the model ``before`` them. All of
     them may have stood in for the memory where it alone is more likely than they are, or where
     they add less than half as much log-likelihood beside it as without it; else those of which
     less than half of every amplitude is left.
     """
-    with_them, without = (_wider(_Trial(assembly, f), (past,), select) for f in (base, before))
+    with_them, without = (
+        _refit_with_variants(_Trial(assembly, f), (past,), select) for f in (base, before)
+    )
     if not (with_them.fit.estimate.finite and without.fit.estimate.finite):
         return tuple(labels)
     beside, alone = with_them.fit.height - without.fit.height, base.height - before.height
     if not (beside >= _KEPT * alone and base.height >= without.fit.height):
         return tuple(labels)
-    return tuple(x for x in labels if not _kept(assembly, base, with_them, x))
+    return tuple(x for x in labels if not _is_amplitude_kept(assembly, base, with_them, x))
 
 
-def _kept(assembly: Assembly, base: LikelihoodFit, wide: _Trial, label: str) -> bool:
+def _is_amplitude_kept(assembly: Assembly, base: LikelihoodFit, wide: _Trial, label: str) -> bool:
     """Whether half of one of an effect's amplitudes is left in a wider model."""
-    keys = tested_keys(assembly, assembly.variant(label))
+    keys = amplitude_keys(assembly, assembly.variant(label))
     before = base.state.values[0, [assembly.study.index(k) for k in keys]]
     after = wide.fit.state.values[0, [wide.assembly.study.index(k) for k in keys]]
     return bool(np.any((before != 0.0) & (after * np.sign(before) >= _KEPT * np.abs(before))))
 
 
-def _readings(fit: LikelihoodFit, masks: Masks) -> int:
-    """How many readings some blocks hold."""
+def _count_readings(fit: LikelihoodFit, masks: Masks) -> int:
+    """Number of readings within the masked samples, at least one."""
     rows = [part.spreads > 0 for part in fit.estimate.parts]
     if masks is not None:
         rows = [r if m is None else r[m] for r, m in zip(rows, masks, strict=True)]
@@ -159,61 +167,61 @@ def _readings(fit: LikelihoodFit, masks: Masks) -> int:
 # --- the two models ------------------------------------------------------------------------------
 
 
-def _most_promising(
+def _best_memory_force(
     assembly: Assembly, base: LikelihoodFit, select: Masks, level: float
 ) -> Variant | None:
     """A force with memory at the port where it scores best; nothing where it does nowhere."""
-    found = ranked_along(assembly, base, base.estimate.noise, select, _offered)
-    if found is None or not found.ranked:
+    ranking = rank_variants(assembly, base, base.estimate.noise, select, _memory_force_variants)
+    if ranking is None or not ranking.ranked:
         return None
-    best = found.ranked[0]
+    best = ranking.ranked[0]
     return best.variant if best.score.log_p < np.log(level) else None
 
 
-def _offered(passage: Passage) -> list[Variant]:
+def _memory_force_variants(passage: Passage) -> list[Variant]:
     """A force with memory at every port that moves, its shapes by the motion there."""
-    found = []
+    variants = []
     for effect in at_every_place(passage.assembly.problem.model.system, RememberedForce()):
-        moved = [at_port_along(along, effect) for along in passage.motions]
+        moved = [port_motion_along(along, effect) for along in passage.motions]
         (middle, reach), (drift, pace) = (
-            _scales(np.concatenate([m[i] for m in moved])) for i in (0, 1)
+            _mean_and_deviation(np.concatenate([m[i] for m in moved])) for i in (0, 1)
         )
         if reach > 0 and pace > 0:
             shapes = {"middle": middle, "reach": reach, "drift": drift, "pace": pace}
-            found.append(variant_of(effect, "", shapes))
-    return found
+            variants.append(make_variant(effect, "", shapes))
+    return variants
 
 
-def _scales(values: Array) -> tuple[float, float]:
+def _mean_and_deviation(values: Array) -> tuple[float, float]:
     """Mean and deviation of a motion (samples, axes); of several axes about zero."""
     middle = float(values.mean()) if values.shape[1] == 1 else 0.0
     return middle, float(np.sqrt(np.mean((values - middle) ** 2)))
 
 
-def _without_memory(assembly: Assembly, past: Variant) -> tuple[Variant, ...]:
+def _memoryless_variants(assembly: Assembly, past: Variant) -> tuple[Variant, ...]:
     """Any force without memory at the same port, and sensors and inputs a few samples late."""
     system, series = assembly.problem.model.system, assembly.study.series
     shapes = {k.rsplit(".", 1)[1]: v for k, v in past.shapes.items()}
     length = max(s.samples * s.dt for s in series)
-    found = [variant_of(PresentForce(port=past.effect.port), "", {**shapes, "record": length})]
+    variants = [make_variant(PresentForce(port=past.effect.port), "", {**shapes, "record": length})]
     late: list[Effect] = [LateInput(port=place_name(port)) for port in system.driven]
     for effect in (*at_every_place(system, LateReading()), *late):
         own = {"time": series[0].dt} if effect.states else {}
-        found.append(variant_of(effect, "", own))
-    return tuple(found)
+        variants.append(make_variant(effect, "", own))
+    return tuple(variants)
 
 
-def _wider(trial: _Trial, variants: Sequence[Variant], select: Masks) -> _Trial:
-    """A model with further effects, from zero, its parameters and noise refitted."""
+def _refit_with_variants(trial: _Trial, variants: Sequence[Variant], select: Masks) -> _Trial:
+    """A model refitted with further effects, their amplitudes from zero."""
     own, at = with_variants(trial.assembly, variants), trial.fit.estimate
-    state = carried(trial.fit.state, trial.assembly, own)
+    state = transfer_fit_state(trial.fit.state, trial.assembly, own)
     values = state.values.copy()
     for variant in variants:
         for key, value in variant.shapes.items():
             values[:, own.study.index(key)] = value
     labels = (*state.labels, *(v.label for v in variants))
     state = replace(state, labels=labels, values=values)
-    fit = refitted(
+    fit = fit_by_likelihood(
         own, state, at.noise, select, _STEPS, True, at.kept, differences=False, like=at.prepared
     )
     return _Trial(own, fit)
@@ -222,16 +230,16 @@ def _wider(trial: _Trial, variants: Sequence[Variant], select: Masks) -> _Trial:
 # --- what is told of it --------------------------------------------------------------------------
 
 
-def _described(trial: _Trial, past: Variant, p_value: float, told: float) -> Memory:
+def _describe_memory(trial: _Trial, past: Variant, p_value: float, told: float) -> Memory:
     port = trial.assembly.problem.model.system.place(past.effect)
-    forces = [_forces(trial, past, r) for r in range(len(trial.fit.estimate.prepared))]
+    forces = [_forces_along(trial, past, r) for r in range(len(trial.fit.estimate.prepared))]
     whole = sum(float(np.sum(f.missing**2)) for f in forces)
     kept = sum(float(np.sum(f.remembered**2)) for f in forces)
     count = sum(f.remembered.shape[0] for f in forces)
     first = forces[0]
     return Memory(
         port=port.name,
-        kind=_kind(trial, past),
+        kind=_memory_kind(trial, past),
         size=float(np.sqrt(kept / count)),
         share=kept / whole if whole > 0 else 0.0,
         unit=port.force_unit,
@@ -239,7 +247,7 @@ def _described(trial: _Trial, past: Variant, p_value: float, told: float) -> Mem
         p_value=p_value,
         log_ratio=told,
         loops=tuple(
-            _loop(axis, first.position[:, i], first.missing[:, i], first.period)
+            _largest_loop(axis, first.position[:, i], first.missing[:, i], first.period)
             for i, axis in enumerate(port.axes)
         ),
     )
@@ -259,60 +267,60 @@ class _Forces:
     period: float
 
 
-def _forces(trial: _Trial, past: Variant, record: int) -> _Forces:
+def _forces_along(trial: _Trial, past: Variant, record: int) -> _Forces:
     task, settings = trial.fit.estimate.prepared[record]
-    part = predicted(task, settings, trial.fit.estimate.noise, keep=True)
-    along = motion_of(trial.assembly, task, part)
-    position, velocity = at_port_along(along, past.effect)
-    remembered = _remembered(task, along, past)
+    part = predict_readings(task, settings, trial.fit.estimate.noise, keep=True)
+    along = predicted_motion(trial.assembly, task, part)
+    position, velocity = port_motion_along(along, past.effect)
+    remembered = _memory_force_along(task, along, past)
     present = next(v.effect for v in trial.assembly.variants if isinstance(v.effect, PresentForce))
-    at, u = At(tuple(position.T), tuple(velocity.T), SimpleNamespace()), inputs_seen(along, 0.0)
-    p = values_for(present, along.system.place(past.effect).axes, _values(task))
-    missing = remembered + _stacked(present.force(at, u, p), len(position))
+    at, u = At(tuple(position.T), tuple(velocity.T), SimpleNamespace()), effect_inputs(along, 0.0)
+    p = values_for(present, along.system.place(past.effect).axes, _values_by_key(task))
+    missing = remembered + _stack_axes(present.force(at, u, p), len(position))
     for i, terms in enumerate(present.terms(at, u, p)):
         own = [np.ones(len(position)), position[:, i], velocity[:, i]]
-        missing[:, i] = _beside(own, missing[:, i])
-        remembered[:, i] = _beside([*own, *terms], remembered[:, i])
+        missing[:, i] = _regress_out(own, missing[:, i])
+        remembered[:, i] = _regress_out([*own, *terms], remembered[:, i])
     time = float(np.sqrt(np.var(position) / np.var(velocity)))
     return _Forces(position, missing, remembered, 2 * np.pi * time / task.series.dt)
 
 
-def _remembered(task: Task, along: Along, past: Variant) -> Array:
+def _memory_force_along(task: Task, along: Along, past: Variant) -> Array:
     """(samples, axes) the force with memory along a motion."""
-    effect, values = past.effect, _values(task)
+    effect, values = past.effect, _values_by_key(task)
     axes = along.system.place(effect).axes
     shapes = {k.rsplit(".", 1)[1]: np.array([v]) for k, v in past.shapes.items()}
     states = own_states_along(along, task.series.dt, effect, shapes)[0]
-    own = SimpleNamespace(**own_of(effect, len(axes), states))
+    own = SimpleNamespace(**arrange_own_states(effect, len(axes), states))
     assert isinstance(effect, RememberedForce)
     given = effect.force(At((0.0,) * len(axes), (0.0,) * len(axes), own), SimpleNamespace(),
                          values_for(effect, axes, values))  # fmt: skip
-    return _stacked(given, len(along.states))
+    return _stack_axes(given, len(along.states))
 
 
-def _values(task: Task) -> Mapping[str, float]:
+def _values_by_key(task: Task) -> Mapping[str, float]:
     return dict(zip(task.keys, map(float, task.values), strict=True))
 
 
-def _stacked(forces: Sequence[Array], count: int) -> Array:
+def _stack_axes(forces: Sequence[Array], count: int) -> Array:
     return np.stack([np.broadcast_to(f, (count,)) for f in forces], axis=1).copy()
 
 
-def _beside(columns: Sequence[Array], force: Array) -> Array:
-    """What is left of a force once these columns have taken what they can."""
+def _regress_out(columns: Sequence[Array], force: Array) -> Array:
+    """The residual of a force regressed on these columns."""
     x = np.stack([np.broadcast_to(c, force.shape) for c in columns], axis=1)
     return force - x @ least_squares(x, force).b
 
 
-def _kind(trial: _Trial, past: Variant) -> Kind:
+def _memory_kind(trial: _Trial, past: Variant) -> Kind:
     """Whether the force yields, whatever the speed, or relaxes in time, where one is clear."""
-    found = [_wald(trial, past, names) for names in (YIELDING, RELAXING)]
-    if found[0] > _CLEARLY * found[1]:
+    statistics = [_wald_statistic(trial, past, names) for names in (YIELDING, RELAXING)]
+    if statistics[0] > _CLEARLY * statistics[1]:
         return "yields"
-    return "relaxes" if found[1] > _CLEARLY * found[0] else "either"
+    return "relaxes" if statistics[1] > _CLEARLY * statistics[0] else "either"
 
 
-def _wald(trial: _Trial, past: Variant, names: Sequence[str]) -> float:
+def _wald_statistic(trial: _Trial, past: Variant, names: Sequence[str]) -> float:
     """Wald's statistic of some amplitudes: b^T V^-1 b."""
     at = trial.fit.estimate
     assert at.solved is not None
@@ -328,8 +336,8 @@ def _wald(trial: _Trial, past: Variant, names: Sequence[str]) -> float:
     return float(b @ np.linalg.pinv(rows @ rows.T) @ b)
 
 
-def _loop(axis: str, position: Array, force: Array, period: float) -> Loop:
-    """Force over position around the largest motion, in order of time."""
+def _largest_loop(axis: str, position: Array, force: Array, period: float) -> Loop:
+    """A loop of force over position around the largest motion, in order of time."""
     half = max(int(_CYCLES * period / 2), 8)
     farthest = int(np.argmax(np.abs(position - position.mean())))
     middle = int(np.clip(farthest, half, max(len(position) - half, half)))

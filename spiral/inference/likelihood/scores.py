@@ -20,23 +20,29 @@ import numpy as np
 from spiral.engine.filter.task import Task
 from spiral.engine.leastsquares import triangle
 from spiral.engine.likelihood.noise import NoiseModel
-from spiral.engine.likelihood.own_states import own_of, own_states_along
-from spiral.engine.likelihood.predict import Masks, Prediction, predicted
-from spiral.engine.score import block_for, tabulate
+from spiral.engine.likelihood.own_states import arrange_own_states, own_states_along
+from spiral.engine.likelihood.predict import Masks, Prediction, predict_readings
+from spiral.engine.score import build_score_table, residual_block_samples
 from spiral.engine.sensitivities import Reduction
-from spiral.inference.evidence.assembly import Assembly, Variant, columns
+from spiral.inference.evidence.assembly import Assembly, Variant, columns_with_bounds
+from spiral.inference.evidence.enlarge import make_variant
 from spiral.inference.evidence.scoring import (
     Group,
     Parts,
     Ranking,
-    owners_of,
-    present_labels,
-    rank,
-    scored,
+    active_labels,
+    column_owners,
+    rank_groups,
+    score_groups,
 )
-from spiral.inference.evidence.spectrum import frequencies, others_of, peaks, spectral, step
-from spiral.inference.likelihood.fitting import LikelihoodFit, moving
-from spiral.inference.unknown.holding import variant_of
+from spiral.inference.evidence.spectrum import (
+    frequency_ratio,
+    frequency_shapes,
+    local_maxima,
+    other_shapes,
+    trial_frequencies,
+)
+from spiral.inference.likelihood.fitting import LikelihoodFit, free_parameters
 from spiral.physics.signatures import Along, Own, amplitude_names, signatures
 from spiral.types.effect import Effect
 from spiral.types.placement import input_columns
@@ -62,114 +68,120 @@ class Passage:
     block: int
 
 
-def ranking(
+def rank_candidates(
     assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks
 ) -> Ranking | None:
-    """Candidates by their score on some blocks; nothing where the filter runs away.
+    """Candidates ranked by their score on some blocks; nothing where the filter diverges.
 
-    They are not compiled: their signatures are carried along the predicted motion.
+    They are not compiled: their signatures are propagated along the predicted motion.
     """
-    present = present_labels(assembly, fit.state)
+    present = active_labels(assembly, fit.state)
 
-    def offered(passage: Passage) -> list[Variant]:
-        found = [v for v in assembly.offered if v.original.label not in present]
+    def absent_variants(passage: Passage) -> list[Variant]:
+        variants = [v for v in assembly.offered if v.original.label not in present]
         for effect in (e for e in assembly.later if e.label not in present):
-            found += resonances(passage, effect)
-        return found
+            variants += resonance_variants(passage, effect)
+        return variants
 
-    return ranked_along(assembly, fit, noise, masks, offered)
+    return rank_variants(assembly, fit, noise, masks, absent_variants)
 
 
-def ranked_along(
+def rank_variants(
     assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks,
     offered: Callable[[Passage], Sequence[Variant]], parts: Parts | None = None,
 ) -> Ranking | None:  # fmt: skip
-    """Variants that are offered along a pass of the filter, by their score on some blocks.
+    """The variants that ``offered`` gives for a pass of the filter, ranked by their score.
 
     ``parts`` as in ``rank``.
     """
-    passage = _passage(assembly, fit, noise, masks)
+    passage = _run_filter_passage(assembly, fit, noise, masks)
     if passage is None:
         return None
-    reduction, groups = _pass(passage, offered(passage))
-    first, _ = columns(assembly, passage.active)
-    return rank(reduction, owners_of(assembly, first), groups, passage.block, parts)
+    reduction, groups = _regress_variants(passage, offered(passage))
+    first, _ = columns_with_bounds(assembly, passage.active)
+    return rank_groups(reduction, column_owners(assembly, first), groups, passage.block, parts)
 
 
-def _passage(
+def _run_filter_passage(
     assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks
 ) -> Passage | None:
-    prepared, active = fit.estimate.prepared, moving(assembly, fit.state)
+    prepared, active = fit.estimate.prepared, free_parameters(assembly, fit.state)
     with np.errstate(all="ignore"):
-        parts = tuple(predicted(task, settings, noise, active, carry=True)
+        parts = tuple(predict_readings(task, settings, noise, active, carry=True)
                       for task, settings in prepared)  # fmt: skip
     if not all(p.whole and np.all(np.isfinite(p.slopes)) for p in parts):
         return None
     tasks = tuple(task for task, _ in prepared)
-    motions = tuple(motion_of(assembly, t, p) for t, p in zip(tasks, parts, strict=True))
-    block = block_for(tuple(p.whitened for p in parts))
+    motions = tuple(predicted_motion(assembly, t, p) for t, p in zip(tasks, parts, strict=True))
+    block = residual_block_samples(tuple(p.whitened for p in parts))
     return Passage(assembly, active, tasks, parts, motions, masks, block)
 
 
-def _pass(
+def _regress_variants(
     passage: Passage, offered: Sequence[Variant], robust: bool = True
 ) -> tuple[Reduction, list[Group]]:
-    """The regression with all these variants that are numbers, and their groups.
+    """The regression of the innovations on all variants with finite slopes, and their groups.
 
     ``robust`` : with the sums over blocks that Wald's test asks for.
     """
-    groups = [_group(passage.assembly, v, len(passage.parts)) for v in offered]
+    groups = [_column_group(passage.assembly, v, len(passage.parts)) for v in offered]
     with np.errstate(all="ignore"):
-        carried = [_carried(passage, r, groups) for r in range(len(passage.parts))]
+        carried = [_prediction_slopes(passage, r, groups) for r in range(len(passage.parts))]
         finite = np.all([np.abs(c).max(axis=(0, 1)) < _HUGE for c in carried], axis=0)
-    groups, carried = _finite(groups, carried, finite)
+    groups, carried = _drop_nonfinite_groups(groups, carried, finite)
     block = passage.block if robust else 0
-    return _reduced(passage.parts, carried, passage.masks, block), groups
+    return _reduce_innovations(passage.parts, carried, passage.masks, block), groups
 
 
 # --- effects with states of their own ------------------------------------------------------------
 
 
-def resonances(passage: Passage, effect: Effect) -> list[Variant]:
-    """Variants of an effect with own states at the peaks of what the misses resolve into."""
-    band = frequencies(effect, max(passage.tasks, key=lambda t: t.series.samples).series)
-    near = [step(effect) ** some for some in _FINE]
-    usual, others = others_of(effect)
-    share = _shares(passage, effect, [{**usual, **spectral(effect, f)} for f in band])
-    top = [float(band[k]) for k in peaks(share)[:_PEAKS]]
-    coarse = _best_near(
+def resonance_variants(passage: Passage, effect: Effect) -> list[Variant]:
+    """Variants of an effect with own states, at the frequencies that explain most."""
+    band = trial_frequencies(effect, max(passage.tasks, key=lambda t: t.series.samples).series)
+    near = [frequency_ratio(effect) ** some for some in _FINE]
+    usual, others = other_shapes(effect)
+    share = _explained_shares(
+        passage, effect, [{**usual, **frequency_shapes(effect, f)} for f in band]
+    )
+    top = [float(band[k]) for k in local_maxima(share)[:_PEAKS]]
+    coarse = _best_trial_per_peak(
         passage, effect, [[(f * s, o) for s in near[0] for o in others] for f in top]
     )
     chosen = [
-        {**o, **spectral(effect, f)}
-        for f, o in _best_near(passage, effect, [[(f * s, o) for s in near[1]] for f, o in coarse])
+        {**o, **frequency_shapes(effect, f)}
+        for f, o in _best_trial_per_peak(
+            passage, effect, [[(f * s, o) for s in near[1]] for f, o in coarse]
+        )
     ]
     searched = max(len(band) // max(len(chosen), 1), 1)
-    return [variant_of(effect, str(i + 1), c, searched) for i, c in enumerate(chosen)]
+    return [make_variant(effect, str(i + 1), c, searched) for i, c in enumerate(chosen)]
 
 
-def _best_near(
+def _best_trial_per_peak(
     passage: Passage, effect: Effect, trials: Sequence[Sequence[tuple[float, dict[str, float]]]]
 ) -> list[tuple[float, dict[str, float]]]:
     """Of the trials (frequency, other shapes) at each peak the one that explains most."""
-    flat = [{**o, **spectral(effect, f)} for some in trials for f, o in some]
-    shares = iter(_shares(passage, effect, flat))
+    flat = [{**o, **frequency_shapes(effect, f)} for some in trials for f, o in some]
+    shares = iter(_explained_shares(passage, effect, flat))
     return [max(((next(shares), t) for t in some), key=lambda x: x[0])[1] for some in trials]
 
 
-def _shares(passage: Passage, effect: Effect, trials: Sequence[Mapping[str, float]]) -> Array:
+def _explained_shares(
+    passage: Passage, effect: Effect, trials: Sequence[Mapping[str, float]]
+) -> Array:
     """Share of what is left that each trial (shapes by name) explains."""
-    offered = [variant_of(effect, str(i + 1), dict(t)) for i, t in enumerate(trials)]
-    reduction, groups = _pass(passage, offered, robust=False)
-    table = tabulate(reduction, len(passage.active))
-    found = dict.fromkeys((v.label for v in offered), 0.0)
-    found |= {g.variant.label: s.explains for g, s in scored(table, groups)}
-    return np.array(list(found.values()))
+    offered = [make_variant(effect, str(i + 1), dict(t)) for i, t in enumerate(trials)]
+    reduction, groups = _regress_variants(passage, offered, robust=False)
+    table = build_score_table(reduction, len(passage.active))
+    shares = dict.fromkeys((v.label for v in offered), 0.0)
+    shares |= {g.variant.label: s.explains for g, s in score_groups(table, groups)}
+    return np.array(list(shares.values()))
 
 
-def _own_states(along: Along, dt: float, groups: Sequence[Group]) -> dict[str, Own]:
-    """Own states of every variant that has any, by its label; those of one effect together."""
-    found: dict[str, Own] = {}
+def _own_states_by_label(along: Along, dt: float, groups: Sequence[Group]) -> dict[str, Own]:
+    """Own states of every variant that has any, by its label; computed together for one effect."""
+    by_label: dict[str, Own] = {}
     keyed = sorted(
         (g.variant for g in groups if g.variant.effect.states), key=lambda v: v.original.label
     )
@@ -180,14 +192,14 @@ def _own_states(along: Along, dt: float, groups: Sequence[Group]) -> dict[str, O
         states = own_states_along(along, dt, variants[0].original, shapes)
         axes = len(along.system.place(variants[0].original).axes)
         for copy, variant in enumerate(variants):
-            found[variant.label] = own_of(variant.original, axes, states[copy])
-    return found
+            by_label[variant.label] = arrange_own_states(variant.original, axes, states[copy])
+    return by_label
 
 
 # --- slopes --------------------------------------------------------------------------------------
 
 
-def _group(assembly: Assembly, variant: Variant, records: int) -> Group:
+def _column_group(assembly: Assembly, variant: Variant, records: int) -> Group:
     """The columns of a candidate's amplitudes, for each record its own where they have one."""
     port = assembly.problem.model.system.place(variant.effect)
     known = dict(variant.effect.keys(port))
@@ -203,10 +215,10 @@ def _group(assembly: Assembly, variant: Variant, records: int) -> Group:
     return Group(variant, tuple(keys), tuple(sides))
 
 
-def _finite(
+def _drop_nonfinite_groups(
     groups: list[Group], carried: list[Array], finite: Array
 ) -> tuple[list[Group], list[Array]]:
-    """Without the candidates that are no numbers along the records."""
+    """The groups and columns without candidates whose slopes overflow."""
     kept, at, first = [], [], 0
     for group in groups:
         own = list(range(first, first := first + len(group.keys)))
@@ -216,34 +228,34 @@ def _finite(
     return kept, [c[:, :, at] for c in carried]
 
 
-def _carried(passage: Passage, record: int, groups: Sequence[Group]) -> Array:
-    """(samples, channels, columns) slopes of predictions by amplitudes that are zero."""
-    from spiral.engine.likelihood.signatures_kernel import carry_signatures
+def _prediction_slopes(passage: Passage, record: int, groups: Sequence[Group]) -> Array:
+    """Slopes of predictions by the candidates' amplitudes at zero, (samples, channels, columns)."""
+    from spiral.engine.likelihood.signatures_kernel import propagate_signatures
 
     task, part = passage.tasks[record], passage.parts[record]
     along, dt = passage.motions[record], task.series.dt
-    owns = _own_states(along, dt, groups)
+    owns = _own_states_by_label(along, dt, groups)
     samples, m = part.misses.shape
     width, n = sum(len(g.keys) for g in groups), len(task.states)
-    found = np.zeros((samples, m, width))
+    by_amplitude = np.zeros((samples, m, width))
     slopes = np.zeros((part.means.shape[1], width))
     chunk = max(_ROOM // max((n + m) * width, 1), 256)
     for first in range(0, samples, chunk):
         last = min(first + chunk, samples)
         where = slice(first, min(last + 1, samples))
-        pushes, readings = _columns(along.part(where), groups, owns, where, record, width)
-        carry_signatures(
+        pushes, readings = _signature_columns(along.part(where), groups, owns, where, record, width)
+        propagate_signatures(
             part.transitions[first:last], part.gains[first:last], part.rows[first:last],
-            pushes, readings, slopes, 0.5 * dt, found[first:last],
+            pushes, readings, slopes, 0.5 * dt, by_amplitude[first:last],
         )  # fmt: skip
-    return found
+    return by_amplitude
 
 
-def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
-    """The motion that the filter expects: states of the system, rates and readings of the model.
+def predicted_motion(assembly: Assembly, task: Task, part: Prediction) -> Along:
+    """The motion that the filter predicts: states of the system, rates and readings of the model.
 
-    It is that before each sample's readings. One that has taken them in holds their noise, which
-    scores would take for what a sensor does.
+    It is that before each sample's readings: the updated one contains their noise, which scores
+    would attribute to sensor effects.
     """
     from spiral.engine.likelihood.signatures_kernel import evaluate_along
 
@@ -252,7 +264,7 @@ def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
     inputs = np.ascontiguousarray(task.inputs[:: 2 * task.series.substeps])
     rows = np.ascontiguousarray(part.expected[:, :count])
 
-    def evaluated(u: Array) -> tuple[Array, Array]:
+    def evaluate_model(u: Array) -> tuple[Array, Array]:
         rates, readings = np.empty((len(rows), count)), np.empty_like(task.series.y)
         evaluate_along(
             task.compiled.rate_value, task.compiled.output_value, rows, u, task.values, rates,
@@ -260,13 +272,13 @@ def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
         )  # fmt: skip
         return rates[:, :n], readings
 
-    rates, readings = evaluated(inputs)
+    rates, readings = evaluate_model(inputs)
     by_input = {}
     for port in system.driven:
         place = input_columns(system).index(port.axes[0])
         step = np.zeros(inputs.shape[1])
         step[place] = _STEP * (float(np.abs(inputs[:, place]).max()) or 1.0)
-        pairs = zip(evaluated(inputs + step), evaluated(inputs - step), strict=True)
+        pairs = zip(evaluate_model(inputs + step), evaluate_model(inputs - step), strict=True)
         more, told = ((a - b) / (2 * step[place]) for a, b in pairs)
         by_input[port.axes[0]] = (more, told)
     known = dict(zip(task.keys, map(float, task.values), strict=True))
@@ -275,7 +287,7 @@ def motion_of(assembly: Assembly, task: Task, part: Prediction) -> Along:
     return Along(system, rows[:, :n], inputs, rates, readings, values, by_input, moved)
 
 
-def _columns(
+def _signature_columns(
     along: Along,
     groups: Sequence[Group],
     owns: Mapping[str, Own],
@@ -308,10 +320,10 @@ def _columns(
     return rates, readings
 
 
-def _reduced(
+def _reduce_innovations(
     parts: Sequence[Prediction], carried: Sequence[Array], masks: Masks, block: int
 ) -> Reduction:
-    """Whitened misses and slopes as one reduced pass, with its Gram blocks; without, of 0."""
+    """Whitened innovations and slopes as a triangle, with the Gram matrix of each block."""
     rows, grams, cost, samples = [], [], 0.0, 0
     for r, (part, own) in enumerate(zip(parts, carried, strict=True)):
         chosen = None if masks is None else masks[r]

@@ -1,4 +1,4 @@
-"""Shapes of an effect that a fit holds: at their most likely values, free where they are told."""
+"""Shapes of an effect in a fit: held at their most likely values, free where data allow."""
 
 from __future__ import annotations
 
@@ -9,99 +9,105 @@ import numpy as np
 from spiral.engine.likelihood.predict import Masks
 from spiral.inference.evidence.admission import TOLD
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.spectrum import band, spectral
-from spiral.inference.likelihood.fitting import LikelihoodFit, price, refitted
+from spiral.inference.evidence.spectrum import frequency_band, frequency_shapes
+from spiral.inference.likelihood.fitting import LikelihoodFit, fit_by_likelihood, schwarz_penalty
 from spiral.types.effect import Effect
 from spiral.types.parameter import Parameter
 
-_FIRST = 6  # scoring steps from another value
+_FIRST = 6  # scoring steps of a fit from another value of a shape
 _BAND = 7  # values over the band that a record shows, with its ends
 
 
-def with_own_shapes(
+def refit_effect_shapes(
     assembly: Assembly,
-    found: LikelihoodFit,
+    fit: LikelihoodFit,
     effect: Effect,
     keys: tuple[str, ...],
     masks: Masks = None,
     steps: int = 40,
     chosen: bool = False,
 ) -> LikelihoodFit:
-    """A fit in which shapes ``keys`` of an effect that it holds take their most likely values.
+    """A fit in which the shapes ``keys`` of one of its effects take their most likely values.
 
     They were held while it was a candidate: the corner of a gap rounded over a share of the motion,
-    say. Where the record tells them they are free, with an error of their own; where their most
-    likely values are better than their price, they are held there; else they stay. ``masks`` and
-    ``steps`` as in ``refitted``. Of those ``chosen``, by a race over their grids and by its first
-    half, the price is paid: where they are told they are free, else the errors of all that goes
-    with them would be those of a shape that is known.
+    say. Where the record determines them they are free, with an error of their own; where their
+    most likely values gain more than their penalty, they are held there; else they stay. ``masks``
+    and ``steps`` as in ``fit_by_likelihood``. For shapes already ``chosen`` by a race over their
+    grids the penalty has been paid: they are free wherever determined, else the errors of the
+    effect's other parameters would be those for a known shape.
     """
-    if not keys or not found.estimate.finite:
-        return found
-    at, loose = found.estimate, _loosened(assembly, found, keys, masks, steps)
-    worth = loose.height > found.height + price(len(keys), at.prepared)
-    if not (worth or (chosen and loose.height >= found.height)):
-        return found
-    if told(loose, keys, effect):
+    if not keys or not fit.estimate.finite:
+        return fit
+    at, loose = fit.estimate, _refit_with_free_shapes(assembly, fit, keys, masks, steps)
+    worth = loose.height > fit.height + schwarz_penalty(len(keys), at.prepared)
+    if not (worth or (chosen and loose.height >= fit.height)):
+        return fit
+    if is_shape_determined(loose, keys, effect):
         return loose
     if not worth:
-        return found
-    held = replace(loose.state, freed=found.state.freed)
-    again = refitted(
+        return fit
+    held = replace(loose.state, freed=fit.state.freed)
+    again = fit_by_likelihood(
         assembly, held, loose.estimate.noise, masks, steps, rough=True, like=at.prepared
     )
-    return again if again.height > found.height else found
+    return again if again.height > fit.height else fit
 
 
-def from_other_values(
-    assembly: Assembly, found: LikelihoodFit, effect: Effect, keys: tuple[str, ...]
+def refit_from_other_shapes(
+    assembly: Assembly, fit: LikelihoodFit, effect: Effect, keys: tuple[str, ...]
 ) -> LikelihoodFit:
-    """A fit begun again from the other values of its grid for each of these shapes in turn.
+    """The best refit from the other grid values of these shapes, each in turn.
 
-    The shapes stand in the middle of their grids, or bands, from where a fit may find no way to a
-    width of friction that is ten times smaller.
+    The shapes start in the middle of their grids, or bands, from where a fit may not get to a width
+    of friction that is ten times smaller.
     """
     for shape in effect.parameters:
         key = f"{effect.label}.{shape.name}"
-        if key not in keys or not found.estimate.finite:
+        if key not in keys or not fit.estimate.finite:
             continue
-        at, index = found.estimate, assembly.study.index(key)
-        for value in _others(assembly, effect, shape, float(found.state.values[0, index])):
-            values = found.state.values.copy()
+        at, index = fit.estimate, assembly.study.index(key)
+        for value in _other_shape_values(
+            assembly, effect, shape, float(fit.state.values[0, index])
+        ):
+            values = fit.state.values.copy()
             values[:, index] = value
-            begun = replace(found.state, values=values)
-            trial = refitted(assembly, begun, at.noise, steps=_FIRST, rough=True, like=at.prepared)
-            found = max(found, trial, key=lambda f: f.height)
-    return found
+            begun = replace(fit.state, values=values)
+            trial = fit_by_likelihood(
+                assembly, begun, at.noise, steps=_FIRST, rough=True, like=at.prepared
+            )
+            fit = max(fit, trial, key=lambda f: f.height)
+    return fit
 
 
-def _others(assembly: Assembly, effect: Effect, shape: Parameter, value: float) -> list[float]:
+def _other_shape_values(
+    assembly: Assembly, effect: Effect, shape: Parameter, value: float
+) -> list[float]:
     """The rest of a shape's grid, of which ``value`` is the middle; or values over its band."""
     if shape.spectrum:
         series = max(assembly.study.series, key=lambda s: s.samples)
-        ends = band(series.samples, series.dt)
-        return [spectral(effect, f)[shape.name] for f in np.geomspace(*ends, _BAND)[1:-1]]
+        ends = frequency_band(series.samples, series.dt)
+        return [frequency_shapes(effect, f)[shape.name] for f in np.geomspace(*ends, _BAND)[1:-1]]
     if not shape.grid:
         return []
     middle = shape.grid[len(shape.grid) // 2]
     return [g * (value / middle if middle else 1.0) for g in shape.grid if g != middle]
 
 
-def held_shapes(assembly: Assembly, found: LikelihoodFit, effect: Effect) -> tuple[str, ...]:
-    """Shapes of an effect that a fit holds at a size; one at zero (a sharp corner) has no slope."""
+def held_shapes(assembly: Assembly, fit: LikelihoodFit, effect: Effect) -> tuple[str, ...]:
+    """Shapes of an effect that a fit holds fixed, without those at zero, which have no slope."""
     return tuple(
         k
         for p in effect.parameters
         if p.role == "shape"
-        and (k := f"{effect.label}.{p.name}") not in found.state.freed
-        and found.state.values[0, assembly.study.index(k)] != 0
+        and (k := f"{effect.label}.{p.name}") not in fit.state.freed
+        and fit.state.values[0, assembly.study.index(k)] != 0
     )
 
 
-def told(fit: LikelihoodFit, keys: tuple[str, ...], effect: Effect) -> bool:
-    """Whether a fit leaves these shapes of an effect a relative error of a half at most.
+def is_shape_determined(fit: LikelihoodFit, keys: tuple[str, ...], effect: Effect) -> bool:
+    """Whether all these shapes of an effect have a relative standard error of at most ``TOLD``.
 
-    One that may as well be zero (its grid is on both sides) is held against its grid instead.
+    That of a shape with a grid on both sides of zero is relative to its largest grid value.
     """
     values, errors = fit.estimate.values, fit.estimate.errors
     sizes = {
@@ -115,16 +121,16 @@ def told(fit: LikelihoodFit, keys: tuple[str, ...], effect: Effect) -> bool:
     )
 
 
-def _loosened(
+def _refit_with_free_shapes(
     assembly: Assembly,
     fit: LikelihoodFit,
     keys: tuple[str, ...],
     masks: Masks,
     steps: int,
 ) -> LikelihoodFit:
-    """A fit taken on with these shapes free; ``masks`` and ``steps`` as in ``refitted``."""
+    """A fit continued with these shapes free; ``masks``, ``steps`` as in ``fit_by_likelihood``."""
     freer = replace(fit.state, freed=tuple(dict.fromkeys((*fit.state.freed, *keys))))
     at = fit.estimate
-    return refitted(
+    return fit_by_likelihood(
         assembly, freer, at.noise, masks, steps, rough=True, kept=at.kept, like=at.prepared
     )

@@ -1,6 +1,6 @@
 """The seed fitted from several starts; the likelihood of the whole records decides.
 
-1. the values given, or the balance of forces through the measured motion (``fit_state.begin``),
+1. the values given, or the balance of forces through the measured motion (``initial_fit_state``),
    hidden states from zero, and once more with those of first order from where they rest;
 2. a fit on windows of 64 and 256 samples, which bears values that are far off where the motion is
    measured;
@@ -22,173 +22,181 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.filter.task import at_rest
+from spiral.engine.filter.task import resting_first_state
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
-from spiral.engine.likelihood.predict import all_predicted
+from spiral.engine.likelihood.predict import predict_cases
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import FitState, all_samples, stage_lengths
-from spiral.inference.likelihood.beginnings import restarted
+from spiral.inference.likelihood.beginnings import refit_initial_states
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     MOST_SUBSTEPS,
     WORTH,
     LikelihoodFit,
-    explains,
-    finer,
+    fit_by_likelihood,
+    free_parameters,
+    is_random_force_small,
     is_white,
-    moving,
-    refitted,
-    samples_of,
-    subjects,
+    prepare_filter_tasks,
+    reading_count,
+    required_substeps,
 )
-from spiral.inference.likelihood.ladder import climbed_ladder, pruned
+from spiral.inference.likelihood.ladder import drop_needless_noise, select_noise_model
 from spiral.inference.problem import Progress
 
 _HEAT = 8  # scoring steps of each start
 _SAME = 0.02  # log-likelihood a reading up to which two starts have led to one place
 _WINDOWS = 2  # window lengths of a start from windows
 _SHOWN = 0.1  # standard errors by which steps of half the length may move an estimate
-_AWAY = 100.0  # factor by which a fitted value differs from the one given that has run away
+_AWAY = 100.0  # factor from the given value beyond which a fitted one has run away
 _QUIET = 1e-3  # level of a random force that does next to nothing
 
 
 def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> LikelihoodFit:
-    """The fit of the most likely start, on steps as fine as its motion asks for."""
+    """The fit from the most likely of several starts, on sufficiently fine integration steps."""
     best: LikelihoodFit | None = None
-    for begin, level in _starts(assembly, state, progress):
-        noise = first_noise(subjects(assembly, begin)[0][0], level)
-        found = refitted(assembly, begin, noise, steps=_HEAT, rough=True)
-        agrees = best is not None and abs(found.height - best.height) < _SAME * samples_of(
-            found.estimate.prepared
+    for begin, level in _start_states(assembly, state, progress):
+        noise = first_noise(prepare_filter_tasks(assembly, begin)[0][0], level)
+        fit = fit_by_likelihood(assembly, begin, noise, steps=_HEAT, rough=True)
+        agrees = best is not None and abs(fit.height - best.height) < _SAME * reading_count(
+            fit.estimate.prepared
         )
-        if best is None or found.height > best.height:
-            best = found
-        if agrees or (best.estimate.converged and explains(best)):
+        if best is None or fit.height > best.height:
+            best = fit
+        if agrees or (best.estimate.converged and is_random_force_small(best)):
             break
     assert best is not None
-    fits = [best, *_with_runaways_held(assembly, state, best, progress)]
+    fits = [best, *_refit_runaway_values(assembly, state, best, progress)]
     best = max(fits, key=lambda f: f.height)
     progress("most likely values of the model as it is")
-    found = on_finer_steps(assembly, refitted(assembly, best.state, rough=True))
-    return restarted(assembly, found)
+    fit = refit_on_finer_steps(assembly, fit_by_likelihood(assembly, best.state, rough=True))
+    return refit_initial_states(assembly, fit)
 
 
-def _with_runaways_held(
-    assembly: Assembly, state: FitState, found: LikelihoodFit, progress: Progress
+def _refit_runaway_values(
+    assembly: Assembly, state: FitState, fit: LikelihoodFit, progress: Progress
 ) -> list[LikelihoodFit]:
-    """The fit of a start in which no value runs away; none where none has.
+    """The fit with runaway values first held and then freed, as a list; empty without runaways.
 
     A value far beyond what was given (a heat capacity without end) has no slope left there, and
     others make up for it. It is held as given while the others find theirs, and then let go.
     """
     known, index = assembly.problem.model.values, assembly.study.index
-    keys = [k for k in moving(assembly, found.state) if known.get(k)]
-    shares = {k: float(found.state.values[0, index(k)]) / known[k] for k in keys}
+    keys = [k for k in free_parameters(assembly, fit.state) if known.get(k)]
+    shares = {k: float(fit.state.values[0, index(k)]) / known[k] for k in keys}
     lost = tuple(k for k, x in shares.items() if not 1 / _AWAY <= x <= _AWAY)
     if not lost:
         return []
     progress("starting again with values held that have run away")
     holding = replace(state, held=(*state.held, *lost))
-    noise = first_noise(subjects(assembly, holding)[0][0], LEVEL)
-    first = refitted(assembly, holding, noise, rough=True)
+    noise = first_noise(prepare_filter_tasks(assembly, holding)[0][0], LEVEL)
+    first = fit_by_likelihood(assembly, holding, noise, rough=True)
     if not first.estimate.finite:
         return []
     free = replace(first.state, held=state.held)
-    return [refitted(assembly, free, noise, rough=True)]
+    return [fit_by_likelihood(assembly, free, noise, rough=True)]
 
 
-def rebalanced(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
-    """The fit begun again with all that it misses taken for sensor noise, if that is better.
+def restart_from_sensor_noise(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
+) -> LikelihoodFit:
+    """The fit restarted with all of its residual taken for sensor noise, if that is likelier.
 
     Noise of a sensor and a random force on what it measures look alike over few samples: a fit may
     end where one of them does the work of the other, and what is left is then not white. Noise that
     is not white looks like motion, so the ladder is climbed from there as well.
     """
-    if not found.estimate.finite or is_white(assembly, found):
-        return found
+    if not fit.estimate.finite or is_white(assembly, fit):
+        return fit
     progress("starting again with sensor noise alone")
-    again = refitted(assembly, found.state, sensors_alone(found), rough=True)
+    again = fit_by_likelihood(assembly, fit.state, sensor_noise_only(fit), rough=True)
     if not is_white(assembly, again):
-        again = climbed_ladder(assembly, again, progress)
-    return again if again.height > found.height else found
+        again = select_noise_model(assembly, again, progress)
+    return again if again.height > fit.height else fit
 
 
-def with_values_given(assembly: Assembly, state: FitState) -> FitState | None:
-    """The state with what moves as the model was given; nothing where nobody gave a value."""
+def with_given_values(assembly: Assembly, state: FitState) -> FitState | None:
+    """The state with its free parameters at the given values; nothing where none was given."""
     known = assembly.problem.model.values
-    keys = [k for k in moving(assembly, state) if np.isfinite(known.get(k, np.nan))]
+    keys = [k for k in free_parameters(assembly, state) if np.isfinite(known.get(k, np.nan))]
     values = state.values.copy()
     for key in keys:
         values[:, assembly.study.index(key)] = known[key]
     return replace(state, values=values, starts=None, spreads=None) if keys else None
 
 
-def from_values_given(
-    assembly: Assembly, found: LikelihoodFit, progress: Progress
+def restart_from_given_values(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
 ) -> LikelihoodFit:
-    """The fit begun again from the values given, with the noise that is known by now, if better.
+    """The fit restarted from the given values with the noise known by now, if that is likelier.
 
     While noise of a kind that nobody knows yet (a sensor that drifts) looks like motion, values may
     go where they explain it (an absorber that does not move) and do not come back by themselves.
     Its forces are as they are by now, and as a first start has them; the ladder is climbed from the
     likelier end. Nothing is tried where the model explains the records beside white noise.
     """
-    at = found.estimate
+    at = fit.estimate
     usual = all(term.kind in ("white", "force") for term in at.noise.terms)
-    given = with_values_given(assembly, found.state)
-    if not at.finite or given is None or (usual and explains(found) and is_white(assembly, found)):
-        return found
+    given = with_given_values(assembly, fit.state)
+    if (
+        not at.finite
+        or given is None
+        or (usual and is_random_force_small(fit) and is_white(assembly, fit))
+    ):
+        return fit
     progress("starting again from the values given, with the noise that is known by now")
     first = first_noise(at.prepared[0][0], LEVEL)
     noises = (at.noise, at.noise.with_values(first.values))
-    fits = [refitted(assembly, given, noise, rough=True, like=at.prepared) for noise in noises]
+    fits = [
+        fit_by_likelihood(assembly, given, noise, rough=True, like=at.prepared) for noise in noises
+    ]
     again = max(fits, key=lambda f: f.height)
-    again = climbed_ladder(assembly, again, progress)
-    if not again.height > found.height + WORTH:
-        return found
-    return pruned(assembly, restarted(assembly, again), progress)
+    again = select_noise_model(assembly, again, progress)
+    if not again.height > fit.height + WORTH:
+        return fit
+    return drop_needless_noise(assembly, refit_initial_states(assembly, again), progress)
 
 
-def sensors_alone(found: LikelihoodFit) -> NoiseModel:
-    """Noise of the sensors as large as what the model misses where no reading corrects it much."""
-    prepared = found.estimate.prepared
+def sensor_noise_only(fit: LikelihoodFit) -> NoiseModel:
+    """A noise model of sensor noise alone, as large as the nearly uncorrected model's error."""
+    prepared = fit.estimate.prepared
     deaf = first_noise(prepared[0][0], _QUIET, prepared[0][0].series.y.std(axis=0))
-    parts = all_predicted([(prepared, deaf)])[0]
-    seen = parts if all(p.whole for p in parts) else found.estimate.parts
+    parts = predict_cases([(prepared, deaf)])[0]
+    seen = parts if all(p.whole for p in parts) else fit.estimate.parts
     misses = np.concatenate([p.misses for p in seen])
     return first_noise(prepared[0][0], _QUIET, np.sqrt(np.mean(misses**2, axis=0)))
 
 
-def on_finer_steps(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
-    """The fit again where its motion asks for finer integration steps than it had."""
-    if not found.estimate.finite:
-        return found
-    wanted = finer(found)
-    if wanted <= found.estimate.prepared[0][0].series.substeps:
-        return found
-    finer_state = replace(found.state, substeps=wanted)
-    again = refitted(assembly, finer_state, rough=True)
+def refit_on_finer_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
+    """The fit on finer integration steps, where its motion requires them."""
+    if not fit.estimate.finite:
+        return fit
+    wanted = required_substeps(fit)
+    if wanted <= fit.estimate.prepared[0][0].series.substeps:
+        return fit
+    finer_state = replace(fit.state, substeps=wanted)
+    again = fit_by_likelihood(assembly, finer_state, rough=True)
     if not again.estimate.finite:  # sizes of its noise may mean something else: on the same scales
-        again = refitted(assembly, finer_state, rough=True, like=found.estimate.prepared)
-    return again if again.estimate.finite else found
+        again = fit_by_likelihood(assembly, finer_state, rough=True, like=fit.estimate.prepared)
+    return again if again.estimate.finite else fit
 
 
-def resolved_in_time(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
-    """The fit on integration steps whose error no parameter shows.
+def refine_integration_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
+    """The fit on integration steps whose error is negligible in every parameter.
 
     Steps of half the length change the whitened misses by d, and with them the estimates by
     V X^T d, X the misses' slopes and V the inverse of their information; where that is a share of a
     standard error that counts, the fit goes on with the shorter ones.
     """
-    while found.estimate.finite and found.estimate.keys:
-        at, keys, solved = found.estimate, found.estimate.keys, found.estimate.solved
+    while fit.estimate.finite and fit.estimate.keys:
+        at, keys, solved = fit.estimate, fit.estimate.keys, fit.estimate.solved
         steps = 2 * at.prepared[0][0].series.substeps
         if solved is None or steps > MOST_SUBSTEPS:
             break
-        state = replace(found.state, substeps=steps)
-        finer_ones = subjects(assembly, state)
-        trial = all_predicted([(finer_ones, at.noise)])[0]
+        state = replace(fit.state, substeps=steps)
+        finer_ones = prepare_filter_tasks(assembly, state)
+        trial = predict_cases([(finer_ones, at.noise)])[0]
         if not all(p.whole for p in trial):
             break
         inverse = solved.inverse[: len(keys)]
@@ -199,25 +207,25 @@ def resolved_in_time(assembly: Assembly, found: LikelihoodFit) -> LikelihoodFit:
         moved = np.abs(inverse @ (inverse.T @ pulled)) / np.array(list(at.errors.values()))
         if not np.max(moved) > _SHOWN:
             break
-        again = refitted(assembly, state, at.noise)
+        again = fit_by_likelihood(assembly, state, at.noise)
         if not again.estimate.finite:
             break
-        found = again
-    return found
+        fit = again
+    return fit
 
 
-def _starts(
+def _start_states(
     assembly: Assembly, state: FitState, progress: Progress
 ) -> Iterator[tuple[FitState, float]]:
     progress("starting from the values given")
     yield state, LEVEL
-    rests = [at_rest(task) for task, _ in subjects(assembly, state)]
+    rests = [resting_first_state(task) for task, _ in prepare_filter_tasks(assembly, state)]
     if all(x is not None for x in rests):
         progress("starting again from hidden states that rest")
         starts = tuple(x for x in rests if x is not None)
         yield replace(state, starts=starts, spreads=None), LEVEL
     progress("starting again from short windows")
-    near = _from_windows(assembly, state)
+    near = _fit_on_windows(assembly, state)
     if near is not None:
         yield near, LEVEL
     for factor in (0.1, 10.0):
@@ -225,7 +233,7 @@ def _starts(
         yield state, LEVEL * factor
 
 
-def _from_windows(assembly: Assembly, state: FitState) -> FitState | None:
+def _fit_on_windows(assembly: Assembly, state: FitState) -> FitState | None:
     lengths = [n for n in stage_lengths(assembly) if n >= state.shortest][:_WINDOWS]
     stage = last_stage(assembly, state, all_samples(assembly), lengths)
     values = stage.fitted.point.values

@@ -1,4 +1,4 @@
-"""What a round of the likelihood's strategy says of its candidates."""
+"""The suggestions of a round of the likelihood strategy, from scores and refits."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from scipy import special
 
 from spiral.inference.evidence.scoring import Ranking
 from spiral.inference.likelihood.candidates import Rival
-from spiral.inference.suggest import by_evidence
+from spiral.inference.suggest import suggestions_by_evidence
 from spiral.types.run import Suggestion
 
 _WORST = 50.0  # logarithm of the growth of the misses' squares beyond which one is as bad as all
 
 
 def suggestions(
-    rivals: Sequence[Rival], found: Ranking, label: str, aliases: tuple[str, ...]
+    rivals: Sequence[Rival], ranking: Ranking, label: str, aliases: tuple[str, ...]
 ) -> tuple[Suggestion, ...]:
-    """The admitted one, then what was refitted by its worth, then others by their score.
+    """Suggestions: the admitted one, then those refitted by worth, then others by their score.
 
-    A score promises what refits do not keep; of the others, whose scores are lower, no more is said
-    than what the least of those refitted explains.
+    Scores promise more than refits keep: the share that others explain is capped at the least of
+    those refitted.
     """
-    listed = {s.effect: s for s in by_evidence(found, None, ())}
+    listed = {s.effect: s for s in suggestions_by_evidence(ranking, None, ())}
     tried: dict[str, Suggestion] = {}
     for rival in rivals:
         seen = listed.get(rival.label)
@@ -49,10 +49,10 @@ def _as_suggestion(rival: Rival, hint: tuple[str, ...]) -> Suggestion:
     return Suggestion(
         effect=rival.label, meaning=rival.ranked.variant.original.meaning(), aliases=(),
         p_value=p_value, statistic=2 * gain, wald_p_value=p_value, hint=hint,
-        explains=_share(gain, count), net=_share(rival.worth, count),
+        explains=_share_of_squares(gain, count), net=_share_of_squares(rival.worth, count),
     )  # fmt: skip
 
 
-def _share(gain: float, count: float) -> float:
-    """Of the misses' squares, what a gain in log-likelihood over so many of them takes away."""
+def _share_of_squares(gain: float, count: float) -> float:
+    """Share of the squares that a gain explains: 1 - exp(-2 gain / count)."""
     return -float(np.expm1(np.clip(-2 * gain / count, None, _WORST)))

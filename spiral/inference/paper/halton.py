@@ -87,7 +87,7 @@ def trajectory_points(samples: Samples, keep: Array) -> Iterator[tuple]:
 def project_surface(
     learned: Learned,
     regressor: Regressor,
-    found: Equations,
+    regression: Equations,
     candidates: tuple[int, ...],
     points: Iterator[tuple],
     row: Array,
@@ -98,8 +98,8 @@ def project_surface(
     def blocks() -> Iterator[Array]:
         nonlocal energy
         for states, inputs in points:
-            nothing = np.zeros((len(states), found.parts.rows))
-            columns, _ = found.evaluate(states, inputs, nothing, row)
+            nothing = np.zeros((len(states), regression.parts.rows))
+            columns, _ = regression.evaluate(states, inputs, nothing, row)
             value = learned.predict(regressor.of(states, inputs))
             energy += float(np.sum(value**2))
             chosen = columns[..., list(candidates)].reshape(-1, len(candidates))
@@ -107,4 +107,4 @@ def project_surface(
 
     upper, rows = triangle(blocks())
     fit = solve_triangle(upper, rows)
-    return Surface(fit, rows // found.parts.rows, 1.0 - fit.rss / max(energy, 1e-300))
+    return Surface(fit, rows // regression.parts.rows, 1.0 - fit.rss / max(energy, 1e-300))

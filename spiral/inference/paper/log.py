@@ -15,7 +15,7 @@ from spiral.engine.leastsquares import (
     least_squares,
     partial_f,
     press,
-    ratio,
+    t_values,
     variance_inflation,
 )
 from spiral.inference.paper.robust import automatic_lags, hac_errors
@@ -38,7 +38,7 @@ def model_log(
     x, y = trial.rows((), trial.train)
     table, errors = {}, {}
     for name, b, plain, hac in zip(names, fit.b, fit.se, robust, strict=True):
-        table[name] = _row(b, plain, hac, terms.get(name))
+        table[name] = _coefficient_row(b, plain, hac, terms.get(name))
         if " " not in name:
             errors[name] = float(hac)
     for name in {n.split(" ")[0] for n in names if " " in n}:
@@ -57,19 +57,19 @@ def model_log(
     return {"coefficients": table, "diagnostics": diagnostics, "hac_lags": lags}, errors
 
 
-def _row(b: Any, plain: Any, hac: Any, term: Term | None) -> dict[str, Any]:
-    found: dict[str, Any] = {
+def _coefficient_row(b: Any, plain: Any, hac: Any, term: Term | None) -> dict[str, Any]:
+    row: dict[str, Any] = {
         "estimate": float(b),
         "se_ols": float(plain),
-        "t_ols": float(ratio(np.array(b), np.array(plain))),
+        "t_ols": float(t_values(np.array(b), np.array(plain))),
         "se_hac": float(hac),
-        "t_hac": float(ratio(np.array(b), np.array(hac))),
+        "t_hac": float(t_values(np.array(b), np.array(hac))),
     }
     if term is not None:
-        found |= {"category": term.category, "mechanism": term.mechanism}
+        row |= {"category": term.category, "mechanism": term.mechanism}
         if term.predicted is not None:
-            found["predicted"] = term.predicted
-    return found
+            row["predicted"] = term.predicted
+    return row
 
 
 def term_log(trial: Trial, terms: Mapping[str, Term]) -> dict[str, Any]:
@@ -81,14 +81,14 @@ def term_log(trial: Trial, terms: Mapping[str, Term]) -> dict[str, Any]:
     fit, lags = trial.fitted(trial.kept), automatic_lags(trial)
     robust = hac_errors(trial, trial.kept, fit, lags)
     width = trial.active.shape[2]
-    found = {}
+    table = {}
     for i, k in enumerate(trial.kept):
         name = trial.names[k]
-        row = _row(fit.b[width + i], fit.se[width + i], robust[width + i], terms[name])
+        row = _coefficient_row(fit.b[width + i], fit.se[width + i], robust[width + i], terms[name])
         if np.all(np.any(trial.candidates[..., k] != 0, axis=0)) and trial.target.shape[1] > 1:
             row["by_equation"] = _by_equation(trial, i, lags)
-        found[name] = row
-    return found
+        table[name] = row
+    return table
 
 
 def _by_equation(trial: Trial, position: int, lags: int) -> list[dict[str, float]]:
@@ -105,7 +105,7 @@ def _by_equation(trial: Trial, position: int, lags: int) -> list[dict[str, float
     fit = wide.before
     robust = hac_errors(wide, (), fit, lags)
     last = range(len(fit.b) - count, len(fit.b))
-    return [_row(fit.b[i], fit.se[i], robust[i], None) for i in last]
+    return [_coefficient_row(fit.b[i], fit.se[i], robust[i], None) for i in last]
 
 
 def suggestions(
@@ -115,8 +115,8 @@ def suggestions(
     x, y = trial.rows(trial.kept, trial.train)
     width = trial.active.shape[2]
     whole, lags = trial.fitted(trial.kept), automatic_lags(trial)
-    t = ratio(whole.b, hac_errors(trial, trial.kept, whole, lags))[width:]
-    found: dict[str, Suggestion] = {}
+    t = t_values(whole.b, hac_errors(trial, trial.kept, whole, lags))[width:]
+    best: dict[str, Suggestion] = {}
     for i, k in enumerate(trial.kept):
         term = terms[trial.names[k]]
         others = [j for j in range(x.shape[1]) if j != width + i]
@@ -133,9 +133,9 @@ def suggestions(
             wald_p_value=float(2 * special.ndtr(-abs(t[i]))),
             explains=float(alone / trial.before.rss) if trial.before.rss > 0 else 0.0,
         )
-        if label not in found or found[label].explains < item.explains:
-            found[label] = item
-    return tuple(sorted(found.values(), key=lambda s: -s.explains))
+        if label not in best or best[label].explains < item.explains:
+            best[label] = item
+    return tuple(sorted(best.values(), key=lambda s: -s.explains))
 
 
 def closure_log(trial: Trial, predicted: Array) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.engine.start import Balance, angle_groups, balance
+from spiral.engine.start import Balance, angle_groups, prepare_balance
 from spiral.inference.evidence.assembly import ORIGIN, Assembly
 from spiral.types.derivative import Derivative, differentiate
 from spiral.types.errors import ConfigError
@@ -35,7 +35,7 @@ class Samples:
     dt: float
 
 
-def differentiated(assembly: Assembly, derivative: Derivative) -> Samples:
+def differentiate_records(assembly: Assembly, derivative: Derivative) -> Samples:
     """Every record's coordinates, rates and accelerations by an estimator.
 
     Raises
@@ -49,21 +49,23 @@ def differentiated(assembly: Assembly, derivative: Derivative) -> Samples:
     parts: list[list[Array]] = [[] for _ in range(5)]
     for number, series in enumerate(assembly.study.series):
         speed = series.record.inputs.get("speed")
-        found = differentiate(derivative, series.y, series.dt, speed)
-        if found.position.shape[1] != len(traced.channels):
+        derivatives = differentiate(derivative, series.y, series.dt, speed)
+        if derivatives.position.shape[1] != len(traced.channels):
             raise ConfigError(
-                f"derivative={derivative.plugin_name()}, which gives {found.position.shape[1]} "
-                f"coordinates of {len(traced.channels)} channels",
+                f"derivative={derivative.plugin_name()}, which gives "
+                f"{derivatives.position.shape[1]} coordinates of {len(traced.channels)} channels",
                 "one for each channel",
                 "derivative=total_variation",
             )
-        inner = found.inner
+        inner = derivatives.inner
         states = np.zeros((series.samples, len(traced.states)))
         acceleration = np.zeros((series.samples, len(traced.acceleration)))
         for channel, name in enumerate(traced.channels):
-            states[:, traced.states.index(name)] = found.position[:, channel]
-            states[:, traced.states.index(traced.rate_name(name))] = found.velocity[:, channel]
-            acceleration[:, traced.states.index(name)] = found.acceleration[:, channel]
+            states[:, traced.states.index(name)] = derivatives.position[:, channel]
+            states[:, traced.states.index(traced.rate_name(name))] = derivatives.velocity[
+                :, channel
+            ]
+            acceleration[:, traced.states.index(name)] = derivatives.acceleration[:, channel]
         count = len(states[inner])
         inputs = series.inputs[:: 2 * series.substeps][inner]
         for part, values in zip(
@@ -112,7 +114,7 @@ class Equations:
         return -columns.reshape(count, rows, len(self.keys)), target
 
 
-def equations(assembly: Assembly, keys: tuple[str, ...]) -> Equations:
+def regression_equations(assembly: Assembly, keys: tuple[str, ...]) -> Equations:
     """Prepare the regression on these amplitudes.
 
     Raises
@@ -123,7 +125,7 @@ def equations(assembly: Assembly, keys: tuple[str, ...]) -> Equations:
     study = assembly.study
     traced = study.compiled.traced
     try:
-        parts = balance(study, traced, keys)
+        parts = prepare_balance(study, traced, keys)
     except ConfigError as error:
         raise ConfigError(
             f"strategy=paper with system {assembly.problem.model.system.plugin_name()!r}",
@@ -141,63 +143,63 @@ def equations(assembly: Assembly, keys: tuple[str, ...]) -> Equations:
     return Equations(keys, turning if turning in keys else "", origin, parts)
 
 
-def design(found: Equations, samples: Samples, values: Array) -> tuple[Array, Array]:
+def design_matrix(regression: Equations, samples: Samples, values: Array) -> tuple[Array, Array]:
     """Columns (N, C, K + extra) and target (N, C) of all samples.
 
     ``values`` (records, parameters). The turning column is replaced by its pair: K + ``extra``
     columns, the pairs of every group of angles last (see ``pair_columns``).
     """
-    columns = np.empty((len(samples.states), found.parts.rows, len(found.keys)))
+    columns = np.empty((len(samples.states), regression.parts.rows, len(regression.keys)))
     target = np.empty(columns.shape[:2])
     for number in np.unique(samples.record):
         at = samples.record == number
-        columns[at], target[at] = found.evaluate(
+        columns[at], target[at] = regression.evaluate(
             samples.states[at], samples.inputs[at], samples.acceleration[at], values[number]
         )
-    if not found.turning:
+    if not regression.turning:
         return columns, target
-    position = found.keys.index(found.turning)
+    position = regression.keys.index(regression.turning)
     groups = np.unique(samples.angle)
     pairs = np.zeros((*columns.shape[:2], 2 * len(groups)))
     still = values[0].copy()
-    still[found.origin] = 0.0
+    still[regression.origin] = 0.0
     for index, group in enumerate(groups):
         at = samples.angle == group
         given = samples.states[at], samples.inputs[at], samples.acceleration[at], still
         for half, shift in enumerate((0.0, np.pi / 2)):
-            pairs[at, :, 2 * index + half] = found.evaluate(*given, shift)[0][..., position]
+            pairs[at, :, 2 * index + half] = regression.evaluate(*given, shift)[0][..., position]
     return np.concatenate([np.delete(columns, position, axis=2), pairs], axis=2), target
 
 
-def column_names(found: Equations, samples: Samples) -> tuple[str, ...]:
-    """Names of the columns of ``design``; a pair is ``KEY cos`` and ``KEY sin``."""
-    if not found.turning:
-        return found.keys
-    names = [k for k in found.keys if k != found.turning]
+def column_names(regression: Equations, samples: Samples) -> tuple[str, ...]:
+    """Names of the columns of ``design_matrix``; a pair is ``KEY cos`` and ``KEY sin``."""
+    if not regression.turning:
+        return regression.keys
+    names = [k for k in regression.keys if k != regression.turning]
     groups = np.unique(samples.angle)
     for group in groups:
         mark = f" {group}" if len(groups) > 1 else ""
-        names += [f"{found.turning} cos{mark}", f"{found.turning} sin{mark}"]
+        names += [f"{regression.turning} cos{mark}", f"{regression.turning} sin{mark}"]
     return tuple(names)
 
 
 def with_coefficients(
-    found: Equations, samples: Samples, values: Array, names: tuple[str, ...], b: Array, study
+    regression: Equations, samples: Samples, values: Array, names: tuple[str, ...], b: Array, study
 ) -> Array:
     """Values (records, parameters) with a fit's coefficients; pairs become angle and size."""
     new = values.copy()
     pairs: list[float] = []
     for name, value in zip(names, b, strict=True):
-        if found.turning and name.startswith(f"{found.turning} "):
+        if regression.turning and name.startswith(f"{regression.turning} "):
             pairs.append(float(value))
         else:
             new[:, study.index(name)] = value
     if pairs:
         cosine, sine = np.array(pairs).reshape(-1, 2).T
-        new[:, study.index(found.turning)] = np.sqrt(np.mean(cosine**2 + sine**2))
+        new[:, study.index(regression.turning)] = np.sqrt(np.mean(cosine**2 + sine**2))
         group = {int(r): int(a) for r, a in zip(samples.record, samples.angle, strict=True)}
         order = sorted(set(group.values()))
         for record in range(len(new)):
             at = order.index(group[record])
-            new[record, found.origin] = np.arctan2(sine[at], cosine[at])
+            new[record, regression.origin] = np.arctan2(sine[at], cosine[at])
     return new

@@ -22,7 +22,7 @@ def automatic_lags(trial: Trial) -> int:
     return int(np.clip(correlation_samples((left,)), usual, max(len(left) // 20, usual)))
 
 
-def scores(trial: Trial, kept: tuple[int, ...], fit: Fit) -> Array:
+def sample_scores(trial: Trial, kept: tuple[int, ...], fit: Fit) -> Array:
     """u_t = sum_c x_tc e_tc in coordinates where X'X is the identity; (training samples, k)."""
     x, y = trial.rows(kept, trial.train)
     q = x @ fit.inverse
@@ -34,22 +34,22 @@ def hac_errors(trial: Trial, kept: tuple[int, ...], fit: Fit, lags: int) -> Arra
     """Newey-West standard errors of the joint fit; infinite for dropped columns."""
     from statsmodels.stats.sandwich_covariance import S_hac_simple
 
-    meat = S_hac_simple(scores(trial, kept, fit), nlags=lags)
-    return _errors(fit, meat * fit.rows / fit.dof)
+    meat = S_hac_simple(sample_scores(trial, kept, fit), nlags=lags)
+    return _sandwich_errors(fit, meat * fit.rows / fit.dof)
 
 
 def bootstrap_errors(
     trial: Trial, kept: tuple[int, ...], fit: Fit, block: int, draws: int
 ) -> Array:
     """Standard errors from resampled blocks of scores; infinite for dropped columns."""
-    u = scores(trial, kept, fit)
+    u = sample_scores(trial, kept, fit)
     count = max(len(u) // block, 2)
     sums = np.stack([part.sum(axis=0) for part in np.array_split(u, count)])
     rng = np.random.default_rng(trial.seed)
     drawn = sums[rng.integers(count, size=(draws, count))].sum(axis=1)
-    return _errors(fit, np.atleast_2d(np.cov(drawn.T)))
+    return _sandwich_errors(fit, np.atleast_2d(np.cov(drawn.T)))
 
 
-def _errors(fit: Fit, meat: Array) -> Array:
+def _sandwich_errors(fit: Fit, meat: Array) -> Array:
     covariance = fit.inverse @ meat @ fit.inverse.T
     return np.where(fit.kept, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf)

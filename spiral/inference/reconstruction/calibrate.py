@@ -27,25 +27,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.descent import Mix, descend
-from spiral.engine.filter.extended import filtered
-from spiral.engine.filter.setup import chosen_levels, smoothed, with_level
-from spiral.engine.filter.setup import prepared as filter_prepared
+from spiral.engine.filter.extended import filter_record
+from spiral.engine.filter.setup import choose_levels, smoothed_states, with_level
+from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import Task, prepare_task, with_record
 from spiral.engine.fit import Fitted, covariance
-from spiral.engine.growth import Stage, carried_starts, layouts_for
-from spiral.engine.sensitivities import reduce
+from spiral.engine.growth import Stage, layouts_for, transfer_window_starts
+from spiral.engine.sensitivities import reduce_windows
 from spiral.engine.study import ParameterColumns, Point
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.evidence.admission import TOLD
 from spiral.inference.evidence.assembly import (
     ORIGIN,
     Assembly,
-    columns,
+    columns_with_bounds,
     to_model,
     unknown_keys,
     with_steps,
 )
-from spiral.inference.evidence.comparison import last_stage, prepared, standard_errors
+from spiral.inference.evidence.comparison import last_stage, prepare_study, standard_errors
 from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.model import Model
@@ -92,55 +92,55 @@ def calibrate(
 
     ``together``: parameters that keep their ratios, moved by one common factor.
     """
-    assembly, standing = prepared(problem, ())
-    if unknown_keys(assembly, standing.keys(assembly)):
+    assembly, fit_state = prepare_study(problem, ())
+    if unknown_keys(assembly, fit_state.keys(assembly)):
         progress("calibrating on growing windows, hidden states free")
-        stage = last_stage(assembly, standing, all_samples(assembly))
+        stage = last_stage(assembly, fit_state, all_samples(assembly))
     else:
-        assembly, stage = _from_filter(assembly, standing, progress, together)
-    return _result(assembly, standing, stage)
+        assembly, stage = _calibrate_from_filter(assembly, fit_state, progress, together)
+    return _calibration_result(assembly, fit_state, stage)
 
 
-def _from_filter(
-    assembly: Assembly, standing: FitState, progress: Progress, together: tuple[str, ...]
+def _calibrate_from_filter(
+    assembly: Assembly, fit_state: FitState, progress: Progress, together: tuple[str, ...]
 ) -> tuple[Assembly, Stage]:
     """Start values and hidden states from filters, then windows, then whole records."""
     problem = assembly.problem
-    keys = tuple(k for k in standing.keys(assembly) if k in assembly.study.keys)
+    keys = tuple(k for k in fit_state.keys(assembly) if k in assembly.study.keys)
     progress("calibrating: a filter tracks the parameters")
     given = prepare_task(problem.model, problem.records[0])
     if together:
-        first = _scanned(given, together)
+        first = _scan_common_factor(given, together)
     else:
         alone = replace(assembly, problem=replace(problem, records=problem.records[:1]))
-        starts = [_followed(given, keys, levels) for levels in _LEVELS]
-        tried = [_descended(alone, standing, start, together, progress) for start in starts]
-        best = min(tried, key=lambda found: found[1].fitted.cost)
+        starts = [_track_parameters(given, keys, levels) for levels in _LEVELS]
+        tried = [_descend_windows(alone, fit_state, start, together, progress) for start in starts]
+        best = min(tried, key=lambda trial: trial[1].fitted.cost)
         if len(problem.records) == 1:
             return best
         row = best[1].fitted.point.values[0]
         first = given.with_values(dict(zip(given.keys, map(float, row), strict=False)))
-    return _descended(assembly, standing, first, together, progress)
+    return _descend_windows(assembly, fit_state, first, together, progress)
 
 
-def _descended(
+def _descend_windows(
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     first: Task,
     together: tuple[str, ...],
     progress: Progress,
 ) -> tuple[Assembly, Stage]:
     """Windows, then whole records, from a task's values and the smoother's hidden states."""
     problem = assembly.problem
-    tasks, levels = _tasks(problem, first, ORIGIN in standing.keys(assembly))
+    tasks, levels = _record_tasks(problem, first, ORIGIN in fit_state.keys(assembly))
     substeps = max(t.series.substeps for t in tasks)
     assembly = with_steps(assembly, substeps)
     study = assembly.study
-    moving, bounds = columns(assembly, standing.keys(assembly))
+    moving, bounds = columns_with_bounds(assembly, fit_state.keys(assembly))
     values = np.pad(np.stack([t.values for t in tasks]), ((0, 0), (0, study.corrections)))
-    values = moving.joined(values)
-    mix = _mixed(assembly, moving, values, together)
-    states = [smoothed(task, levels)[:, : study.state_count] for task in tasks]
+    values = moving.average_shared_values(values)
+    mix = _common_factor_mix(assembly, moving, values, together)
+    states = [smoothed_states(task, levels)[:, : study.state_count] for task in tasks]
     longest = max(s.samples for s in study.series)
     stage: Stage | None = None
     for length in (n for n in (_LENGTH, longest) if n == longest or 4 * n <= longest):
@@ -149,73 +149,80 @@ def _descended(
         if stage is None:
             starts = tuple(x[w.starts].copy() for x, w in zip(states, layouts, strict=True))
         else:
-            starts, values = carried_starts(study, stage, layouts), stage.fitted.point.values
+            starts, values = (
+                transfer_window_starts(study, stage, layouts),
+                stage.fitted.point.values,
+            )
         fitted = descend(study, layouts, Point(values, starts), moving, bounds, mix)
         stage = Stage(length, layouts, fitted)
     assert stage is not None
     return assembly, stage
 
 
-def _tasks(problem: Problem, first: Task, turning: bool) -> tuple[list[Task], dict[str, float]]:
+def _record_tasks(
+    problem: Problem, first: Task, turning: bool
+) -> tuple[list[Task], dict[str, float]]:
     """One task for each record at the values of the first, whose process noise serves for all."""
     tuned, settings = filter_prepared(first, (ORIGIN,) if turning else None)
-    levels = chosen_levels(tuned, settings, None)
+    levels = choose_levels(tuned, settings, None)
     tasks = [first, *(with_record(first, r) for r in problem.records[1:])]
-    return [_own_origin(task, levels) if turning else task for task in tasks], levels
+    return [_with_own_origin(task, levels) if turning else task for task in tasks], levels
 
 
-def _followed(first: Task, keys: tuple[str, ...], levels: tuple[float, ...]) -> Task:
+def _track_parameters(first: Task, keys: tuple[str, ...], levels: tuple[float, ...]) -> Task:
     """Parameters tracked as states over the record, once for each level of process noise."""
     known = dict(zip(first.keys, first.values, strict=True))
     named = tuple(k for k in keys if known[k] or k == ORIGIN)
     for level in levels if named else ():
         doubt = {k: _TURN if k == ORIGIN else _DOUBT * abs(known[k]) for k in named}
         task, settings = filter_prepared(first, named, doubt)
-        found = filtered(task, with_level(task, settings, dict.fromkeys(_groups(task), level)))
-        last = found.means[-1, len(task.states) :]
-        if found.done < task.series.samples or not np.all(np.isfinite(last)):
+        filter_pass = filter_record(
+            task, with_level(task, settings, dict.fromkeys(_noise_groups(task), level))
+        )
+        last = filter_pass.means[-1, len(task.states) :]
+        if filter_pass.done < task.series.samples or not np.all(np.isfinite(last)):
             break
         known |= dict(zip(named, map(float, last), strict=True))
         first = with_record(first.with_values(known), first.series.record)
     return first
 
 
-def _scanned(first: Task, together: tuple[str, ...]) -> Task:
+def _scan_common_factor(first: Task, together: tuple[str, ...]) -> Task:
     """The common factor with the highest likelihood of the innovations, between 0.5 and 2."""
     from scipy.optimize import minimize_scalar
 
     at = [first.keys.index(k) for k in together]
 
-    def scaled(log_factor: float) -> Task:
+    def scaled_task(log_factor: float) -> Task:
         factor = float(np.exp(log_factor))
         return first.with_values({first.keys[i]: factor * first.values[i] for i in at})
 
     def cost(log_factor: float) -> float:
-        task, settings = filter_prepared(scaled(log_factor))
-        levels = dict.fromkeys(_groups(task), _SCAN)
-        found = filtered(task, with_level(task, settings, levels))
-        return -found.log_likelihood if found.done == task.series.samples else 1e12
+        task, settings = filter_prepared(scaled_task(log_factor))
+        levels = dict.fromkeys(_noise_groups(task), _SCAN)
+        filter_pass = filter_record(task, with_level(task, settings, levels))
+        return -filter_pass.log_likelihood if filter_pass.done == task.series.samples else 1e12
 
     best = minimize_scalar(cost, bounds=(-np.log(2), np.log(2)), options={"xatol": 1e-3})
-    return with_record(scaled(float(best.x)), first.series.record)  # type: ignore[attr-defined]
+    return with_record(scaled_task(float(best.x)), first.series.record)  # type: ignore[attr-defined]
 
 
-def _groups(task: Task) -> tuple[str, ...]:
-    from spiral.engine.filter.noise import groups
+def _noise_groups(task: Task) -> tuple[str, ...]:
+    from spiral.engine.filter.noise import noise_groups
 
-    return tuple(groups(task))
+    return tuple(noise_groups(task))
 
 
-def _own_origin(task: Task, levels: Mapping[str, float]) -> Task:
+def _with_own_origin(task: Task, levels: Mapping[str, float]) -> Task:
     """The task with its record's phase origin, as a filter that tracks it finds it."""
     task, settings = filter_prepared(task, (ORIGIN,))
-    found = filtered(task, with_level(task, settings, levels))
-    if found.done < task.series.samples:
+    filter_pass = filter_record(task, with_level(task, settings, levels))
+    if filter_pass.done < task.series.samples:
         return task
-    return task.with_values({ORIGIN: float(found.means[-1, -1])})
+    return task.with_values({ORIGIN: float(filter_pass.means[-1, -1])})
 
 
-def _mixed(
+def _common_factor_mix(
     assembly: Assembly, moving: ParameterColumns, values: Array, together: tuple[str, ...]
 ) -> Mix | None:
     """One common factor for some columns; the others move alone."""
@@ -234,7 +241,7 @@ def cramer_rao(problem: Problem) -> dict[str, float]:
 
     Initial states are those of the truth where the records know it, else of a smoother.
     """
-    assembly, standing = prepared(problem, ())
+    assembly, fit_state = prepare_study(problem, ())
     tasks = [prepare_task(problem.model, r) for r in problem.records]
     substeps = max(t.series.substeps for t in tasks)
     assembly = with_steps(assembly, substeps)
@@ -243,14 +250,14 @@ def cramer_rao(problem: Problem) -> dict[str, float]:
     starts = tuple(
         np.array([[t.series.record.truth[n][0] for n in names]])
         if all(n in t.series.record.truth for n in names)
-        else smoothed(t)[:1, : study.state_count]
+        else smoothed_states(t)[:1, : study.state_count]
         for t in tasks
     )
     layouts = layouts_for(study, max(s.samples for s in study.series), all_samples(assembly))
-    moving, _ = columns(assembly, standing.keys(assembly))
-    point = Point(standing.values, starts)
-    reduction = reduce(study, layouts, point, moving)
-    spread = np.sqrt(np.diag(covariance(Fitted.of(point, reduction, True, 0))))
+    moving, _ = columns_with_bounds(assembly, fit_state.keys(assembly))
+    point = Point(fit_state.values, starts)
+    reduction = reduce_windows(study, layouts, point, moving)
+    spread = np.sqrt(np.diag(covariance(Fitted.from_reduction(point, reduction, True, 0))))
     return {
         study.keys[i]: float(error)
         for i, error in zip(moving.index, spread, strict=True)
@@ -258,11 +265,11 @@ def cramer_rao(problem: Problem) -> dict[str, float]:
     }
 
 
-def _result(assembly: Assembly, standing: FitState, stage: Stage) -> Calibration:
+def _calibration_result(assembly: Assembly, fit_state: FitState, stage: Stage) -> Calibration:
     values, study = stage.fitted.point.values, assembly.study
-    errors = standard_errors(assembly, standing, stage)
+    errors = standard_errors(assembly, fit_state, stage)
     models = tuple(
-        to_model(assembly, standing.labels, values[r : r + 1], errors)
+        to_model(assembly, fit_state.labels, values[r : r + 1], errors)
         for r in range(len(study.series))
     )
     return Calibration(
@@ -271,14 +278,14 @@ def _result(assembly: Assembly, standing: FitState, stage: Stage) -> Calibration
         converged=stage.fitted.converged,
         horizon=int(stage.length),
         chi2_per_dof=stage.fitted.chi2_per_dof,
-        untold=untold(models[0]),
+        untold=undetermined_parameters(models[0]),
         fitted=stage.fitted,
-        keys=tuple(k for k in standing.keys(assembly) if k in study.keys),
-        columns=columns(assembly, standing.keys(assembly))[0],
+        keys=tuple(k for k in fit_state.keys(assembly) if k in study.keys),
+        columns=columns_with_bounds(assembly, fit_state.keys(assembly))[0],
     )
 
 
-def untold(model: Model) -> tuple[str, ...]:
+def undetermined_parameters(model: Model) -> tuple[str, ...]:
     """Fitted parameters with a standard error over half their value (angles: half a radian)."""
     known = dict(model.pairs)
     return tuple(

@@ -83,7 +83,7 @@ class Consistency:
         }
 
 
-def bounded(values: Array, dof: int) -> Bounded:
+def mean_with_bounds(values: Array, dof: int) -> Bounded:
     """Mean of chi2(dof) values with 95 % bounds of that mean."""
     count = max(len(values), 1)
     low, high = special.chdtri(count * dof, [0.975, 0.025]) / count
@@ -103,12 +103,12 @@ def normalised_squares(errors: Array, covariances: Array) -> Array:
         return np.sum(e * solved[:, :, 0], axis=1)
 
 
-def consistency(found: Reconstruction, record: Record, first: int) -> Consistency | None:
+def consistency(reconstruction: Reconstruction, record: Record, first: int) -> Consistency | None:
     """Statistics of the innovations from sample ``first`` on; nothing where there are none."""
-    if not len(found.innovations) or found.done <= first + _LAGS + 2:
+    if not len(reconstruction.innovations) or reconstruction.done <= first + _LAGS + 2:
         return None
-    cut = slice(first, found.done)
-    v, s = found.innovations[cut], found.spreads[cut]
+    cut = slice(first, reconstruction.done)
+    v, s = reconstruction.innovations[cut], reconstruction.spreads[cut]
     nis = normalised_squares(v, s)
     root = np.linalg.cholesky(s)
     white = whiteness((np.linalg.solve(root, v[:, :, None])[:, :, 0],), _LAGS)
@@ -117,40 +117,43 @@ def consistency(found: Reconstruction, record: Record, first: int) -> Consistenc
         c: float(np.sqrt(np.mean(v[:, j] ** 2)) / sigma[c]) for j, c in enumerate(record.channels)
     }
     return Consistency(
-        bounded(nis, v.shape[1]), _bands(nis, v.shape[1], record, cut), prediction, white.p,
+        mean_with_bounds(nis, v.shape[1]),
+        _nis_by_band(nis, v.shape[1], record, cut),
+        prediction,
+        white.p,
         white.effect,
-    )  # fmt: skip
+    )
 
 
-def _bands(nis: Array, dof: int, record: Record, cut: slice) -> tuple[Band, ...]:
+def _nis_by_band(nis: Array, dof: int, record: Record, cut: slice) -> tuple[Band, ...]:
     by = "speed" if "speed" in record.inputs and np.ptp(record.inputs["speed"][cut]) else "time"
     values = record.inputs["speed"][cut] if by == "speed" else record.time[cut]
     edges = np.linspace(values.min(), values.max(), _BANDS + 1)
     which = np.clip(np.digitize(values, edges) - 1, 0, _BANDS - 1)
     return tuple(
-        Band(by, float(edges[b]), float(edges[b + 1]), bounded(nis[which == b], dof))
+        Band(by, float(edges[b]), float(edges[b + 1]), mean_with_bounds(nis[which == b], dof))
         for b in range(_BANDS)
         if np.any(which == b)
     )
 
 
-def stable_samples(found: Reconstruction, record: Record) -> int:
+def stable_samples(reconstruction: Reconstruction, record: Record) -> int:
     """Samples before the filter diverged; all of them where it did not.
 
     A filter has diverged where a number became infinite, and where in a block of a 64th of the
     record its one-step prediction is worse than predicting the channel's mean would be by more than
     three standard deviations of the noise.
     """
-    if not len(found.innovations):
-        return found.done
+    if not len(reconstruction.innovations):
+        return reconstruction.done
     block = max(16, record.samples // _BLOCKS)
-    for start in range(0, found.done, block):
-        cut = slice(start, min(start + block, found.done))
+    for start in range(0, reconstruction.done, block):
+        cut = slice(start, min(start + block, reconstruction.done))
         for j, (name, noise) in enumerate(record.sigma().items()):
             values = record.channels[name]
             size = max(float(np.std(values)), float(np.std(values[cut])))
-            if np.sqrt(np.mean(found.innovations[cut, j] ** 2)) > size + _MARGIN * noise:
+            if np.sqrt(np.mean(reconstruction.innovations[cut, j] ** 2)) > size + _MARGIN * noise:
                 if start == 0:  # the start is unknown; it may take its time
                     continue
                 return start
-    return found.done
+    return reconstruction.done

@@ -21,13 +21,13 @@ from spiral.inference.problem import Progress, silent
 from spiral.inference.reconstruction.consistency import (
     Bounded,
     Consistency,
-    bounded,
     consistency,
+    mean_with_bounds,
     normalised_squares,
 )
 from spiral.inference.reconstruction.consistency import stable_samples as stable
 from spiral.inference.reconstruction.observability import Observability, observability
-from spiral.inference.reconstruction.uncertain import declared
+from spiral.inference.reconstruction.uncertain import declared_prior
 from spiral.physics.effect_states import own_states
 from spiral.types.errors import ConfigError
 from spiral.types.formatting import number, percent
@@ -60,16 +60,16 @@ class StateScore:
 
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it; error keys only where the truth is known."""
-        found: dict[str, Any] = {"unit": self.unit, "deviation": self.deviation}
+        entries: dict[str, Any] = {"unit": self.unit, "deviation": self.deviation}
         if self.rmse is not None:
-            found |= {
+            entries |= {
                 "rmse": self.rmse,
                 "relative": self.relative,
                 "correlation": self.correlation,
                 "coverage_95": self.coverage_95,
                 "reached_2_percent_s": self.reached,
             }
-        return found
+        return entries
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Reconstructed:
 
     record: Record
     task: Task
-    found: Reconstruction
+    reconstruction: Reconstruction
     consistency: Consistency | None
     nees: Bounded | None
     stable: int
@@ -97,7 +97,7 @@ class Reconstructed:
         before = dict(zip(prior.keys, np.sqrt(np.diag(prior.covariance)), strict=True))
         return {
             k: {"before": float(before[k]), "estimate": v, "se": s, "unit": self.unit(k)}
-            for k, (v, s) in self.found.values.items()
+            for k, (v, s) in self.reconstruction.values.items()
         }
 
     def unit(self, name: str) -> str:
@@ -146,37 +146,37 @@ class Estimation(Readable):
     def as_dict(self) -> dict[str, Any]:
         """As the JSON contract writes it."""
         first = self.parts[0]
-        names = [n for n in first.found.names if n not in first.task.states]
+        names = [n for n in first.reconstruction.names if n not in first.task.states]
         return {
             "observer": self.observer,
             "states": {k: v.as_dict() for k, v in self.states.items()},
             "nis_mean": self.nis_mean,
             "static_baseline": {k: {"relative": v} for k, v in self.baseline.items()},
-            "seconds": sum(p.found.seconds for p in self.parts),
-            "tuning_seconds": sum(p.found.tuning_seconds for p in self.parts),
+            "seconds": sum(p.reconstruction.seconds for p in self.parts),
+            "tuning_seconds": sum(p.reconstruction.tuning_seconds for p in self.parts),
             "observability": self.observability.as_dict(),
-            "records": [_as_dict(p) for p in self.parts],
-            "process_noise": dict(first.found.levels),
-            "tracked": {n: _last(first, n) for n in names},
+            "records": [_record_as_dict(p) for p in self.parts],
+            "process_noise": dict(first.reconstruction.levels),
+            "tracked": {n: _last_estimate(first, n) for n in names},
         }
 
 
-def _as_dict(part: Reconstructed) -> dict[str, Any]:
-    found = part.consistency.as_dict() if part.consistency else {}
+def _record_as_dict(part: Reconstructed) -> dict[str, Any]:
+    statistics = part.consistency.as_dict() if part.consistency else {}
     return {
         "name": part.record.name,
-        **found,
+        **statistics,
         "nees": part.nees.as_dict() if part.nees else None,
         "diverged": part.diverged,
         "stable_s": [0.0, part.stable * part.record.dt],
-        "log_likelihood": part.found.log_likelihood,
+        "log_likelihood": part.reconstruction.log_likelihood,
         "uncertain": part.doubts,
     }
 
 
-def _last(part: Reconstructed, name: str) -> dict[str, float]:
-    means, deviations = part.found.state(name)
-    at = max(part.found.done - 1, 0)
+def _last_estimate(part: Reconstructed, name: str) -> dict[str, float]:
+    means, deviations = part.reconstruction.state(name)
+    at = max(part.reconstruction.done - 1, 0)
     return {"estimate": float(means[at]), "se": float(deviations[at])}
 
 
@@ -213,31 +213,39 @@ def estimate(
     for index, (model, record) in enumerate(zip(models, records, strict=True)):
         inputs, substeps = (grids[index] if grids else None) or (None, None)
         task = prepare_task(model, record, inputs=inputs, substeps=substeps)
-        prior = declared(model, task, uncertain) if uncertain else (known[index] if known else None)
+        prior = (
+            declared_prior(model, task, uncertain)
+            if uncertain
+            else (known[index] if known else None)
+        )
         task = replace(task, prior=prior if observer.doubts else None)
         progress(f"{observer.plugin_name()} over {record.name}: {record.samples} samples")
-        parts.append(reconstructed(task, observer))
-    return estimation(observer.plugin_name(), parts)
+        parts.append(reconstruct_record(task, observer))
+    return combine_reconstructions(observer.plugin_name(), parts)
 
 
-def reconstructed(task: Task, observer: Observer) -> Reconstructed:
+def reconstruct_record(task: Task, observer: Observer) -> Reconstructed:
     """One record through an observer, with its statistics."""
     record = task.series.record
-    found = observer.reconstruct(task)
-    first = skipped(record)
+    reconstruction = observer.reconstruct(task)
+    first = skipped_samples(record)
     return Reconstructed(
-        record, task, found, consistency(found, record, first), _nees(task, found, first),
-        stable(found, record),
-    )  # fmt: skip
+        record,
+        task,
+        reconstruction,
+        consistency(reconstruction, record, first),
+        _nees(task, reconstruction, first),
+        stable(reconstruction, record),
+    )
 
 
-def skipped(record: Record) -> int:
+def skipped_samples(record: Record) -> int:
     """Samples of the first second, at most half the record."""
     return min(round(SKIPPED / record.dt), record.samples // 2)
 
 
-def estimation(observer: str, parts: Sequence[Reconstructed]) -> Estimation:
-    """Records scored together, beside the static map on the same samples."""
+def combine_reconstructions(observer: str, parts: Sequence[Reconstructed]) -> Estimation:
+    """All records of a machine scored together, with the static map on the same samples."""
     first = parts[0]
     names = first.task.states
     mapping = first.task.static
@@ -246,17 +254,17 @@ def estimation(observer: str, parts: Sequence[Reconstructed]) -> Estimation:
         observer=observer,
         model=first.task.model,
         parts=tuple(parts),
-        states={n: _score(parts, n) for n in names},
-        baseline={n: _baseline(parts, n) for n in hidden},
+        states={n: _score_state(parts, n) for n in names},
+        baseline={n: _static_baseline(parts, n) for n in hidden},
         observability=observability(first.task),
     )
 
 
-def _score(parts: Sequence[Reconstructed], name: str) -> StateScore:
+def _score_state(parts: Sequence[Reconstructed], name: str) -> StateScore:
     means, deviations, truth = [], [], []
     for part in parts:
-        cut = slice(skipped(part.record), part.stable)
-        mean, deviation = part.found.state(name)
+        cut = slice(skipped_samples(part.record), part.stable)
+        mean, deviation = part.reconstruction.state(name)
         means.append(mean[cut])
         deviations.append(deviation[cut])
         truth.append(part.record.truth[name][cut] if name in part.record.truth else None)
@@ -274,18 +282,18 @@ def _score(parts: Sequence[Reconstructed], name: str) -> StateScore:
         relative=rmse / float(np.std(reference)),
         correlation=float(np.corrcoef(mean, reference)[0, 1]),
         coverage_95=float(np.mean(np.abs(error) <= BAND * deviation)),
-        reached=_reached(parts[0], name),
+        reached=_time_to_two_percent(parts[0], name),
     )  # fmt: skip
 
 
-def _baseline(parts: Sequence[Reconstructed], name: str) -> float | None:
+def _static_baseline(parts: Sequence[Reconstructed], name: str) -> float | None:
     """Relative error of the static map for one hidden state, where the truth is known."""
     errors, reference = [], []
     for part in parts:
         mapping = part.task.static
         if mapping is None or name not in part.record.truth:
             return None
-        cut = slice(skipped(part.record), part.stable)
+        cut = slice(skipped_samples(part.record), part.stable)
         seen = np.column_stack([part.record.channels[n][cut] for n in mapping.observed])
         true = part.record.truth[name][cut]
         errors.append(seen @ mapping.matrix[mapping.hidden.index(name)] - true)
@@ -294,11 +302,11 @@ def _baseline(parts: Sequence[Reconstructed], name: str) -> float | None:
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) / spread if spread else None
 
 
-def _reached(part: Reconstructed, name: str) -> float | None:
+def _time_to_two_percent(part: Reconstructed, name: str) -> float | None:
     """Seconds until the rms error over the last tenth of a second first falls under 2 %."""
     truth, dt = part.record.truth[name], part.record.dt
     width = max(1, round(_WINDOW / dt))
-    error = (part.found.state(name)[0] - truth) ** 2
+    error = (part.reconstruction.state(name)[0] - truth) ** 2
     if len(error) <= width or not np.isfinite(error).any():
         return None
     sums = np.cumsum(np.concatenate([[0.0], np.nan_to_num(error, nan=np.inf)]))
@@ -308,13 +316,13 @@ def _reached(part: Reconstructed, name: str) -> float | None:
     return float((below[0] + width) * dt) if len(below) else None
 
 
-def _nees(task: Task, found: Reconstruction, first: int) -> Bounded | None:
+def _nees(task: Task, reconstruction: Reconstruction, first: int) -> Bounded | None:
     truth = task.series.record.truth
-    if not len(found.covariances) or any(n not in truth for n in task.states):
+    if not len(reconstruction.covariances) or any(n not in truth for n in task.states):
         return None
-    n, cut = len(task.states), slice(first, found.done)
-    error = found.means[cut, :n] - np.column_stack([truth[s][cut] for s in task.states])
-    return bounded(normalised_squares(error, found.covariances[cut, :n, :n]), n)
+    n, cut = len(task.states), slice(first, reconstruction.done)
+    error = reconstruction.means[cut, :n] - np.column_stack([truth[s][cut] for s in task.states])
+    return mean_with_bounds(normalised_squares(error, reconstruction.covariances[cut, :n, :n]), n)
 
 
 def with_start(task: Task, start: Array) -> Task:

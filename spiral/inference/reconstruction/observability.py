@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.task import Task, linearised
+from spiral.engine.filter.task import Task, state_jacobian
 from spiral.types.record import Array
 
 
@@ -40,7 +40,7 @@ def observability(task: Task) -> Observability:
     """
     n = len(task.states)
     mean = task.inputs.mean(axis=0) if task.inputs.size else np.zeros(task.inputs.shape[1])
-    a = linearised(task.compiled, task.values, mean, task.centre)
+    a = state_jacobian(task.compiled, task.values, mean, task.centre)
     a = a * task.scales / task.scales[:, None]
     c = _output_slopes(task, mean) * task.scales
     norms = np.linalg.norm(c, axis=1, keepdims=True)

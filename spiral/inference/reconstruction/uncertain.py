@@ -28,39 +28,41 @@ from spiral.types.model import Model
 _HOW = "a share of the value such as 0.2, or {absolute: 3} in the parameter's unit"
 
 
-def declared(model: Model, task: Task, uncertain: Mapping[str, Any]) -> Prior | None:
+def declared_prior(model: Model, task: Task, uncertain: Mapping[str, Any]) -> Prior | None:
     """Independent parameters around a task's values; nothing where none is uncertain.
 
     Raises
     ------
     ConfigError : a pattern that names nothing, a deviation that is none, or a share of zero.
     """
-    found: dict[str, float] = {}
+    deviations: dict[str, float] = {}
     for pattern, given in uncertain.items():
-        fitting = [k for k in task.keys if any(fnmatchcase(n, pattern) for n in names(k))]
+        fitting = [k for k in task.keys if any(fnmatchcase(n, pattern) for n in pattern_names(k))]
         if not fitting:
             raise ConfigError(
                 f"uncertain={{{pattern}: ...}}, which names no parameter",
                 f"names or patterns over {', '.join(task.keys)}",
-                did_you_mean(pattern, [n for k in task.keys for n in names(k)]),
+                did_you_mean(pattern, [n for k in task.keys for n in pattern_names(k)]),
             )
         for name in fitting:
-            found[name] = _deviation(model, name, float(task.at((name,))[0]), given)
-    keys = tuple(k for k in task.keys if found.get(k))
-    spread = np.array([found[k] for k in keys])
-    return Prior(keys, task.at(keys), np.diag(spread**2)) if keys else None
+            deviations[name] = _declared_deviation(
+                model, name, float(task.parameter_values((name,))[0]), given
+            )
+    keys = tuple(k for k in task.keys if deviations.get(k))
+    spread = np.array([deviations[k] for k in keys])
+    return Prior(keys, task.parameter_values(keys), np.diag(spread**2)) if keys else None
 
 
-def fitted(found: Calibration, record: int) -> Prior | None:
+def fitted_prior(calibration: Calibration, record: int) -> Prior | None:
     """The covariance of a fit's parameters, for the record of this number, which is in it.
 
     What belongs to one record (a phase origin), and splines of the phase, are left out: the filter
     follows them.
     """
-    study = found.columns
-    if found.fitted is None or study is None:
+    study = calibration.columns
+    if calibration.fitted is None or study is None:
         return None
-    whole, model = covariance(found.fitted), found.models[record]
+    whole, model = covariance(calibration.fitted), calibration.models[record]
     known = [k for k, _ in model.pairs]
     scopes = [p.scope for _, p in model.pairs]
     own = [c for c, i in enumerate(study.index) if i < len(known) and scopes[i] != "record"]
@@ -69,7 +71,7 @@ def fitted(found: Calibration, record: int) -> Prior | None:
     return Prior(keys, values, whole[np.ix_(own, own)], told=True) if keys else None
 
 
-def names(key: str) -> tuple[str, ...]:
+def pattern_names(key: str) -> tuple[str, ...]:
     """Its names in patterns: ``effect@place_1.name``, ``place_1.name`` and ``place.name``."""
     owner, parameter = key.rsplit(".", 1)
     name, port = split_port(owner)
@@ -77,7 +79,7 @@ def names(key: str) -> tuple[str, ...]:
     return key, f"{place}.{parameter}", f"{re.sub('_?[0-9]+$', '', place)}.{parameter}"
 
 
-def _deviation(model: Model, name: str, value: float, given: Any) -> float:
+def _declared_deviation(model: Model, name: str, value: float, given: Any) -> float:
     absolute = isinstance(given, Mapping) and set(given) == {"absolute"}
     number = given["absolute"] if absolute else given
     if isinstance(number, bool) or not isinstance(number, int | float) or not 0 <= number < np.inf:

@@ -17,50 +17,54 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.likelihood.fit import informed
+from spiral.engine.likelihood.fit import add_standard_errors
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import Masks, Prepared
 from spiral.inference.acting import random_forces
-from spiral.inference.evidence.assembly import Assembly, offers
+from spiral.inference.evidence.assembly import Assembly, build_variants
+from spiral.inference.evidence.enlarge import transfer_fit_state, with_variants, without_variants
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import Parts, Ranking, present_labels
-from spiral.inference.likelihood.beginnings import restarted
-from spiral.inference.likelihood.between import with_own_inputs
-from spiral.inference.likelihood.candidates import Race, Rival, race
-from spiral.inference.likelihood.comparison import compared_by_likelihood
+from spiral.inference.evidence.scoring import Parts, Ranking, active_labels
+from spiral.inference.likelihood.beginnings import refit_initial_states
+from spiral.inference.likelihood.between import restore_declared_interpolation
+from spiral.inference.likelihood.candidates import Race, Rival, start_race
+from spiral.inference.likelihood.comparison import compare_by_likelihood
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
-    colour,
+    continue_fit,
+    fit_by_likelihood,
+    innovation_whiteness,
     is_white,
     largest_force,
-    refitted,
-    reopened,
-    taken_on,
+    restart_vanished_noise,
 )
-from spiral.inference.likelihood.groups import alike, plainest, twins
-from spiral.inference.likelihood.identify import untold
-from spiral.inference.likelihood.judging import Unselected, judged, unselected
-from spiral.inference.likelihood.ladder import climbed_ladder, pruned, quieted
-from spiral.inference.likelihood.scores import ranked_along
-from spiral.inference.likelihood.shapes import held_shapes, with_own_shapes
+from spiral.inference.likelihood.groups import indistinguishable_rivals, simplest_rival, twin_rivals
+from spiral.inference.likelihood.identify import find_parameter_ties
+from spiral.inference.likelihood.judging import Unselected, fit_on_judging_blocks, judge_winner
+from spiral.inference.likelihood.ladder import (
+    drop_needless_forces,
+    drop_needless_noise,
+    select_noise_model,
+)
+from spiral.inference.likelihood.scores import rank_variants
+from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
 from spiral.inference.likelihood.starts import (
     best_fit,
-    from_values_given,
-    on_finer_steps,
-    rebalanced,
-    resolved_in_time,
+    refine_integration_steps,
+    refit_on_finer_steps,
+    restart_from_given_values,
+    restart_from_sensor_noise,
 )
-from spiral.inference.nearness import drowned, grown
+from spiral.inference.nearness import is_drowned_in_noise, unexplained_error_growth
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import Settled
 from spiral.inference.strategies.needed import (
-    admitted,
-    run_otherwise_instead,
-    told_by_likelihood,
-    without_superfluous,
+    admitted_variants,
+    drop_superfluous_effects,
+    likelihood_ratio_t,
+    replace_by_interpolation,
 )
 from spiral.inference.strategy_options import LikelihoodOptions
-from spiral.inference.unknown.holding import carried, emptied, with_variants
 from spiral.inference.verdict import FROM_NONE
 from spiral.types.effect import Effect
 from spiral.types.formatting import number
@@ -72,26 +76,26 @@ _BEYOND = 100.0  # times its scaled value from which a shape is of no motion in 
 _BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
-def settled_on(
-    assembly: Assembly, found: LikelihoodFit, progress: Progress, retired: tuple[str, ...] = (),
+def settle_fit(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress, retired: tuple[str, ...] = (),
     halves_agree: bool = True,
 ) -> Settled:  # fmt: skip
     """A fit on all samples as the state of the study, compared with the test records."""
-    found = replace(found, estimate=informed(found.estimate))
-    state, comparison = compared_by_likelihood(assembly, found, progress, halves_agree)
-    details: dict[str, Any] = {"noise": dict(found.estimate.noise.values)}
-    if told := told_by_likelihood(assembly, found):
+    fit = replace(fit, estimate=add_standard_errors(fit.estimate))
+    state, comparison = compare_by_likelihood(assembly, fit, progress, halves_agree)
+    details: dict[str, Any] = {"noise": dict(fit.estimate.noise.values)}
+    if told := likelihood_ratio_t(assembly, fit):
         details[FROM_NONE] = told
-    if found.estimate.finite:
-        details["log_likelihood"] = found.height
-    if ties := untold(found):
+    if fit.estimate.finite:
+        details["log_likelihood"] = fit.height
+    if ties := find_parameter_ties(fit):
         details["untold"] = {"groups": list(ties.groups), "parameters": list(ties.parts)}
     return Settled(state, comparison, retired, details)
 
 
 @dataclass(frozen=True)
 class Whole:
-    """A model fitted to all samples: in terms of which study, its fit, and that compared."""
+    """A model fitted to all samples: the study it is compiled in, its fit, and its comparison."""
 
     assembly: Assembly
     fit: LikelihoodFit
@@ -140,23 +144,26 @@ class RaceOutcome:
         return () if self.passed is None else (self.passed,)
 
 
-def offering(assembly: Assembly, effects: tuple[Effect, ...]) -> Assembly:
+def offer_effects(assembly: Assembly, effects: tuple[Effect, ...]) -> Assembly:
     """The study with these effects offered in place of its candidates."""
     asked = replace(assembly.problem, candidates=effects)
-    return replace(assembly, offered=tuple(offers(asked, (), assembly.expected)[0]))
+    return replace(assembly, offered=tuple(build_variants(asked, (), assembly.expected)[0]))
 
 
-def raced(
+def race_offered(
     assembly: Assembly, base: LikelihoodFit, select: Masks, progress: Progress, most: int,
     parts: Parts | None = None,
 ) -> tuple[Race, Ranking] | None:  # fmt: skip
-    """Those offered that promise most, after their first steps; ``parts`` as in ``rank``."""
-    present = present_labels(assembly, base.state)
+    """The race of the offered candidates with the best scores, and all scores.
+
+    Nothing where they cannot be scored; ``parts`` as in ``rank``.
+    """
+    present = active_labels(assembly, base.state)
     new = [v for v in assembly.offered if v.original.label not in present]
-    ranked = ranked_along(assembly, base, base.estimate.noise, select, lambda _: new, parts)
+    ranked = rank_variants(assembly, base, base.estimate.noise, select, lambda _: new, parts)
     if ranked is None:
         return None
-    return race(assembly, base, list(ranked.ranked), select, progress, most), ranked
+    return start_race(assembly, base, list(ranked.ranked), select, progress, most), ranked
 
 
 def first_to_pass(
@@ -166,18 +173,18 @@ def first_to_pass(
     """The first winner that holds on other blocks and meets no ``objection``."""
     rejected: dict[str, str] = {}
     likely: Passed | None = None
-    ours = functools.cache(lambda: unselected(base, assembly, judge))
+    ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
     for rival, rivals in itertools.islice(run.winners(), options.judged):
-        if reason := _refused(base, ours, rival, judge, level):
+        if reason := _unconfirmed_reason(base, ours, rival, judge, level):
             rejected[rival.label] = reason
             continue
-        chosen, near = plainest(rival, alike(rivals, options.odds), rivals)
-        aliases = tuple(dict.fromkeys((*near, *twins(chosen, rivals))))
+        chosen, near = simplest_rival(rival, indistinguishable_rivals(rivals, options.odds), rivals)
+        aliases = tuple(dict.fromkeys((*near, *twin_rivals(chosen, rivals))))
         progress(f"most likely values with {chosen.label}")
-        passed = Passed(chosen, aliases, with_rival(chosen, progress))
-        refusal = _senseless(passed.whole, chosen) or objection(passed.whole)
+        passed = Passed(chosen, aliases, fit_with_rival(chosen, progress))
+        refusal = _refuse_senseless(passed.whole, chosen) or objection(passed.whole)
         if refusal is not None and refusal.alone:
-            freely = _by_free_runs(passed, progress)
+            freely = _with_free_run_values(passed, progress)
             if freely is not None and objection(freely.whole) is None:
                 passed, refusal = freely, None
         if refusal is None:
@@ -187,22 +194,22 @@ def first_to_pass(
     return RaceOutcome(None, rejected, likely)
 
 
-def _by_free_runs(passed: Passed, progress: Progress) -> Passed | None:
-    """The same with values that predict best without correction; nothing where it has them.
+def _with_free_run_values(passed: Passed, progress: Progress) -> Passed | None:
+    """The same candidate with values that minimise the error of free runs, or nothing.
 
-    Only beside a random force that is no explanation: then one-step predictions are corrected for
-    what is missing, and unseen data decide which values are better.
+    Only beside a random force above ``settings.random_limit``: then one-step predictions are
+    corrected for what is missing, and unseen data decide which values are better.
     """
     whole = passed.whole
     if largest_force(whole.fit.estimate.noise) <= whole.assembly.problem.settings.random_limit:
         return None
     gone = whole.settled.retired
-    freely = whole_of(whole.assembly, whole.fit, gone, progress, halves_agree=False)
+    freely = settle_whole(whole.assembly, whole.fit, gone, progress, halves_agree=False)
     return replace(passed, whole=freely)
 
 
-def _senseless(whole: Whole, rival: Rival) -> Refusal | None:
-    """Why the fit to all samples is none of this effect; nothing where it is one.
+def _refuse_senseless(whole: Whole, rival: Rival) -> Refusal | None:
+    """Refuse values that make no sense for the effect; nothing where they do.
 
     A shape that runs to an end of its range, or far beyond the motion that it was scaled by, no
     longer means what the effect means by it.
@@ -211,7 +218,7 @@ def _senseless(whole: Whole, rival: Rival) -> Refusal | None:
         return Refusal("with it the fit to all samples runs away")
     if rival.label in whole.settled.retired:
         return Refusal("an input that runs otherwise between its samples explains as much")
-    if _vanished(whole, rival.label):
+    if _has_vanished(whole, rival.label):
         return Refusal("fitted to all samples it is nothing: zero, or within its error of it")
     model, variant = whole.settled.comparison.model, rival.ranked.variant
     tried = {k.rpartition(".")[2]: size for k, size in variant.shapes.items()}
@@ -226,7 +233,7 @@ def _senseless(whole: Whole, rival: Rival) -> Refusal | None:
     return None
 
 
-def _vanished(whole: Whole, label: str) -> bool:
+def _has_vanished(whole: Whole, label: str) -> bool:
     """Whether no amplitude of an effect is told from zero, by its error or by the likelihood."""
     model, settled = whole.settled.comparison.model, whole.settled
     told = settled.details.get(FROM_NONE, {}).get(label, 0.0)
@@ -238,55 +245,59 @@ def _vanished(whole: Whole, label: str) -> bool:
     return bool(names) and (all(zero) or faint)
 
 
-def _narrowed(own: Assembly, state: FitState) -> tuple[Assembly, FitState]:
-    """The study with nothing compiled that a state does not hold, and the state in its terms."""
+def _drop_unused_variants(own: Assembly, state: FitState) -> tuple[Assembly, FitState]:
+    """The study compiled with the effects of a fit state alone, and the state in its order."""
     if all(v.label in state.labels for v in own.variants):
         return own, state
     seed = own.problem.model.labels
     held = [own.variant(x) for x in state.labels if x not in seed]
-    final = with_variants(emptied(own), held)
-    return final, carried(state, own, final)
+    final = with_variants(without_variants(own), held)
+    return final, transfer_fit_state(state, own, final)
 
 
-def finished(assembly: Assembly, found: LikelihoodFit, progress: Progress) -> LikelihoodFit:
-    """The fit with the noise that its record wants.
+def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> LikelihoodFit:
+    """The fit with every term of noise that its record wants.
 
-    It is at its very maximum where the model may be the last: its misses are white.
+    It is taken to its very maximum where its misses are white: then the model may be the last.
     """
-    found = climbed_ladder(assembly, found, progress)
-    found = from_values_given(assembly, found, progress)
-    found = rebalanced(assembly, found, progress)
-    found = reopened(assembly, found)
-    if not found.estimate.finite or colour(assembly, found).p < _LAST:
-        return found
+    fit = select_noise_model(assembly, fit, progress)
+    fit = restart_from_given_values(assembly, fit, progress)
+    fit = restart_from_sensor_noise(assembly, fit, progress)
+    fit = restart_vanished_noise(assembly, fit)
+    if not fit.estimate.finite or innovation_whiteness(assembly, fit).p < _LAST:
+        return fit
     progress("polishing the fit")
-    return resolved_in_time(assembly, taken_on(assembly, quieted(assembly, found)))
+    return refine_integration_steps(
+        assembly, continue_fit(assembly, drop_needless_forces(assembly, fit))
+    )
 
 
-def _refused(
+def _unconfirmed_reason(
     base: LikelihoodFit, ours: Callable[[], Unselected], rival: Rival, judge: Masks, level: float
 ) -> str:
     """Why a candidate does not hold on the blocks that did not select; empty where it does."""
     if not rival.worth > 0:
         return "refitted, it does not make the record more likely than its price"
-    found = judged(base, ours(), rival, judge)
-    if not found.passes(level):
+    judgement = judge_winner(base, ours(), rival, judge)
+    if not judgement.passes(level):
         return (
-            f"not confirmed on the blocks that did not select (p = {found.p_value:.2g}, "
-            f"log-likelihood {found.predicted:+.3g} as it was fitted)"
+            f"not confirmed on the blocks that did not select (p = {judgement.p_value:.2g}, "
+            f"log-likelihood {judgement.predicted:+.3g} as it was fitted)"
         )
     return ""
 
 
-def helping(options: LikelihoodOptions, before: Comparison, settings: Settings) -> Objection:
-    """The objection to a candidate that does no good to what is predicted."""
-    return lambda whole: unhelpful(options, before, whole.settled.comparison, settings)
+def benefit_objection(
+    options: LikelihoodOptions, before: Comparison, settings: Settings
+) -> Objection:
+    """An objection to candidates that do not improve predictions of unseen data."""
+    return lambda whole: refuse_unhelpful(options, before, whole.settled.comparison, settings)
 
 
-def unhelpful(
+def refuse_unhelpful(
     options: LikelihoodOptions, before: Comparison, after: Comparison, settings: Settings
 ) -> Refusal | None:
-    """Why an effect does no good to what is predicted; nothing where it does.
+    """Refuse an effect that does not improve predictions of unseen data; nothing where it does.
 
     The squared error that it takes away, over what is left, is a size in standard deviations of
     the noise; the largest over the horizons counts at which unseen data are predicted better, or
@@ -300,17 +311,17 @@ def unhelpful(
             "model has not found its values, or is of another machine",
             alone=True,
         )
-    if drowned(after, settings) and not drowned(before, settings):
+    if is_drowned_in_noise(after, settings) and not is_drowned_in_noise(before, settings):
         return Refusal("with it the noise of a sensor would be most of what it shows", alone=True)
     judged_ = changes(before.unseen, after.unseen)
-    if (worse := grown(before, after, settings)) is not None:
+    if (worse := unexplained_error_growth(before, after, settings)) is not None:
         said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
         return Refusal(f"the error on unseen data grows ({said})", alone=True)
     told = [c for c in judged_ if c.samples is not None or after.disturbed <= after.noise_floor]
     seen = [] if judged_ else [(before.fit_error, after.fit_error)]
     pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]
-    size = max((_size(b, a) for b, a in pairs), default=0.0)
-    if max(size, _instead_of_forces(before, after)) >= settings.smallest:
+    size = max((_reduction_size(b, a) for b, a in pairs), default=0.0)
+    if max(size, _force_replacement_size(before, after)) >= settings.smallest:
         return None
     return Refusal(
         f"significant, but too small to matter: at no horizon does it take away more than "
@@ -318,14 +329,14 @@ def unhelpful(
     )
 
 
-def _size(before: float, after: float) -> float:
-    """What is taken away of a mean square, in deviations of what is left."""
+def _reduction_size(before: float, after: float) -> float:
+    """sqrt(before^2 / after^2 - 1): what is taken away, in standard deviations of what is left."""
     size = np.sqrt(max((before / after) ** 2 - 1, 0.0)) if after > 0 else np.inf
     return float(size) if np.isfinite(size) else np.inf
 
 
-def _instead_of_forces(before: Comparison, after: Comparison) -> float:
-    """By what size an effect does what a random force had to do, where that carries free runs.
+def _force_replacement_size(before: Comparison, after: Comparison) -> float:
+    """The size of what an effect takes over from random forces that moved free runs.
 
     The force, the free run of the fitted and that of the test records must all shrink; the least of
     the three counts. An effect with states of its own is a force with a memory itself: none.
@@ -336,10 +347,10 @@ def _instead_of_forces(before: Comparison, after: Comparison) -> float:
         return 0.0
     pairs = [(forces[0], forces[1]), (before.fit_error, after.fit_error)]
     pairs += [(before.test_error, after.test_error)] if after.unseen else []
-    return min(itertools.starmap(_size, pairs))
+    return min(itertools.starmap(_reduction_size, pairs))
 
 
-def with_effect(
+def fit_with_effect(
     own: Assembly, state: FitState, label: str, progress: Progress, like: Prepared | None = None
 ) -> Whole:
     """The model with a candidate, fitted to all samples; noise and effects not wanted any more go.
@@ -349,51 +360,54 @@ def with_effect(
     own : the study with the candidate. state : in its terms. label : the candidate's, compiled.
     like : the records with the scales that its noise was fitted on.
     """
-    found = refitted(own, state, rough=True)
-    if not found.estimate.finite:  # sizes of its noise may mean something else: on the same scales
-        found = refitted(own, state, rough=True, like=like)
-    found = restarted(own, on_finer_steps(own, found))
-    if not is_white(own, found):  # it may have stayed with the noise of the model as it was
-        found = max(found, best_fit(own, state, progress), key=lambda f: f.height)
-    found = _with_shapes(own, pruned(own, found, progress), label)
-    found = finished(own, with_own_inputs(own, found, progress), progress)
-    found, gone = without_superfluous(own, found, label)
-    found, needless = run_otherwise_instead(own, found, progress)
-    return whole_of(own, found, (*gone, *needless), progress)
+    fit = fit_by_likelihood(own, state, rough=True)
+    if not fit.estimate.finite:  # sizes of its noise may mean something else: on the same scales
+        fit = fit_by_likelihood(own, state, rough=True, like=like)
+    fit = refit_initial_states(own, refit_on_finer_steps(own, fit))
+    if not is_white(own, fit):  # it may have stayed with the noise of the model as it was
+        fit = max(fit, best_fit(own, state, progress), key=lambda f: f.height)
+    fit = _fit_shapes(own, drop_needless_noise(own, fit, progress), label)
+    fit = finish_fit(own, restore_declared_interpolation(own, fit, progress), progress)
+    fit, gone = drop_superfluous_effects(own, fit, label)
+    fit, needless = replace_by_interpolation(own, fit, progress)
+    return settle_whole(own, fit, (*gone, *needless), progress)
 
 
-def with_rival(rival: Rival, progress: Progress) -> Whole:
-    """The model with a candidate that was raced, fitted to all samples; as ``with_effect``."""
-    own, state = _narrowed(rival.assembly, rival.fit.state)
+def fit_with_rival(rival: Rival, progress: Progress) -> Whole:
+    """The model with a candidate that was raced, fitted to all samples; as ``fit_with_effect``."""
+    own, state = _drop_unused_variants(rival.assembly, rival.fit.state)
     like = rival.fit.estimate.prepared
-    return with_effect(own, state, rival.ranked.variant.label, progress, like)
+    return fit_with_effect(own, state, rival.ranked.variant.label, progress, like)
 
 
-def beside_noise(rival: Rival, noise: NoiseModel, progress: Progress) -> Whole:
+def fit_beside_noise(rival: Rival, noise: NoiseModel, progress: Progress) -> Whole:
     """The model with a candidate, fitted to all samples beside noise whose terms are known."""
-    own, state = _narrowed(rival.assembly, rival.fit.state)
-    found = refitted(own, state, noise, rough=True)
-    found = _with_shapes(own, found, rival.ranked.variant.label)
-    return whole_of(own, taken_on(own, found), (), progress)
+    own, state = _drop_unused_variants(rival.assembly, rival.fit.state)
+    fit = fit_by_likelihood(own, state, noise, rough=True)
+    fit = _fit_shapes(own, fit, rival.ranked.variant.label)
+    return settle_whole(own, continue_fit(own, fit), (), progress)
 
 
-def _with_shapes(own: Assembly, found: LikelihoodFit, label: str) -> LikelihoodFit:
+def _fit_shapes(own: Assembly, fit: LikelihoodFit, label: str) -> LikelihoodFit:
     """The fit with the latest effect's shapes at their likeliest, and those of others before it.
 
     A width that was of no use while another friction was missing may be all that is still wrong;
     held, it would be made up for by whatever scales the motion.
     """
-    for effect in (*(v.effect for v in admitted(own, found, label)), own.variant(label).effect):
-        keys = held_shapes(own, found, effect)
-        found = with_own_shapes(own, found, effect, keys, chosen=True)
-    return found
+    for effect in (
+        *(v.effect for v in admitted_variants(own, fit, label)),
+        own.variant(label).effect,
+    ):
+        keys = held_shapes(own, fit, effect)
+        fit = refit_effect_shapes(own, fit, effect, keys, chosen=True)
+    return fit
 
 
-def whole_of(
-    own: Assembly, found: LikelihoodFit, gone: tuple[str, ...], progress: Progress,
+def settle_whole(
+    own: Assembly, fit: LikelihoodFit, gone: tuple[str, ...], progress: Progress,
     halves_agree: bool = True,
 ) -> Whole:  # fmt: skip
-    """A fit to all samples compared, as the state of a study that has what it holds alone."""
-    settled = settled_on(own, found, progress, gone, halves_agree)
-    _, standing = _narrowed(own, settled.standing)
-    return Whole(own, found, replace(settled, standing=standing))
+    """A fit to all samples, compared, its state in a study of nothing but its own effects."""
+    settled = settle_fit(own, fit, progress, gone, halves_agree)
+    _, fit_state = _drop_unused_variants(own, settled.fit_state)
+    return Whole(own, fit, replace(settled, fit_state=fit_state))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from spiral.types.model import Model
     from spiral.types.run import Comparison, Diagnosis, Stopped, Suggestion
 
-Found = TypeVar("Found", covariant=True)
+Result = TypeVar("Result", covariant=True)
 """What a strategy hands from its proposal to its refit, of a type of its own."""
 
 
@@ -36,7 +36,7 @@ class Begun:
     """
 
     assembly: Assembly
-    standing: FitState
+    fit_state: FitState
     comparison: Comparison
     details: Mapping[str, Any] = field(default_factory=dict)
     refused: bool = False
@@ -45,12 +45,12 @@ class Begun:
 
 
 @dataclass(frozen=True)
-class Step(Generic[Found]):
-    """What a strategy found in one round.
+class Step(Generic[Result]):
+    """What one round of a strategy comes to: its suggestions, and what it admits.
 
     ``admitted`` are labels of effects, none where the loop ends here, for the reason ``stopped``.
     ``second_order`` and ``meaning`` describe what is admitted; ``details`` log how it came about;
-    ``found`` is what the strategy itself needs to settle, nothing where there is nothing to settle.
+    ``result`` is what the strategy needs to settle, absent where there is nothing to settle.
     ``again`` is the model as it is, where the strategy came to fit that otherwise before it ranked
     candidates.
     """
@@ -63,20 +63,20 @@ class Step(Generic[Found]):
     meaning: str = ""
     stopped: Stopped = "no_candidate"
     details: Mapping[str, Any] = field(default_factory=dict)
-    found: Found | None = None
+    result: Result | None = None
     again: Settled | None = None
 
-    def needed(self) -> Found:
-        """What the strategy found, of a step that has it."""
-        assert self.found is not None
-        return self.found
+    def required_result(self) -> Result:
+        """What the strategy itself needs to settle; an error of a step that has nothing."""
+        assert self.result is not None
+        return self.result
 
 
 @dataclass(frozen=True)
 class Settled:
     """The model after an admission, refitted and compared; effects let go again."""
 
-    standing: FitState
+    fit_state: FitState
     comparison: Comparison
     retired: tuple[str, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
@@ -134,7 +134,7 @@ class Strategy(Plugin):
     def propose(
         self,
         assembly: Assembly,
-        standing: FitState,
+        fit_state: FitState,
         comparison: Comparison,
         number: int,
         progress: Progress,
@@ -159,19 +159,19 @@ class Strategy(Plugin):
         return step.suggestions
 
     def choose(
-        self, assembly: Assembly, standing: FitState, step: Step[Any], label: str
+        self, assembly: Assembly, fit_state: FitState, step: Step[Any], label: str
     ) -> Step[Any]:
         """The step with another candidate in place of its own; asked where ``by_hand`` is set."""
         raise NotImplementedError
 
     def admit(
-        self, assembly: Assembly, standing: FitState, label: str, progress: Progress
+        self, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
     ) -> Settled:
         """The model with another candidate, refitted and compared; asked where ``by_name`` is."""
         raise NotImplementedError
 
     def ask_again(
-        self, assembly: Assembly, standing: FitState, comparison: Comparison,
+        self, assembly: Assembly, fit_state: FitState, comparison: Comparison,
         aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
         progress: Progress,
     ) -> AskedAgain:  # fmt: skip

@@ -1,25 +1,34 @@
-"""The beginning of a study by the likelihood: the model as it is, and its candidates laid out."""
+"""The beginning of a study by the likelihood: the seed fitted, its candidates listed."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from spiral.engine.likelihood.fit import informed
-from spiral.inference.evidence.assembly import Assembly, check_candidates, compiled_with, offers
-from spiral.inference.evidence.comparison import refined
-from spiral.inference.evidence.fit_state import begin
-from spiral.inference.identifiability.held import held_said
-from spiral.inference.identifiability.parameters import components
-from spiral.inference.likelihood.between import with_likely_inputs
-from spiral.inference.likelihood.fitting import LikelihoodFit, expected_states, explains
-from spiral.inference.likelihood.identify import untold
-from spiral.inference.likelihood.ladder import pruned
-from spiral.inference.likelihood.shapes import from_other_values, with_own_shapes
+from spiral.engine.likelihood.fit import add_standard_errors
+from spiral.inference.evidence.assembly import (
+    Assembly,
+    build_variants,
+    check_candidates,
+    compile_assembly,
+)
+from spiral.inference.evidence.comparison import refine_substeps
+from spiral.inference.evidence.fit_state import initial_fit_state
+from spiral.inference.identifiability.held import describe_held_parameters
+from spiral.inference.identifiability.parameters import merge_overlapping_groups
+from spiral.inference.likelihood.between import select_input_interpolation
+from spiral.inference.likelihood.fitting import (
+    LikelihoodFit,
+    is_random_force_small,
+    predicted_states,
+)
+from spiral.inference.likelihood.identify import find_parameter_ties
+from spiral.inference.likelihood.ladder import drop_needless_noise
+from spiral.inference.likelihood.shapes import refit_effect_shapes, refit_from_other_shapes
 from spiral.inference.likelihood.starts import best_fit
 from spiral.inference.problem import Problem, Progress
-from spiral.inference.strategies.admission import finished, settled_on
+from spiral.inference.strategies.admission import finish_fit, settle_fit
 from spiral.inference.strategies.base import Begun
-from spiral.inference.strategies.other_noise import counted
+from spiral.inference.strategies.other_noise import fit_with_noise_growth
 
 
 def begin_study(problem: Problem, progress: Progress) -> Begun:
@@ -32,56 +41,62 @@ def begin_study(problem: Problem, progress: Progress) -> Begun:
     groups: tuple[tuple[str, ...], ...] = ()
     held: tuple[str, ...] = ()
     while True:
-        bare, found = _fitted(problem, progress)
-        ties, model = untold(found), problem.model
-        groups = components([set(g) for g in (*groups, *ties.groups)])
+        bare, fit = _fit_seed(problem, progress)
+        ties, model = find_parameter_ties(fit), problem.model
+        groups = merge_overlapping_groups([set(g) for g in (*groups, *ties.groups)])
         given = next((k for k in ties.parts if model.values.get(k)), None)
         if given is None:  # nothing is tied, or nobody said how large any of it is
             break
         progress(f"holding {given}, which the record cannot tell from others")
         held = (*held, given)
         problem = replace(problem, model=replace(model, fixed=(*model.fixed, given)))
-    sure = explains(found)  # what is tied in a fit gone astray need not be tied in the record
+    sure = is_random_force_small(
+        fit
+    )  # what is tied in a fit gone astray need not be tied in the record
     begun = replace(
-        _begun(bare, found, progress), refused=bool(ties) and sure,
+        _lay_out_candidates(bare, fit, progress), refused=bool(ties) and sure,
         doubtful=bool(ties) and not sure, groups=groups,
     )  # fmt: skip
     if ties or not held:
         return begun
     details = {**begun.details, "tied": {"parameters": list(held), "groups": list(groups)}}
-    notes = (*begun.comparison.notes, held_said(details))
+    notes = (*begun.comparison.notes, describe_held_parameters(details))
     return replace(begun, comparison=replace(begun.comparison, notes=notes), details=details)
 
 
-def _fitted(problem: Problem, progress: Progress) -> tuple[Assembly, LikelihoodFit]:
+def _fit_seed(problem: Problem, progress: Progress) -> tuple[Assembly, LikelihoodFit]:
     """The model compiled as it is, and its most likely values and noise."""
     progress("compiling the model")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
     problem = replace(problem, settings=settings)
     check_candidates(problem)
-    bare = compiled_with(problem, (), 1)
-    state = replace(begin(bare, problem.model.labels), corrected=False)
-    bare = refined(bare, state)
-    found = best_fit(bare, state, progress)
+    bare = compile_assembly(problem, (), 1)
+    state = replace(initial_fit_state(bare, problem.model.labels), corrected=False)
+    bare = refine_substeps(bare, state)
+    fit = best_fit(bare, state, progress)
     for effect in problem.model.effects:
         keys = tuple(k for k in problem.scaled if k.rsplit(".", 1)[0] == effect.label)
-        found = from_other_values(bare, found, effect, keys)
-        found = with_own_shapes(bare, found, effect, keys)
-    found = finished(bare, found, progress)
+        fit = refit_from_other_shapes(bare, fit, effect, keys)
+        fit = refit_effect_shapes(bare, fit, effect, keys)
+    fit = finish_fit(bare, fit, progress)
     if not problem.candidates:
-        bare, found = counted(bare, found, progress) or (bare, found)
-        run = with_likely_inputs(bare, found, progress)
-        found = found if run is found else finished(bare, pruned(bare, run, progress), progress)
-    return bare, replace(found, estimate=informed(found.estimate))
+        bare, fit = fit_with_noise_growth(bare, fit, progress) or (bare, fit)
+        run = select_input_interpolation(bare, fit, progress)
+        fit = (
+            fit
+            if run is fit
+            else finish_fit(bare, drop_needless_noise(bare, run, progress), progress)
+        )
+    return bare, replace(fit, estimate=add_standard_errors(fit.estimate))
 
 
-def _begun(bare: Assembly, found: LikelihoodFit, progress: Progress) -> Begun:
-    """A fit compared with the test records, its candidates laid out."""
-    settled = settled_on(bare, found, progress)
+def _lay_out_candidates(bare: Assembly, fit: LikelihoodFit, progress: Progress) -> Begun:
+    """A fit compared with the test records, its candidates listed but not compiled."""
+    settled = settle_fit(bare, fit, progress)
     fitted = replace(bare.problem, model=settled.comparison.model)
-    expected = expected_states(found)
-    variants, left_out, _ = offers(fitted, bare.later, expected)
+    expected = predicted_states(fit)
+    variants, left_out, _ = build_variants(fitted, bare.later, expected)
     assembly = replace(
         bare, offered=tuple(variants), left_out=left_out, bare=True, expected=expected
     )
-    return Begun(assembly, settled.standing, settled.comparison, settled.details)
+    return Begun(assembly, settled.fit_state, settled.comparison, settled.details)

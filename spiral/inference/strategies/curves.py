@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.likelihood.noise import first_noise
-from spiral.engine.likelihood.predict import Masks, Prediction, all_predicted
-from spiral.inference.evidence.admission import let_go
+from spiral.engine.likelihood.predict import Masks, Prediction, predict_cases
+from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Group, Ranking
@@ -26,25 +26,25 @@ from spiral.inference.likelihood.fitting import (
     LEVEL,
     WARM,
     LikelihoodFit,
-    explains,
-    price,
-    refitted,
+    fit_by_likelihood,
+    is_random_force_small,
+    schwarz_penalty,
 )
-from spiral.inference.likelihood.starts import with_values_given
+from spiral.inference.likelihood.starts import with_given_values
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import (
     Passed,
     Whole,
+    benefit_objection,
     first_to_pass,
-    helping,
-    offering,
-    raced,
-    whole_of,
+    offer_effects,
+    race_offered,
+    settle_whole,
 )
 from spiral.inference.strategies.base import Settled
 from spiral.inference.strategy_options import LikelihoodOptions
-from spiral.inference.unknown.forcecurve import CurveFit, Unknown, described
+from spiral.inference.unknown.forcecurve import CurveFit, Unknown, describe_curve
 from spiral.physics.learned import LEVELS, Learned
 from spiral.types.record import Array
 from spiral.types.run import Comparison
@@ -62,7 +62,7 @@ class MissingCurve:
     replaces: tuple[str, ...] = ()
 
 
-def missing_curve(
+def find_missing_curve(
     options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, comparison: Comparison,
     masks: tuple[Masks, Masks], level: float, progress: Progress,
 ) -> MissingCurve | None:  # fmt: skip
@@ -74,89 +74,105 @@ def missing_curve(
         whose unseen data it must do better. masks : (select, judge). level : of the judging test.
     """
     progress("trying curves over each state")
-    assembly = offering(assembly, assembly.problem.dictionary)
-    alone = _seed_alone(assembly, base.state, masks[0])
-    found = (
+    assembly = offer_effects(assembly, assembly.problem.dictionary)
+    alone = _fit_seed_alone(assembly, base.state, masks[0])
+    passing = (
         None
         if alone is None
-        else _passing(options, assembly, alone, masks, level, comparison, progress)
+        else _find_passing_curve(options, assembly, alone, masks, level, comparison, progress)
     )
-    if found is not None and not _better(found[0], base, options.odds):
-        found = None
-    gone = () if found is None else _beyond(assembly, base.state)
+    if passing is not None and not _is_likelier_alone(passing[0], base, options.odds):
+        passing = None
+    gone = () if passing is None else _added_labels(assembly, base.state)
     replaces = tuple(assembly.variant(x).original.label for x in gone)
-    for start in () if found is not None or explains(base) else _afresh(assembly, base, masks[0]):
-        other = _passing(options, assembly, start, masks, level, comparison, progress)
-        if other is not None and _better(other[0], base, options.odds) and _higher(other, found):
-            found = other
-    if found is None:
-        found = _passing(options, assembly, base, masks, level, comparison, progress)
-    if found is None:
+    for start in (
+        ()
+        if passing is not None or is_random_force_small(base)
+        else _restart_from_first_noise(assembly, base, masks[0])
+    ):
+        other = _find_passing_curve(options, assembly, start, masks, level, comparison, progress)
+        if (
+            other is not None
+            and _is_likelier_alone(other[0], base, options.odds)
+            and _is_more_likely(other, passing)
+        ):
+            passing = other
+    if passing is None:
+        passing = _find_passing_curve(options, assembly, base, masks, level, comparison, progress)
+    if passing is None:
         return None
-    passed, (run, ranked) = found
+    passed, (run, ranked) = passing
     label, own = passed.rival.label, passed.rival.ranked.variant.label
-    whole = _refined(passed.whole, own, progress)
+    whole = _refine_knots(passed.whole, own, progress)
     listed = suggestions(run.tried, ranked, label, passed.aliases)
-    return MissingCurve(described(_curve_fit(whole, own), label, listed), whole.settled, replaces)
+    return MissingCurve(
+        describe_curve(_as_curve_fit(whole, own), label, listed), whole.settled, replaces
+    )
 
 
-def _passing(
+def _find_passing_curve(
     options: LikelihoodOptions, assembly: Assembly, start: LikelihoodFit,
     masks: tuple[Masks, Masks], level: float, comparison: Comparison, progress: Progress,
 ) -> tuple[Passed, tuple[Race, Ranking]] | None:  # fmt: skip
     """The curve that comes first beside a model and passes, with its race."""
-    parts = functools.partial(_resolutions, assembly)
+    parts = functools.partial(_coefficient_columns, assembly)
     if not start.estimate.finite:
         return None
-    found = raced(assembly, start, masks[0], progress, _MOST, parts)
-    if found is None:
+    contest = race_offered(assembly, start, masks[0], progress, _MOST, parts)
+    if contest is None:
         return None
-    helps = helping(options, comparison, assembly.problem.settings)
-    outcome = first_to_pass(options, assembly, start, found[0], masks[1], level, helps, progress)
-    return None if outcome.passed is None else (outcome.passed, found)
+    helps = benefit_objection(options, comparison, assembly.problem.settings)
+    outcome = first_to_pass(options, assembly, start, contest[0], masks[1], level, helps, progress)
+    return None if outcome.passed is None else (outcome.passed, contest)
 
 
-def _higher(one: tuple[Passed, Any], other: tuple[Passed, Any] | None) -> bool:
+def _is_more_likely(one: tuple[Passed, Any], other: tuple[Passed, Any] | None) -> bool:
     return other is None or one[0].whole.fit.height > other[0].whole.fit.height
 
 
-def _afresh(assembly: Assembly, base: LikelihoodFit, select: Masks) -> list[LikelihoodFit]:
-    """The model with noise as at first, beside its values and beside those given.
+def _restart_from_first_noise(
+    assembly: Assembly, base: LikelihoodFit, select: Masks
+) -> list[LikelihoodFit]:
+    """Fits begun from the first noise again, at the model's values and at those given.
 
     Where much has to act at random for what is missing, noise that a curve makes needless would
     stay beside it and do some of its work.
     """
     noise = first_noise(base.estimate.prepared[0][0], LEVEL)
-    states = (base.state, with_values_given(assembly, base.state))
-    return [refitted(assembly, s, noise, select, WARM, True) for s in states if s is not None]
+    states = (base.state, with_given_values(assembly, base.state))
+    return [
+        fit_by_likelihood(assembly, s, noise, select, WARM, True) for s in states if s is not None
+    ]
 
 
-def _worth(fit: LikelihoodFit) -> float:
+def _net_log_likelihood(fit: LikelihoodFit) -> float:
     """Log-likelihood less Schwarz's price of all that moves."""
-    return fit.height - price(len(fit.estimate.keys), fit.estimate.prepared)
+    return fit.height - schwarz_penalty(len(fit.estimate.keys), fit.estimate.prepared)
 
 
-def _better(passed: Passed, base: LikelihoodFit, odds: float) -> bool:
+def _is_likelier_alone(passed: Passed, base: LikelihoodFit, odds: float) -> bool:
     """Whether a curve alone makes the blocks that select more likely than the model as it is."""
-    return _worth(passed.rival.fit) > _worth(base) + np.log(odds)
+    return _net_log_likelihood(passed.rival.fit) > _net_log_likelihood(base) + np.log(odds)
 
 
-def _beyond(assembly: Assembly, state: FitState) -> tuple[str, ...]:
+def _added_labels(assembly: Assembly, state: FitState) -> tuple[str, ...]:
     """Compiled labels of what a study has added to its seed."""
     return tuple(x for x in state.labels if x not in assembly.problem.model.labels)
 
 
-def _seed_alone(assembly: Assembly, state: FitState, masks: Masks) -> LikelihoodFit | None:
+def _fit_seed_alone(assembly: Assembly, state: FitState, masks: Masks) -> LikelihoodFit | None:
     """The seed on the blocks that select; nothing where the state has nothing beyond it."""
-    beyond = _beyond(assembly, state)
+    beyond = _added_labels(assembly, state)
     if not beyond:
         return None
-    return refitted(assembly, let_go(assembly, state, beyond), None, masks, WARM, True)
+    return fit_by_likelihood(
+        assembly, drop_effects(assembly, state, beyond), None, masks, WARM, True
+    )
 
 
-def _resolutions(assembly: Assembly, group: Group) -> list[tuple[int, ...]]:
+def _coefficient_columns(assembly: Assembly, group: Group) -> list[tuple[int, ...]]:
     """The columns of a curve's coefficients, on few knots and on more."""
-    levels = _levels(assembly, group.variant)
+    levels = _knot_levels(assembly, group.variant)
     finest = max(levels.values())
     return [
         tuple(i for i, k in enumerate(group.keys) if levels[k] <= most)
@@ -164,16 +180,16 @@ def _resolutions(assembly: Assembly, group: Group) -> list[tuple[int, ...]]:
     ]
 
 
-def _levels(assembly: Assembly, variant: Variant) -> dict[str, int]:
+def _knot_levels(assembly: Assembly, variant: Variant) -> dict[str, int]:
     """How fine the knots of a curve's coefficients are, by their names."""
     effect = variant.effect
     pairs = effect.keys(assembly.problem.model.system.place(effect))
     return {key: LEVELS[p.name] for key, p in pairs if p.name in LEVELS}
 
 
-def _refined(whole: Whole, label: str, progress: Progress) -> Whole:
+def _refine_knots(whole: Whole, label: str, progress: Progress) -> Whole:
     """The model with its curve on more knots, while these are worth their price."""
-    levels = _levels(whole.assembly, whole.assembly.variant(label))
+    levels = _knot_levels(whole.assembly, whole.assembly.variant(label))
     best = whole.fit
     for most in range(1 + max(levels.values())):
         more = {k for k in best.state.held if levels.get(k, most + 1) <= most}
@@ -181,31 +197,31 @@ def _refined(whole: Whole, label: str, progress: Progress) -> Whole:
             continue
         progress("trying the curve on more knots")
         held = tuple(k for k in best.state.held if k not in more)
-        again = refitted(whole.assembly, replace(best.state, held=held), rough=True)
-        if again.height - best.height <= price(len(more), best.estimate.prepared):
+        again = fit_by_likelihood(whole.assembly, replace(best.state, held=held), rough=True)
+        if again.height - best.height <= schwarz_penalty(len(more), best.estimate.prepared):
             break
         best = again
     if best is whole.fit:
         return whole
-    return whole_of(whole.assembly, best, whole.settled.retired, progress)
+    return settle_whole(whole.assembly, best, whole.settled.retired, progress)
 
 
-def _curve_fit(whole: Whole, label: str) -> CurveFit:
-    """A fitted model with a learned effect, of that compiled label, as its shape is read from."""
+def _as_curve_fit(whole: Whole, label: str) -> CurveFit:
+    """The fit of a model in the form from which the shape of its learned effect is read."""
     own, at = whole.assembly, whole.fit.estimate
     learned, count = own.variant(label).effect, len(at.prepared[0][0].states)
     assert isinstance(learned, Learned)
     state = whole.fit.state
-    runs = all_predicted([(at.prepared, at.noise)], at.keys, keep=True)[0]
+    runs = predict_cases([(at.prepared, at.noise)], at.keys, keep=True)[0]
     return CurveFit(
-        own, learned, _beyond(own, state), state.values[0],
+        own, learned, _added_labels(own, state), state.values[0],
         tuple(own.study.index(k) for k in at.keys), _covariance(runs),
         np.concatenate([p.means[: p.done, :count] for p in runs]),
     )  # fmt: skip
 
 
 def _covariance(runs: Sequence[Prediction]) -> Array:
-    """Of the parameters that moved, V = (X^T X + e^2)^-1, X the whitened slopes in units of theirs.
+    """Covariance of the moving parameters, V = (X^T X + e^2)^-1, X the whitened unit slopes.
 
     With e of a thousandth a coefficient that no motion shows has a large doubt, but a finite one.
     """

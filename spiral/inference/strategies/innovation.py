@@ -15,17 +15,21 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.likelihood import Climbed, Prepared, climbed
-from spiral.engine.filter.setup import prepared as filter_prepared
-from spiral.engine.filter.task import task_with
+from spiral.engine.filter.likelihood import Climbed, Prepared, climb_likelihood
+from spiral.engine.filter.setup import prepare_filter as filter_prepared
+from spiral.engine.filter.task import build_task
 from spiral.engine.filter.whitened import Whitened
-from spiral.engine.gate import Judgement, Trial, through
+from spiral.engine.gate import Judgement, Trial, run_gates
 from spiral.engine.statistics import whiteness
-from spiral.inference.evidence.admission import cannot_be_asked, stepped
-from spiral.inference.evidence.assembly import Assembly, Variant, columns, to_model
-from spiral.inference.evidence.comparison import compared, prepared, refined
+from spiral.inference.evidence.admission import refit_start_values, untestable_effect_error
+from spiral.inference.evidence.assembly import Assembly, Variant, columns_with_bounds, to_model
+from spiral.inference.evidence.comparison import (
+    compare_fitted_model,
+    prepare_study,
+    refine_substeps,
+)
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import tested_keys
+from spiral.inference.evidence.scoring import amplitude_keys
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.base import Begun, Settled, Step
 from spiral.inference.strategy_options import InnovationOptions
@@ -56,52 +60,54 @@ def begin(problem: Problem, progress: Progress) -> Begun:
     """The seed at its most likely values and process noise."""
     progress("compiling the model and all candidates")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
-    assembly, standing = prepared(replace(problem, settings=settings))
-    standing = replace(standing, corrected=False)
-    settled = _refitted(assembly, standing, None, progress)
-    return Begun(assembly, settled.standing, settled.comparison, settled.details)
+    assembly, fit_state = prepare_study(replace(problem, settings=settings))
+    fit_state = replace(fit_state, corrected=False)
+    settled = _settle_refit(assembly, fit_state, None, progress)
+    return Begun(assembly, settled.fit_state, settled.comparison, settled.details)
 
 
 def propose(
     options: InnovationOptions,
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     comparison: Comparison,
     progress: Progress,
 ) -> Step[Admission]:
     """The candidates scored by the innovations; those that the gates let through."""
     progress("tuning the process noise of the model as it is")
-    begun = _prepared(assembly, standing)
-    base = climbed(begun, ())
-    moving = _moving(assembly, standing)
-    absent = _absent(assembly, standing)
-    keys = tuple(k for v in absent for k in tested_keys(assembly, v))
+    begun = _prepare_records(assembly, fit_state)
+    base = climb_likelihood(begun, ())
+    moving = _estimated_keys(assembly, fit_state)
+    absent = _absent_variants(assembly, fit_state)
+    keys = tuple(k for v in absent for k in amplitude_keys(assembly, v))
     progress(f"scoring {len(absent)} candidates by the innovations")
     parts = base.regression((*moving, *keys)) if base.finite else None
     if parts is None:
         return Step((), {}, stopped="diverged", details={"ended": {"reason": "diverged"}})
     refits: dict[tuple[int, ...], Climbed] = {}
 
-    def gain(group: tuple[int, ...]) -> float:
+    def refit_gain(group: tuple[int, ...]) -> float:
         chosen = tuple(keys[k] for k in group)
         progress(f"refitting with {chosen[0].rsplit('.', 1)[0]}")
         wider = (*moving, *chosen)
-        refits[group] = climbed(begun, wider, None, _bounds(assembly, wider), base.levels)
+        refits[group] = climb_likelihood(
+            begun, wider, None, _parameter_bounds(assembly, wider), base.levels
+        )
         rise = 2 * (refits[group].log_likelihood - base.log_likelihood)
         return max(rise, 0.0) if np.isfinite(rise) else 0.0
 
-    trial, offered = _trial(options, assembly, parts, len(moving), absent, keys, gain)
+    trial, offered = _make_trial(options, assembly, parts, len(moving), absent, keys, refit_gain)
     log: dict[str, Any] = {"process_noise": dict(base.levels)}
     ordered = sorted(options.gate, key=lambda g: not g.guard)
-    trial, judgement = through(ordered, trial, log, progress)
+    trial, judgement = run_gates(ordered, trial, log, progress)
     gains = {g: 2 * (c.log_likelihood - base.log_likelihood) for g, c in refits.items()}
     if not trial.kept:
         white = comparison.whiteness_p >= assembly.problem.settings.whiteness_level
-        return _ended(options, offered, gains, judgement, white, log)
-    return _admission(options, assembly, standing, trial, offered, gains, refits, log)
+        return _step_without_admission(options, offered, gains, judgement, white, log)
+    return _step_with_admission(options, assembly, fit_state, trial, offered, gains, refits, log)
 
 
-def _ended(
+def _step_without_admission(
     options: InnovationOptions,
     offered: Offered,
     gains: Mapping[tuple[int, ...], float],
@@ -109,20 +115,20 @@ def _ended(
     white: bool,
     log: dict[str, Any],
 ) -> Step[Admission]:
-    """Nothing admitted, and why."""
+    """The step of a round that admits nothing, and why."""
     log["ended"] = {"reason": judgement.reason or "no_candidate"}
     return Step(
-        _suggestions(offered, gains, (), ())[: options.listed],
+        _make_suggestions(offered, gains, (), ())[: options.listed],
         dict(list(judgement.refused.items())[: options.listed]),
         stopped="whiteness" if white else "no_candidate",
         details=log,
     )
 
 
-def _admission(
+def _step_with_admission(
     options: InnovationOptions,
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     trial: Trial,
     offered: Offered,
     gains: Mapping[tuple[int, ...], float],
@@ -134,13 +140,13 @@ def _admission(
     chosen = [
         (v, g) for v, g in zip(offered.variants, offered.groups, strict=True) if kept & set(g)
     ]
-    values = standing.values
+    values = fit_state.values
     step = trial.fitted(trial.kept).b[trial.active.shape[2] :]
     for variant, group in chosen:
         own = np.array([b for k, b in zip(trial.kept, step, strict=True) if k in group])
-        values = stepped(assembly, values, variant, own)
-    labels = (*standing.labels, *(v.label for v, _ in chosen))
-    wider = replace(standing, labels=labels, values=values)
+        values = refit_start_values(assembly, values, variant, own)
+    labels = (*fit_state.labels, *(v.label for v, _ in chosen))
+    wider = replace(fit_state, labels=labels, values=values)
     near = log.get("innovation", {}).get("alike", ())
     alike = tuple(
         v.original.label
@@ -150,48 +156,54 @@ def _admission(
     names = tuple(v.original.label for v, _ in chosen)
     alone = chosen[0][0].companion is None and len(chosen) == 1
     return Step(
-        _suggestions(offered, gains, names, alike)[: options.listed],
+        _make_suggestions(offered, gains, names, alike)[: options.listed],
         log["refused"],
         admitted=names,
         aliases=dict.fromkeys(names, alike),
         meaning="; ".join(v.original.meaning() for v, _ in chosen),
         details=log,
-        found=Admission(wider, refits.get(chosen[0][1]) if alone else None),
+        result=Admission(wider, refits.get(chosen[0][1]) if alone else None),
     )
 
 
 def settle(assembly: Assembly, step: Step[Admission], progress: Progress) -> Settled:
     """Most likely values and process noise with what was admitted."""
-    found = step.needed()
-    return _refitted(assembly, found.state, found.refit, progress)
+    admission = step.required_result()
+    return _settle_refit(assembly, admission.state, admission.refit, progress)
 
 
-def admit(assembly: Assembly, standing: FitState, label: str, progress: Progress) -> Settled:
+def admit(assembly: Assembly, fit_state: FitState, label: str, progress: Progress) -> Settled:
     """The same with an effect that a person names, in the shape whose refit is most likely."""
-    variants = [v for v in _absent(assembly, standing) if v.original.label == label]
+    variants = [v for v in _absent_variants(assembly, fit_state) if v.original.label == label]
     if not variants:
-        raise cannot_be_asked(assembly, label)
-    found = [
-        _refitted(assembly, replace(standing, labels=(*standing.labels, v.label)), None, progress)
+        raise untestable_effect_error(assembly, label)
+    refits = [
+        _settle_refit(
+            assembly, replace(fit_state, labels=(*fit_state.labels, v.label)), None, progress
+        )
         for v in variants
     ]
-    return max(found, key=lambda s: s.details.get("log_likelihood", -np.inf))
+    return max(refits, key=lambda s: s.details.get("log_likelihood", -np.inf))
 
 
-def _refitted(
-    assembly: Assembly, standing: FitState, found: Climbed | None, progress: Progress
+def _settle_refit(
+    assembly: Assembly, fit_state: FitState, fit: Climbed | None, progress: Progress
 ) -> Settled:
     """The most likely model with these effects, compared; whiteness is of its innovations."""
     progress("most likely values and process noise")
-    if found is None:
-        keys = _moving(assembly, standing)
-        found = climbed(_prepared(assembly, standing), keys, bounds=_bounds(assembly, keys))
-    parts = found.regression(()) if found.finite else None
-    values = standing.values if parts is None else _values(standing, found, parts)
-    wider = replace(standing, values=values)
-    model = to_model(assembly, wider.labels, values, found.errors, wider.freed)
+    if fit is None:
+        keys = _estimated_keys(assembly, fit_state)
+        fit = climb_likelihood(
+            _prepare_records(assembly, fit_state), keys, bounds=_parameter_bounds(assembly, keys)
+        )
+    parts = fit.regression(()) if fit.finite else None
+    values = fit_state.values if parts is None else _filtered_values(fit_state, fit, parts)
+    wider = replace(fit_state, values=values)
+    model = to_model(assembly, wider.labels, values, fit.errors, wider.freed)
     finite = parts is not None
-    comparison = compared(refined(assembly, wider), wider, model, None, finite, progress)
+    comparison = compare_fitted_model(
+        refine_substeps(assembly, wider), wider, model, None, finite, progress
+    )
     if parts is None:
         return Settled(wider, comparison)
     left = tuple(p.innovations for p in parts)
@@ -199,55 +211,55 @@ def _refitted(
     comparison = replace(comparison, whiteness_p=white.p, whiteness_effect=white.effect)
     nis = float(np.mean([np.mean(np.sum(e**2, axis=1)) for e in left]))
     comparison = replace(comparison, innovation_chi2=nis / left[0].shape[1])
-    details = {"log_likelihood": found.log_likelihood, "nis_mean": nis}
-    return Settled(wider, comparison, details={**details, "process_noise": dict(found.levels)})
+    details = {"log_likelihood": fit.log_likelihood, "nis_mean": nis}
+    return Settled(wider, comparison, details={**details, "process_noise": dict(fit.levels)})
 
 
-def _values(standing: FitState, found: Climbed, parts: tuple[Whitened, ...]) -> Array:
-    """(records, parameters) with each record's own as the filter found them in the end."""
-    rows = standing.values.copy()
-    for row, (task, settings), part in zip(rows, found.prepared, parts, strict=True):
+def _filtered_values(fit_state: FitState, fit: Climbed, parts: tuple[Whitened, ...]) -> Array:
+    """(records, parameters) with a record's own parameters as the filter tracked them last."""
+    rows = fit_state.values.copy()
+    for row, (task, settings), part in zip(rows, fit.prepared, parts, strict=True):
         row[: len(task.keys)] = task.values
         for place, key in enumerate(settings.tracked):
-            row[task.keys.index(key)] = part.found.means[-1, len(task.states) + place]
+            row[task.keys.index(key)] = part.filter_pass.means[-1, len(task.states) + place]
     return rows
 
 
-def _prepared(assembly: Assembly, standing: FitState) -> Prepared:
-    """Every record's task at the standing's values; what belongs to a record is tracked."""
+def _prepare_records(assembly: Assembly, fit_state: FitState) -> Prepared:
+    """Every record's filter task at the fit state's values; a record's own parameters tracked."""
     model, traced = assembly.problem.model, assembly.study.compiled.traced
-    tracked = _tracked(assembly, standing)
+    tracked = _tracked_keys(assembly, fit_state)
     narrow = compile_model(traced, tracked)
-    rows = np.ascontiguousarray(standing.values[:, : len(traced.keys)])
+    rows = np.ascontiguousarray(fit_state.values[:, : len(traced.keys)])
     return tuple(
-        filter_prepared(task_with(model, narrow, row.copy(), record), tracked)
+        filter_prepared(build_task(model, narrow, row.copy(), record), tracked)
         for row, record in zip(rows, assembly.problem.records, strict=True)
     )
 
 
-def _tracked(assembly: Assembly, standing: FitState) -> tuple[str, ...]:
+def _tracked_keys(assembly: Assembly, fit_state: FitState) -> tuple[str, ...]:
     known = dict(assembly.problem.model.pairs)
-    keys = standing.keys(assembly)
+    keys = fit_state.keys(assembly)
     return tuple(k for k in keys if k in known and known[k].scope == "record")
 
 
-def _moving(assembly: Assembly, standing: FitState) -> tuple[str, ...]:
+def _estimated_keys(assembly: Assembly, fit_state: FitState) -> tuple[str, ...]:
     """Parameters that the likelihood decides: all that move, but for those that are tracked."""
-    tracked = _tracked(assembly, standing)
-    return tuple(k for k in standing.keys(assembly) if k not in tracked)
+    tracked = _tracked_keys(assembly, fit_state)
+    return tuple(k for k in fit_state.keys(assembly) if k not in tracked)
 
 
-def _bounds(assembly: Assembly, keys: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    _, (low, high) = columns(assembly, keys)
+def _parameter_bounds(assembly: Assembly, keys: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    _, (low, high) = columns_with_bounds(assembly, keys)
     return {k: (float(a), float(b)) for k, a, b in zip(keys, low, high, strict=True)}
 
 
-def _absent(assembly: Assembly, standing: FitState) -> tuple[Variant, ...]:
-    present = {v.original.label for v in assembly.variants if v.label in standing.labels}
+def _absent_variants(assembly: Assembly, fit_state: FitState) -> tuple[Variant, ...]:
+    present = {v.original.label for v in assembly.variants if v.label in fit_state.labels}
     return tuple(v for v in assembly.variants if v.original.label not in present)
 
 
-def _trial(
+def _make_trial(
     options: InnovationOptions,
     assembly: Assembly,
     parts: tuple[Whitened, ...],
@@ -268,7 +280,7 @@ def _trial(
         train=np.floor((block + 1) * held) == np.floor(block * held),
         amplitude=size, record=record, tests=len(absent), gain=gain,
     )  # fmt: skip
-    groups = {v.label: tuple(keys.index(k) for k in tested_keys(assembly, v)) for v in absent}
+    groups = {v.label: tuple(keys.index(k) for k in amplitude_keys(assembly, v)) for v in absent}
     falls = bare.falls(tuple(groups.values())) if groups else {}
     price = float(np.log(e.size))
     worth = {x: falls[g] - price * len(g) for x, g in groups.items()}
@@ -285,7 +297,7 @@ def _trial(
     return replace(bare, kept=kept, groups=picked), offered
 
 
-def _suggestions(
+def _make_suggestions(
     offered: Offered,
     gains: Mapping[tuple[int, ...], float],
     admitted: tuple[str, ...],
@@ -294,16 +306,16 @@ def _suggestions(
     """All candidates, those admitted first; by twice the gain in log L where refitted."""
     from scipy import special
 
-    def rank(i: int) -> tuple[bool, float, float]:
+    def sort_key(i: int) -> tuple[bool, float, float]:
         group = offered.groups[i]
         first = offered.variants[i].original.label in admitted
         return first, gains.get(group, 0.0), offered.scores[i]
 
-    found = []
-    for i in sorted(range(len(offered.groups)), key=rank, reverse=True):
+    suggestions = []
+    for i in sorted(range(len(offered.groups)), key=sort_key, reverse=True):
         effect, group = offered.variants[i].original, offered.groups[i]
         statistic = gains.get(group, offered.scores[i])
-        found.append(
+        suggestions.append(
             Suggestion(
                 effect=effect.label,
                 meaning=effect.meaning(),
@@ -314,4 +326,4 @@ def _suggestions(
                 explains=offered.scores[i] / max(offered.energy, 1e-300),
             )
         )
-    return tuple(found)
+    return tuple(suggestions)

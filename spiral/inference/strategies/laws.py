@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.likelihood.fit import maximise
-from spiral.engine.likelihood.predict import likelihood_of
-from spiral.inference.evidence.admission import let_go
+from spiral.engine.likelihood.fit import maximise_likelihood
+from spiral.engine.likelihood.predict import total_log_likelihood
+from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.scoring import Ranking
@@ -30,23 +30,23 @@ from spiral.inference.likelihood.candidates import Rival
 from spiral.inference.likelihood.fitting import (
     WARM,
     LikelihoodFit,
-    price,
-    refitted,
-    subjects,
+    fit_by_likelihood,
+    prepare_filter_tasks,
+    schwarz_penalty,
     with_estimate,
 )
-from spiral.inference.likelihood.ladder import climbed_ladder
-from spiral.inference.nearness import near_noise
+from spiral.inference.likelihood.ladder import select_noise_model
+from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import (
     Passed,
     Refusal,
     Whole,
-    beside_noise,
     first_to_pass,
-    offering,
-    raced,
-    unhelpful,
+    fit_beside_noise,
+    offer_effects,
+    race_offered,
+    refuse_unhelpful,
 )
 from spiral.inference.strategies.base import Settled
 from spiral.inference.strategy_options import LikelihoodOptions
@@ -82,7 +82,7 @@ class _Start:
     state: FitState | None = None
 
 
-def named_law(
+def find_named_law(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
     white: bool, comparison: Comparison, masks: tuple[Masks, Masks], level: float,
     progress: Progress,
@@ -94,71 +94,71 @@ def named_law(
     state : the study's. base : the same, fitted on the blocks that select. masks : (select, judge).
     white : whether nothing but noise, or what acts at random, is left of it.
     """
-    gone = _stand_ins(assembly, base)
+    gone = _stand_in_labels(assembly, base)
     aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
-    several = len(gone) >= _SEVERAL and not _coupled(assembly, gone)
+    several = len(gone) >= _SEVERAL and not _has_coupling_force(assembly, gone)
     idle = white and not several and not aided
     if idle or not options.laws:
         return None
-    assembly = offering(assembly, laws_of(assembly.problem.model.system))
-    for start in _starts(assembly, state, base, gone, white, masks[0], progress):
+    assembly = offer_effects(assembly, laws_of(assembly.problem.model.system))
+    for start in _law_starts(assembly, state, base, gone, white, masks[0], progress):
         progress("trying laws with a closed form")
-        found = _from(options, assembly, start, comparison, masks, level, progress)
-        if found is not None:
-            return found
+        law = _find_law_from(options, assembly, start, comparison, masks, level, progress)
+        if law is not None:
+            return law
     return None
 
 
-def _stand_ins(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
+def _stand_in_labels(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
     """Forces and flows without memory that were admitted, by their compiled labels."""
     held = {v.label: v.effect for v in assembly.variants if v.label in base.state.labels}
     kinds = ForceEffect | StateFlow
     return tuple(x for x, e in held.items() if isinstance(e, kinds) and not e.states)
 
 
-def _coupled(assembly: Assembly, labels: tuple[str, ...]) -> bool:
+def _has_coupling_force(assembly: Assembly, labels: tuple[str, ...]) -> bool:
     """Whether a force among these couples two axes, which no law of one variable stands for."""
     effects = (assembly.variant(x).effect for x in labels)
     return any(isinstance(e, ForceEffect) and e.axes == 2 for e in effects)
 
 
-def _starts(
+def _law_starts(
     assembly: Assembly, state: FitState, base: LikelihoodFit, gone: tuple[str, ...],
     white: bool, select: Masks, progress: Progress,
 ) -> Iterator[_Start]:  # fmt: skip
     if gone:
-        before = refitted(
-            assembly, replace(let_go(assembly, base.state, gone), noise=None), rough=True
+        before = fit_by_likelihood(
+            assembly, replace(drop_effects(assembly, base.state, gone), noise=None), rough=True
         )
-        before = climbed_ladder(assembly, before, progress)
+        before = select_noise_model(assembly, before, progress)
         if before.estimate.finite:
-            before = refitted(assembly, before.state, masks=select, steps=WARM, rough=True)
-            yield _Start(before, gone, _height(assembly, state), state)
+            before = fit_by_likelihood(assembly, before.state, masks=select, steps=WARM, rough=True)
+            yield _Start(before, gone, _full_log_likelihood(assembly, state), state)
     if not white:
         yield _Start(base)
 
 
-def _height(assembly: Assembly, state: FitState) -> float:
+def _full_log_likelihood(assembly: Assembly, state: FitState) -> float:
     """Log-likelihood of all samples."""
     assert state.noise is not None
-    return likelihood_of(subjects(assembly, state), state.noise)
+    return total_log_likelihood(prepare_filter_tasks(assembly, state), state.noise)
 
 
-def _from(
+def _find_law_from(
     options: LikelihoodOptions, assembly: Assembly, start: _Start, comparison: Comparison,
     masks: tuple[Masks, Masks], level: float, progress: Progress,
 ) -> NamedLaw | None:  # fmt: skip
-    """The law that is admitted from there."""
-    found = raced(assembly, start.base, masks[0], progress, options.rivals)
-    if found is None:
+    """The law that is admitted from one start; nothing where none passes."""
+    contest = race_offered(assembly, start.base, masks[0], progress, options.rivals)
+    if contest is None:
         return None
 
     def objection(whole: Whole) -> Refusal | None:
-        if _stands(options, assembly, start, whole.settled, comparison):
+        if _explains_all(options, assembly, start, whole.settled, comparison):
             return None
         return Refusal("it does not explain all, or not for less than what it stands for")
 
-    run, ranked = found
+    run, ranked = contest
     passed = first_to_pass(
         options, assembly, start.base, run, masks[1], level, objection, progress
     ).passed
@@ -168,7 +168,7 @@ def _from(
     settled, effect = passed.whole.settled, passed.rival.ranked.variant.original
     if effect.label in gone:  # it stands for itself
         return None
-    known = _by_a_candidate(options, assembly, start, passed, masks, progress)
+    known = _find_equal_candidate(options, assembly, start, passed, masks, progress)
     if known is not None:
         passed = replace(known, aliases=(effect.label, *passed.aliases))
         settled, effect = known.whole.settled, known.rival.ranked.variant.original
@@ -177,7 +177,7 @@ def _from(
     return NamedLaw(effect, passed.aliases, ranked, run.tried, settled)
 
 
-def _by_a_candidate(
+def _find_equal_candidate(
     options: LikelihoodOptions, assembly: Assembly, without: _Start, law: Passed,
     masks: tuple[Masks, Masks], progress: Progress,
 ) -> Passed | None:  # fmt: skip
@@ -193,51 +193,53 @@ def _by_a_candidate(
     if not known:
         return None
     progress(f"asking which candidates do as well as {effect.label}")
-    bare = let_go(own, law.whole.fit.state, (law.rival.ranked.variant.label,))
+    bare = drop_effects(own, law.whole.fit.state, (law.rival.ranked.variant.label,))
     first = without.base.estimate.noise
-    estimate = maximise(subjects(own, bare), (), first, {}, masks[0], WARM, rough=True)
+    estimate = maximise_likelihood(
+        prepare_filter_tasks(own, bare), (), first, {}, masks[0], WARM, rough=True
+    )
     start = LikelihoodFit(with_estimate(bare, estimate), estimate)
-    found = raced(offering(own, known), start, masks[0], progress, options.rivals)
+    contest = race_offered(offer_effects(own, known), start, masks[0], progress, options.rivals)
     least = settled.details["log_likelihood"] - np.log(options.odds)
-    winners = () if found is None else found[0].winners()
+    winners = () if contest is None else contest[0].winners()
     for rival, _ in itertools.islice(winners, options.judged):
-        whole = beside_noise(rival, noise, progress)
-        white = near_noise(whole.settled.comparison, assembly.problem.settings)
+        whole = fit_beside_noise(rival, noise, progress)
+        white = is_near_noise(whole.settled.comparison, assembly.problem.settings)
         if white and whole.settled.details.get("log_likelihood", -np.inf) >= least:
             return Passed(rival, (), whole)
     return None
 
 
-def _stands(
+def _explains_all(
     options: LikelihoodOptions, assembly: Assembly, start: _Start, settled: Settled,
     comparison: Comparison,
 ) -> bool:  # fmt: skip
-    """Whether a law explains all, and more so than what it stands for."""
+    """Whether a law leaves only noise and is likelier, at its price, than what it replaces."""
     settings = assembly.problem.settings
-    if not near_noise(settled.comparison, settings):
+    if not is_near_noise(settled.comparison, settings):
         return False
     if not start.gone:
-        return unhelpful(options, comparison, settled.comparison, settings) is None
-    height = settled.details["log_likelihood"] - _price(start, settled.comparison)
-    least = np.log(options.odds) - _price(start, comparison)
+        return refuse_unhelpful(options, comparison, settled.comparison, settings) is None
+    height = settled.details["log_likelihood"] - _fitted_price(start, settled.comparison)
+    least = np.log(options.odds) - _fitted_price(start, comparison)
     if not height > start.height + least:
         return False
-    return height > _beside_its_noise(assembly, start, settled.standing) + least
+    return height > _height_beside_law_noise(assembly, start, settled.fit_state) + least
 
 
-def _beside_its_noise(assembly: Assembly, start: _Start, law: FitState) -> float:
-    """Log-likelihood of the model that a law stands for, beside the noise that the law has found.
+def _height_beside_law_noise(assembly: Assembly, start: _Start, law: FitState) -> float:
+    """Log-likelihood of the model that a law replaces, beside the noise of the law's own fit.
 
-    A drift that nobody had looked for is no merit of the law with which it was found.
+    A term of noise that came in with the law (a drift, say) is no merit of the law.
     """
     known = start.state
     assert known is not None
     assert known.noise is not None
     if law.noise is None or {*law.noise.names} == {*known.noise.names}:
         return start.height
-    return refitted(assembly, known, law.noise, rough=True).height
+    return fit_by_likelihood(assembly, known, law.noise, rough=True).height
 
 
-def _price(start: _Start, of: Comparison) -> float:
-    """What the numbers of a model cost that were fitted."""
-    return price(len(of.model.errors), start.base.estimate.prepared)
+def _fitted_price(start: _Start, of: Comparison) -> float:
+    """Schwarz's price of the fitted numbers of a model."""
+    return schwarz_penalty(len(of.model.errors), start.base.estimate.prepared)

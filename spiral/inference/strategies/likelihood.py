@@ -12,60 +12,60 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.statistics import spent
-from spiral.inference.evidence.admission import cannot_be_asked, second_order
+from spiral.engine.statistics import round_level
+from spiral.inference.evidence.admission import is_second_order_remainder, untestable_effect_error
 from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.enlarge import enlarge
 from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
 from spiral.inference.evidence.scoring import Ranked, Ranking
 from spiral.inference.likelihood.between import (
-    likelier_inputs,
+    likelier_interpolation_fit,
 )
 from spiral.inference.likelihood.candidates import (
     Race,
     Rival,
-    race,
-    refit_alone,
+    refit_candidate,
+    start_race,
 )
-from spiral.inference.likelihood.elsewhere import from_given, from_less_noise
+from spiral.inference.likelihood.elsewhere import rivals_beside_less_noise, rivals_from_given_values
 from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
     LikelihoodFit,
-    refitted,
+    fit_by_likelihood,
 )
-from spiral.inference.likelihood.ladder import pruned
-from spiral.inference.likelihood.scores import ranking
+from spiral.inference.likelihood.ladder import drop_needless_noise
+from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import suggestions
-from spiral.inference.nearness import near_noise
+from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress, silent
 from spiral.inference.strategies.admission import (
     Objection,
     Passed,
     RaceOutcome,
-    finished,
+    benefit_objection,
+    finish_fit,
     first_to_pass,
-    helping,
-    settled_on,
-    with_effect,
+    fit_with_effect,
+    settle_fit,
 )
 from spiral.inference.strategies.base import AskedAgain, Settled, Step
-from spiral.inference.strategies.curves import missing_curve
-from spiral.inference.strategies.laws import named_law
-from spiral.inference.strategies.look_alikes import asked_again, simplest
+from spiral.inference.strategies.curves import find_missing_curve
+from spiral.inference.strategies.laws import find_named_law
+from spiral.inference.strategies.look_alikes import prefer_special_case, recheck_admitted
 from spiral.inference.strategies.other_noise import (
-    settled_with_growth,
-    settled_with_smaller_forces,
+    settle_with_noise_growth,
+    settle_with_smaller_forces,
 )
-from spiral.inference.strategies.remembered import missing_memory
+from spiral.inference.strategies.remembered import find_missing_memory
 from spiral.inference.strategy_options import LikelihoodOptions
-from spiral.inference.unknown.holding import having
 from spiral.types.errors import ConfigError
-from spiral.types.run import Comparison, Suggestion
+from spiral.types.run import Comparison, Stopped, Suggestion
 
 
 @dataclass(frozen=True)
 class Scored:
-    """What a round found: candidates by their score, and those refitted.
+    """What a round works out: candidates by their score, and those refitted.
 
     ``settled`` is the study with what is admitted, if anything is.
     """
@@ -83,57 +83,61 @@ def propose(
 
     Or two at once, where none is of use alone.
     """
-    bare, assembly = assembly, having(assembly, state.labels)
+    bare, assembly = assembly, enlarge(assembly, state.labels)
     masks = half_masks(assembly)
-    found = _raced(options, assembly, state, masks[0], progress)
-    if found is None:
+    contest = _race_candidates(options, assembly, state, masks[0], progress)
+    if contest is None:
         return Step((), {}, stopped="diverged")
-    base, ranked, run = found
+    base, ranked, run = contest
     least = run.best - np.log(options.odds)  # what is not told apart is no effect
-    if (other := likelier_inputs(assembly, base, masks[0], least, progress)) is not None:
+    if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
         return _propose_with_other_inputs(options, assembly, other.state, number, progress)
-    level = spent(assembly.problem.settings.level, number) / options.judged
-    helps = helping(options, comparison, assembly.problem.settings)
-    run = run.joined_by(from_given(assembly, base, masks[0], progress))
+    level = round_level(assembly.problem.settings.level, number) / options.judged
+    helps = benefit_objection(options, comparison, assembly.problem.settings)
+    run = run.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
     outcome = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
     passed, tried = outcome.admitted, run.tried
     if not passed and outcome.likely is not None:
-        passed = _with_a_second(options, bare, outcome.likely, masks, level, helps, progress)
+        passed = _find_second_effect(options, bare, outcome.likely, masks, level, helps, progress)
     if not passed:
-        run = run.of(from_less_noise(assembly, base, masks[0], progress))
+        run = run.with_only_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
         again = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
         passed, tried = again.admitted, (*tried, *run.tried)
         outcome = replace(outcome, rejected={**again.rejected, **outcome.rejected})
+    if len(passed) == 1:
+        passed = (prefer_special_case(options, passed[0], progress),)
     if passed:
-        if len(passed) == 1:
-            passed = (simplest(options, passed[0], progress),)
-        return _admitting(options, assembly, state, passed, Scored(ranked, tried), outcome)
-    step = Step(suggestions(tried, ranked, "", ())[: options.listed], outcome.rejected,
-                found=Scored(ranked, tried))  # fmt: skip
-    if near_noise(comparison, assembly.problem.settings):
-        step = replace(step, stopped="whiteness")
-    if (calmer := settled_with_smaller_forces(assembly, state, progress)) is not None:
+        return _admitting_step(options, assembly, state, passed, Scored(ranked, tried), outcome)
+    listed = suggestions(tried, ranked, "", ())[: options.listed]
+    ending = _ending(comparison, assembly)
+    step = Step(listed, outcome.rejected, stopped=ending, result=Scored(ranked, tried))
+    if (calmer := settle_with_smaller_forces(assembly, state, progress)) is not None:
         return _propose_after_refit(options, assembly, calmer, number, progress)
-    if (grown := settled_with_growth(assembly, state, base, progress)) is not None:
-        near = near_noise(grown.comparison, assembly.problem.settings)
-        return replace(step, stopped="whiteness" if near else "no_candidate", again=grown)
-    return _unexplained(options, assembly, state, base, step, comparison, masks, level, progress)
+    if (grown := settle_with_noise_growth(assembly, state, base, progress)) is not None:
+        return replace(step, stopped=_ending(grown.comparison, assembly), again=grown)
+    return _step_for_unexplained(
+        options, assembly, state, base, step, comparison, masks, level, progress
+    )
 
 
-def _raced(
+def _race_candidates(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, select: Masks,
     progress: Progress,
 ) -> tuple[LikelihoodFit, Ranking, Race] | None:  # fmt: skip
     """The model as it is on the blocks that select, candidates by their score, and their race."""
     progress("scoring candidates by one-step predictions")
-    base = refitted(assembly, state, masks=select, steps=WARM, rough=True)
-    ranked = ranking(assembly, base, base.estimate.noise, select)
+    base = fit_by_likelihood(assembly, state, masks=select, steps=WARM, rough=True)
+    ranked = rank_candidates(assembly, base, base.estimate.noise, select)
     if ranked is None:
         return None
-    return base, ranked, race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
+    return (
+        base,
+        ranked,
+        start_race(assembly, base, list(ranked.ranked), select, progress, options.rivals),
+    )
 
 
-def _with_a_second(
+def _find_second_effect(
     options: LikelihoodOptions, assembly: Assembly, first: Passed, masks: tuple[Masks, Masks],
     level: float, helps: Objection, progress: Progress,
 ) -> tuple[Passed, ...]:  # fmt: skip
@@ -144,14 +148,14 @@ def _with_a_second(
     study that holds no more than its seed: ``first`` may have let go what was admitted before.
     """
     progress(f"trying a second effect beside {first.rival.label}")
-    state = first.whole.settled.standing
-    assembly = having(assembly, state.labels)
-    found = _raced(options, assembly, state, masks[0], progress)
-    if found is None:
+    state = first.whole.settled.fit_state
+    assembly = enlarge(assembly, state.labels)
+    contest = _race_candidates(options, assembly, state, masks[0], progress)
+    if contest is None:
         return ()
-    base, _, run = found
-    run = run.joined_by(from_given(assembly, base, masks[0], progress))
-    run = run.joined_by(from_less_noise(assembly, base, masks[0], progress))
+    base, _, run = contest
+    run = run.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
+    run = run.with_more_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
     second = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress).passed
     if second is None:
         return ()
@@ -163,43 +167,49 @@ def _with_a_second(
     return first, second
 
 
-def _admitting(
+def _admitting_step(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, passed: tuple[Passed, ...],
     scored: Scored, outcome: RaceOutcome,
 ) -> Step[Scored]:  # fmt: skip
     """The step that admits what passed."""
     labels = tuple(p.rival.label for p in passed)
     effects = [p.rival.ranked.variant.original for p in passed]
-    of_second_order = (second_order(e, assembly, state) for e in effects)
+    of_second_order = (is_second_order_remainder(e, assembly, state) for e in effects)
     shown = suggestions(scored.rivals, scored.ranking, labels[0], passed[0].aliases)
     rejected = {k: v for k, v in outcome.rejected.items() if k not in labels}
     return Step(
         shown[: options.listed], rejected, labels,
         {p.rival.label: p.aliases for p in passed}, any(of_second_order),
         "; ".join(e.meaning() for e in effects),
-        found=replace(scored, settled=passed[-1].whole.settled),
+        result=replace(scored, settled=passed[-1].whole.settled),
     )  # fmt: skip
 
 
-def _unexplained(
+def _step_for_unexplained(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
     step: Step[Scored], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
     progress: Progress,
 ) -> Step[Scored]:  # fmt: skip
-    """The step with what is said where no candidate passes: memory, a law, or a curve."""
-    memory = missing_memory(assembly, base, comparison, masks, progress)
+    """The step where no candidate passes: with the memory of what is left, a law, or a curve."""
+    memory = find_missing_memory(assembly, base, comparison, masks, progress)
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
     white = step.stopped == "whiteness"
-    law = named_law(options, assembly, state, base, white, comparison, masks, level, progress)
+    law = find_named_law(options, assembly, state, base, white, comparison, masks, level, progress)
     if law is not None:
         label, aliases = law.effect.label, law.aliases
         return replace(
             step, suggestions=suggestions(law.tried, law.ranking, label, aliases)[: options.listed],
             admitted=(label,), aliases={label: aliases}, meaning=law.effect.meaning(),
-            stopped="no_candidate", found=Scored(law.ranking, law.tried, law.settled),
+            stopped="no_candidate", result=Scored(law.ranking, law.tried, law.settled),
         )  # fmt: skip
-    return _with_curve(options, assembly, base, step, comparison, masks, level, progress)
+    return _add_missing_curve(options, assembly, base, step, comparison, masks, level, progress)
+
+
+def _ending(comparison: Comparison, assembly: Assembly) -> Stopped:
+    """Why the loop ends at a model beside which no candidate passes."""
+    near = is_near_noise(comparison, assembly.problem.settings)
+    return "whiteness" if near else "no_candidate"
 
 
 def _propose_with_other_inputs(
@@ -207,10 +217,10 @@ def _propose_with_other_inputs(
     progress: Progress,
 ) -> Step[Scored]:  # fmt: skip
     """Propose once more, with inputs that run otherwise between their samples."""
-    found = pruned(assembly, refitted(assembly, state, rough=True), progress)
-    found = finished(assembly, found, progress)
+    fit = drop_needless_noise(assembly, fit_by_likelihood(assembly, state, rough=True), progress)
+    fit = finish_fit(assembly, fit, progress)
     return _propose_after_refit(
-        options, assembly, settled_on(assembly, found, progress), number, progress
+        options, assembly, settle_fit(assembly, fit, progress), number, progress
     )
 
 
@@ -218,11 +228,11 @@ def _propose_after_refit(
     options: LikelihoodOptions, assembly: Assembly, again: Settled, number: int, progress: Progress
 ) -> Step[Scored]:
     """Propose once more, from a model that was settled anew."""
-    step = propose(options, assembly, again.standing, again.comparison, number, progress)
+    step = propose(options, assembly, again.fit_state, again.comparison, number, progress)
     return replace(step, again=step.again or again)
 
 
-def _with_curve(
+def _add_missing_curve(
     options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, step: Step[Scored],
     comparison: Comparison, masks: tuple[Masks, Masks], level: float, progress: Progress,
 ) -> Step[Scored]:  # fmt: skip
@@ -234,59 +244,59 @@ def _with_curve(
     much = max((comparison.random or {}).values(), default=0.0) > LITTLE
     if (step.stopped == "whiteness" and not much) or not assembly.problem.dictionary:
         return step
-    found = missing_curve(options, assembly, base, comparison, masks, level, progress)
-    if found is None:
+    curve = find_missing_curve(options, assembly, base, comparison, masks, level, progress)
+    if curve is None:
         return step
-    with_it = found.settled.comparison
+    with_it = curve.settled.comparison
     told = {"test_error": with_it.test_error, "noise_floor": with_it.noise_floor}
-    shape = {**found.shape.as_dict(), "replaces": found.replaces, **told}
+    shape = {**curve.shape.as_dict(), "replaces": curve.replaces, **told}
     details = {**step.details, "unknown": shape}
     if not assembly.problem.settings.learned:
         return replace(step, details=details)
-    gone = (*found.settled.retired, *found.replaces)
-    settled = replace(found.settled, retired=tuple(dict.fromkeys(gone)))
+    gone = (*curve.settled.retired, *curve.replaces)
+    settled = replace(curve.settled, retired=tuple(dict.fromkeys(gone)))
     return replace(
-        step, admitted=(found.shape.effect,), meaning=found.shape.meaning, details=details,
-        found=replace(step.needed(), settled=settled),
+        step, admitted=(curve.shape.effect,), meaning=curve.shape.meaning, details=details,
+        result=replace(step.required_result(), settled=settled),
     )  # fmt: skip
 
 
 def settle(step: Step[Scored]) -> Settled:
     """What was refitted and compared when it was proposed."""
-    settled = step.needed().settled
+    settled = step.required_result().settled
     assert settled is not None
     return settled
 
 
-def ranked_by_worth(step: Step[Scored]) -> tuple[Suggestion, ...]:
+def suggestions_by_worth(step: Step[Scored]) -> tuple[Suggestion, ...]:
     """All candidates in one order, whatever is proposed; none where the fit has diverged."""
-    if step.found is None:
+    if step.result is None:
         return ()
-    scored = step.found
+    scored = step.result
     label = next(iter(step.admitted), "")
-    found = suggestions(scored.rivals, scored.ranking, label, step.aliases.get(label, ()))
-    return tuple(sorted(found, key=lambda s: -(s.net or 0.0)))
+    listed = suggestions(scored.rivals, scored.ranking, label, step.aliases.get(label, ()))
+    return tuple(sorted(listed, key=lambda s: -(s.net or 0.0)))
 
 
 def choose(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, step: Step[Scored], label: str
 ) -> Step[Scored]:
     """Another candidate in place of the proposal; no gate is asked."""
-    scored = step.needed()
-    assembly = having(assembly, state.labels)
+    scored = step.required_result()
+    assembly = enlarge(assembly, state.labels)
     rival = next((r for r in scored.rivals if r.label == label), None)
     if rival is None:
-        base = refitted(assembly, state, steps=WARM, rough=True)
-        rival = refit_alone(assembly, base, _of(assembly, scored.ranking, label))
-    whole = with_effect(rival.assembly, rival.fit.state, rival.ranked.variant.label, silent)
+        base = fit_by_likelihood(assembly, state, steps=WARM, rough=True)
+        rival = refit_candidate(assembly, base, _best_ranked(assembly, scored.ranking, label))
+    whole = fit_with_effect(rival.assembly, rival.fit.state, rival.ranked.variant.label, silent)
     effect = rival.ranked.variant.original
     groups = ({k, *v} for k, v in step.aliases.items())
     aliases = tuple(sorted(next((g - {label} for g in groups if label in g), set())))
     return replace(
-        step, suggestions=ranked_by_worth(step)[: options.listed], admitted=(label,),
+        step, suggestions=suggestions_by_worth(step)[: options.listed], admitted=(label,),
         aliases={label: aliases},
-        second_order=second_order(effect, assembly, state), meaning=effect.meaning(),
-        found=replace(scored, settled=whole.settled),
+        second_order=is_second_order_remainder(effect, assembly, state), meaning=effect.meaning(),
+        result=replace(scored, settled=whole.settled),
     )  # fmt: skip
 
 
@@ -296,32 +306,36 @@ def ask_again(
     progress: Progress,
 ) -> AskedAgain:  # fmt: skip
     """Look-alikes that stay, and the step to one that is likelier than the effect it looks like."""
-    assembly = having(assembly, state.labels)
-    left, found = asked_again(options, assembly, state, comparison, aliases, promising, progress)
-    if found is None:
+    assembly = enlarge(assembly, state.labels)
+    left, likelier = recheck_admitted(
+        options, assembly, state, comparison, aliases, promising, progress
+    )
+    if likelier is None:
         return AskedAgain(left)
-    scored = Scored(found.ranking, found.tried)
-    step = _admitting(options, assembly, state, (found.passed,), scored, RaceOutcome(None, {}))
+    scored = Scored(likelier.ranking, likelier.tried)
+    step = _admitting_step(
+        options, assembly, state, (likelier.passed,), scored, RaceOutcome(None, {})
+    )
     return AskedAgain(left, step)
 
 
 def admit(assembly: Assembly, state: FitState, label: str, progress: Progress) -> Settled:
     """An effect admitted by its name, with the shapes that the record prefers."""
-    assembly = having(assembly, state.labels)
-    base = refitted(assembly, state, steps=WARM, rough=True)
+    assembly = enlarge(assembly, state.labels)
+    base = fit_by_likelihood(assembly, state, steps=WARM, rough=True)
     progress(f"refitting with {label}")
-    found = ranking(assembly, base, base.estimate.noise, None)
-    if found is None:
+    scores = rank_candidates(assembly, base, base.estimate.noise, None)
+    if scores is None:
         raise ConfigError(f"add {label}", "a model whose fit does not diverge",
                           "check units and signs of the channels")  # fmt: skip
-    rival = refit_alone(assembly, base, _of(assembly, found, label))
+    rival = refit_candidate(assembly, base, _best_ranked(assembly, scores, label))
     label = rival.ranked.variant.label
-    return with_effect(rival.assembly, rival.fit.state, label, progress).settled
+    return fit_with_effect(rival.assembly, rival.fit.state, label, progress).settled
 
 
-def _of(assembly: Assembly, found: Ranking, label: str) -> Ranked:
+def _best_ranked(assembly: Assembly, scores: Ranking, label: str) -> Ranked:
     """The best variant of an effect among those ranked."""
-    for ranked in found.ranked:
+    for ranked in scores.ranked:
         if ranked.variant.original.label == label:
             return ranked
-    raise cannot_be_asked(assembly, label)
+    raise untestable_effect_error(assembly, label)

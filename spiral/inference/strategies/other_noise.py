@@ -10,57 +10,66 @@ from dataclasses import replace
 
 from spiral.inference.evidence.assembly import Assembly, with_records
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.likelihood.departures import growths
+from spiral.inference.likelihood.departures import noise_growth_by_channel
 from spiral.inference.likelihood.fitting import (
     WORTH,
     LikelihoodFit,
-    explains,
+    fit_by_likelihood,
+    is_random_force_small,
     is_white,
     largest_force,
-    refitted,
 )
-from spiral.inference.likelihood.smaller_forces import with_smaller_forces
+from spiral.inference.likelihood.smaller_forces import replace_large_forces
 from spiral.inference.likelihood.starts import best_fit
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.admission import finished, settled_on
+from spiral.inference.strategies.admission import finish_fit, settle_fit
 from spiral.inference.strategies.base import Settled
 
 
-def counted(
-    assembly: Assembly, found: LikelihoodFit, progress: Progress
+def fit_with_noise_growth(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
 ) -> tuple[Assembly, LikelihoodFit] | None:
-    """A study and fit in which readings count by such noise; nothing where it is not likelier.
+    """The study and its fit with noise that grows with its reading; nothing if not likelier.
 
     What a model lacks makes misses grow with the motion too, but leaves them coloured: they must be
     white with such noise, and no large random force be wanted.
     """
-    growth = growths(found.estimate)
+    growth = noise_growth_by_channel(fit.estimate)
     if not growth or any(r.growth for r in assembly.problem.records):
         return None
     progress("fitting with noise that grows with its reading")
     problem = assembly.problem.with_growth(growth)
     other = with_records(assembly, problem.records, assembly.study.series[0].substeps)
     other = replace(other, problem=problem)
-    begun = replace(found.state, noise=None, starts=None, spreads=None)
-    grown = finished(other, best_fit(other, begun, progress), progress)
-    better = grown.height > found.height + WORTH
-    return (other, grown) if better and explains(grown) and is_white(other, grown) else None
+    begun = replace(fit.state, noise=None, starts=None, spreads=None)
+    grown = finish_fit(other, best_fit(other, begun, progress), progress)
+    better = grown.height > fit.height + WORTH
+    return (
+        (other, grown)
+        if better and is_random_force_small(grown) and is_white(other, grown)
+        else None
+    )
 
 
-def settled_with_growth(
+def settle_with_noise_growth(
     assembly: Assembly, state: FitState, base: LikelihoodFit, progress: Progress
 ) -> Settled | None:
-    """The model as it is with such noise; ``base`` is its fit to a part of the samples."""
-    if not growths(base.estimate):
+    """The model as it is with noise that grows with its reading, fitted to all samples.
+
+    ``base`` is its fit to a part of them; nothing where such noise is not likelier.
+    """
+    if not noise_growth_by_channel(base.estimate):
         return None
-    found = counted(assembly, refitted(assembly, state, rough=True), progress)
-    if found is None:
+    likelier = fit_with_noise_growth(
+        assembly, fit_by_likelihood(assembly, state, rough=True), progress
+    )
+    if likelier is None:
         return None
-    other, grown = found
-    return settled_on(other, grown, progress)
+    other, grown = likelier
+    return settle_fit(other, grown, progress)
 
 
-def settled_with_smaller_forces(
+def settle_with_smaller_forces(
     assembly: Assembly, state: FitState, progress: Progress
 ) -> Settled | None:
     """The model as it is, beside forces with a memory where those it has are too large to explain.
@@ -70,10 +79,10 @@ def settled_with_smaller_forces(
     limit = assembly.problem.settings.random_limit
     if state.noise is None or not largest_force(state.noise) > limit:
         return None
-    found = with_smaller_forces(assembly, refitted(assembly, state, rough=True), progress)
-    if found is None:
+    fit = replace_large_forces(assembly, fit_by_likelihood(assembly, state, rough=True), progress)
+    if fit is None:
         return None
-    found = finished(assembly, found, progress)
-    if largest_force(found.estimate.noise) > limit:
+    fit = finish_fit(assembly, fit, progress)
+    if largest_force(fit.estimate.noise) > limit:
         return None
-    return settled_on(assembly, found, progress)
+    return settle_fit(assembly, fit, progress)

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.gate import Judgement, Trial, through
-from spiral.inference.evidence.admission import cannot_be_asked
-from spiral.inference.evidence.assembly import Assembly, assemble, first_row, to_model
-from spiral.inference.evidence.comparison import compared, refined
+from spiral.engine.gate import Judgement, Trial, run_gates
+from spiral.inference.evidence.admission import untestable_effect_error
+from spiral.inference.evidence.assembly import Assembly, assemble, initial_values, to_model
+from spiral.inference.evidence.comparison import compare_fitted_model, refine_substeps
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.paper.halton import (
     Regressor,
@@ -30,9 +30,9 @@ from spiral.inference.paper.regression import (
     Equations,
     Samples,
     column_names,
-    design,
-    differentiated,
-    equations,
+    design_matrix,
+    differentiate_records,
+    regression_equations,
     with_coefficients,
 )
 from spiral.inference.problem import Problem, Progress
@@ -76,32 +76,32 @@ def begin(options: PaperOptions, problem: Problem, progress: Progress) -> Begun:
     assembly = assemble(problem)
     terms = terms_of(options.library, problem.model.system)
     labels = problem.model.labels
-    known = FitState(labels, first_row(assembly), corrected=False)
+    known = FitState(labels, initial_values(assembly), corrected=False)
     offered = {v.original.label for v in assembly.variants if not v.effect.undirected()}
-    active = [k for k in known.keys(assembly) if k in _amplitudes(assembly)]
+    active = [k for k in known.keys(assembly) if k in _amplitude_keys(assembly)]
     wanted = [t for t in terms if t.effect.label in offered and t.key not in active]
-    found = equations(assembly, (*active, *(t.key for t in wanted)))
+    balance = regression_equations(assembly, (*active, *(t.key for t in wanted)))
     progress("estimating derivatives")
-    samples = differentiated(assembly, options.derivative)
-    columns, target = design(found, samples, known.values)
-    split = _split(options, samples)
+    samples = differentiate_records(assembly, options.derivative)
+    columns, target = design_matrix(balance, samples, known.values)
+    split = _training_mask(options, samples)
     kept = Regression(
-        samples, found, terms, columns, target, column_names(found, samples), split,
+        samples, balance, terms, columns, target, column_names(balance, samples), split,
         regressor(problem.model.system, assembly.study.compiled.traced),
     )  # fmt: skip
     assembly = replace(assembly, kept=kept)
-    settled = _refitted(options, assembly, known, progress)
-    assembly = refined(assembly, settled.standing)
-    return Begun(assembly, settled.standing, settled.comparison, settled.details)
+    settled = _refit_jointly(options, assembly, known, progress)
+    assembly = refine_substeps(assembly, settled.fit_state)
+    return Begun(assembly, settled.fit_state, settled.comparison, settled.details)
 
 
-def _kept(assembly: Assembly) -> Regression:
-    """What ``begin`` keeps with the study."""
+def _kept_regression(assembly: Assembly) -> Regression:
+    """The regression that ``begin`` stores with the study."""
     assert isinstance(assembly.kept, Regression)
     return assembly.kept
 
 
-def _amplitudes(assembly: Assembly) -> set[str]:
+def _amplitude_keys(assembly: Assembly) -> set[str]:
     """Every key that enters the balance of forces linearly: amplitudes, and a system's own."""
     traced = assembly.study.compiled.traced
     origin = "system.phase_origin"
@@ -109,7 +109,7 @@ def _amplitudes(assembly: Assembly) -> set[str]:
     return {k for k, p in pairs if p.role == "amplitude" and k != origin}
 
 
-def _split(options: PaperOptions, samples: Samples) -> Array:
+def _training_mask(options: PaperOptions, samples: Samples) -> Array:
     """(N,) True for training samples (paper: 70 %)."""
     count = len(samples.states)
     share = 1.0 - options.train
@@ -122,15 +122,15 @@ def _split(options: PaperOptions, samples: Samples) -> Array:
 # --- the current model as a regression -----------------------------------------------------------
 
 
-def _active(kept: Regression, standing: FitState, assembly: Assembly) -> list[int]:
+def _active_columns(kept: Regression, fit_state: FitState, assembly: Assembly) -> list[int]:
     """Columns of the current model; the pair of an unbalance counts as two."""
-    keys = set(standing.keys(assembly))
+    keys = set(fit_state.keys(assembly))
     return [i for i, n in enumerate(kept.names) if n.split(" ")[0] in keys]
 
 
-def _trial(options: PaperOptions, assembly: Assembly, standing: FitState) -> Trial:
-    kept = _kept(assembly)
-    active = _active(kept, standing, assembly)
+def _make_trial(options: PaperOptions, assembly: Assembly, fit_state: FitState) -> Trial:
+    kept = _kept_regression(assembly)
+    active = _active_columns(kept, fit_state, assembly)
     chosen = set(active)
     library = {t.key for t in kept.terms}
     others = [i for i, n in enumerate(kept.names) if i not in chosen and n in library]
@@ -151,23 +151,25 @@ def _trial(options: PaperOptions, assembly: Assembly, standing: FitState) -> Tri
     return replace(bare, residual=kept.target - bare.active @ bare.before.b)
 
 
-def _refitted(
-    options: PaperOptions, assembly: Assembly, standing: FitState, progress: Progress
+def _refit_jointly(
+    options: PaperOptions, assembly: Assembly, fit_state: FitState, progress: Progress
 ) -> Settled:
     """Joint least squares on the training samples (paper, eq. joint_ols), and the comparison."""
-    kept = _kept(assembly)
+    kept = _kept_regression(assembly)
     progress("joint least squares on the training samples")
-    trial = _trial(options, assembly, standing)
-    names = tuple(kept.names[i] for i in _active(kept, standing, assembly))
+    trial = _make_trial(options, assembly, fit_state)
+    names = tuple(kept.names[i] for i in _active_columns(kept, fit_state, assembly))
     log, errors = model_log(trial, names, {t.key: t for t in kept.terms})
     values = with_coefficients(
-        kept.equations, kept.samples, standing.values, names, trial.before.b, assembly.study
+        kept.equations, kept.samples, fit_state.values, names, trial.before.b, assembly.study
     )
-    wider = replace(standing, values=values)
+    wider = replace(fit_state, values=values)
     model = to_model(assembly, wider.labels, values, errors)
     model = replace(model, fixed=(*model.fixed, *wider.held))
     finite = bool(np.all(np.isfinite(values)))
-    comparison = compared(refined(assembly, wider), wider, model, None, finite, progress)
+    comparison = compare_fitted_model(
+        refine_substeps(assembly, wider), wider, model, None, finite, progress
+    )
     return Settled(wider, comparison, details=log)
 
 
@@ -175,50 +177,55 @@ def _refitted(
 
 
 def propose(
-    options: PaperOptions, assembly: Assembly, standing: FitState, progress: Progress
+    options: PaperOptions, assembly: Assembly, fit_state: FitState, progress: Progress
 ) -> Step[FitState]:
-    """Algorithm 1 up to the annotation: what passes all gates, at what the loop ends otherwise."""
-    trial = _trial(options, assembly, standing)
+    """Algorithm 1 up to the annotation: what passes all gates, or why the loop ends."""
+    trial = _make_trial(options, assembly, fit_state)
     if not trial.kept:
-        return _ended(options, trial, {}, Judgement((), {}))
+        return _step_without_admission(options, trial, {}, Judgement((), {}))
     log: dict[str, Any] = {}
     for gate in (g for g in options.gate if g.guard):
         progress(f"guard {gate.plugin_name()}")
         judgement = gate.judge(trial)
         log[gate.plugin_name()] = dict(judgement.log)
         if not judgement.kept:
-            return _ended(options, trial, log, judgement)
+            return _step_without_admission(options, trial, log, judgement)
     function = None
     if options.sampling != "samples":
-        function, trial = _learned(options, assembly, standing, trial, log, progress)
+        function, trial = _learn_residual(options, assembly, fit_state, trial, log, progress)
     tests = [g for g in options.gate if not g.guard]
-    trial, judgement = through(tests, trial, log, progress)
+    trial, judgement = run_gates(tests, trial, log, progress)
     if not trial.kept:
         if function is not None and options.library.closure:
-            xi = _xi(assembly)
+            xi = _regressor_values(assembly)
             log["closure"] = closure_log(trial, function.predict(xi))
-        return _ended(options, trial, log, judgement)
-    return _admission(options, assembly, standing, trial, log)
+        return _step_without_admission(options, trial, log, judgement)
+    return _step_with_admission(options, assembly, fit_state, trial, log)
 
 
-def _xi(assembly: Assembly) -> Array:
-    kept = _kept(assembly)
+def _regressor_values(assembly: Assembly) -> Array:
+    kept = _kept_regression(assembly)
     return kept.regressor.of(kept.samples.states, kept.samples.inputs)
 
 
-def _learned(
+def _learn_residual(
     options: PaperOptions,
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     trial: Trial,
     log: dict[str, Any],
     progress: Progress,
 ) -> tuple[Learned, Trial]:
     """Steps 2 to 4: learn the residual, and project it onto the library."""
-    kept = _kept(assembly)
+    kept = _kept_regression(assembly)
     progress(f"learning the residual ({options.learner.plugin_name()})")
     function = learned(
-        options.learner, _xi(assembly), trial.residual, trial.train, options.seed, progress
+        options.learner,
+        _regressor_values(assembly),
+        trial.residual,
+        trial.train,
+        options.seed,
+        progress,
     )
     log["learner"] = {"name": options.learner.plugin_name(), **function.log}
     progress(f"projecting onto {len(trial.names)} terms of the library")
@@ -228,13 +235,13 @@ def _learned(
         points = trajectory_points(kept.samples, trial.train)
     at = tuple(kept.equations.keys.index(n) for n in trial.names)
     surface = project_surface(
-        function, kept.regressor, kept.equations, at, points, standing.values[0]
+        function, kept.regressor, kept.equations, at, points, fit_state.values[0]
     )
     log["projection"] = {"sampling": options.sampling, "points": surface.points, "r2": surface.r2}
     return function, replace(trial, surface=surface)
 
 
-def _ended(
+def _step_without_admission(
     options: PaperOptions, trial: Trial, log: dict[str, Any], judgement: Judgement
 ) -> Step[FitState]:
     """Nothing admitted: why, in the paper's words and in the contract's."""
@@ -247,29 +254,35 @@ def _ended(
     return Step((), shown, stopped=stopped, details=log)
 
 
-def _admission(
-    options: PaperOptions, assembly: Assembly, standing: FitState, trial: Trial, log: dict[str, Any]
+def _step_with_admission(
+    options: PaperOptions,
+    assembly: Assembly,
+    fit_state: FitState,
+    trial: Trial,
+    log: dict[str, Any],
 ) -> Step[FitState]:
     """Terms that passed, as effects of the model with their physical origin."""
-    kept = _kept(assembly)
+    kept = _kept_regression(assembly)
     by_key = {t.key: t for t in kept.terms}
     chosen = tuple(trial.names[k] for k in trial.kept)
     log["admitted"] = term_log(trial, by_key)
     labels = tuple(dict.fromkeys(by_key[k].effect.label for k in chosen))
-    new = tuple(x for x in labels if x not in standing.labels)
-    wider = replace(standing, labels=(*standing.labels, *new))
+    new = tuple(x for x in labels if x not in fit_state.labels)
+    wider = replace(fit_state, labels=(*fit_state.labels, *new))
     free = set(chosen)
     held = tuple(
         k
         for k in replace(wider, held=()).keys(assembly)
-        if k in _amplitudes(assembly) and (k in standing.held or _owner(k) in new) and k not in free
+        if k in _amplitude_keys(assembly)
+        and (k in fit_state.held or _key_owner(k) in new)
+        and k not in free
     )
     meaning = "; ".join(dict.fromkeys(by_key[k].mechanism for k in chosen))
     aliases: dict[str, tuple[str, ...]] = dict.fromkeys(labels, ())
     for cluster in log.get("correlation_cluster", {}).get("clusters", ()):
         if cluster["carried"] in free:
-            label = _owner(cluster["carried"])
-            others = [_owner(k) for k in cluster["members"] if _owner(k) not in labels]
+            label = _key_owner(cluster["carried"])
+            others = [_key_owner(k) for k in cluster["members"] if _key_owner(k) not in labels]
             aliases[label] = tuple(dict.fromkeys((*aliases[label], *others)))
     return Step(
         suggestions(trial, by_key, aliases)[: options.listed],
@@ -278,11 +291,11 @@ def _admission(
         aliases=aliases,
         meaning=meaning,
         details=log,
-        found=replace(wider, held=held),
+        result=replace(wider, held=held),
     )
 
 
-def _owner(key: str) -> str:
+def _key_owner(key: str) -> str:
     return key.rsplit(".", 1)[0]
 
 
@@ -290,18 +303,20 @@ def settle(
     options: PaperOptions, assembly: Assembly, step: Step[FitState], progress: Progress
 ) -> Settled:
     """Joint least squares with the admitted terms."""
-    return _refitted(options, assembly, step.needed(), progress)
+    return _refit_jointly(options, assembly, step.required_result(), progress)
 
 
 def admit(
-    options: PaperOptions, assembly: Assembly, standing: FitState, label: str, progress: Progress
+    options: PaperOptions, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
 ) -> Settled:
     """The same with the terms of an effect that a person names; its other amplitudes are held."""
-    kept = _kept(assembly)
+    kept = _kept_regression(assembly)
     free = {t.key for t in kept.terms if t.effect.label == label}
     if not free & {n.split(" ")[0] for n in kept.names}:
-        raise cannot_be_asked(assembly, label)
-    wider = replace(standing, labels=(*standing.labels, label))
-    own = {k for k in wider.keys(assembly) if k in _amplitudes(assembly) and _owner(k) == label}
-    wider = replace(wider, held=(*standing.held, *sorted(own - free)))
-    return _refitted(options, assembly, wider, progress)
+        raise untestable_effect_error(assembly, label)
+    wider = replace(fit_state, labels=(*fit_state.labels, label))
+    own = {
+        k for k in wider.keys(assembly) if k in _amplitude_keys(assembly) and _key_owner(k) == label
+    }
+    wider = replace(wider, held=(*fit_state.held, *sorted(own - free)))
+    return _refit_jointly(options, assembly, wider, progress)

@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 from spiral.engine.likelihood.predict import Masks
-from spiral.inference.evidence.admission import let_go
+from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, refitted
-from spiral.inference.likelihood.ladder import climbed_ladder
-from spiral.inference.likelihood.memory import memory_of, replaced_by_memory
-from spiral.inference.nearness import near_noise
+from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, fit_by_likelihood
+from spiral.inference.likelihood.ladder import select_noise_model
+from spiral.inference.likelihood.memory import detect_memory, effects_replaced_by_memory
+from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.memory import Memory
 from spiral.types.effect import InputEffect
 from spiral.types.run import Comparison
 
 
-def missing_memory(
+def find_missing_memory(
     assembly: Assembly, base: LikelihoodFit, comparison: Comparison, masks: tuple[Masks, Masks],
     progress: Progress,
 ) -> Memory | None:  # fmt: skip
@@ -27,38 +27,38 @@ def missing_memory(
     have stood in for it: it is then looked for in what the model without them lacks, too, and must
     be more likely than they are.
     """
-    if near_noise(comparison, assembly.problem.settings) and not comparison.random:
+    if is_near_noise(comparison, assembly.problem.settings) and not comparison.random:
         return None  # nothing is left that it could explain
     held = {v.label: v for v in assembly.variants if v.label in base.state.labels}
     remembers = any(v.effect.states for v in held.values())
     plain = tuple(
         x for x, v in held.items() if not (v.effect.states or isinstance(v.effect, InputEffect))
     )
-    found = memory_of(assembly, base, masks, progress)
-    if found is not None and (remembers or not plain):
-        return found.memory
+    detection = detect_memory(assembly, base, masks, progress)
+    if detection is not None and (remembers or not plain):
+        return detection.memory
     if not plain:
         return None
-    before = _without(assembly, base, plain, masks[0], progress)
-    if found is None and before is not None:
-        found = memory_of(assembly, before, masks, progress, base)
-    if found is None:
+    before = _fit_without_effects(assembly, base, plain, masks[0], progress)
+    if detection is None and before is not None:
+        detection = detect_memory(assembly, before, masks, progress, base)
+    if detection is None:
         return None
     if remembers:
-        return found.memory
+        return detection.memory
     given = plain
     if before is not None:
-        given = replaced_by_memory(assembly, base, before, found.force, plain, masks[0])
-    return replace(found.memory, stand_ins=tuple(held[x].original.label for x in given))
+        given = effects_replaced_by_memory(assembly, base, before, detection.force, plain, masks[0])
+    return replace(detection.memory, stand_ins=tuple(held[x].original.label for x in given))
 
 
-def _without(
+def _fit_without_effects(
     assembly: Assembly, base: LikelihoodFit, labels: tuple[str, ...], select: Masks,
     progress: Progress,
 ) -> LikelihoodFit | None:  # fmt: skip
     """The model without these effects, on the blocks that select; none where it diverges."""
-    state = replace(let_go(assembly, base.state, labels), noise=None)
-    before = climbed_ladder(assembly, refitted(assembly, state, rough=True), progress)
+    state = replace(drop_effects(assembly, base.state, labels), noise=None)
+    before = select_noise_model(assembly, fit_by_likelihood(assembly, state, rough=True), progress)
     if not before.estimate.finite:
         return None
-    return refitted(assembly, before.state, masks=select, steps=WARM, rough=True)
+    return fit_by_likelihood(assembly, before.state, masks=select, steps=WARM, rough=True)

@@ -13,17 +13,17 @@ from scipy import special
 
 from spiral.engine.growth import Stage
 from spiral.engine.statistics import paired_errors
-from spiral.inference.evidence.admission import Admitted, admit, refit, without
+from spiral.inference.evidence.admission import Admitted, admit_candidate, drop_effect, refit
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import fitted_model
 from spiral.inference.evidence.fit_state import FitState, Masks
-from spiral.inference.evidence.judge import held_out
+from spiral.inference.evidence.judge import fit_held_out
 from spiral.inference.strategy_options import ShootingOptions
-from spiral.inference.suggest import Proposal, listed
+from spiral.inference.suggest import Proposal, top_suggestions
 from spiral.types.model import Model
 
 
-def superfluous(
+def superfluous_labels(
     assembly: Assembly, latest: Admitted, model: Model, mask: Masks, block: int
 ) -> tuple[str, ...]:
     """Compiled labels of admitted effects whose absence does not cost held-out accuracy.
@@ -35,27 +35,27 @@ def superfluous(
     """
     gone: list[str] = []
     level = assembly.problem.settings.level
-    current = latest.standing
-    kept = held_out(assembly, current.labels, latest.stage, mask)[1]
-    for label in latest.standing.labels:
+    current = latest.fit_state
+    kept = fit_held_out(assembly, current.labels, latest.stage, mask)[1]
+    for label in latest.fit_state.labels:
         if label in assembly.problem.model.labels or label == latest.variant.label:
             continue
-        if not _weak(model, assembly.variant(label).original.label, level):
+        if not _is_insignificant(model, assembly.variant(label).original.label, level):
             continue
-        smaller = without(assembly, current, label)
+        smaller = drop_effect(assembly, current, label)
         trial = refit(assembly, smaller, latest.stage)
         stage = Stage(latest.stage.length, latest.stage.layouts, trial)
-        left = held_out(assembly, smaller.labels, stage, mask)[1]
+        left = fit_held_out(assembly, smaller.labels, stage, mask)[1]
         if paired_errors(left, kept, block).p_fall >= level:
             gone.append(label)
             current = replace(smaller, values=trial.point.values)
     return tuple(gone)
 
 
-def simplest(
+def prefer_simplest_alias(
     options: ShootingOptions,
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     proposal: Proposal,
     mask: Masks,
 ) -> Proposal:
@@ -64,22 +64,24 @@ def simplest(
     Aliases stay those that need as few.
     """
     first, evidence = proposal.admitted, proposal.evidence
-    news = [x for x in standing.labels if x not in assembly.problem.model.labels]
+    news = [x for x in fit_state.labels if x not in assembly.problem.model.labels]
     if first is None or evidence is None or proposal.wide or not proposal.aliases or not news:
         return proposal
     ranked = {r.variant.original.label: r for r in evidence.ranked}
-    others = (admit(assembly, standing, evidence.stage, ranked[x]) for x in proposal.aliases)
+    others = (
+        admit_candidate(assembly, fit_state, evidence.stage, ranked[x]) for x in proposal.aliases
+    )
     gone = []
     for one in (group := [first, *others]):
-        model = fitted_model(assembly, one.standing, one.stage)
-        gone.append(len(superfluous(assembly, one, model, mask, evidence.block)))
+        model = fitted_model(assembly, one.fit_state, one.stage)
+        gone.append(len(superfluous_labels(assembly, one, model, mask, evidence.block)))
     best = [a for a, count in zip(group, gone, strict=True) if count == max(gone)]
     aliases = tuple(a.variant.original.label for a in best[1:])
-    shown = listed(options, evidence, best[0], aliases)
+    shown = top_suggestions(options, evidence, best[0], aliases)
     return replace(proposal, admitted=best[0], aliases=aliases, suggestions=shown)
 
 
-def _weak(model: Model, label: str, level: float) -> bool:
+def _is_insignificant(model: Model, label: str, level: float) -> bool:
     names = {p.name for e in model.effects if e.label == label for p in e.amplitudes()}
     rows = model.estimates()[label]
     tested = [e for n, e in rows.items() if any(n == k or n.startswith(f"{k}_") for k in names)]

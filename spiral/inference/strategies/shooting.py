@@ -13,20 +13,31 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.growth import Stage
-from spiral.inference.evidence.admission import Admitted, admit, let_go, second_order, with_effects
+from spiral.inference.evidence.admission import (
+    Admitted,
+    admit_candidate,
+    drop_effects,
+    is_second_order_remainder,
+    with_effects,
+)
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.comparison import judged, last_stage, prepared
+from spiral.inference.evidence.comparison import compare_fit, last_stage, prepare_study
+from spiral.inference.evidence.enlarge import (
+    enlarge,
+    enlarge_for,
+    transfer_admission,
+    transfer_fit_state,
+)
 from spiral.inference.evidence.fit_state import FitState, Masks, all_samples, half_masks
-from spiral.inference.evidence.scoring import tested_keys
-from spiral.inference.identifiability.parameters import entangled
+from spiral.inference.evidence.scoring import amplitude_keys
+from spiral.inference.identifiability.parameters import find_entanglement
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.base import Added, Begun, Settled, Step
-from spiral.inference.strategies.resolved import remembered, widened
-from spiral.inference.strategies.retire import simplest, superfluous
+from spiral.inference.strategies.resolved import propose_with_own_states, widen_study
+from spiral.inference.strategies.retire import prefer_simplest_alias, superfluous_labels
 from spiral.inference.strategy_options import ShootingOptions
-from spiral.inference.suggest import Proposal, by_evidence, propose
-from spiral.inference.unknown.holding import carried, having, holding, moved
-from spiral.inference.unknown.shape import Found, applies, unknown_shape
+from spiral.inference.suggest import Proposal, propose_on_windows, suggestions_by_evidence
+from spiral.inference.unknown.shape import Found, find_unknown_shape, has_curves_to_try
 from spiral.types.effect import Effect
 from spiral.types.run import Comparison, Stopped, Suggestion
 
@@ -34,48 +45,54 @@ from spiral.types.run import Comparison, Stopped, Suggestion
 def begin(problem: Problem, progress: Progress) -> Begun:
     """The seed fitted on growing windows of the half that judges."""
     progress("compiling the model and all candidates")
-    assembly, standing = prepared(problem)
-    tangle = entangled(assembly, standing)
-    comparison = _judge(assembly, standing, half_masks(assembly)[1], progress)
+    assembly, fit_state = prepare_study(problem)
+    tangle = find_entanglement(assembly, fit_state)
+    comparison = _refit_and_compare(assembly, fit_state, half_masks(assembly)[1], progress)
     groups = () if tangle is None else tangle.groups
-    return Begun(assembly, standing, comparison, refused=tangle is not None, groups=groups)
+    return Begun(assembly, fit_state, comparison, refused=tangle is not None, groups=groups)
 
 
-def propose_one(
+def propose_candidate(
     options: ShootingOptions,
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     comparison: Comparison,
     number: int,
     progress: Progress,
 ) -> Step[Proposal]:
     """The candidate that one half of the blocks selects and the other half confirms."""
-    begun, assembly = assembly, holding(assembly, standing)
+    begun, assembly = assembly, enlarge_for(assembly, fit_state)
     masks = half_masks(assembly)
-    proposal = propose(options, assembly, standing, masks, number, progress)
+    proposal = propose_on_windows(options, assembly, fit_state, masks, number, progress)
     level = assembly.problem.settings.whiteness_level
     white = comparison.whiteness_p >= level
-    proposal = remembered(options, assembly, standing, proposal, white, masks, number, progress)
-    proposal = simplest(options, assembly, standing, proposal, masks[1])
+    proposal = propose_with_own_states(
+        options, assembly, fit_state, proposal, white, masks, number, progress
+    )
+    proposal = prefer_simplest_alias(options, assembly, fit_state, proposal, masks[1])
     if proposal.admitted is not None:
-        return _step(standing, assembly, _in_place(begun, proposal.wide or assembly, proposal))
-    stopped = _why_stopped(proposal, comparison, level)
-    details = _details(proposal)
-    found = curve_of(options, assembly, standing, proposal, comparison, number, progress)
-    if found is not None:
-        details["unknown"] = found.shape.as_dict()
-    if found is not None and assembly.problem.settings.learned:
-        step = _step(standing, assembly, _in_place(begun, found.assembly, found.proposal))
+        return _admitting_step(
+            fit_state, assembly, _transfer_to_study(begun, proposal.wide or assembly, proposal)
+        )
+    stopped = _stop_reason(proposal, comparison, level)
+    details = _step_details(proposal)
+    curve = find_unknown_curve(options, assembly, fit_state, proposal, comparison, number, progress)
+    if curve is not None:
+        details["unknown"] = curve.shape.as_dict()
+    if curve is not None and assembly.problem.settings.learned:
+        step = _admitting_step(
+            fit_state, assembly, _transfer_to_study(begun, curve.assembly, curve.proposal)
+        )
         return replace(step, details={**step.details, **details})
     return Step(
-        proposal.suggestions, proposal.rejected, stopped=stopped, details=details, found=proposal
+        proposal.suggestions, proposal.rejected, stopped=stopped, details=details, result=proposal
     )
 
 
-def curve_of(
+def find_unknown_curve(
     options: ShootingOptions,
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     proposal: Proposal,
     comparison: Comparison,
     number: int,
@@ -89,14 +106,14 @@ def curve_of(
     white = comparison.whiteness_p >= assembly.problem.settings.whiteness_level
     seed = assembly.problem.model.labels
     astray = proposal.diverged or not np.isfinite(comparison.fit_error + comparison.test_error)
-    if white or not applies(assembly) or (proposal.diverged and standing.labels == seed):
+    if white or not has_curves_to_try(assembly) or (proposal.diverged and fit_state.labels == seed):
         return None
-    return unknown_shape(
-        options, assembly, standing, half_masks(assembly), number, progress, astray
+    return find_unknown_shape(
+        options, assembly, fit_state, half_masks(assembly), number, progress, astray
     )
 
 
-def _details(proposal: Proposal) -> dict[str, Any]:
+def _step_details(proposal: Proposal) -> dict[str, Any]:
     """What the record cannot separate, and amplitudes held at zero for it."""
     details: dict[str, Any] = {
         "not_separable": {k: list(v) for k, v in proposal.not_separable.items()}
@@ -106,21 +123,21 @@ def _details(proposal: Proposal) -> dict[str, Any]:
     return details
 
 
-def _in_place(begun: Assembly, place: Assembly, proposal: Proposal) -> Proposal:
+def _transfer_to_study(begun: Assembly, place: Assembly, proposal: Proposal) -> Proposal:
     """The proposal with its admission in the study that goes on, not in that of its evidence.
 
-    It has what was compiled at first and what the new standing holds beyond it: no curves or
-    resonances tried beside it, none that it lets go.
+    That study has what was compiled at first and what the new fit state holds beyond it, without
+    curves or resonances that were only tried, or that were let go.
     """
     admitted = proposal.admitted
     assert admitted is not None
-    final = having(begun, admitted.standing.labels)
+    final = enlarge(begun, admitted.fit_state.labels)
     if final is place:
         return proposal
-    return replace(proposal, admitted=moved(admitted, place, final))
+    return replace(proposal, admitted=transfer_admission(admitted, place, final))
 
 
-def _step(standing: FitState, place: Assembly, proposal: Proposal) -> Step[Proposal]:
+def _admitting_step(fit_state: FitState, place: Assembly, proposal: Proposal) -> Step[Proposal]:
     assert proposal.admitted is not None
     effect = proposal.admitted.variant.original
     return Step(
@@ -128,113 +145,115 @@ def _step(standing: FitState, place: Assembly, proposal: Proposal) -> Step[Propo
         proposal.rejected,
         admitted=(effect.label,),
         aliases={effect.label: proposal.aliases},
-        second_order=second_order(effect, place, standing),
+        second_order=is_second_order_remainder(effect, place, fit_state),
         meaning=effect.meaning(),
-        details=_details(proposal),
-        found=proposal,
+        details=_step_details(proposal),
+        result=proposal,
     )
 
 
-def ranked(step: Step[Proposal]) -> tuple[Suggestion, ...]:
+def ranked_suggestions(step: Step[Proposal]) -> tuple[Suggestion, ...]:
     """All candidates by their evidence on the same windows."""
-    proposal = step.needed()
+    proposal = step.required_result()
     if proposal.evidence is None:
         return proposal.suggestions
-    return by_evidence(proposal.evidence, proposal.admitted, proposal.aliases)
+    return suggestions_by_evidence(proposal.evidence, proposal.admitted, proposal.aliases)
 
 
 def choose(
-    assembly: Assembly, standing: FitState, step: Step[Proposal], label: str
+    assembly: Assembly, fit_state: FitState, step: Step[Proposal], label: str
 ) -> Step[Proposal]:
     """Another candidate at the windows on which all were scored; no gate is asked."""
-    proposal = step.needed()
+    proposal = step.required_result()
     evidence = proposal.evidence
     assert evidence is not None
-    begun, assembly = assembly, holding(assembly, standing)
-    study, there = assembly, standing
+    begun, assembly = assembly, enlarge_for(assembly, fit_state)
+    study, there = assembly, fit_state
     if proposal.wide is not None:
-        study, there = proposal.wide, carried(standing, assembly, proposal.wide)
+        study, there = proposal.wide, transfer_fit_state(fit_state, assembly, proposal.wide)
     wanted = next(r for r in evidence.ranked if r.variant.original.label == label)
-    admitted = admit(study, there, evidence.stage, wanted)
+    admitted = admit_candidate(study, there, evidence.stage, wanted)
     others = (*step.admitted, *proposal.aliases)
     aliases = tuple(o for o in others if o != label) if label in others else ()
     chosen = replace(proposal, admitted=admitted, aliases=aliases)
-    return _step(standing, study, _in_place(begun, study, chosen))
+    return _admitting_step(fit_state, study, _transfer_to_study(begun, study, chosen))
 
 
 def settle(assembly: Assembly, step: Step[Proposal], progress: Progress) -> Settled:
     """Refit and compare after an admission, letting go of effects it has made superfluous."""
-    proposal = step.needed()
+    proposal = step.required_result()
     latest = proposal.admitted
     assert latest is not None
-    begun, assembly = assembly, holding(assembly, latest.standing)
+    begun, assembly = assembly, enlarge_for(assembly, latest.fit_state)
     mask = half_masks(assembly)[1]
     assert proposal.evidence is not None
-    comparison = _judge(assembly, latest.standing, mask, progress)
+    comparison = _refit_and_compare(assembly, latest.fit_state, mask, progress)
     if not np.isfinite(comparison.chi2_per_dof):
-        latest = replace(latest, standing=_without_amplitudes(assembly, latest))
-        comparison = _judge(assembly, latest.standing, mask, progress)
-    gone = superfluous(assembly, latest, comparison.model, mask, proposal.evidence.block)
+        latest = replace(latest, fit_state=_with_zero_amplitudes(assembly, latest))
+        comparison = _refit_and_compare(assembly, latest.fit_state, mask, progress)
+    gone = superfluous_labels(assembly, latest, comparison.model, mask, proposal.evidence.block)
     if not gone:
-        return Settled(latest.standing, comparison, proposal.dropped)
-    standing = let_go(assembly, latest.standing, gone)
-    comparison = _judge(assembly, standing, mask, progress)
+        return Settled(latest.fit_state, comparison, proposal.dropped)
+    fit_state = drop_effects(assembly, latest.fit_state, gone)
+    comparison = _refit_and_compare(assembly, fit_state, mask, progress)
     retired = tuple(assembly.variant(x).original.label for x in gone)
-    standing = carried(standing, assembly, having(begun, standing.labels))
-    return Settled(standing, comparison, (*proposal.dropped, *retired))
+    fit_state = transfer_fit_state(fit_state, assembly, enlarge(begun, fit_state.labels))
+    return Settled(fit_state, comparison, (*proposal.dropped, *retired))
 
 
-def _without_amplitudes(assembly: Assembly, latest: Admitted) -> FitState:
-    """The standing with the new effect's amplitudes at zero, where short windows must not diverge.
+def _with_zero_amplitudes(assembly: Assembly, latest: Admitted) -> FitState:
+    """The fit state with the new effect's amplitudes at zero, so that short windows converge.
 
     Fitted to long windows of a model that is far off, a softening spring may let the short windows
     of the other half run away; from zero they find their own value, and windows grow again.
     """
-    values = latest.standing.values.copy()
-    for key in tested_keys(assembly, latest.variant):
+    values = latest.fit_state.values.copy()
+    for key in amplitude_keys(assembly, latest.variant):
         values[:, assembly.study.index(key)] = 0.0
-    return replace(latest.standing, values=values)
+    return replace(latest.fit_state, values=values)
 
 
-def _judge(
+def _refit_and_compare(
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     mask: Masks,
     progress: Progress,
 ) -> Comparison:
     """Refit on the half that did not select, and compare."""
     progress("refitting on the half that did not select")
-    stage = last_stage(assembly, standing, mask)
-    refitted = replace(standing, values=stage.fitted.point.values)
-    return judged(assembly, refitted, stage, progress)
+    stage = last_stage(assembly, fit_state, mask)
+    refitted = replace(fit_state, values=stage.fitted.point.values)
+    return compare_fit(assembly, refitted, stage, progress)
 
 
-def _why_stopped(proposal: Proposal, comparison: Comparison, level: float) -> Stopped:
+def _stop_reason(proposal: Proposal, comparison: Comparison, level: float) -> Stopped:
     if proposal.diverged:
         return "diverged"
     return "whiteness" if comparison.whiteness_p >= level else "no_candidate"
 
 
-def added(problem: Problem, effects: tuple[Effect, ...], progress: Progress) -> Added:
+def fit_before_and_after(
+    problem: Problem, effects: tuple[Effect, ...], progress: Progress
+) -> Added:
     """The model before and after effects added by hand, each fitted to all samples."""
     clock = time.perf_counter()
-    assembly, before_standing = prepared(problem, effects)
+    assembly, fit_state_before = prepare_study(problem, effects)
     masks = all_samples(assembly)
     progress("fitting before")
-    stage = last_stage(assembly, before_standing, masks)
-    before_standing = replace(before_standing, values=stage.fitted.point.values)
-    before = judged(assembly, before_standing, stage, progress)
+    stage = last_stage(assembly, fit_state_before, masks)
+    fit_state_before = replace(fit_state_before, values=stage.fitted.point.values)
+    before = compare_fit(assembly, fit_state_before, stage, progress)
     spent = time.perf_counter() - clock
-    assembly, standing = _with_all(assembly, before_standing, stage, effects, progress)
+    assembly, fit_state = _admit_without_gates(assembly, fit_state_before, stage, effects, progress)
     progress("fitting after")
-    stage = last_stage(assembly, standing, masks)
-    standing = replace(standing, values=stage.fitted.point.values)
-    return Added(before, judged(assembly, standing, stage, progress), spent)
+    stage = last_stage(assembly, fit_state, masks)
+    fit_state = replace(fit_state, values=stage.fitted.point.values)
+    return Added(before, compare_fit(assembly, fit_state, stage, progress), spent)
 
 
-def _with_all(
+def _admit_without_gates(
     assembly: Assembly,
-    standing: FitState,
+    fit_state: FitState,
     stage: Stage,
     effects: tuple[Effect, ...],
     progress: Progress,
@@ -245,12 +264,12 @@ def _with_all(
     """
     late = tuple(e for e in effects if e.states)
     if not late:
-        return assembly, with_effects(assembly, standing, effects, progress)
+        return assembly, with_effects(assembly, fit_state, effects, progress)
     progress("resolving what is left into resonances and lags")
-    wide, _ = widened(assembly, standing, stage, late)
-    found = with_effects(wide, carried(standing, assembly, wide), effects, progress)
-    final = having(assembly, found.labels)
-    chosen = (v for v in final.variants if v.label in found.labels and v.original in late)
-    tuned = tuple(k for v in chosen for k in v.tuned if k not in found.freed)
-    found = replace(carried(found, wide, final), freed=(*found.freed, *tuned))
-    return holding(final, found), found
+    wide, _ = widen_study(assembly, fit_state, stage, late)
+    wider = with_effects(wide, transfer_fit_state(fit_state, assembly, wide), effects, progress)
+    final = enlarge(assembly, wider.labels)
+    chosen = (v for v in final.variants if v.label in wider.labels and v.original in late)
+    tuned = tuple(k for v in chosen for k in v.tuned if k not in wider.freed)
+    wider = replace(transfer_fit_state(wider, wide, final), freed=(*wider.freed, *tuned))
+    return enlarge_for(final, wider), wider

@@ -1,4 +1,4 @@
-"""What a learned curve reads and gives: values of its state that a record visits, forces there."""
+"""What a learned curve follows: values of its state that a record visits, and forces there."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import sympy as sp
 from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import run_windows
 from spiral.inference.evidence.assembly import Assembly, effects_of
-from spiral.inference.evidence.scales import at_port
+from spiral.inference.evidence.scales import port_motion_expressions
 from spiral.physics.learned import Learned, LearnedFlow, LearnedStateFlow
 from spiral.types.effect import Effect, FlowEffect, ForceEffect, StateFlow, values_for
 from spiral.types.port import At
@@ -36,8 +36,8 @@ class Course:
     typical: float
 
 
-def in_windows(assembly: Assembly, stage: Stage) -> Array:
-    """(samples, states) in the fitted windows."""
+def window_states(assembly: Assembly, stage: Stage) -> Array:
+    """(samples, states) along the fitted windows, without samples where they diverge."""
     parts = [
         run_windows(assembly.study, r, layout, stage.fitted.point)[0]
         for r, layout in enumerate(stage.layouts)
@@ -57,7 +57,7 @@ def courses(assembly: Assembly, states: Array, learned: Learned) -> tuple[Course
         return (Course(0, learned.into, learned.state, level, 0.0),)
     port = system.place(learned)
     at: dict[str, list[Array]] = {}
-    for kind, expressions in at_port(system, port, traced):
+    for kind, expressions in port_motion_expressions(system, port, traced):
         values = sp.lambdify(traced.x, expressions, "numpy")(*states.T)
         at[kind] = [np.broadcast_to(v, (len(states),)) for v in values]
     if learned.follows == "radius":
@@ -85,9 +85,9 @@ class Path:
     def force(self, row: Array, labels: list[str]) -> Array:
         """(points,) the force or flow of some effects along the path."""
         if not self.learned.times:
-            return self._total(row, labels, 0.0)
+            return self._total_force(row, labels, 0.0)
         speed = self.course.typical
-        ahead, back = (self._total(row, labels, v) for v in (speed, -speed))
+        ahead, back = (self._total_force(row, labels, v) for v in (speed, -speed))
         return (ahead - back) / 2
 
     def slope(self, row: Array, labels: list[str], index: int) -> Array:
@@ -104,22 +104,25 @@ class Path:
         owner = [keys[index].rsplit(".", 1)[0]]
         return (self.force(ahead, owner) - self.force(back, owner)) / (2 * step)
 
-    def _total(self, row: Array, labels: list[str], velocity: float) -> Array:
+    def _total_force(self, row: Array, labels: list[str], velocity: float) -> Array:
         total = np.zeros(len(self.at))
         for effect in effects_of(self.assembly, labels):
-            same = _kind(effect) is _kind(self.learned) and effect.port == self.learned.port
+            same = (
+                _effect_kind(effect) is _effect_kind(self.learned)
+                and effect.port == self.learned.port
+            )
             if effect.inputs or effect.states or not same:
                 continue
             with np.errstate(invalid="ignore", divide="ignore"):
-                given = self._given(effect, self._values(effect, row), velocity)
+                given = self._effect_force(effect, self._effect_values(effect, row), velocity)
             total = total + np.nan_to_num(np.broadcast_to(given, total.shape))
         return total
 
-    def _values(self, effect: Effect, row: Array) -> SimpleNamespace:
+    def _effect_values(self, effect: Effect, row: Array) -> SimpleNamespace:
         axes = self.assembly.problem.model.system.place(effect).axes
         return values_for(effect, axes, dict(zip(self.assembly.study.keys, row, strict=False)))
 
-    def _given(self, effect: Effect, p: SimpleNamespace, velocity: float) -> Any:
+    def _effect_force(self, effect: Effect, p: SimpleNamespace, velocity: float) -> Any:
         """The force of one effect along the axis, or its flow into the channel."""
         system, still = self.assembly.problem.model.system, np.zeros(len(self.at))
         if isinstance(self.learned, LearnedFlow):
@@ -142,7 +145,7 @@ class Path:
         return given[self.course.number]
 
 
-def _kind(effect: Effect) -> type:
-    """What an effect is: a force, a flow between channels, a flow into a state, or else."""
+def _effect_kind(effect: Effect) -> type:
+    """The class that an effect counts as: a force, a flow between channels or into a state."""
     kinds = (ForceEffect, FlowEffect, StateFlow)
     return next((k for k in kinds if isinstance(effect, k)), type(effect))

@@ -15,10 +15,10 @@ import numpy as np
 
 from spiral.engine.fit import covariance
 from spiral.inference.evidence.admission import Admitted
-from spiral.inference.evidence.assembly import Assembly, columns
+from spiral.inference.evidence.assembly import Assembly, columns_with_bounds
 from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import Masks
-from spiral.inference.unknown.curvepath import Course, Path, courses, in_windows
+from spiral.inference.unknown.curvepath import Course, Path, courses, window_states
 from spiral.physics.learned import Learned, LearnedForce, spacing
 from spiral.types.record import Array
 from spiral.types.run import Suggestion
@@ -118,26 +118,26 @@ class CurveFit:
     states: Array
 
 
-def from_windows(assembly: Assembly, admitted: Admitted, mask: Masks) -> CurveFit:
+def curve_fit_on_windows(assembly: Assembly, admitted: Admitted, mask: Masks) -> CurveFit:
     """A learned effect that was admitted on windows, refitted on some samples."""
-    stage, state = last_stage(assembly, admitted.standing, mask), admitted.standing
+    stage, state = last_stage(assembly, admitted.fit_state, mask), admitted.fit_state
     learned, seed = admitted.variant.effect, assembly.problem.model.labels
     assert isinstance(learned, Learned)
-    moving, _ = columns(assembly, state.keys(assembly))
+    moving, _ = columns_with_bounds(assembly, state.keys(assembly))
     return CurveFit(
         assembly, learned, tuple(x for x in state.labels if x not in seed),
         stage.fitted.point.values[0], tuple(int(i) for i in moving.index),
         covariance(stage.fitted) * max(stage.fitted.chi2_per_dof, 1.0),
-        in_windows(assembly, stage),
+        window_states(assembly, stage),
     )  # fmt: skip
 
 
-def described(fit: CurveFit, label: str, suggestions: Sequence[Suggestion]) -> Unknown:
+def describe_curve(fit: CurveFit, label: str, suggestions: Sequence[Suggestion]) -> Unknown:
     """The shape of a learned effect, called ``label``, that comes first among ``suggestions``."""
     learned = fit.learned
     port = fit.assembly.problem.model.system.place(learned)
-    found = courses(fit.assembly, fit.states, learned)
-    curves = tuple(_curve(fit, course) for course in found)
+    visited = courses(fit.assembly, fit.states, learned)
+    curves = tuple(_curve_with_band(fit, course) for course in visited)
     best = next(s for s in suggestions if s.effect == label)
     rate = isinstance(learned, LearnedForce) and learned.follows == "velocity"
     return Unknown(
@@ -153,17 +153,17 @@ def described(fit: CurveFit, label: str, suggestions: Sequence[Suggestion]) -> U
         p_value=best.p_value,
         curves=curves,
         others={s.effect: s.explains for s in suggestions if s is not best},
-        quantity=_quantity(learned),
+        quantity=_quantity_word(learned),
     )
 
 
-def _quantity(learned: Learned) -> str:
+def _quantity_word(learned: Learned) -> str:
     if not isinstance(learned, LearnedForce):
         return "flow"
     return "radial force" if learned.follows == "radius" else "force"
 
 
-def _curve(fit: CurveFit, course: Course) -> Curve:
+def _curve_with_band(fit: CurveFit, course: Course) -> Curve:
     low, high = np.percentile(course.seen, [_TAILS, 100 - _TAILS])
     at = np.linspace(low, high, _POINTS)
     edges = np.concatenate([at - (at[1] - at[0]) / 2, [at[-1] + (at[1] - at[0]) / 2]])
@@ -175,7 +175,7 @@ def _curve(fit: CurveFit, course: Course) -> Curve:
     slopes = np.array([path.slope(row, added, i) for i in fit.moving]).T
     seeds = [i for i, k in enumerate(assembly.study.keys) if k.rsplit(".", 1)[0] in seed]
     basis = np.array([path.slope(row, seed, i) for i in seeds]).T
-    left = beside(basis, visited)
+    left = residual_projection(basis, visited)
     spread = left @ slopes @ fit.covariance @ slopes.T @ left.T
     se = np.sqrt(np.maximum(np.diag(spread), 0.0))
     return Curve(
@@ -184,14 +184,14 @@ def _curve(fit: CurveFit, course: Course) -> Curve:
         at=at,
         force=left @ path.force(row, added),
         se=se,
-        band=_critical(spread, se) * se,
+        band=_critical_value(spread, se) * se,
         visited=visited,
         speed=course.typical if fit.learned.times else 0.0,
     )
 
 
-def beside(basis: Array, weight: Array) -> Array:
-    """(points, points): what is left of a curve once these columns have taken what they can."""
+def residual_projection(basis: Array, weight: Array) -> Array:
+    """(points, points) I - P, P the weighted projection onto the columns of a basis."""
     size = np.linalg.norm(basis, axis=0) if basis.size else np.zeros(0)
     kept = basis[:, size > 0] / size[size > 0] if len(size) else np.zeros((len(weight), 0))
     if not kept.shape[1]:
@@ -201,7 +201,7 @@ def beside(basis: Array, weight: Array) -> Array:
     return np.eye(len(weight)) - kept @ taken
 
 
-def _critical(spread: Array, se: Array) -> float:
+def _critical_value(spread: Array, se: Array) -> float:
     """The 95 % quantile of the largest |t| along the curve, by draws from its covariance."""
     unit = spread / np.maximum(np.outer(se, se), 1e-300)
     values, vectors = np.linalg.eigh(unit)

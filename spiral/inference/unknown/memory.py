@@ -1,4 +1,4 @@
-"""What is told of a missing force that has memory: where, how large, of which kind, its loop."""
+"""A missing force that has memory: where it acts, how large it is, of which kind, its loop."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Loop:
 
 @dataclass(frozen=True)
 class Memory:
-    """A missing force that depends on how the motion came where it is.
+    """A missing force that depends on the past of the motion, not on its present state alone.
 
     Parameters
     ----------
@@ -70,11 +70,11 @@ class Memory:
         return {**vars(self), "sentence": self.sentence, "loops": loops}
 
 
-def memory_said(rounds: Sequence[Round]) -> str:
+def memory_sentence(rounds: Sequence[Round]) -> str:
     """The memory of what is left after a study, in words; empty where none was seen."""
     return rounds[-1].details.get("memory", {}).get("sentence", "")
 
 
-def stand_ins(rounds: Sequence[Round]) -> tuple[str, ...]:
+def memory_stand_ins(rounds: Sequence[Round]) -> tuple[str, ...]:
     """Effects admitted in a study that may only stand in for the memory of what is left."""
     return tuple(rounds[-1].details.get("memory", {}).get("stand_ins", ()))

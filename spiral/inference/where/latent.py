@@ -1,11 +1,11 @@
-"""The missing force: what a model lacks, as a force with its uncertainty.
+"""The missing force: what a model lacks, estimated as a force with its uncertainty.
 
     x' = f(x, u, p) + G F(t),    F a random walk: dF = sqrt(q) dw,
 
 estimated with the states by the extended filter and its fixed-interval smoother
 (``spiral.engine.filter``), the force being tracked as a parameter at the system's first port. All
-that the model does not explain then has the unit of the remedy: a force on each axis. The one
-number q is found by maximum likelihood of the innovations. (Jazwinski 1970; Kennedy and Alvin
+that the model does not explain then appears as a force on each axis. The one number q is estimated
+by maximum likelihood of the innovations. (Jazwinski 1970; Kennedy and Alvin
 1999.)
 """
 
@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.extended import FilterSettings, filtered, smoothed
-from spiral.engine.filter.setup import chosen_levels, prepared, with_level
+from spiral.engine.filter.extended import FilterSettings, filter_record, smooth_run
+from spiral.engine.filter.setup import choose_levels, prepare_filter, with_level
 from spiral.engine.filter.task import Task, prepare_task
 from spiral.types.effect import ForceEffect
 from spiral.types.model import Model
@@ -66,7 +66,7 @@ class MissingForce:
         return self.start + len(self.force)
 
 
-def with_latent(model: Model) -> Model:
+def add_latent_force(model: Model) -> Model:
     """The model with an unknown force at its first port, zero until it is estimated.
 
     A system without forces is left as it is.
@@ -108,18 +108,20 @@ def missing_force(
         record = replace(record.part(start, stop, record.name), noise=record.sigma())
         if inputs is not None and substeps is not None:
             inputs = inputs[2 * substeps * start : 2 * substeps * (stop - 1) + 1]
-    wide = model if LatentForce().label in model.labels else with_latent(model)
+    wide = model if LatentForce().label in model.labels else add_latent_force(model)
     whole = prepare_task(wide, record, inputs=inputs, substeps=substeps, every=True)
-    task, settings = prepared(whole, ())
+    task, settings = prepare_filter(whole, ())
     keys = latent_keys(wide)
-    sizes, rates = _scales(task, keys)
+    sizes, rates = _force_scales(task, keys)
     settings = replace(settings, tracked=keys, doubt=sizes)
 
-    def walking(level: float) -> FilterSettings:
+    def with_walk_level(level: float) -> FilterSettings:
         return replace(settings, wander=(10.0**level * sizes) ** 2 * rates * record.dt)
 
-    level = _most_likely(task, walking)
-    return None if level is None else _smoothed(task, walking(level), 10.0**level, start)
+    level = _most_likely_level(task, with_walk_level)
+    return (
+        None if level is None else _smooth_force(task, with_walk_level(level), 10.0**level, start)
+    )
 
 
 def smoothed_states(
@@ -132,16 +134,16 @@ def smoothed_states(
     """
     if record.samples > MOST:
         return None
-    task, settings = prepared(prepare_task(model, record, inputs=inputs, substeps=substeps))
-    levels = chosen_levels(task, settings, None)
-    found = filtered(task, with_level(task, settings, levels), keep=True)
-    if found.done < record.samples:
+    task, settings = prepare_filter(prepare_task(model, record, inputs=inputs, substeps=substeps))
+    levels = choose_levels(task, settings, None)
+    filter_pass = filter_record(task, with_level(task, settings, levels), keep=True)
+    if filter_pass.done < record.samples:
         return None
-    found, n = smoothed(found), len(task.states)
-    return found.means[:, :n].copy(), np.sqrt(np.maximum(found.variances[:, :n], 0.0))
+    filter_pass, n = smooth_run(filter_pass), len(task.states)
+    return filter_pass.means[:, :n].copy(), np.sqrt(np.maximum(filter_pass.variances[:, :n], 0.0))
 
 
-def _scales(task: Task, keys: tuple[str, ...]) -> tuple[Array, Array]:
+def _force_scales(task: Task, keys: tuple[str, ...]) -> tuple[Array, Array]:
     """For every axis, the force that makes the model's own accelerations, and their rate in 1/s."""
     n, count = len(task.states), len(task.keys)
     a, b = np.zeros((n, n)), np.zeros((n, count))
@@ -156,45 +158,45 @@ def _scales(task: Task, keys: tuple[str, ...]) -> tuple[Array, Array]:
     return np.array(sizes), np.array(rates)
 
 
-def _most_likely(task: Task, walking) -> float | None:
+def _most_likely_level(task: Task, walking) -> float | None:
     """Decimal logarithm of the level with the highest likelihood; nothing where all run away."""
     from scipy.optimize import minimize_scalar
 
     samples = task.series.samples
 
     def cost(level: float) -> float:
-        found = filtered(task, walking(level))
-        finished = found.done == samples and np.isfinite(found.log_likelihood)
-        return -found.log_likelihood if finished else np.inf
+        filter_pass = filter_record(task, walking(level))
+        finished = filter_pass.done == samples and np.isfinite(filter_pass.log_likelihood)
+        return -filter_pass.log_likelihood if finished else np.inf
 
     costs = [cost(level) for level in _LEVELS]
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
         return None
     low, high = _LEVELS[max(best - 1, 0)], _LEVELS[min(best + 1, len(_LEVELS) - 1)]
-    found: Any = minimize_scalar(
+    minimum: Any = minimize_scalar(
         cost, bounds=(low, high), method="bounded", options={"xatol": _TOLERANCE, "maxiter": 6}
     )
-    return float(found.x) if found.fun < costs[best] else _LEVELS[best]
+    return float(minimum.x) if minimum.fun < costs[best] else _LEVELS[best]
 
 
-def _smoothed(
+def _smooth_force(
     task: Task, settings: FilterSettings, level: float, start: int
 ) -> MissingForce | None:
-    found = filtered(task, settings, keep=True)
-    if found.done < task.series.samples:
+    filter_pass = filter_record(task, settings, keep=True)
+    if filter_pass.done < task.series.samples:
         return None
-    found = smoothed(found)
+    filter_pass = smooth_run(filter_pass)
     n = len(task.states)
-    spread = np.sqrt(np.maximum(found.variances, 0.0))
+    spread = np.sqrt(np.maximum(filter_pass.variances, 0.0))
     model = task.model
     port = model.system.port()
     return MissingForce(
         axes=port.axes,
         unit=model.unit(settings.tracked[0]),
-        force=found.means[:, n:].copy(),
+        force=filter_pass.means[:, n:].copy(),
         deviation=spread[:, n:],
-        states=found.means[:, :n].copy(),
+        states=filter_pass.means[:, :n].copy(),
         spreads=spread[:, :n],
         level=level,
         start=start,

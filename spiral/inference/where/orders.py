@@ -47,29 +47,29 @@ def time_map(
     samples = len(values)
     size = length or int(np.clip(samples // 24, 64, 1024))
     size = min(size, samples)
-    starts = _starts(samples, size)
+    starts = _slice_starts(samples, size)
     if count is not None:
         starts = np.unique(np.linspace(0, samples - size, count).astype(int))
-    power = np.sum([_slices(v, starts, size, finer) for v in values.T], axis=0)
+    power = np.sum([_slice_powers(v, starts, size, finer) for v in values.T], axis=0)
     every = dt * samples / len(starts)
     axis = np.fft.rfftfreq(finer * size, dt)
     return Spectrogram(dt * (starts + size / 2), axis, power, np.full(len(starts), every))
 
 
-def noise_power(found: Spectrogram, dt: float, channels: int, turning: bool = False) -> Array:
-    """What white noise of variance one in each channel makes of ``power``, (slices,).
+def noise_power(spectrogram: Spectrogram, dt: float, channels: int, turning: bool = False) -> Array:
+    """The expected ``power`` of white noise of variance one in each channel, (slices,).
 
     Its one-sided density is 2 dt, and a Hann window 3/2 steps of the axis wide; over orders
     (``turning``), 2 dt f at f turns a second, at least what lies within half of ``PER_TURN``.
     """
-    density = 2.0 * dt * np.ones(len(found.at))
+    density = 2.0 * dt * np.ones(len(spectrogram.at))
     if turning:
-        density = np.maximum(density * np.abs(found.at) / (2 * np.pi), 2.0 / PER_TURN)
-    return 1.5 * channels * density * float(found.axis[1] - found.axis[0])
+        density = np.maximum(density * np.abs(spectrogram.at) / (2 * np.pi), 2.0 / PER_TURN)
+    return 1.5 * channels * density * float(spectrogram.axis[1] - spectrogram.axis[0])
 
 
 def order_map(values: Array, phase: Array, speed: Array, dt: float) -> Spectrogram | None:
-    """Speed x order of ``values`` (samples, channels), sampled anew at equal angles.
+    """Speed x order: power of ``values`` (samples, channels), resampled at equal angles.
 
     Nothing where the record holds fewer than four turns.
     """
@@ -84,9 +84,9 @@ def order_map(values: Array, phase: Array, speed: Array, dt: float) -> Spectrogr
     rising = np.concatenate([[True], np.diff(turned) > 0])
     at = np.interp(angle, turned[rising], grid[rising])
     size = PER_TURN * int(np.clip(turns // 6, 2, _TURNS))
-    starts = _starts(len(angle), size)
+    starts = _slice_starts(len(angle), size)
     turning = CubicSpline(grid, values)(at)
-    power = np.sum([_slices(v, starts, size) for v in turning.T], axis=0)
+    power = np.sum([_slice_powers(v, starts, size) for v in turning.T], axis=0)
     orders = np.fft.rfftfreq(size, 1.0 / PER_TURN)
     shown = orders <= HIGHEST
     middle = np.minimum(starts + size // 2, len(at) - 1)
@@ -94,12 +94,12 @@ def order_map(values: Array, phase: Array, speed: Array, dt: float) -> Spectrogr
     return Spectrogram(np.interp(at[middle], grid, speed), orders[shown], power[:, shown], lasting)
 
 
-def _starts(samples: int, size: int) -> Array:
+def _slice_starts(samples: int, size: int) -> Array:
     step = max(size // 2, (samples - size) // _SLICES, 1)
     return np.arange(0, samples - size + 1, step)
 
 
-def _slices(values: Array, starts: Array, size: int, finer: int = 1) -> Array:
+def _slice_powers(values: Array, starts: Array, size: int, finer: int = 1) -> Array:
     """Power (slices, frequencies) of Hann-windowed slices: a sine of amplitude A gives A^2 / 2."""
     window = np.hanning(size)
     pieces = np.stack([values[s : s + size] for s in starts]) * window
@@ -131,7 +131,7 @@ def first_order(
     slices = int(angle[-1] / (2 * np.pi * turns)) * 2 - 1
     if slices < 3:
         return None
-    found, at = [], []
+    amplitudes, at = [], []
     sign = 1.0 if np.mean(speed) >= 0 else -1.0
     for k in range(min(slices, 2 * _SLICES)):
         low = np.pi * turns * k
@@ -141,9 +141,9 @@ def first_order(
         turned = sign * order * phase[a:b]
         basis = np.column_stack([np.cos(turned), np.sin(turned), np.ones(b - a)])
         cosine, sine, _ = np.linalg.lstsq(basis, values[a:b], rcond=None)[0]
-        found.append(cosine - 1j * sine)
+        amplitudes.append(cosine - 1j * sine)
         at.append(float(np.mean(speed[a:b])))
-    return FirstOrder(np.array(at), np.array(found)) if len(found) >= 3 else None
+    return FirstOrder(np.array(at), np.array(amplitudes)) if len(amplitudes) >= 3 else None
 
 
 def full_spectrum(x: Array, y: Array, dt: float, backward: bool = False) -> tuple[Array, Array]:

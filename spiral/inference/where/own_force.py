@@ -1,4 +1,4 @@
-"""A candidate's own force beside the one that a model lacks, at the same states and inputs.
+"""The force of a candidate along the motion on which the missing force was estimated.
 
     B F = f(x, u, p of the refitted model) - f(x, u, p of the model before),    B = df / dF
 
@@ -18,15 +18,15 @@ from spiral.physics.trace import Traced, trace
 from spiral.types.model import Model
 from spiral.types.record import Array
 
-_MOST = 4000  # samples at which the forces are asked
+_MOST = 4000  # samples at which the forces are evaluated
 
 
 @dataclass(frozen=True)
 class OwnForce:
-    """Forces over the missing one, rows of the record: (samples, axes), in the port's unit.
+    """Forces to compare with the missing one, (samples, axes) in the port's unit.
 
-    ``rows`` are those of the missing force that were asked; ``alone`` the effect's own force,
-    ``refitted`` that with all that its refit changed elsewhere.
+    ``rows`` are the rows of the missing force at which they are evaluated; ``alone`` is the
+    effect's own force, ``refitted`` includes all that its refit changed elsewhere.
     """
 
     rows: Array
@@ -34,11 +34,11 @@ class OwnForce:
     refitted: Array
 
 
-def own_force(missing: MissingForce, after: Model, label: str) -> OwnForce | None:
-    """What an effect of a refitted model pushes with where a force was missing before.
+def effect_own_force(missing: MissingForce, after: Model, label: str) -> OwnForce | None:
+    """The force of an effect of a refitted model, along the motion of the missing force.
 
-    Nothing for an effect that brings states of its own, whose force no state of the model before
-    tells, and for one that changes no rate, as of a sensor.
+    Nothing for an effect with states of its own, whose force is no function of the states of the
+    model before, and for one that changes no rate, as of a sensor.
     """
     effect = next((e for e in after.effects if e.label == label), None)
     traced = trace(after.system, after.effects)
@@ -51,24 +51,26 @@ def own_force(missing: MissingForce, after: Model, label: str) -> OwnForce | Non
     u = np.ascontiguousarray(grid[rows * step])
     own = np.ascontiguousarray(x[:, [known.index(n) for n in traced.states]])
     compiled = compile_model(traced)
-    with_it = _rates(compiled, own, u, _values(traced, after))
+    with_it = _rates_along(compiled, own, u, _values_in_order(traced, after))
     absent = dict.fromkeys(after.amplitudes(label), 0.0)
-    none = _values(traced, replace(after, values={**after.values, **absent}))
-    gains = _gains(missing, x, u)
-    alone = _pushed(gains, _placed(with_it - _rates(compiled, own, u, none), traced, known))
-    before = _rates(missing.task.compiled, x, u, _zeroed(missing))
-    refitted = _pushed(gains, _placed(with_it, traced, known) - before)
+    none = _values_in_order(traced, replace(after, values={**after.values, **absent}))
+    gains = _force_gains(missing, x, u)
+    alone = _least_squares_force(
+        gains, _reorder_rates(with_it - _rates_along(compiled, own, u, none), traced, known)
+    )
+    before = _rates_along(missing.task.compiled, x, u, _values_without_latent(missing))
+    refitted = _least_squares_force(gains, _reorder_rates(with_it, traced, known) - before)
     if not np.isfinite(refitted).all() or not np.any(alone):
         return None
     return OwnForce(rows, alone, refitted)
 
 
-def _values(traced: Traced, model: Model) -> Array:
+def _values_in_order(traced: Traced, model: Model) -> Array:
     known = dict(zip(traced.keys, traced.parameters, strict=True))
     return np.array([model.values.get(k, known[k].start or 0.0) for k in traced.keys])
 
 
-def _zeroed(missing: MissingForce) -> Array:
+def _values_without_latent(missing: MissingForce) -> Array:
     """Values of the model before, without the force that it lacks."""
     task = missing.task
     values = np.array(task.values, dtype=float)
@@ -76,28 +78,30 @@ def _zeroed(missing: MissingForce) -> Array:
     return values
 
 
-def _gains(missing: MissingForce, x: Array, u: Array) -> Array:
+def _force_gains(missing: MissingForce, x: Array, u: Array) -> Array:
     """B (samples, states, axes): what a force on each axis does to every rate."""
     columns = [missing.task.keys.index(k) for k in latent_keys(missing.task.model)]
-    return missing.task.compiled.rate.parameter_slopes(x, u, _zeroed(missing), columns)
+    return missing.task.compiled.rate.parameter_slopes(
+        x, u, _values_without_latent(missing), columns
+    )
 
 
-def _rates(compiled: Compiled, x: Array, u: Array, p: Array) -> Array:
+def _rates_along(compiled: Compiled, x: Array, u: Array, p: Array) -> Array:
     """Rates (samples, states) at every row of x and u."""
     from spiral.engine.likelihood.signatures_kernel import evaluate_along
 
-    found, readings = np.empty_like(x), np.empty((len(x), len(compiled.traced.channels)))
-    evaluate_along(compiled.rate_value, compiled.output_value, x, u, p, found, readings)
-    return found
+    rates, readings = np.empty_like(x), np.empty((len(x), len(compiled.traced.channels)))
+    evaluate_along(compiled.rate_value, compiled.output_value, x, u, p, rates, readings)
+    return rates
 
 
-def _placed(rates: Array, traced: Traced, known: list[str]) -> Array:
+def _reorder_rates(rates: Array, traced: Traced, known: list[str]) -> Array:
     """Rates in the order of the model before; those of states that are no more are zero."""
-    found = np.zeros((len(rates), len(known)))
-    found[:, [known.index(n) for n in traced.states]] = rates
-    return found
+    ordered = np.zeros((len(rates), len(known)))
+    ordered[:, [known.index(n) for n in traced.states]] = rates
+    return ordered
 
 
-def _pushed(gains: Array, rates: Array) -> Array:
+def _least_squares_force(gains: Array, rates: Array) -> Array:
     """The force on each axis that makes these rates, in least squares."""
     return np.einsum("sai,si->sa", np.linalg.pinv(gains), rates)

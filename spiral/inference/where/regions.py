@@ -1,8 +1,8 @@
-"""Where a model fails: the speeds, orders, frequencies, amplitudes and states it shows in.
+"""Where a model fails: the ranges of speed, order, frequency and amplitude, and the state.
 
-Ranges come from the free-run error (what a person sees), the order and the state it follows from
-the missing force (``spiral.inference.where.latent``), in which the machine's own resonance no
-longer stands.
+The ranges come from the free-run error; the order, and the state that the failure follows, come
+from the missing force (``spiral.inference.where.latent``), in which the machine's own resonances do
+not appear.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import residuals
 from spiral.inference.evidence.assembly import Assembly, active_keys, to_model
-from spiral.inference.evidence.judge import run_free
+from spiral.inference.evidence.judge import free_run_from_stage
 from spiral.inference.where.latent import MissingForce, missing_force
 from spiral.inference.where.orders import order_map, time_map
-from spiral.inference.where.surface import Shape, best_shape, shapes
+from spiral.inference.where.surface import Shape, best_shape, rank_force_shapes
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
 from spiral.types.run import Where
@@ -39,8 +39,8 @@ class Seen:
     """What a model misses on its worst record.
 
     ``number`` is that record's; ``error`` (samples, channels) measured minus free run;
-    ``excess`` (samples,) its squares in noise variances, above what noise makes; ``channels`` those
-    that fail; ``missing`` the force, where there is one.
+    ``excess`` (samples,) its squares over the noise variances, less their expectation under noise
+    alone; ``channels`` those that fail; ``missing`` the force, where there is one.
     """
 
     number: int
@@ -51,11 +51,11 @@ class Seen:
     missing: MissingForce | None
 
 
-def where(assembly: Assembly, stage: Stage, what: Seen | None = None) -> Where:
+def locate_failure(assembly: Assembly, stage: Stage, what: Seen | None = None) -> Where:
     """The smallest ranges that hold 80 % of the error's energy in excess of noise, in one sentence.
 
     Errors are those of the free run with the stage's values on the worst record; where that run is
-    not finite, those of the stage's windows. ``what`` is seen anew where it is not given.
+    not finite, those of the stage's windows. ``what`` is computed where it is not given.
     """
     names = assembly.problem.model.system.observed
     left = residuals(assembly.study, stage.layouts, stage.fitted.point)
@@ -64,10 +64,12 @@ def where(assembly: Assembly, stage: Stage, what: Seen | None = None) -> Where:
     worst = int(np.argmax(energy))
     if energy[worst] < _QUIET * max(counted, 1):
         return Where(names[worst], "The residual is at the level of the noise everywhere.")
-    return told(assembly, what if what is not None else seen(assembly, stage))
+    return describe_failure(
+        assembly, what if what is not None else worst_record_failure(assembly, stage)
+    )
 
 
-def seen(assembly: Assembly, stage: Stage, wide: Model | None = None) -> Seen:
+def worst_record_failure(assembly: Assembly, stage: Stage, wide: Model | None = None) -> Seen:
     """The free-run error and the missing force on the worst record.
 
     ``wide``: a model that holds the stage's effects and an unknown force, zero where the stage has
@@ -77,7 +79,7 @@ def seen(assembly: Assembly, stage: Stage, wide: Model | None = None) -> Seen:
     study, names = assembly.study, assembly.problem.model.system.observed
     number = int(np.argmax([np.sum(r**2) / max(np.any(r != 0, axis=1).sum(), 1) for r in left]))
     series = study.series[number]
-    run = run_free(assembly, stage, (0,) * len(study.series))
+    run = free_run_from_stage(assembly, stage, (0,) * len(study.series))
     error = run.measured[number] - run.predicted[number]
     if not np.isfinite(error).all():
         error = left[number] * series.sigma
@@ -86,11 +88,11 @@ def seen(assembly: Assembly, stage: Stage, wide: Model | None = None) -> Seen:
     excess = np.where(shown, np.sum(noises**2, axis=1) - len(names), 0.0)
     energy = np.sum(noises**2, axis=0)
     channels = tuple(n for n, e in zip(names, energy, strict=True) if e > _BOTH * energy.max())
-    missing = _missing(assembly, stage, number, int(np.argmax(excess)), wide)
+    missing = _missing_force_of_stage(assembly, stage, number, int(np.argmax(excess)), wide)
     return Seen(number, series.record, error, excess, channels, missing)
 
 
-def _missing(
+def _missing_force_of_stage(
     assembly: Assembly, stage: Stage, number: int, first: int, wide: Model | None
 ) -> MissingForce | None:
     study, values = assembly.study, stage.fitted.point.values
@@ -104,50 +106,56 @@ def _missing(
     return missing_force(model, series.record, grid, series.substeps, first)
 
 
-def told(assembly: Assembly, seen: Seen) -> Where:
-    """The ranges, and the sentence."""
+def describe_failure(assembly: Assembly, seen: Seen) -> Where:
+    """The ranges in which the model fails, and the sentence that describes them."""
     record, system = seen.record, assembly.problem.model.system
-    time = _range(record.time, seen.excess)
-    speed = _range(record.inputs["speed"], seen.excess) if "speed" in record.inputs else None
-    amplitude = _range(envelope(np.column_stack(list(record.channels.values()))), seen.excess)
-    order = _order(seen)
-    frequency = _frequency(seen.error, record.dt)
-    state, share = _state(assembly, seen)
+    time = _range_of_excess(record.time, seen.excess)
+    speed = (
+        _range_of_excess(record.inputs["speed"], seen.excess) if "speed" in record.inputs else None
+    )
+    amplitude = _range_of_excess(
+        envelope(np.column_stack(list(record.channels.values()))), seen.excess
+    )
+    order = _failure_order(seen)
+    frequency = _failure_frequency(seen.error, record.dt)
+    state, share = _state_of_missing_force(assembly, seen)
     energy = dict(zip(system.observed, np.sum(seen.error**2, axis=0), strict=True))
     channel = max(seen.channels, key=lambda name: energy[name])
-    found = Where(
+    ranges = Where(
         channel, "", time, frequency, speed, order, amplitude,
         state.state if state else None, state.power if state else None, share, seen.channels,
     )  # fmt: skip
-    return Where(**{**vars(found), "sentence": _sentence(found, state, seen, system)})
+    return Where(**{**vars(ranges), "sentence": _failure_sentence(ranges, state, seen, system)})
 
 
-def _state(assembly: Assembly, seen: Seen) -> tuple[Shape | None, float | None]:
+def _state_of_missing_force(assembly: Assembly, seen: Seen) -> tuple[Shape | None, float | None]:
     """The state that the missing force follows, and the share that this explains."""
     if seen.missing is None:
         return None, None
-    found = shapes(seen.missing, active_keys(assembly, assembly.problem.model.labels))
+    ranked_shapes = rank_force_shapes(
+        seen.missing, active_keys(assembly, assembly.problem.model.labels)
+    )
     axes = tuple(a for a in seen.missing.axes if a in seen.channels) or seen.missing.axes
-    best = best_shape(found, axes)
+    best = best_shape(ranked_shapes, axes)
     if best is None or best.share < _FOLLOWS:
         return None, None if best is None else best.share
     return best, best.share
 
 
-def _range(values: Array, excess: Array, bins: int = _BINS) -> tuple[float, float] | None:
+def _range_of_excess(values: Array, excess: Array, bins: int = _BINS) -> tuple[float, float] | None:
     """The shortest range of ``values`` that holds most of the excess; none where it is wide."""
     low, high = float(np.min(values)), float(np.max(values))
     if not high > low:
         return None
     edges = np.linspace(low, high, bins + 1)
     held, _ = np.histogram(values, edges, weights=excess)
-    best = _shortest(held)
+    best = _shortest_bins(held)
     if best is None or best[1] - best[0] > _NARROW * bins:
         return None
     return float(edges[best[0]]), float(edges[best[1]])
 
 
-def _shortest(held: Array) -> tuple[int, int] | None:
+def _shortest_bins(held: Array) -> tuple[int, int] | None:
     """The fewest neighbouring bins, [first, last), that hold most of the energy."""
     held = np.maximum(held, 0.0)
     total = held.sum()
@@ -162,13 +170,13 @@ def _shortest(held: Array) -> tuple[int, int] | None:
     return best
 
 
-def _band(axis: Array, power: Array) -> tuple[float, float] | None:
+def _spectral_band(axis: Array, power: Array) -> tuple[float, float] | None:
     """The shortest band of a spectrum that holds most of its power above the floor.
 
     A line of a few bins is placed at its centre of power, as wide as one bin.
     """
     above = np.maximum(power - np.median(power), 0.0)
-    best = _shortest(above)
+    best = _shortest_bins(above)
     if best is None or best[1] - best[0] > _NARROW * len(axis):
         return None
     part, step = slice(*best), float(axis[1] - axis[0])
@@ -188,13 +196,13 @@ def envelope(y: Array) -> Array:
     return maximum_filter1d(np.linalg.norm(moving, axis=1), max(3, len(moving) // main))
 
 
-def _frequency(error: Array, dt: float) -> tuple[float, float] | None:
-    found = time_map(error, dt, min(_SLICE, len(error)))
-    return _band(found.axis, found.power.sum(axis=0))
+def _failure_frequency(error: Array, dt: float) -> tuple[float, float] | None:
+    spectrogram = time_map(error, dt, min(_SLICE, len(error)))
+    return _spectral_band(spectrogram.axis, spectrogram.power.sum(axis=0))
 
 
-def _order(seen: Seen) -> tuple[float, float] | None:
-    """The orders of the missing force, where they are one line; else those of nothing."""
+def _failure_order(seen: Seen) -> tuple[float, float] | None:
+    """The order of the missing force (of the error where there is none), if it is one line."""
     record = seen.record
     if "phase" not in record.inputs or "speed" not in record.inputs:
         return None
@@ -202,54 +210,62 @@ def _order(seen: Seen) -> tuple[float, float] | None:
     values = seen.error
     if seen.missing is not None:
         part, values = slice(seen.missing.start, seen.missing.stop), seen.missing.force
-    found = order_map(values, record.inputs["phase"][part], record.inputs["speed"][part], record.dt)
-    if found is None:
+    spectrogram = order_map(
+        values, record.inputs["phase"][part], record.inputs["speed"][part], record.dt
+    )
+    if spectrogram is None:
         return None
-    total = np.sum(found.power * found.weight[:, None], axis=0)
-    held = _band(found.axis, total)
-    if held is None or held[1] - held[0] > _LINE or abs(_line(held) - np.mean(held)) > _NEAR:
+    total = np.sum(spectrogram.power * spectrogram.weight[:, None], axis=0)
+    held = _spectral_band(spectrogram.axis, total)
+    if (
+        held is None
+        or held[1] - held[0] > _LINE
+        or abs(_nearest_order(held) - np.mean(held)) > _NEAR
+    ):
         return None
     return held
 
 
-def _line(order: tuple[float, float]) -> int:
-    """The whole order that a range means."""
+def _nearest_order(order: tuple[float, float]) -> int:
+    """The integer order nearest to the middle of a range."""
     return round(float(np.mean(order)))
 
 
-def _sentence(found: Where, state: Shape | None, seen: Seen, system) -> str:
+def _failure_sentence(ranges: Where, state: Shape | None, seen: Seen, system) -> str:
     parts = []
     turning = np.ptp(seen.record.inputs["speed"]) > 0 if "speed" in seen.record.inputs else False
-    if found.speed_rad_s is not None:
-        rpm = sorted(abs(s) * 30 / np.pi for s in found.speed_rad_s)
+    if ranges.speed_rad_s is not None:
+        rpm = sorted(abs(s) * 30 / np.pi for s in ranges.speed_rad_s)
         parts.append(f"between {rpm[0]:.0f} and {rpm[1]:.0f} rpm")
     elif turning:
         parts.append("at all speeds")
-    elif found.time_s is not None:
-        parts.append(f"from {found.time_s[0]:.4g} to {found.time_s[1]:.4g} s")
-    if found.order is not None:
-        parts.append(f"at order {_line(found.order)}")
-    elif found.frequency_hz is not None:
-        parts.append(_hertz(found.frequency_hz))
+    elif ranges.time_s is not None:
+        parts.append(f"from {ranges.time_s[0]:.4g} to {ranges.time_s[1]:.4g} s")
+    if ranges.order is not None:
+        parts.append(f"at order {_nearest_order(ranges.order)}")
+    elif ranges.frequency_hz is not None:
+        parts.append(_format_frequency(ranges.frequency_hz))
     if state is not None:
-        parts.append(_follows(state))
-    elif found.amplitude is not None and found.order is None and not turning:
+        parts.append(_describe_state(state))
+    elif ranges.amplitude is not None and ranges.order is None and not turning:
         unit = system.unit_of(system.observed[0])
-        low, high = found.amplitude
+        low, high = ranges.amplitude
         parts.append(f"at amplitudes of {low:.3g} to {high:.3g} {unit}")
     elif seen.missing is not None:
         parts.append("following no single state")
     count = len(system.observed)
     several = "in both channels" if count == 2 else "in all channels"
-    said = several if len(found.channels) == count > 1 else "in " + _channels(found.channels)
+    said = (
+        several if len(ranges.channels) == count > 1 else "in " + _format_channels(ranges.channels)
+    )
     return f"The model fails {', '.join([*parts, said])}."
 
 
-def _channels(names: tuple[str, ...]) -> str:
+def _format_channels(names: tuple[str, ...]) -> str:
     return f"channel {names[0]}" if len(names) == 1 else f"channels {', '.join(names)}"
 
 
-def _hertz(frequency: tuple[float, float]) -> str:
+def _format_frequency(frequency: tuple[float, float]) -> str:
     low, high = frequency
     middle = 0.5 * (low + high)
     if high - low <= 0.1 * middle:
@@ -261,8 +277,8 @@ def _hertz(frequency: tuple[float, float]) -> str:
 _GROWTH = {1: "in proportion to {}", 2: "growing with {} squared", 3: "growing with {} cubed"}
 
 
-def _follows(state: Shape) -> str:
-    """The state in words."""
+def _describe_state(state: Shape) -> str:
+    """In words, how the missing force depends on a state."""
     if state.kind == "angle":
         often = {1: "once", 2: "twice"}.get(state.power, f"{state.power} times")
         return f"following the rotor's angle, {often} per turn"

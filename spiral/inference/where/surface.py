@@ -1,12 +1,12 @@
-"""What the missing force follows: a restoring-force surface, judged state by state.
+"""The state that the missing force depends on: a restoring-force surface, state by state.
 
 The missing force is known up to what the model's own free parameters can take over, so their
 columns are projected out first. What is left, f, is explained in turn by one shape of one state,
 
     f_i ~ s r^(n-1)    (s a position or a velocity, r its size over all axes, n = 0, 1, 2, 3),
 
-or by the rotor's angle, cos k theta and sin k theta. A shape describes data; it is no effect: with
-what the force grows is read off before any candidate is named. (Masri and Caughey 1979.)
+or by the rotor's angle, cos k theta and sin k theta. A shape describes data and is no effect: it
+shows what the force depends on before any candidate is named. (Masri and Caughey 1979.)
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class Shape:
     even: bool = False
 
 
-def shapes(missing: MissingForce, active: tuple[str, ...]) -> tuple[Shape, ...]:
-    """All shapes on all axes, best first.
+def rank_force_shapes(missing: MissingForce, active: tuple[str, ...]) -> tuple[Shape, ...]:
+    """All shapes on all axes, by the share of the missing force that they explain, best first.
 
     Parameters
     ----------
@@ -54,24 +54,26 @@ def shapes(missing: MissingForce, active: tuple[str, ...]) -> tuple[Shape, ...]:
     """
     samples = len(missing.force)
     at = np.unique(np.linspace(0, samples - 1, min(samples, _MOST)).astype(int))
-    own = _own_columns(missing, active, at)
-    found = []
+    own = _model_force_columns(missing, active, at)
+    ranked = []
     for number, axis in enumerate(missing.axes):
-        basis = _orthonormal(np.column_stack([own[:, number], np.ones(len(at))]))
-        left = _without(missing.force[at, number : number + 1], basis)
+        basis = _orthonormal_basis(np.column_stack([own[:, number], np.ones(len(at))]))
+        left = _project_out(missing.force[at, number : number + 1], basis)
         energy = float(np.sum(left**2))
-        for shape, columns in _candidates(missing, number, at):
-            seen = _orthonormal(_without(columns / np.linalg.norm(columns, axis=0), basis))
+        for shape, columns in _shape_columns(missing, number, at):
+            seen = _orthonormal_basis(
+                _project_out(columns / np.linalg.norm(columns, axis=0), basis)
+            )
             share = float(np.sum((seen.T @ left) ** 2)) / energy if energy > 0 else 0.0
             kind, state, power, even = shape
-            found.append(Shape(axis, kind, state, power, share, even))
-    return tuple(sorted(found, key=lambda s: -s.share))
+            ranked.append(Shape(axis, kind, state, power, share, even))
+    return tuple(sorted(ranked, key=lambda s: -s.share))
 
 
-def best_shape(found: tuple[Shape, ...], axes: tuple[str, ...]) -> Shape | None:
-    """The shape that explains most on these axes together, as the first of them has it."""
+def best_shape(candidates: tuple[Shape, ...], axes: tuple[str, ...]) -> Shape | None:
+    """The shape with the largest mean share over these axes, named on the axis it explains best."""
     groups: dict[tuple, list[Shape]] = {}
-    for shape in (s for s in found if s.axis in axes):
+    for shape in (s for s in candidates if s.axis in axes):
         groups.setdefault((shape.kind, shape.power, shape.even), []).append(shape)
     if not groups:
         return None
@@ -81,7 +83,7 @@ def best_shape(found: tuple[Shape, ...], axes: tuple[str, ...]) -> Shape | None:
     return Shape(first.axis, first.kind, first.state, first.power, means[best], first.even)
 
 
-def _own_columns(missing: MissingForce, active: tuple[str, ...], at: Array) -> Array:
+def _model_force_columns(missing: MissingForce, active: tuple[str, ...], at: Array) -> Array:
     """(samples, axes, columns): forces at the port that the model's own parameters stand for."""
     task = missing.task
     latent = [i for i, k in enumerate(task.keys) if k.startswith(f"{LatentForce().label}.")]
@@ -93,7 +95,7 @@ def _own_columns(missing: MissingForce, active: tuple[str, ...], at: Array) -> A
     return np.linalg.pinv(slopes[..., : len(latent)]) @ slopes[..., len(latent) :]
 
 
-def _candidates(missing: MissingForce, number: int, at: Array) -> Iterator[tuple[_Named, Array]]:
+def _shape_columns(missing: MissingForce, number: int, at: Array) -> Iterator[tuple[_Named, Array]]:
     """Every shape of one axis with its columns (samples, 1 or 2)."""
     task = missing.task
     names = task.states
@@ -103,12 +105,12 @@ def _candidates(missing: MissingForce, number: int, at: Array) -> Iterator[tuple
     v = {a: missing.states[at, names.index(r)] for a, r in rates.items() if r in names}
     axis = missing.axes[number]
     if axis in q:
-        yield from _powers("position", axis, q, 1)
+        yield from _power_columns("position", axis, q, 1)
         yield ("position", axis, 2, True), q[axis][:, None] ** 2
         for other in (o for o in q if o != axis):
             yield ("other position", other, 1, False), q[other][:, None]
     if axis in v:
-        yield from _powers("velocity", rates[axis], v, 0, axis)
+        yield from _power_columns("velocity", rates[axis], v, 0, axis)
         for other in (o for o in v if o != axis):
             yield ("other velocity", rates[other], 1, False), v[other][:, None]
     columns = task.compiled.traced.inputs
@@ -121,7 +123,7 @@ def _candidates(missing: MissingForce, number: int, at: Array) -> Iterator[tuple
             )
 
 
-def _powers(
+def _power_columns(
     kind: Kind, name: str, states: dict[str, Array], lowest: int, axis: str = ""
 ) -> Iterator[tuple[_Named, Array]]:
     """s r^(n-1) for n up to 3; the sign of s for n = 0."""
@@ -132,7 +134,7 @@ def _powers(
         yield (kind, name, power, False), column[:, None]
 
 
-def _orthonormal(columns: Array) -> Array:
+def _orthonormal_basis(columns: Array) -> Array:
     """An orthonormal basis of the columns' span, nearly dependent ones left out."""
     norms = np.linalg.norm(columns, axis=0)
     kept = columns[:, norms > _TINY] / norms[norms > _TINY]
@@ -142,5 +144,5 @@ def _orthonormal(columns: Array) -> Array:
     return left[:, sizes > 1e-7 * sizes[0]]
 
 
-def _without(columns: Array, basis: Array) -> Array:
+def _project_out(columns: Array, basis: Array) -> Array:
     return columns - basis @ (basis.T @ columns)

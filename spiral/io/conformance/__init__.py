@@ -1,1 +1,1 @@
-"""What ``spiral check`` looks at, kind by kind: what was seen, or an error with what is wrong."""
+"""Checks of ``spiral check``, by kind of plugin: each returns what it saw, or raises an error."""

@@ -1,4 +1,4 @@
-"""What the conformance suite looks at in estimators: functions that return what was seen."""
+"""Conformance checks of derivative estimators: each returns what it saw, or raises an error."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ _SAMPLES, _DT, _HZ = 500, 2e-3, 5.0
 _TOLERANCE = (0.02, 0.05, 0.2)  # of y, y', y'' relative to their rms, on a sine without noise
 
 
-def sine() -> tuple[Array, Array]:
+def sine_channels() -> tuple[Array, Array]:
     """Two channels of a sine of 5 Hz, 1 s at 500 Hz, and the speed that goes with it."""
     angle = 2 * np.pi * _HZ * _DT * np.arange(_SAMPLES)
     return np.column_stack([np.sin(angle), np.cos(angle)]), np.full(_SAMPLES, 2 * np.pi * _HZ)
 
 
-def tried(derivative: Derivative, y: Array, speed: Array) -> Derivatives | InputError | ConfigError:
+def estimate_or_refusal(
+    derivative: Derivative, y: Array, speed: Array
+) -> Derivatives | InputError | ConfigError:
     """The estimate on the sine, or the refusal."""
     try:
         return differentiate(derivative, y, _DT, speed)
@@ -28,23 +30,23 @@ def tried(derivative: Derivative, y: Array, speed: Array) -> Derivatives | Input
         return error
 
 
-def sine_followed(derivative: Derivative) -> str:
+def check_sine(derivative: Derivative) -> str:
     """y, y' and y'' of a sine, away from its ends; or a refusal that says what to change."""
-    y, speed = sine()
-    found = tried(derivative, y, speed)
-    if isinstance(found, Exception):
-        return f"refused: {found.given}, expected {found.expected}"
-    if found.position.shape != y.shape:
-        return f"{found.position.shape[1]} coordinates of {y.shape[1]} channels"
+    y, speed = sine_channels()
+    estimate = estimate_or_refusal(derivative, y, speed)
+    if isinstance(estimate, Exception):
+        return f"refused: {estimate.given}, expected {estimate.expected}"
+    if estimate.position.shape != y.shape:
+        return f"{estimate.position.shape[1]} coordinates of {y.shape[1]} channels"
     omega = 2 * np.pi * _HZ
     turned = np.column_stack([y[:, 1], -y[:, 0]])
     truths = (y, omega * turned, -(omega**2) * y)
-    parts = (found.position, found.velocity, found.acceleration)
+    parts = (estimate.position, estimate.velocity, estimate.acceleration)
     errors = []
     for name, part, truth, allowed in zip(
         ("y", "y'", "y''"), parts, truths, _TOLERANCE, strict=True
     ):
-        off = (part - truth)[found.inner]
+        off = (part - truth)[estimate.inner]
         errors.append(float(np.sqrt(np.mean(off**2) / np.mean(truth**2))))
         if not errors[-1] <= allowed:
             raise PluginError(
@@ -53,11 +55,14 @@ def sine_followed(derivative: Derivative) -> str:
     return "errors " + ", ".join(f"{e:.1e}" for e in errors)
 
 
-def estimate_repeatable(derivative: Derivative) -> str:
+def check_repeatable_estimate(derivative: Derivative) -> str:
     """Two estimates of the same samples are the same numbers, and the samples stay as they are."""
-    y, speed = sine()
+    y, speed = sine_channels()
     before = y.copy()
-    once, again = tried(derivative, y, speed), tried(derivative, y, speed)
+    once, again = (
+        estimate_or_refusal(derivative, y, speed),
+        estimate_or_refusal(derivative, y, speed),
+    )
     if isinstance(once, Exception) or isinstance(again, Exception):
         return "refused"
     if not np.array_equal(y, before):

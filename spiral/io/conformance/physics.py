@@ -1,4 +1,4 @@
-"""What the conformance suite looks at: functions that return what was seen, or raise what is wrong.
+"""Conformance checks of effects and systems: each returns what it saw, or raises an error.
 
 f_x, f_p, h_x, h_p are those of the compiled model, held against central differences
 (f(z + d) - f(z - d)) / 2d.
@@ -53,7 +53,7 @@ class Physics:
             trace(self.system, self.system.seed if self.effects is None else self.effects)
         )
 
-    def evaluated(self, x: Array, u: Array, p: Array) -> tuple[Array, Array, Array]:
+    def evaluate(self, x: Array, u: Array, p: Array) -> tuple[Array, Array, Array]:
         """(f, h) and its Jacobians in x and p."""
         parts = []
         traced = self.compiled.traced
@@ -68,11 +68,15 @@ class Physics:
         value, by_x, by_p = (np.concatenate(part) for part in zip(*parts, strict=True))
         return value, by_x, by_p
 
-    def drawn(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    def draw_point(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
         """Random states, inputs and parameters, the last within their bounds."""
         traced = self.compiled.traced
         x, u = (rng.normal(size=len(names)) for names in (traced.states, traced.inputs))
-        return x, u, np.array([_inside(q, rng.uniform(0.3, 0.9)) for q in traced.parameters])
+        return (
+            x,
+            u,
+            np.array([_value_in_bounds(q, rng.uniform(0.3, 0.9)) for q in traced.parameters]),
+        )
 
     def amplitudes(self, effect: Effect) -> Array:
         """Which parameters are amplitudes of the effect."""
@@ -82,7 +86,7 @@ class Physics:
         return np.array(own, dtype=bool)
 
 
-def _inside(parameter: Parameter, share: float) -> float:
+def _value_in_bounds(parameter: Parameter, share: float) -> float:
     """``share`` itself where the bounds allow it, else that share of the way between them."""
     low, high = parameter.lower, parameter.upper
     if (low is None or low <= share) and (high is None or share <= high):
@@ -92,7 +96,7 @@ def _inside(parameter: Parameter, share: float) -> float:
     return low + share * ((low + 1.0 if high is None else high) - low)
 
 
-def said(plugin: Plugin | type[Plugin]) -> str:
+def docstring_summary(plugin: Plugin | type[Plugin]) -> str:
     """The first line of the docstring."""
     meaning = plugin.meaning()
     kind = plugin if isinstance(plugin, type) else type(plugin)
@@ -101,61 +105,61 @@ def said(plugin: Plugin | type[Plugin]) -> str:
     return meaning
 
 
-def docstring(plugin: Plugin) -> str:
+def docstring_equation(plugin: Plugin) -> str:
     """The line of the docstring that holds the equation."""
-    said(plugin)
+    docstring_summary(plugin)
     for line in (inspect.getdoc(type(plugin)) or "").splitlines():
         if " = " in line:
             return line.strip()
     raise PluginError("a docstring without an equation", "a line with ' = '")
 
 
-def fits(effect: Effect, system: System) -> str:
+def check_port(effect: Effect, system: System) -> str:
     """The port: its axes and the system's inputs are what the effect needs."""
     from spiral.types.placement import check_effect as check_needs
 
     return f"port {check_needs(system, effect).name}"
 
 
-def effect_units(effect: Effect, system: System) -> str:
+def check_effect_declarations(effect: Effect, system: System) -> str:
     """Parameters and own states: each name once, units that parse, an amplitude."""
     port = system.place(effect)
-    _once("parameter", [q.name for q in effect.parameters])
-    _once("state", [s.name for s in effect.states])
+    _check_unique("parameter", [q.name for q in effect.parameters])
+    _check_unique("state", [s.name for s in effect.states])
     if not effect.amplitudes():
         raise PluginError(
             "no parameter of role 'amplitude'",
             "one that is zero when the effect is absent",
             "Parameter('stiffness', 'force/position') and use it as a factor",
         )
-    return _parsed({i.name: port.unit(i.unit) for i in (*effect.parameters, *effect.states)})
+    return _parse_units({i.name: port.unit(i.unit) for i in (*effect.parameters, *effect.states)})
 
 
-def _once(kind: str, names: Sequence[str]) -> None:
+def _check_unique(kind: str, names: Sequence[str]) -> None:
     twice = sorted({n for n in names if list(names).count(n) > 1})
     if twice:
         raise PluginError(f"{kind} {', '.join(twice)} twice", "each name once")
 
 
-def _parsed(units: dict[str, str]) -> str:
+def _parse_units(units: dict[str, str]) -> str:
     from spiral.types.units import short_form
 
-    found = []
+    parsed = []
     for name, unit in units.items():
         try:
-            found.append(f"{name} in {short_form(unit) or '1'}")
+            parsed.append(f"{name} in {short_form(unit) or '1'}")
         except Exception as error:
             raise PluginError(f"unit {unit!r} of {name!r}", "a unit that parses") from error
-    return ", ".join(found) or "none"
+    return ", ".join(parsed) or "none"
 
 
-def traces(physics: Physics) -> str:
+def check_tracing(physics: Physics) -> str:
     """The physics becomes expressions and compiles."""
     traced = physics.compiled.traced
     return f"{len(traced.states)} states, {len(traced.keys)} parameters"
 
 
-def own_states(effect: Effect, physics: Physics) -> str:
+def check_own_states(effect: Effect, physics: Physics) -> str:
     """States that the effect brings have rates."""
     own = [n for n in physics.compiled.traced.states if n.startswith(f"{effect.label}.")]
     if effect.states and not own:
@@ -163,7 +167,7 @@ def own_states(effect: Effect, physics: Physics) -> str:
     return ", ".join(n.split(".", 1)[1] for n in own) or "none"
 
 
-def units(system: System, effects: Sequence[Effect]) -> str:
+def check_equation_units(system: System, effects: Sequence[Effect]) -> str:
     """The equations give forces (readings, flows) in the unit of their port."""
     from spiral.types.units import check_units
 
@@ -172,23 +176,23 @@ def units(system: System, effects: Sequence[Effect]) -> str:
     return ", ".join(system.place(e).force_unit for e in effects) or "none"
 
 
-def jacobians(physics: Physics) -> str:
+def check_jacobians(physics: Physics) -> str:
     """f_x, f_p, h_x, h_p against central differences at random states and parameters."""
     rng = np.random.default_rng(1)
-    worst = max(_worst_slope(physics, *physics.drawn(rng)) for _ in range(_DRAWS))
+    worst = max(_worst_jacobian_error(physics, *physics.draw_point(rng)) for _ in range(_DRAWS))
     return f"{worst:.0e} from central differences"
 
 
-def _worst_slope(physics: Physics, x: Array, u: Array, p: Array) -> float:
+def _worst_jacobian_error(physics: Physics, x: Array, u: Array, p: Array) -> float:
     names = (*physics.compiled.traced.states, *physics.compiled.traced.keys)
-    value, *slopes = physics.evaluated(x, u, p)
+    value, *slopes = physics.evaluate(x, u, p)
     size = np.full(len(value), np.abs(value[: len(x)]).max())  # of rates, then of readings
     size[len(x) :] = np.abs(value[len(x) :]).max()
     point = np.concatenate([x, p])
     worst = 0.0
     for name, given, d in zip(names, np.hstack(slopes).T, _STEP * np.eye(len(point)), strict=True):
         above, below = (
-            physics.evaluated(z[: len(x)], u, z[len(x) :])[0] for z in (point + d, point - d)
+            physics.evaluate(z[: len(x)], u, z[len(x) :])[0] for z in (point + d, point - d)
         )
         slope = (above - below) / (2 * _STEP)
         allowed = _TOLERANCE * (np.abs(slope) + size)
@@ -202,16 +206,16 @@ def _worst_slope(physics: Physics, x: Array, u: Array, p: Array) -> float:
     return worst
 
 
-def finite(physics: Physics) -> str:
+def check_finite_values(physics: Physics) -> str:
     """Values and slopes at zero states and inputs, and in motion, with amplitudes 0 and 1."""
     traced = physics.compiled.traced
-    x, u, p = physics.drawn(np.random.default_rng(2))
+    x, u, p = physics.draw_point(np.random.default_rng(2))
     pairs = zip(traced.keys, traced.parameters, strict=True)
     kept = np.array([k.startswith("system.") or q.role == "shape" for k, q in pairs], dtype=bool)
     for amplitude in (0.0, 1.0):
         given = np.where(kept, p, amplitude)
         for where, at in (("at rest", (0 * x, 0 * u, given)), ("in motion", (x, u, given))):
-            parts = zip(("value", "slope by x", "slope by p"), physics.evaluated(*at), strict=True)
+            parts = zip(("value", "slope by x", "slope by p"), physics.evaluate(*at), strict=True)
             for what, part in parts:
                 if not np.isfinite(part).all():
                     raise PluginError(
@@ -222,7 +226,7 @@ def finite(physics: Physics) -> str:
     return "with amplitudes 0 and 1"
 
 
-def linear(effect: Effect, physics: Physics) -> str:
+def check_linearity(effect: Effect, physics: Physics) -> str:
     """f(2a) - f(0) = 2 (f(a) - f(0)) in the amplitudes a, which change something.
 
     A sensor's reading, and what acts of an input, are asked at small amplitudes: they may have
@@ -234,9 +238,9 @@ def linear(effect: Effect, physics: Physics) -> str:
     bent = isinstance(effect, SensorEffect | InputEffect)
     size, share = (_SMALL, np.sqrt(_SMALL)) if bent else (1.0, _EXACT)
     for _ in range(_DRAWS):
-        x, u, p = physics.drawn(rng)
+        x, u, p = physics.draw_point(rng)
         none, one, two = (
-            physics.evaluated(x, u, np.where(own, scale * p, p))[0]
+            physics.evaluate(x, u, np.where(own, scale * p, p))[0]
             for scale in (0.0, size, 2 * size)
         )
         error = np.abs((two - none) - 2 * (one - none))
@@ -251,12 +255,12 @@ def linear(effect: Effect, physics: Physics) -> str:
     return f"{int(own.sum())} amplitudes"
 
 
-def absent(effect: Effect, physics: Physics, bare: Physics) -> str:
+def check_absent_at_zero(effect: Effect, physics: Physics, bare: Physics) -> str:
     """With zero amplitudes the system's own rates and readings are as without the effect."""
-    x, u, p = physics.drawn(np.random.default_rng(4))
-    none = physics.evaluated(x, u, np.where(physics.amplitudes(effect), 0.0, p))[0]
+    x, u, p = physics.draw_point(np.random.default_rng(4))
+    none = physics.evaluate(x, u, np.where(physics.amplitudes(effect), 0.0, p))[0]
     count = len(physics.system.states)
-    alone = bare.evaluated(x[:count], u, p[: len(bare.compiled.traced.keys)])[0]
+    alone = bare.evaluate(x[:count], u, p[: len(bare.compiled.traced.keys)])[0]
     kept = np.concatenate([none[:count], none[len(x) :]])
     error = np.abs(kept - alone)
     if not np.all(error <= _EXACT * (1 + np.abs(alone))):
@@ -267,30 +271,34 @@ def absent(effect: Effect, physics: Physics, bare: Physics) -> str:
     return "as without it"
 
 
-def names(system: System) -> str:
+def check_names(system: System) -> str:
     """States, channels, inputs, ports and parameters: each name once, and known where used."""
     states, inputs = [s.name for s in system.states], [i.name for i in system.inputs]
     readings = [r.name for r in system.readings]
-    _once("state, input or reading", [*states, *inputs, *readings])
-    _once("parameter", [q.name for q in system.parameters])
-    _once("channel", list(system.observed))
-    _once("port", [port.name for port in system.ports])
-    _once("effect of the seed", [e.label for e in system.seed])
-    for what, found in (("states", states), ("channels", system.observed), ("ports", system.ports)):
-        if not found:
+    _check_unique("state, input or reading", [*states, *inputs, *readings])
+    _check_unique("parameter", [q.name for q in system.parameters])
+    _check_unique("channel", list(system.observed))
+    _check_unique("port", [port.name for port in system.ports])
+    _check_unique("effect of the seed", [e.label for e in system.seed])
+    for what, listed in (
+        ("states", states),
+        ("channels", system.observed),
+        ("ports", system.ports),
+    ):
+        if not listed:
             raise PluginError(f"no {what}", "at least one")
     for port in system.ports:
-        _once(f"axis of port {port.name!r}", list(port.axes))
-    _known("observed", system.observed, [*states, *readings])
+        _check_unique(f"axis of port {port.name!r}", list(port.axes))
+    _check_known("observed", system.observed, [*states, *readings])
     sources = [i.derived_from for i in system.inputs if i.derived_from]
-    _known("derived_from", sources, inputs)
+    _check_known("derived_from", sources, inputs)
     keys = [k for k, _ in model_keys(system, system.seed)]
-    _known("defaults", list(system.defaults), keys)
+    _check_known("defaults", list(system.defaults), keys)
     hidden = [n for n in states if n not in system.observed]
     return f"observed {', '.join(system.observed)}; hidden {', '.join(hidden) or 'none'}"
 
 
-def _known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
+def _check_known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
     for name in given:
         if name not in known:
             raise PluginError(
@@ -298,16 +306,18 @@ def _known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
             )
 
 
-def system_units(system: System) -> str:
+def check_declared_units(system: System) -> str:
     """Units of states, inputs, parameters, injections and ports parse."""
-    _parsed({i.name: i.unit for i in system.injections})
+    _parse_units({i.name: i.unit for i in system.injections})
     for port in system.ports:
-        _parsed({f"position at {port.name}": port.position_unit})
-        _parsed({f"force at {port.name}": port.force_unit})
-    return _parsed({i.name: i.unit for i in (*system.states, *system.inputs, *system.parameters)})
+        _parse_units({f"position at {port.name}": port.position_unit})
+        _parse_units({f"force at {port.name}": port.force_unit})
+    return _parse_units(
+        {i.name: i.unit for i in (*system.states, *system.inputs, *system.parameters)}
+    )
 
 
-def mass(system: System) -> str:
+def check_mass_matrix(system: System) -> str:
     """M(q, p) is n x n for n coordinates, symmetric and positive; ports have their axes."""
     if not has_coordinates(system):
         return "no coordinates: not a mechanical system"
@@ -323,7 +333,7 @@ def mass(system: System) -> str:
     beside = [s.name for s in system.others]
     q = SimpleNamespace(**{n: rng.normal() for n in (*coordinates, *beside)})
     p = SimpleNamespace(
-        **{k.name: _inside(k, rng.uniform(0.3, 0.9)) for k in system.parameters},
+        **{k.name: _value_in_bounds(k, rng.uniform(0.3, 0.9)) for k in system.parameters},
     )
     for port in system.ports:
         if len(port.coordinates(q, p)) != len(port.axes):
@@ -339,7 +349,7 @@ def mass(system: System) -> str:
     return f"{len(coordinates)} x {len(coordinates)}, positive"
 
 
-def mechanical_units(system: System) -> str:
+def check_mechanical_units(system: System) -> str:
     """M q'' and the system's own force have the units of the injections; readings have theirs."""
     from spiral.types.units import check_reading_units, check_system_units
 
@@ -352,7 +362,7 @@ def mechanical_units(system: System) -> str:
     return ", ".join(i.unit for i in system.injections)
 
 
-def simulates(system: System) -> str:
+def check_simulation(system: System) -> str:
     """A short record with every input at one, where all values are known."""
     from spiral.inference.simulate import integrate, with_defaults
     from spiral.types.model import seed_model
@@ -361,7 +371,7 @@ def simulates(system: System) -> str:
     unknown = [k for k, q in model.pairs if q.start is None and k not in model.values]
     if unknown:
         return f"not tried: no nominal value for {', '.join(unknown)}"
-    time = time_step(system, model) * np.arange(_SAMPLES)
+    time = stable_time_step(system, model) * np.arange(_SAMPLES)
     given = {i.name: np.ones(_SAMPLES) for i in system.inputs if i.derived_from is None}
     states, _ = integrate(model, time, given)
     if not np.isfinite(states).all():
@@ -369,11 +379,11 @@ def simulates(system: System) -> str:
     return f"{_SAMPLES} samples, {time[-1]:.3g} s"
 
 
-def time_step(system: System, model: Model) -> float:
+def stable_time_step(system: System, model: Model) -> float:
     """A tenth of the fastest motion about rest, at most 1 ms, in s."""
     physics = Physics(system, model.effects)
     traced = physics.compiled.traced
     p = np.array([float(model.values.get(k, q.start or 0.0)) for k, q in model.pairs])
-    slopes = physics.evaluated(np.zeros(len(traced.x)), np.zeros(len(traced.u)), p)[1]
+    slopes = physics.evaluate(np.zeros(len(traced.x)), np.zeros(len(traced.u)), p)[1]
     fastest = float(np.abs(np.linalg.eigvals(slopes[: len(traced.x)])).max())
     return min(1e-3, 0.1 / fastest) if fastest > 0 else 1e-3

@@ -1,4 +1,4 @@
-"""What the conformance suite looks at in learners, libraries and gates: what was seen, or error."""
+"""Conformance checks of learners, libraries and gates: each returns what it saw, or raises."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from spiral.types.system import System
 _LEFT = 0.5  # share of a smooth function's energy that a learner may leave on held-out samples
 
 
-def _surface() -> tuple[Array, Array, Array]:
+def _example_surface() -> tuple[Array, Array, Array]:
     """A smooth function of two outputs, and which samples train."""
     rng = np.random.default_rng(0)
     xi = rng.normal(size=(600, 3)) * [1e-4, 1.0, 100.0]
@@ -28,25 +28,25 @@ def _surface() -> tuple[Array, Array, Array]:
     return xi, r, rng.random(600) < 0.7
 
 
-def learns(learner: Learner) -> str:
+def check_learning(learner: Learner) -> str:
     """A smooth function of two outputs is followed on samples that were not trained on."""
-    found = learned(learner, *_surface(), 1)
-    left = found.log["validation_left"]
+    fit = learned(learner, *_example_surface(), 1)
+    left = fit.log["validation_left"]
     if not left < _LEFT:
         raise PluginError(f"{left:.2g} of a smooth function is left", f"under {_LEFT:g}")
     return f"{left:.2g} of the energy is left"
 
 
-def learns_again(learner: Learner) -> str:
+def check_repeatable_learning(learner: Learner) -> str:
     """The same seed gives the same function."""
-    xi, r, train = _surface()
+    xi, r, train = _example_surface()
     once, again = (learned(learner, xi, r, train, 1).predict(xi) for _ in range(2))
     if not np.array_equal(once, again):
         raise PluginError("two fits with one seed that differ", "the same function")
     return "same numbers"
 
 
-def terms_fit(library: Library, systems: Sequence[System]) -> str:
+def check_library_terms(library: Library, systems: Sequence[System]) -> str:
     """Terms for at least one system, each with units that fit its equation."""
     counts = {}
     for system in systems:
@@ -76,20 +76,20 @@ def trial() -> Trial:
     return replace(bare, gain=lambda kept: (before - bare.fitted(kept, every).rss) / 0.1**2)
 
 
-def judges(gate: Gate) -> str:
+def check_judgement(gate: Gate) -> str:
     """Of three candidates a strong true one passes, and nothing that was not asked."""
     asked = trial()
-    found = gate.judge(asked)
-    if not set(found.kept) <= set(asked.kept):
-        raise PluginError(f"candidates {found.kept} of {asked.kept}", "some of those asked")
-    if 0 not in found.kept and not gate.guard:
+    judgement = gate.judge(asked)
+    if not set(judgement.kept) <= set(asked.kept):
+        raise PluginError(f"candidates {judgement.kept} of {asked.kept}", "some of those asked")
+    if 0 not in judgement.kept and not gate.guard:
         raise PluginError("a strong true term that does not pass", "it passes")
-    if not found.kept and not found.reason:
+    if not judgement.kept and not judgement.reason:
         raise PluginError("nothing kept without a reason", "a reason, for the loop ends with it")
-    return f"{len(found.kept)} of 3 pass"
+    return f"{len(judgement.kept)} of 3 pass"
 
 
-def logs_plainly(gate: Gate) -> str:
+def check_gate_log(gate: Gate) -> str:
     """Its figures are plain data that JSON takes, and the same each time."""
     first, second = (gate.judge(trial()) for _ in range(2))
     try:

@@ -1,4 +1,4 @@
-"""What the conformance suite looks at in strategies: one round on a small study, or an error."""
+"""Conformance checks of strategies: one round on a small study; each returns what it saw."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from spiral.inference.discover import discover
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.simulate import simulate
 from spiral.inference.strategies.base import Strategy
-from spiral.io.question import put
+from spiral.io.question import pose_problem
 from spiral.io.writing import to_json
 from spiral.types.errors import PluginError
 from spiral.types.model import Model, seed_model
@@ -41,14 +41,14 @@ def rehearsal(strategy: Strategy, registry: Registry) -> Problem:
     known = Model(
         model.system, model.effects, {k: v for k, v in _VALUES.items() if "cubic" not in k}
     )
-    records = tuple((_shaken(truth, seed),) for seed in (1, 2))
-    return put(
+    records = tuple((_simulate_shaken(truth, seed),) for seed in (1, 2))
+    return pose_problem(
         registry, known, *records, candidates=["cubic_stiffness", "quadratic_damping"],
         settings=Settings(max_rounds=1), strategy=strategy,
     )  # fmt: skip
 
 
-def _shaken(truth: Model, seed: int) -> Record:
+def _simulate_shaken(truth: Model, seed: int) -> Record:
     rng = np.random.default_rng(seed)
     time = np.arange(round(_SECONDS * _RATE)) / _RATE
     tones = np.arange(1, 41) / _SECONDS  # up to 10 Hz
@@ -71,11 +71,11 @@ class Rehearsed:
 
     @cached_property
     def run(self) -> Run:
-        """At most one admission."""
+        """The study run for at most one round."""
         return discover(self.problem)
 
 
-def takes_a_round(at: Rehearsed) -> str:
+def check_first_round(at: Rehearsed) -> str:
     """The loop comes to its end, with a model whose values are numbers."""
     values = at.run.model.values
     if not all(np.isfinite(v) for v in values.values()):
@@ -83,7 +83,7 @@ def takes_a_round(at: Rehearsed) -> str:
     return f"{at.run.verdict}, {len(at.run.rounds) - 1} admitted"
 
 
-def admits_candidates(at: Rehearsed) -> str:
+def check_admissions(at: Rehearsed) -> str:
     """What it admits was offered and is then in the model; what it suggests was offered."""
     known = {e.label for e in at.problem.candidates}
     told = {s.effect for r in at.run.rounds for s in r.suggestions}
@@ -96,6 +96,6 @@ def admits_candidates(at: Rehearsed) -> str:
     return f"{len(told)} suggested"
 
 
-def logs_plainly(at: Rehearsed) -> str:
+def check_run_log(at: Rehearsed) -> str:
     """Its details are plain data that JSON takes."""
     return f"{len(json.loads(to_json(at.run.as_dict())))} keys"

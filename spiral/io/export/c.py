@@ -9,17 +9,17 @@ from typing import Any
 import sympy as sp
 from sympy.printing.c import C99CodePrinter, reserved_words, reserved_words_c99
 
-from spiral.io.export.names import plain
+from spiral.io.export.names import sanitise_text
 from spiral.io.export.program import (
     Constant,
     Program,
     assignments,
-    described,
-    entries,
+    header_lines,
     identifiers,
-    used,
+    items_in_expressions,
+    jacobian_entries,
 )
-from spiral.io.writing import filled
+from spiral.io.writing import fill_template
 
 _MATHEMATICS = (
     "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign",
@@ -49,62 +49,71 @@ class _Printer(C99CodePrinter):
         return f"({text})"
 
 
-def c(found: Program) -> str:
+def c(program: Program) -> str:
     """The file's text."""
-    fields = identifiers(found.parameters, _RESERVED)
-    rows = [(fields[p.symbol], p) for p in found.parameters]
-    return filled(
+    fields = identifiers(program.parameters, _RESERVED)
+    rows = [(fields[p.symbol], p) for p in program.parameters]
+    return fill_template(
         "export_c",
-        name=found.name,
-        head="\n".join(f" * {line}".rstrip() for line in described(found)),
-        states=str(len(found.states)),
-        inputs=str(len(found.inputs)),
-        readings=str(len(found.outputs)),
-        parameters=str(len(found.parameters)),
-        fields="\n".join(f"    double {n}; /* {_about(p)} */" for n, p in rows) or "    char none;",
-        estimates=_initial((n, repr(p.value)) for n, p in rows),
-        errors=_initial((n, "NAN" if p.error is None else repr(p.error)) for n, p in rows),
-        rhs=_values(found, found.rate, "f"),
-        output=_values(found, found.output, "y"),
-        rhs_slopes=_slopes(found, by_x=found.rate_x, by_p=found.rate_p),
-        output_slopes=_slopes(found, by_x=found.output_x, by_p=found.output_p),
-        input_slopes=_slopes(found, rates=found.rate_u, outputs=found.output_u),
+        name=program.name,
+        head="\n".join(f" * {line}".rstrip() for line in header_lines(program)),
+        states=str(len(program.states)),
+        inputs=str(len(program.inputs)),
+        readings=str(len(program.outputs)),
+        parameters=str(len(program.parameters)),
+        fields="\n".join(f"    double {n}; /* {_parameter_comment(p)} */" for n, p in rows)
+        or "    char none;",
+        estimates=_struct_initialiser((n, repr(p.value)) for n, p in rows),
+        errors=_struct_initialiser(
+            (n, "NAN" if p.error is None else repr(p.error)) for n, p in rows
+        ),
+        rhs=_value_lines(program, program.rate, "f"),
+        output=_value_lines(program, program.output, "y"),
+        rhs_slopes=_jacobian_lines(program, by_x=program.rate_x, by_p=program.rate_p),
+        output_slopes=_jacobian_lines(program, by_x=program.output_x, by_p=program.output_p),
+        input_slopes=_jacobian_lines(program, rates=program.rate_u, outputs=program.output_u),
     )
 
 
-def _about(parameter: Constant) -> str:
-    return plain(f"{parameter.name} [{parameter.unit or '1'}], {parameter.about}")
+def _parameter_comment(parameter: Constant) -> str:
+    return sanitise_text(f"{parameter.name} [{parameter.unit or '1'}], {parameter.about}")
 
 
-def _initial(values: Any) -> str:
+def _struct_initialiser(values: Any) -> str:
     return "\n".join(f"    .{name} = {value}," for name, value in values) or "    0"
 
 
-def _values(found: Program, values: Sequence[sp.Expr], array: str) -> str:
+def _value_lines(program: Program, values: Sequence[sp.Expr], array: str) -> str:
     places = {f"{array}[{i}]": value for i, value in enumerate(values)}
-    return _body(found, places)
+    return _function_body(program, places)
 
 
-def _slopes(found: Program, **matrices: list[list[sp.Expr]]) -> str:
+def _jacobian_lines(program: Program, **matrices: list[list[sp.Expr]]) -> str:
     """Matrices by the names of their arrays, entry by entry, zeros too."""
-    places = entries(matrices, lambda name, i, j, width: f"{name}[{i * width + j}]", zeros=True)
-    return _body(found, places, [name for name, rows in matrices.items() if not any(rows)])
+    places = jacobian_entries(
+        matrices, lambda name, i, j, width: f"{name}[{i * width + j}]", zeros=True
+    )
+    return _function_body(
+        program, places, [name for name, rows in matrices.items() if not any(rows)]
+    )
 
 
-def _body(found: Program, places: Mapping[str, sp.Expr], unused: Sequence[str] = ()) -> str:
-    """What is given, what is common, and the entries; arguments that none of it needs are named."""
+def _function_body(
+    program: Program, places: Mapping[str, sp.Expr], unused: Sequence[str] = ()
+) -> str:
+    """A C function's body: arguments, common subexpressions, entries, unused arguments as void."""
     values = list(places.values())
-    names = identifiers((*found.states, *found.inputs), _RESERVED)
+    names = identifiers((*program.states, *program.inputs), _RESERVED)
     given = []
-    for array, items in (("x", found.states), ("u", found.inputs)):
-        some = used(values, items)
+    for array, items in (("x", program.states), ("u", program.inputs)):
+        some = items_in_expressions(values, items)
         given += [f"const double {names[i.symbol]} = {array}[{items.index(i)}];" for i in some]
         unused = unused if some else [*unused, array]
-    fields = identifiers(found.parameters, _RESERVED)
-    names |= {s: f"p->{name}" for s, name in fields.items()} | {found.time: "t"}
+    fields = identifiers(program.parameters, _RESERVED)
+    names |= {s: f"p->{name}" for s, name in fields.items()} | {program.time: "t"}
     free = set().union(*(v.free_symbols for v in values))
     unused = [*unused, *(["p"] if free.isdisjoint(fields) else [])]
-    unused = [*unused, *([] if found.time in free else ["t"])]
+    unused = [*unused, *([] if program.time in free else ["t"])]
     parts, texts = assignments(values, _Printer({"strict": True}).doprint, names)
     lines = [*given, *(f"const double {name} = {text};" for name, text, _ in parts)]
     lines += [f"{place} = {text};" for place, text in zip(places, texts, strict=True)]

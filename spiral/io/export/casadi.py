@@ -7,9 +7,15 @@ from collections.abc import Sequence
 
 import sympy as sp
 
-from spiral.io.export.program import Program, assignments, described, identifiers, used
-from spiral.io.export.python import ArrayLibrary, PythonPrinter, indented, tables
-from spiral.io.writing import filled
+from spiral.io.export.program import (
+    Program,
+    assignments,
+    header_lines,
+    identifiers,
+    items_in_expressions,
+)
+from spiral.io.export.python import ArrayLibrary, PythonPrinter, indent_lines, template_literals
+from spiral.io.writing import fill_template
 
 _CASADI = ArrayLibrary(
     "ca", "if_else", "logic_and", "logic_or", "logic_not", renamed={"abs": "fabs"}
@@ -17,23 +23,26 @@ _CASADI = ArrayLibrary(
 _RESERVED = (*keyword.kwlist, "t", "x", "u", "p", "ca")
 
 
-def casadi(found: Program) -> str:
+def casadi(program: Program) -> str:
     """The file's text."""
-    return filled(
+    return fill_template(
         "export_casadi",
-        head="\n".join(described(found)),
-        **tables(found),
-        rhs=_values(found, found.rate),
-        output=_values(found, found.output),
+        head="\n".join(header_lines(program)),
+        **template_literals(program),
+        rhs=_function_body(program, program.rate),
+        output=_function_body(program, program.output),
     )
 
 
-def _values(found: Program, values: Sequence[sp.Expr]) -> str:
-    names = identifiers((*found.states, *found.inputs, *found.parameters), _RESERVED)
-    names[found.time] = "t"
+def _function_body(program: Program, values: Sequence[sp.Expr]) -> str:
+    names = identifiers((*program.states, *program.inputs, *program.parameters), _RESERVED)
+    names[program.time] = "t"
     lines = []
-    for array, items in (("x", found.states), ("u", found.inputs), ("p", found.parameters)):
-        lines += [f"{names[i.symbol]} = {array}[{items.index(i)}]" for i in used(values, items)]
+    for array, items in (("x", program.states), ("u", program.inputs), ("p", program.parameters)):
+        lines += [
+            f"{names[i.symbol]} = {array}[{items.index(i)}]"
+            for i in items_in_expressions(values, items)
+        ]
     parts, texts = assignments(values, PythonPrinter(_CASADI).doprint, names)
     lines += [f"{name} = {text}" for name, text, _ in parts]
-    return indented([*lines, f"return ca.vertcat({', '.join(texts)})"])
+    return indent_lines([*lines, f"return ca.vertcat({', '.join(texts)})"])

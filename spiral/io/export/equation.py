@@ -9,7 +9,7 @@ from typing import Any
 import sympy as sp
 from sympy.printing.str import StrPrinter
 
-from spiral.io.export.names import latex_text, plain
+from spiral.io.export.names import latex_text, sanitise_text
 from spiral.physics.outside.program import ProgramValue
 from spiral.physics.trace import Traced, trace
 from spiral.types.effect import SensorEffect
@@ -37,7 +37,7 @@ class Equation:
     terms: tuple[EquationTerm, ...]
 
 
-def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
+def model_equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
     """One equation for each state that is not merely the rate of another, and each changed reading.
 
     Contributions are differences of the traced right-hand side with and without an effect, so the
@@ -46,8 +46,8 @@ def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
     whole = trace(model.system, model.effects)
     bare = trace(model.system, ())
     alone = {e.label: trace(model.system, (e,)) for e in model.effects}
-    base = _with_values(bare, model)
-    found = []
+    base = _substitute_values(bare, model)
+    listed = []
     for name in whole.states:
         if has_coordinates(model.system) and whole.rate_name(name) in whole.states:
             continue
@@ -55,28 +55,34 @@ def equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
         if name in bare.states:
             terms.append(EquationTerm("", base.rate[base.states.index(name)]))
         for label, one in alone.items():
-            seen = _with_values(one, model)
+            seen = _substitute_values(one, model)
             if name in one.states:
                 own = seen.rate[seen.states.index(name)]
                 before = (
                     base.rate[base.states.index(name)] if name in bare.states else sp.Integer(0)
                 )
-                terms.append(EquationTerm(label, _difference(_pushed(own, before), before)))
-        terms = [EquationTerm(t.owner, _told(t.value)) for t in terms]
-        found.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0)))
-    return (*found, *_readings(model)), whole
+                terms.append(
+                    EquationTerm(
+                        label, _shorter_difference(_linearise_program_calls(own, before), before)
+                    )
+                )
+        terms = [EquationTerm(t.owner, _name_program_calls(t.value)) for t in terms]
+        listed.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0)))
+    return (*listed, *_reading_equations(model)), whole
 
 
-def equation(model: Model) -> str:
+def equation_text(model: Model) -> str:
     """The model in plain text, one effect on each line with its name.
 
     x'' = - 8085 x            linear_stiffness
           - 4.5 x'            linear_damping
     """
     blocks = []
-    for item in equations(model)[0]:
-        left = _left(item.left)
-        lines = [(_signed(t.value), plain(t.owner or "system")) for t in item.terms] or [("0", "")]
+    for item in model_equations(model)[0]:
+        left = _left_side(item.left)
+        lines = [
+            (_signed_terms(t.value), sanitise_text(t.owner or "system")) for t in item.terms
+        ] or [("0", "")]
         wide = min(max(len(text) for text, _ in lines), 60)
         pad = " " * (len(left) + 3)
         lines[0] = (lines[0][0].removeprefix("+ "), lines[0][1])
@@ -86,57 +92,61 @@ def equation(model: Model) -> str:
     return "\n".join(blocks)
 
 
-def latex(model: Model) -> str:
+def equation_latex(model: Model) -> str:
     """The model as an ``align`` environment, one effect on each line with its name."""
-    found, _ = equations(model)
+    listed, _ = model_equations(model)
     rows = []
-    for item in found:
+    for item in listed:
         for index, term in enumerate(item.terms):
-            text = sp.latex(_named(term.value, _latex_name), mul_symbol=r"\,")
+            text = sp.latex(_rename_and_round(term.value, _latex_name), mul_symbol=r"\,")
             text = text if text.startswith("-") or index == 0 else f"+ {text}"
             owner = latex_text(term.owner or "system")
-            left = _latex_left(item.left) + " &= " if index == 0 else "&\\quad "
+            left = _latex_left_side(item.left) + " &= " if index == 0 else "&\\quad "
             rows.append(rf"{left}{text} && \text{{{owner}}} \\")
     return "\n".join([r"\begin{align*}", *rows, r"\end{align*}"])
 
 
-def _readings(model: Model) -> list[Equation]:
+def _reading_equations(model: Model) -> list[Equation]:
     """What the sensors report, where effects change it: each effect's change, in their order."""
     sensors = tuple(e for e in model.effects if isinstance(e, SensorEffect))
     if not sensors:
         return []
     others = tuple(e for e in model.effects if e not in sensors)
     steps = [
-        _with_values(trace(model.system, (*others, *sensors[:count])), model).output
+        _substitute_values(trace(model.system, (*others, *sensors[:count])), model).output
         for count in range(len(sensors) + 1)
     ]
-    found = []
+    listed = []
     for row, name in enumerate(model.system.observed):
         terms = [EquationTerm("", steps[0][row])]
         for effect, before, after in zip(sensors, steps, steps[1:], strict=False):
-            terms.append(EquationTerm(effect.label, _told(_difference(after[row], before[row]))))
-        found.append(Equation(f"reading of {name}", tuple(t for t in terms if t.value != 0)))
-    return found
+            terms.append(
+                EquationTerm(
+                    effect.label, _name_program_calls(_shorter_difference(after[row], before[row]))
+                )
+            )
+        listed.append(Equation(f"reading of {name}", tuple(t for t in terms if t.value != 0)))
+    return listed
 
 
-def _with_values(traced: Traced, model: Model) -> Traced:
+def _substitute_values(traced: Traced, model: Model) -> Traced:
     """Symbols renamed after states and inputs, parameters replaced by their values."""
     swap: dict[Any, Any] = {}
     for names, symbols in ((traced.states, traced.x), (traced.inputs, traced.u)):
-        swap.update({s: _symbol(n) for n, s in zip(names, symbols, strict=True)})
+        swap.update({s: _real_symbol(n) for n, s in zip(names, symbols, strict=True)})
     starts = {k: p.start for k, p in model.pairs}
     for key, symbol in zip(traced.keys, traced.p, strict=True):
         value = model.values.get(key, starts.get(key))
         known = value is not None and value == value
-        swap[symbol] = sp.Float(value) if known else _symbol(key.rsplit(".", 1)[-1])
+        swap[symbol] = sp.Float(value) if known else _real_symbol(key.rsplit(".", 1)[-1])
     tiny = {f: 0 for e in traced.rate for f in e.atoms(sp.Float) if 0 < abs(f) < 1e-150}
     rate = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.rate)
     output = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.output)
     return replace(traced, rate=rate, output=output)
 
 
-def _pushed(value: sp.Expr, before: sp.Expr) -> Any:
-    """A program's values with other arguments as those before and slopes times the changes."""
+def _linearise_program_calls(value: sp.Expr, before: sp.Expr) -> Any:
+    """Program calls linearised about the arguments before: f(a + da) = f(a) + sum f_a da."""
     swap = {}
     for old in before.atoms(ProgramValue):
         for new in value.atoms(ProgramValue) - {old}:
@@ -148,33 +158,33 @@ def _pushed(value: sp.Expr, before: sp.Expr) -> Any:
     return value.xreplace(swap)
 
 
-def _told(value: sp.Expr) -> Any:
-    """A program's values and slopes as names: f[v], df[v]/dF."""
+def _name_program_calls(value: sp.Expr) -> Any:
+    """Program calls replaced by symbols: f[v] for a value, df[v]/dF for a slope."""
     swap = {}
     for call in value.atoms(ProgramValue):
         name = f"f[{call.program.rows[call.row]}]"
         if call.column is not None:
             name = f"d{name}/d{call.program.arguments[call.column]}"
-        swap[call] = _symbol(name)
+        swap[call] = _real_symbol(name)
     return value.xreplace(swap)
 
 
-def _symbol(name: str) -> sp.Symbol:
+def _real_symbol(name: str) -> sp.Symbol:
     return sp.Symbol(name, real=True)
 
 
-def _difference(value: sp.Expr, before: sp.Expr) -> Any:
+def _shorter_difference(value: sp.Expr, before: sp.Expr) -> Any:
     """value - before; multiplied out only where that is shorter."""
     left = value - before
     expanded = sp.expand(left) if before != 0 else left
     return min((left, expanded), key=sp.count_ops)
 
 
-def _left(text: str) -> str:
-    return f"{_plain(text[:-1])}'" if text.endswith("'") else text
+def _left_side(text: str) -> str:
+    return f"{_unicode_name(text[:-1])}'" if text.endswith("'") else text
 
 
-def _latex_left(text: str) -> str:
+def _latex_left_side(text: str) -> str:
     if not text.endswith("'"):
         return rf"\text{{{latex_text(text)}}}"
     name = text[:-1]
@@ -183,10 +193,10 @@ def _latex_left(text: str) -> str:
     return rf"\dot{{{_latex_name(name)}}}"
 
 
-def _plain(name: str) -> str:
+def _unicode_name(name: str) -> str:
     """``x_rate`` -> ``x'``, ``alpha`` -> ``α``."""
     if name.endswith("_rate"):
-        return f"{_plain(name.removesuffix('_rate'))}'"
+        return f"{_unicode_name(name.removesuffix('_rate'))}'"
     return _GREEK.get(name, name)
 
 
@@ -197,7 +207,7 @@ def _latex_name(name: str) -> str:
     return words.get(name, name if len(name) == 1 else rf"\mathrm{{{latex_text(name)}}}")
 
 
-def _named(value: Any, name: Any) -> Any:
+def _rename_and_round(value: Any, name: Any) -> Any:
     """Symbols renamed and numbers rounded, for a printer."""
     swap: dict[Any, Any] = {s: sp.Symbol(name(s.name)) for s in value.free_symbols}
     swap.update({f: sp.Float(f"{float(f):.{_DIGITS}g}", _DIGITS) for f in value.atoms(sp.Float)})
@@ -208,10 +218,10 @@ class _Unicode(StrPrinter):
     """Products by spaces, powers by superscripts, a few significant digits."""
 
     def _print_Float(self, expr: sp.Float) -> str:
-        return _number(float(expr))
+        return _format_number(float(expr))
 
     def _print_Symbol(self, expr: sp.Symbol) -> str:
-        return _plain(expr.name)
+        return _unicode_name(expr.name)
 
     def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:
         base, exponent = expr.args
@@ -263,7 +273,7 @@ def _is_positive_part(value: Any, condition: Any) -> bool:
     return sp.expand(value - (relation.gts - relation.lts)) == 0
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     text = f"{value:.{_DIGITS}g}"
     if "e" not in text:
         return text
@@ -271,7 +281,7 @@ def _number(value: float) -> str:
     return f"{digits}e{int(power)}"
 
 
-def _signed(value: sp.Expr) -> str:
+def _signed_terms(value: sp.Expr) -> str:
     """The text with its sign first, as a term of a sum."""
     parts = sp.Add.make_args(value)
     printer = _Unicode()

@@ -31,48 +31,55 @@ class Kind:
     archive: bool = False
 
 
-def _text(model: Model, origin: str) -> str:
-    from spiral.io.export.equation import equation
+def _write_text(model: Model, origin: str) -> str:
+    from spiral.io.export.equation import equation_text
 
-    return equation(model)
-
-
-def _latex(model: Model, origin: str) -> str:
-    from spiral.io.export.equation import latex
-
-    return latex(model)
+    return equation_text(model)
 
 
-def _printed(name: str, module: str = "") -> Writer:
-    """The function NAME of a ``Program`` in the module of that name, imported when it is asked."""
+def _write_latex(model: Model, origin: str) -> str:
+    from spiral.io.export.equation import equation_latex
+
+    return equation_latex(model)
+
+
+def _program_writer(name: str, module: str = "") -> Writer:
+    """A writer that prints a ``Program`` by the function NAME; its module is imported on use."""
 
     def write(model: Model, origin: str) -> str | bytes:
         from importlib import import_module
 
-        from spiral.io.export.program import program
+        from spiral.io.export.program import build_program
 
         printer = getattr(import_module(f"spiral.io.export.{module or name}"), name)
-        return printer(program(model, origin))
+        return printer(build_program(model, origin))
 
     return write
 
 
 KINDS = {
-    "text": Kind("Equation", "the equation in plain Unicode", ".txt", _text),
-    "latex": Kind("LaTeX", "the equation as a LaTeX align environment", ".tex", _latex),
+    "text": Kind("Equation", "the equation in plain Unicode", ".txt", _write_text),
+    "latex": Kind("LaTeX", "the equation as a LaTeX align environment", ".tex", _write_latex),
     "python": Kind(
-        "Python", "one Python module: NumPy, Jacobians, a free run", ".py", _printed("python")
+        "Python",
+        "one Python module: NumPy, Jacobians, a free run",
+        ".py",
+        _program_writer("python"),
     ),
-    "c": Kind("C", "one C99 file: libm, Jacobians, a Runge-Kutta step", ".c", _printed("c")),
+    "c": Kind("C", "one C99 file: libm, Jacobians, a Runge-Kutta step", ".c", _program_writer("c")),
     "fmu": Kind(
-        "FMU", "FMI 2.0: source, and a binary of this machine", ".fmu", _printed("fmu"), True
+        "FMU", "FMI 2.0: source, and a binary of this machine", ".fmu", _program_writer("fmu"), True
     ),
-    "fmu3": Kind("FMU, FMI 3.0", "the same for FMI 3.0", "_3.fmu", _printed("fmu3", "fmu"), True),
+    "fmu3": Kind(
+        "FMU, FMI 3.0", "the same for FMI 3.0", "_3.fmu", _program_writer("fmu3", "fmu"), True
+    ),
     "matlab": Kind(
-        "MATLAB", "a function file: Jacobians, a Runge-Kutta step", ".m", _printed("matlab")
+        "MATLAB", "a function file: Jacobians, a Runge-Kutta step", ".m", _program_writer("matlab")
     ),
-    "modelica": Kind("Modelica", "a Modelica model", ".mo", _printed("modelica")),
-    "casadi": Kind("CasADi", "a Python file of CasADi functions", "_casadi.py", _printed("casadi")),
+    "modelica": Kind("Modelica", "a Modelica model", ".mo", _program_writer("modelica")),
+    "casadi": Kind(
+        "CasADi", "a Python file of CasADi functions", "_casadi.py", _program_writer("casadi")
+    ),
 }
 
 
@@ -99,7 +106,7 @@ def export(
     """
     from spiral.types.run import Run
 
-    kind = kind_of(to)
+    kind = export_kind(to)
     if path is None and kind.archive:
         raise ConfigError(
             f"export to {to} as a text", "a file for it", f"path='model{kind.suffix}'"
@@ -112,10 +119,10 @@ def export(
         return str(content)
     if isinstance(content, str):
         content = content.rstrip("\n") + "\n"
-    return _written(Path(path).expanduser(), content)
+    return _write_file(Path(path).expanduser(), content)
 
 
-def _written(target: Path, content: str | bytes) -> Path:
+def _write_file(target: Path, content: str | bytes) -> Path:
     from spiral.io.writing import write_whole
 
     try:
@@ -127,7 +134,7 @@ def _written(target: Path, content: str | bytes) -> Path:
     return target
 
 
-def kind_of(to: str) -> Kind:
+def export_kind(to: str) -> Kind:
     """A kind by name.
 
     Raises

@@ -9,9 +9,16 @@ from typing import Any
 import sympy as sp
 from sympy.printing.octave import OctaveCodePrinter
 
-from spiral.io.export.names import plain
-from spiral.io.export.program import Program, assignments, described, entries, identifiers, used
-from spiral.io.writing import filled
+from spiral.io.export.names import sanitise_text
+from spiral.io.export.program import (
+    Program,
+    assignments,
+    header_lines,
+    identifiers,
+    items_in_expressions,
+    jacobian_entries,
+)
+from spiral.io.writing import fill_template
 
 _WORDS = (
     "break", "case", "catch", "classdef", "continue", "do", "else", "elseif", "end",
@@ -42,63 +49,67 @@ class _Printer(OctaveCodePrinter):
         return text
 
 
-def matlab(found: Program) -> str:
+def matlab(program: Program) -> str:
     """The file's text."""
-    fields = identifiers(found.parameters, _RESERVED)
-    named = (*found.states, *found.inputs, *found.outputs, *found.parameters)
+    fields = identifiers(program.parameters, _RESERVED)
+    named = (*program.states, *program.inputs, *program.outputs, *program.parameters)
     values, errors = [], []
-    for p in found.parameters:
-        name, about = fields[p.symbol], plain(f"{p.name} [{p.unit or '1'}], {p.about}")
+    for p in program.parameters:
+        name, about = fields[p.symbol], sanitise_text(f"{p.name} [{p.unit or '1'}], {p.about}")
         error = "NaN" if p.error is None else repr(p.error)
         values.append(f"model.parameters.{name} = {p.value!r};  % {about}")
         errors.append(f"model.standard_errors.{name} = {error};")
-    return filled(
+    return fill_template(
         "export_matlab",
-        name=f"{found.name}_" if found.name in (*_RESERVED, *_FUNCTIONS) else found.name,
-        head="\n".join(f"% {line}".rstrip() for line in described(found)),
-        states=_cell(s.name for s in found.states),
-        inputs=_cell(i.name for i in found.inputs),
-        readings=_cell(o.name for o in found.outputs),
-        units="\n".join(["{", *(f"    {_cell((i.name, i.unit))[1:-1]}" for i in named), "}"]),
+        name=f"{program.name}_" if program.name in (*_RESERVED, *_FUNCTIONS) else program.name,
+        head="\n".join(f"% {line}".rstrip() for line in header_lines(program)),
+        states=_cell_array(s.name for s in program.states),
+        inputs=_cell_array(i.name for i in program.inputs),
+        readings=_cell_array(o.name for o in program.outputs),
+        units="\n".join(["{", *(f"    {_cell_array((i.name, i.unit))[1:-1]}" for i in named), "}"]),
         parameters="\n".join(values) or "model.parameters = struct();",
         errors="\n".join(errors) or "model.standard_errors = struct();",
-        rhs=_values(found, found.rate, "f"),
-        output=_values(found, found.output, "y"),
-        rhs_slopes=_slopes(found, found.rate_x, found.rate_p),
-        output_slopes=_slopes(found, found.output_x, found.output_p),
+        rhs=_value_lines(program, program.rate, "f"),
+        output=_value_lines(program, program.output, "y"),
+        rhs_slopes=_jacobian_lines(program, program.rate_x, program.rate_p),
+        output_slopes=_jacobian_lines(program, program.output_x, program.output_p),
     )
 
 
-def _cell(texts: Iterable[str]) -> str:
-    return "{" + ", ".join("'" + plain(text).replace("'", "''") + "'" for text in texts) + "}"
+def _cell_array(texts: Iterable[str]) -> str:
+    return (
+        "{" + ", ".join("'" + sanitise_text(text).replace("'", "''") + "'" for text in texts) + "}"
+    )
 
 
-def _values(found: Program, values: Sequence[sp.Expr], array: str) -> str:
-    lines, texts = _computed(found, values)
+def _value_lines(program: Program, values: Sequence[sp.Expr], array: str) -> str:
+    lines, texts = _printed_expressions(program, values)
     lines.append(f"{array} = zeros({len(texts)}, 1);")
     return "\n".join([*lines, *(f"{array}({i}) = {t};" for i, t in enumerate(texts, 1))])
 
 
-def _slopes(found: Program, by_x: list[list[sp.Expr]], by_p: list[list[sp.Expr]]) -> str:
-    places = entries(
+def _jacobian_lines(program: Program, by_x: list[list[sp.Expr]], by_p: list[list[sp.Expr]]) -> str:
+    places = jacobian_entries(
         {"by_x": by_x, "by_p": by_p}, lambda name, i, j, _: f"{name}({i + 1}, {j + 1})"
     )
-    lines, texts = _computed(found, list(places.values()))
-    lines += [f"by_x = zeros({len(by_x)}, {len(found.states)});",
-              f"by_p = zeros({len(by_p)}, {len(found.parameters)});"]  # fmt: skip
+    lines, texts = _printed_expressions(program, list(places.values()))
+    lines += [f"by_x = zeros({len(by_x)}, {len(program.states)});",
+              f"by_p = zeros({len(by_p)}, {len(program.parameters)});"]  # fmt: skip
     lines += [f"{place} = {text};" for place, text in zip(places, texts, strict=True)]
     return "\n".join(lines)
 
 
-def _computed(found: Program, values: Sequence[sp.Expr]) -> tuple[list[str], list[str]]:
-    """Lines that name what is given and what is common, and the texts of the values."""
-    names = identifiers((*found.states, *found.inputs), _RESERVED)
+def _printed_expressions(
+    program: Program, values: Sequence[sp.Expr]
+) -> tuple[list[str], list[str]]:
+    """Lines that assign arguments and common subexpressions, and the texts of the values."""
+    names = identifiers((*program.states, *program.inputs), _RESERVED)
     lines = [
         f"{names[i.symbol]} = {array}({items.index(i) + 1});"
-        for array, items in (("x", found.states), ("u", found.inputs))
-        for i in used(values, items)
+        for array, items in (("x", program.states), ("u", program.inputs))
+        for i in items_in_expressions(values, items)
     ]
-    names |= {s: f"p.{name}" for s, name in identifiers(found.parameters, _RESERVED).items()}
-    names[found.time] = "t"
+    names |= {s: f"p.{name}" for s, name in identifiers(program.parameters, _RESERVED).items()}
+    names[program.time] = "t"
     parts, texts = assignments(values, _Printer({"strict": True}).doprint, names)
     return [*lines, *(f"{name} = {text};" for name, text, _ in parts)], texts

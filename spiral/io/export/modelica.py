@@ -3,6 +3,7 @@
 # ruff: noqa: N802  (SymPy's printers look methods up by class name)
 from __future__ import annotations
 
+import functools
 import re
 from typing import Any
 
@@ -10,9 +11,9 @@ import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.str import StrPrinter
 
-from spiral.io.export.names import plain
-from spiral.io.export.program import Item, Program, assignments, described, identifiers
-from spiral.io.writing import filled
+from spiral.io.export.names import sanitise_text
+from spiral.io.export.program import Item, Program, assignments, header_lines, identifiers
+from spiral.io.writing import fill_template
 
 _FUNCTIONS = {
     "sin": "sin", "cos": "cos", "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan",
@@ -72,60 +73,67 @@ class _Printer(StrPrinter):
         return f"(not {self._print(expr.args[0])})"
 
 
-def modelica(found: Program) -> str:
+_paired = functools.partial(zip, strict=True)
+
+
+def modelica(program: Program) -> str:
     """The file's text."""
-    readings = [Item(f"reading_{o.name}", o.unit, o.symbol, "reading") for o in found.outputs]
-    items = (*found.states, *found.inputs, *readings, *found.parameters)
-    names = identifiers(items, (*_RESERVED, _class(found)))
-    values = [*found.rate, *found.output]
-    parts, texts = assignments(values, _Printer().doprint, {**names, found.time: "time"})
-    rates, outputs = texts[: len(found.rate)], texts[len(found.rate) :]
-    return filled(
+    readings = [Item(f"reading_{o.name}", o.unit, o.symbol, "reading") for o in program.outputs]
+    items = (*program.states, *program.inputs, *readings, *program.parameters)
+    names = identifiers(items, (*_RESERVED, _class_name(program)))
+    values = [*program.rate, *program.output]
+    parts, texts = assignments(values, _Printer().doprint, {**names, program.time: "time"})
+    rates, outputs = texts[: len(program.rate)], texts[len(program.rate) :]
+    return fill_template(
         "export_modelica",
-        name=_class(found),
-        head="\n".join(f" * {line}".rstrip() for line in described(found)),
-        title=plain(found.title),
-        parameters=_lines(
-            f"parameter Real {names[p.symbol]}{_unit(p)} = {p.value!r} {_about(p)};"
-            for p in found.parameters
+        name=_class_name(program),
+        head="\n".join(f" * {line}".rstrip() for line in header_lines(program)),
+        title=sanitise_text(program.title),
+        parameters=_declaration_lines(
+            f"parameter Real {names[p.symbol]}{_unit_modifier(p)} = {p.value!r} {_item_comment(p)};"
+            for p in program.parameters
         ),
-        inputs=_lines(f"input Real {names[i.symbol]}{_unit(i)} {_about(i)};" for i in found.inputs),
-        outputs=_lines(f"output Real {names[o.symbol]}{_unit(o)} {_about(o)};" for o in readings),
-        states=_lines(
-            f"Real {names[s.symbol]}({_modified(s, 'start = 0.0, fixed = true')}) {_about(s)};"
-            for s in found.states
+        inputs=_declaration_lines(
+            f"input Real {names[i.symbol]}{_unit_modifier(i)} {_item_comment(i)};"
+            for i in program.inputs
         ),
-        parts=_lines(f"{'Boolean' if p.logical else 'Real'} {p.name};" for p in parts),
-        equations=_lines(
+        outputs=_declaration_lines(
+            f"output Real {names[o.symbol]}{_unit_modifier(o)} {_item_comment(o)};"
+            for o in readings
+        ),
+        states=_declaration_lines(
+            f"Real {names[s.symbol]}({_modifier_list(s, 'start = 0.0, fixed = true')}) "
+            f"{_item_comment(s)};"
+            for s in program.states
+        ),
+        parts=_declaration_lines(f"{'Boolean' if p.logical else 'Real'} {p.name};" for p in parts),
+        equations=_declaration_lines(
             [
                 *(f"{p.name} = {p.text};" for p in parts),
-                *(
-                    f"der({names[s.symbol]}) = {t};"
-                    for s, t in zip(found.states, rates, strict=True)
-                ),
-                *(f"{names[o.symbol]} = {t};" for o, t in zip(readings, outputs, strict=True)),
+                *(f"der({names[s.symbol]}) = {t};" for s, t in _paired(program.states, rates)),
+                *(f"{names[o.symbol]} = {t};" for o, t in _paired(readings, outputs)),
             ]
         ),
     )
 
 
-def _class(found: Program) -> str:
-    return "".join(part.capitalize() for part in found.name.split("_"))
+def _class_name(program: Program) -> str:
+    return "".join(part.capitalize() for part in program.name.split("_"))
 
 
-def _lines(texts: Any) -> str:
+def _declaration_lines(texts: Any) -> str:
     return "\n".join(f"  {text}" for text in texts)
 
 
-def _about(item: Item) -> str:
-    return f'"{plain(", ".join(filter(None, (item.name, item.about))))}"'
+def _item_comment(item: Item) -> str:
+    return f'"{sanitise_text(", ".join(filter(None, (item.name, item.about))))}"'
 
 
-def _unit(item: Item) -> str:
-    return f"({_modified(item)})" if _modified(item) else ""
+def _unit_modifier(item: Item) -> str:
+    return f"({_modifier_list(item)})" if _modifier_list(item) else ""
 
 
-def _modified(item: Item, more: str = "") -> str:
+def _modifier_list(item: Item, more: str = "") -> str:
     """The unit in Modelica's notation, ``kg*m^2`` as ``kg.m2``, where it can be written so."""
     text = item.unit.replace("*", ".").replace("^", "")
     known = re.fullmatch(r"[A-Za-z0-9./()-]+", text) and text.count("/") < 2

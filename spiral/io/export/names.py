@@ -13,13 +13,13 @@ _LATEX = {"_": r"\_", "#": r"\#", "%": r"\%", "&": r"\&", "$": r"\$", "{": r"\{"
           "^": r"\^{}", "~": r"\~{}"}  # fmt: skip
 
 
-def word(text: str) -> str:
+def ascii_identifier(text: str) -> str:
     """ASCII letters, digits and underscores, the first no digit; nothing where none is left."""
-    found = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")[:_LONGEST_WORD]
-    return f"n{found}" if found[:1].isdigit() else found
+    cleaned = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")[:_LONGEST_WORD]
+    return f"n{cleaned}" if cleaned[:1].isdigit() else cleaned
 
 
-def plain(text: str) -> str:
+def sanitise_text(text: str) -> str:
     """One line without quotes, escapes and marks of comments: safe in a comment or a string."""
     one = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     one = one.replace("\\", "/").replace('"', "'").replace("'''", "' ' '")
@@ -31,4 +31,4 @@ def plain(text: str) -> str:
 
 def latex_text(text: str) -> str:
     """A plain line in which LaTeX sees characters only."""
-    return "".join(_LATEX.get(c, c) for c in plain(text))
+    return "".join(_LATEX.get(c, c) for c in sanitise_text(text))

@@ -1,8 +1,8 @@
-"""A model as every exported program is printed from it: names, units, values, expressions.
+"""The intermediate form that every exported program is printed from: names, units, expressions.
 
     x' = f(t, x, u, p),    y = h(t, x, u, p),    and f_x, f_p, f_u, h_x, h_p, h_u
 
-Names of anyone's run get into a file as ``identifiers`` and as ``described`` lines alone.
+Names from a run of unknown origin enter a file only by ``identifiers`` and ``header_lines``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import sympy as sp
 from sympy.logic.boolalg import Boolean
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
-from spiral.io.export.names import plain, word
+from spiral.io.export.names import ascii_identifier, sanitise_text
 from spiral.physics.effect_states import own_states
 from spiral.physics.outside.program import ProgramValue
 from spiral.physics.trace import Traced, trace
@@ -70,35 +70,35 @@ class Program:
     @cached_property
     def rate_x(self) -> list[list[sp.Expr]]:
         """f_x, n rows of n."""
-        return slopes(self.rate, [s.symbol for s in self.states])
+        return symbolic_jacobian(self.rate, [s.symbol for s in self.states])
 
     @cached_property
     def rate_p(self) -> list[list[sp.Expr]]:
         """f_p, n rows of as many as parameters."""
-        return slopes(self.rate, [p.symbol for p in self.parameters])
+        return symbolic_jacobian(self.rate, [p.symbol for p in self.parameters])
 
     @cached_property
     def rate_u(self) -> list[list[sp.Expr]]:
         """f_u, n rows of as many as inputs."""
-        return slopes(self.rate, [i.symbol for i in self.inputs])
+        return symbolic_jacobian(self.rate, [i.symbol for i in self.inputs])
 
     @cached_property
     def output_u(self) -> list[list[sp.Expr]]:
         """h_u, a row for each reading."""
-        return slopes(self.output, [i.symbol for i in self.inputs])
+        return symbolic_jacobian(self.output, [i.symbol for i in self.inputs])
 
     @cached_property
     def output_x(self) -> list[list[sp.Expr]]:
         """h_x, a row for each reading."""
-        return slopes(self.output, [s.symbol for s in self.states])
+        return symbolic_jacobian(self.output, [s.symbol for s in self.states])
 
     @cached_property
     def output_p(self) -> list[list[sp.Expr]]:
         """h_p, a row for each reading."""
-        return slopes(self.output, [p.symbol for p in self.parameters])
+        return symbolic_jacobian(self.output, [p.symbol for p in self.parameters])
 
 
-def program(model: Model, origin: str = "") -> Program:
+def build_program(model: Model, origin: str = "") -> Program:
     """A model ready for a printer; ``origin`` says in words where it comes from.
 
     Raises
@@ -117,80 +117,85 @@ def program(model: Model, origin: str = "") -> Program:
     return Program(
         title=model.name,
         origin=origin,
-        name=word(system.plugin_name()) or "model",
-        states=_states(model, traced),
-        inputs=_inputs(model, traced, rates),
+        name=ascii_identifier(system.plugin_name()) or "model",
+        states=_state_items(model, traced),
+        inputs=_input_items(model, traced, rates),
         outputs=tuple(
             Item(
                 name,
-                _unit(lambda n=name: short_form(system.unit_of(n)), name),
+                _read_unit(lambda n=name: short_form(system.unit_of(n)), name),
                 sp.Symbol(f"y{i}", real=True),
                 "reading",
             )
             for i, name in enumerate(traced.channels)
         ),
         parameters=tuple(
-            _constant(model, key, symbol, float(value))
+            _parameter_constant(model, key, symbol, float(value))
             for key, symbol, value in zip(traced.keys, traced.p, values, strict=True)
         ),
         time=traced.u[traced.inputs.index(TIME)],
         rates=rates,
         between={i.name: i.interpolation for i in system.inputs},
-        rate=tuple(map(_printable, traced.rate)),
-        output=tuple(map(_printable, traced.output)),
+        rate=tuple(map(_extrema_as_piecewise, traced.rate)),
+        output=tuple(map(_extrema_as_piecewise, traced.output)),
     )
 
 
-def _states(model: Model, traced: Traced) -> tuple[Item, ...]:
+def _state_items(model: Model, traced: Traced) -> tuple[Item, ...]:
     system = model.system
     units = {s.name: s.unit for s in system.states} | own_states(system, model.effects)
-    found = []
+    items = []
     for name, symbol in zip(traced.states, traced.x, strict=True):
         own = "of an effect" if "." in name else "hidden"
         about = "measured" if name in system.observed else own
-        found.append(Item(name, _unit(lambda n=name: short_form(units[n]), name), symbol, about))
-    return tuple(found)
+        items.append(
+            Item(name, _read_unit(lambda n=name: short_form(units[n]), name), symbol, about)
+        )
+    return tuple(items)
 
 
-def _inputs(model: Model, traced: Traced, rates: Mapping[str, str]) -> tuple[Item, ...]:
+def _input_items(model: Model, traced: Traced, rates: Mapping[str, str]) -> tuple[Item, ...]:
     known = {i.name: i for i in model.system.inputs}
-    found = []
+    items = []
     for name, symbol in zip(traced.inputs, traced.u, strict=True):
         if name in rates:
-            unit = _unit(lambda n=name: short_form(f"({known[rates[n]].unit})/s"), name)
-            found.append(Item(name, unit, symbol, f"time derivative of {rates[name]}"))
+            unit = _read_unit(lambda n=name: short_form(f"({known[rates[n]].unit})/s"), name)
+            items.append(Item(name, unit, symbol, f"time derivative of {rates[name]}"))
         elif name != TIME:
             how = BETWEEN[known[name].interpolation]
-            found.append(
+            items.append(
                 Item(
                     name,
-                    _unit(lambda n=name: short_form(known[n].unit), name),
+                    _read_unit(lambda n=name: short_form(known[n].unit), name),
                     symbol,
                     f"between samples: {how}",
                 )
             )
-    return tuple(found)
+    return tuple(items)
 
 
-def _constant(model: Model, key: str, symbol: sp.Symbol, value: float) -> Constant:
+def _parameter_constant(model: Model, key: str, symbol: sp.Symbol, value: float) -> Constant:
     if not math.isfinite(value):
         raise ConfigError(
-            f"{plain(key)} = {value}", "a number for every parameter", "export a run that converged"
+            f"{sanitise_text(key)} = {value}",
+            "a number for every parameter",
+            "export a run that converged",
         )
     error = model.errors.get(key)
     known = error is not None and math.isfinite(error)
     about = f"standard error {error:.4g}" if known else "no standard error"
-    unit = _unit(lambda: model.unit(key), key)
+    unit = _read_unit(lambda: model.unit(key), key)
     return Constant(key, unit, symbol, about, value, error if known else None)
 
 
-def _unit(read: Callable[[], str], whose: str) -> str:
-    """A unit in its short form; only what is read as one gets into a file."""
+def _read_unit(read: Callable[[], str], whose: str) -> str:
+    """A unit in its short form; text that does not parse as a unit is refused."""
     try:
         return read()
     except Exception as error:  # pint's parser raises what Python's tokenizer does
         raise ConfigError(
-            f"unit of {plain(whose)}: {plain(str(error))}", "a unit, such as 'kg*m^2' or 'rad/s'"
+            f"unit of {sanitise_text(whose)}: {sanitise_text(str(error))}",
+            "a unit, such as 'kg*m^2' or 'rad/s'",
         ) from error
 
 
@@ -218,9 +223,11 @@ class _Step(sp.Function):
         return sp.Integer(0)
 
 
-def slopes(values: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> list[list[sp.Expr]]:
-    """Exact derivatives, a row for each value; those of a corner as ``physics.emit`` takes them."""
-    found = []
+def symbolic_jacobian(
+    values: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]
+) -> list[list[sp.Expr]]:
+    """Exact d values / d symbols, a row for each value; at corners as ``physics.emit`` has them."""
+    rows = []
     given: Sequence[Any] = values
     for value in given:
         smooth: Any = value.replace(sp.Abs, _Magnitude).replace(sp.sign, _Direction)
@@ -228,26 +235,26 @@ def slopes(values: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> list[list
             smooth = smooth.replace(kind, lambda a, kind=kind: _Step(a, sp.Dummy(kind.__name__)))
         free = smooth.free_symbols
         row = [smooth.diff(s) if s in free else sp.Integer(0) for s in symbols]
-        found.append([_restored(entry) for entry in row])
-    return found
+        rows.append([_restore_sympy_functions(entry) for entry in row])
+    return rows
 
 
-def _restored(value: Any) -> sp.Expr:
-    """SymPy's own functions in place of those that are differentiated."""
+def _restore_sympy_functions(value: Any) -> sp.Expr:
+    """Replace the stand-ins for abs, sign, floor and ceiling by SymPy's own functions."""
     rounded = {"floor": sp.floor, "ceiling": sp.ceiling}
     value = value.replace(_Step, lambda a, kind: rounded[kind.name](a))
     return value.replace(_Magnitude, sp.Abs).replace(_Direction, sp.sign)
 
 
-def _printable(value: Any) -> sp.Expr:
-    """The larger and the smaller of several as cases, whose slopes every language has."""
+def _extrema_as_piecewise(value: Any) -> sp.Expr:
+    """Rewrite Max and Min as Piecewise, whose derivatives every language can express."""
     return sp.sympify(value).replace(
         lambda e: isinstance(e, sp.Max | sp.Min), lambda e: e.rewrite(sp.Piecewise)
     )
 
 
 class Part(NamedTuple):
-    """A common part of expressions, computed once: its name, its text, and whether it is a case."""
+    """A common subexpression, computed once: its name, its text, and whether it is Boolean."""
 
     name: str
     text: str
@@ -257,7 +264,7 @@ class Part(NamedTuple):
 def assignments(
     values: Sequence[sp.Expr], write: Callable[[Any], Any], names: Mapping[sp.Symbol, str]
 ) -> tuple[list[Part], list[str]]:
-    """Common parts in the order in which they are needed, and the texts of the values.
+    """Common subexpressions in order of evaluation, and the texts of the values.
 
     Raises
     ------
@@ -278,14 +285,14 @@ def assignments(
         ) from error
 
 
-def entries(
+def jacobian_entries(
     matrices: Mapping[str, list[list[sp.Expr]]],
     place: Callable[[str, int, int, int], str],
     zeros: bool = False,
 ) -> dict[str, sp.Expr]:
-    """Where each entry of some Jacobians goes, and what it is; those that are zero where asked.
+    """Target -> expression for each entry of some Jacobians; zero entries only with ``zeros``.
 
-    ``place`` writes where from the name, the row, the column and the width of a matrix.
+    ``place`` writes the target from a matrix's name, row, column and number of columns.
     """
     return {
         place(name, i, j, len(row)): entry
@@ -296,7 +303,7 @@ def entries(
     }
 
 
-def used(values: Iterable[sp.Expr], items: Iterable[Item]) -> list[Item]:
+def items_in_expressions(values: Iterable[sp.Expr], items: Iterable[Item]) -> list[Item]:
     """Those items that occur in expressions."""
     free: set[Any] = set().union(*(v.free_symbols for v in values))
     return [item for item in items if item.symbol in free]
@@ -312,34 +319,37 @@ def identifiers(items: Iterable[Item], reserved: Iterable[str] = ()) -> dict[sp.
     a word that is taken or reserved gets underscores behind it.
     """
     taken = {*reserved}
-    found: dict[sp.Symbol, str] = {}
+    names: dict[sp.Symbol, str] = {}
     for item in items:
-        own = word(item.name) or "value"
+        own = ascii_identifier(item.name) or "value"
         if own.startswith("part_"):  # names of common parts
             own = f"the_{own}"
         while own in taken:
             own += "_"
         taken.add(own)
-        found[item.symbol] = own
-    return found
+        names[item.symbol] = own
+    return names
 
 
-def described(found: Program) -> list[str]:
-    """What the head of a file says: what it is, its quantities, and what it leaves out."""
+def header_lines(exported: Program) -> list[str]:
+    """Lines of a file's header: the model, its quantities, and what is not exported."""
     from spiral.version import __version__
 
-    source = f", {found.origin}" if found.origin else ""
-    lines = [f"{found.title}{source} (SPIRAL {__version__})", "",
+    source = f", {exported.origin}" if exported.origin else ""
+    lines = [f"{exported.title}{source} (SPIRAL {__version__})", "",
              "x' = f(t, x, u, p),   y = h(t, x, u, p),   t in s", ""]  # fmt: skip
-    for head, items in (("states x", found.states), ("inputs u", found.inputs),
-                        ("readings y", found.outputs)):  # fmt: skip
-        lines += [f"{head}:", *(_row(i.name, i.unit, i.about) for i in items), ""]
+    for head, items in (("states x", exported.states), ("inputs u", exported.inputs),
+                        ("readings y", exported.outputs)):  # fmt: skip
+        lines += [f"{head}:", *(_header_row(i.name, i.unit, i.about) for i in items), ""]
     lines.append("parameters p:")
-    lines += [_row(p.name, p.unit, f"{p.value:.6g}, {p.about}") for p in found.parameters]
+    lines += [_header_row(p.name, p.unit, f"{p.value:.6g}, {p.about}") for p in exported.parameters]
     lines += ["", "Not in it: noise of the sensors and of the process, states at the start of a",
               "record, and a correction of the phase where a fit made one."]  # fmt: skip
-    return [plain(line) if not line.startswith("  ") else f"  {plain(line)}" for line in lines]
+    return [
+        sanitise_text(line) if not line.startswith("  ") else f"  {sanitise_text(line)}"
+        for line in lines
+    ]
 
 
-def _row(name: str, unit: str, about: str) -> str:
+def _header_row(name: str, unit: str, about: str) -> str:
     return f"  {name} [{unit or '1'}]  {about}"

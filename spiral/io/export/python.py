@@ -13,16 +13,16 @@ import sympy as sp
 from sympy.printing.numpy import NumPyPrinter
 
 from spiral.engine import series
-from spiral.io.export.names import plain
+from spiral.io.export.names import sanitise_text
 from spiral.io.export.program import (
     Program,
     assignments,
-    described,
-    entries,
+    header_lines,
     identifiers,
-    used,
+    items_in_expressions,
+    jacobian_entries,
 )
-from spiral.io.writing import filled
+from spiral.io.writing import fill_template
 from spiral.types.noise import estimate_noise
 
 _RESERVED = (*keyword.kwlist, "t", "x", "u", "p", "np", "found", "by_x", "by_p")
@@ -74,59 +74,59 @@ class PythonPrinter(NumPyPrinter):
     def _print_Relational(self, expr: Any) -> str:
         return f"({self._print(expr.lhs)} {expr.rel_op} {self._print(expr.rhs)})"
 
-    def _joined(self, function: str, expr: Any) -> str:
+    def _nest_calls(self, function: str, expr: Any) -> str:
         first, *others = map(self._print, expr.args)
         for other in others:
             first = f"{self._module_format(function)}({first}, {other})"
         return first
 
     def _print_And(self, expr: Any) -> str:
-        return self._joined(self._library.both, expr)
+        return self._nest_calls(self._library.both, expr)
 
     def _print_Or(self, expr: Any) -> str:
-        return self._joined(self._library.either, expr)
+        return self._nest_calls(self._library.either, expr)
 
     def _print_Not(self, expr: Any) -> str:
         return f"{self._module_format(self._library.neither)}({self._print(expr.args[0])})"
 
 
-def python(found: Program) -> str:
+def python(program: Program) -> str:
     """The module's text."""
     between = (
-        series.between_samples, series.held_values, estimate_noise, series.rate_per_sample,
+        series.interpolate_input, series.zero_order_hold, estimate_noise, series.rate_per_sample,
     )  # fmt: skip
-    given = [i for i in found.inputs if i.name not in found.rates]
-    return filled(
+    given = [i for i in program.inputs if i.name not in program.rates]
+    return fill_template(
         "export_python",
-        head="\n".join(described(found)),
-        inputs_example=", ".join(f"{plain(i.name)!r}: samples" for i in given),
-        start_example=f"{plain(found.states[0].name)!r}: 0.0",
-        **tables(found),
-        between=literal(dict(found.between)),
-        rates=literal(dict(found.rates)),
-        rhs=_values(found, found.rate),
-        output=_values(found, found.output),
-        rhs_slopes=_slopes(found, found.rate_x, found.rate_p),
-        output_slopes=_slopes(found, found.output_x, found.output_p),
+        head="\n".join(header_lines(program)),
+        inputs_example=", ".join(f"{sanitise_text(i.name)!r}: samples" for i in given),
+        start_example=f"{sanitise_text(program.states[0].name)!r}: 0.0",
+        **template_literals(program),
+        between=python_literal(dict(program.between)),
+        rates=python_literal(dict(program.rates)),
+        rhs=_value_lines(program, program.rate),
+        output=_value_lines(program, program.output),
+        rhs_slopes=_jacobian_lines(program, program.rate_x, program.rate_p),
+        output_slopes=_jacobian_lines(program, program.output_x, program.output_p),
         knots=str(series.SPEED_RATE_KNOTS),
         interpolation="\n\n".join(inspect.getsource(f) for f in between).rstrip(),
     )
 
 
-def tables(found: Program) -> dict[str, str]:
+def template_literals(program: Program) -> dict[str, str]:
     """Names, units, estimates and standard errors as literals, by their places in a template."""
-    named = (*found.states, *found.inputs, *found.outputs, *found.parameters)
+    named = (*program.states, *program.inputs, *program.outputs, *program.parameters)
     return {
-        "states": literal(tuple(s.name for s in found.states)),
-        "inputs": literal(tuple(i.name for i in found.inputs)),
-        "readings": literal(tuple(o.name for o in found.outputs)),
-        "units": literal({i.name: i.unit for i in named}),
-        "parameters": literal({p.name: p.value for p in found.parameters}),
-        "errors": literal({p.name: p.error for p in found.parameters}),
+        "states": python_literal(tuple(s.name for s in program.states)),
+        "inputs": python_literal(tuple(i.name for i in program.inputs)),
+        "readings": python_literal(tuple(o.name for o in program.outputs)),
+        "units": python_literal({i.name: i.unit for i in named}),
+        "parameters": python_literal({p.name: p.value for p in program.parameters}),
+        "errors": python_literal({p.name: p.error for p in program.parameters}),
     }
 
 
-def literal(value: Any) -> str:
+def python_literal(value: Any) -> str:
     """A tuple in one line, a mapping with a line for each entry; texts as ``repr`` writes them."""
     if not isinstance(value, dict):
         return repr(value)
@@ -134,35 +134,42 @@ def literal(value: Any) -> str:
     return "\n".join(["{", *rows, "}"]) if rows else "{}"
 
 
-def _values(found: Program, values: Sequence[sp.Expr]) -> str:
-    lines, texts = _computed(found, values)
+def _value_lines(program: Program, values: Sequence[sp.Expr]) -> str:
+    lines, texts = _printed_expressions(program, values)
     lines.append(f"found = np.empty(({len(texts)}, *x.shape[1:]))")
     lines += [f"found[{i}] = {text}" for i, text in enumerate(texts)]
-    return indented([*lines, "return found"])
+    return indent_lines([*lines, "return found"])
 
 
-def _slopes(found: Program, by_x: list[list[sp.Expr]], by_p: list[list[sp.Expr]]) -> str:
-    places = entries({"by_x": by_x, "by_p": by_p}, lambda name, i, j, _: f"{name}[{i}, {j}]")
-    lines, texts = _computed(found, list(places.values()))
-    lines.append(f"by_x = np.zeros(({len(by_x)}, {len(found.states)}, *x.shape[1:]))")
-    lines.append(f"by_p = np.zeros(({len(by_p)}, {len(found.parameters)}, *x.shape[1:]))")
+def _jacobian_lines(program: Program, by_x: list[list[sp.Expr]], by_p: list[list[sp.Expr]]) -> str:
+    places = jacobian_entries(
+        {"by_x": by_x, "by_p": by_p}, lambda name, i, j, _: f"{name}[{i}, {j}]"
+    )
+    lines, texts = _printed_expressions(program, list(places.values()))
+    lines.append(f"by_x = np.zeros(({len(by_x)}, {len(program.states)}, *x.shape[1:]))")
+    lines.append(f"by_p = np.zeros(({len(by_p)}, {len(program.parameters)}, *x.shape[1:]))")
     lines += [f"{place} = {text}" for place, text in zip(places, texts, strict=True)]
-    return indented([*lines, "return by_x, by_p"])
+    return indent_lines([*lines, "return by_x, by_p"])
 
 
-def _computed(found: Program, values: Sequence[sp.Expr]) -> tuple[list[str], list[str]]:
-    """Lines that name what is given and what is common, and the texts of the values."""
-    names = identifiers((*found.states, *found.inputs, *found.parameters), _RESERVED)
-    names[found.time] = "t"
+def _printed_expressions(
+    program: Program, values: Sequence[sp.Expr]
+) -> tuple[list[str], list[str]]:
+    """Lines that assign arguments and common subexpressions, and the texts of the values."""
+    names = identifiers((*program.states, *program.inputs, *program.parameters), _RESERVED)
+    names[program.time] = "t"
     lines = ["x, u = np.asarray(x, dtype=float), np.asarray(u, dtype=float)"]
-    for array, items in (("x", found.states), ("u", found.inputs)):
-        lines += [f"{names[i.symbol]} = {array}[{items.index(i)}]" for i in used(values, items)]
-    for item in used(values, found.parameters):
+    for array, items in (("x", program.states), ("u", program.inputs)):
+        lines += [
+            f"{names[i.symbol]} = {array}[{items.index(i)}]"
+            for i in items_in_expressions(values, items)
+        ]
+    for item in items_in_expressions(values, program.parameters):
         lines.append(f"{names[item.symbol]} = np.float64(p[{item.name!r}])")
     parts, texts = assignments(values, PythonPrinter(_NUMPY).doprint, names)
     return [*lines, *(f"{name} = {text}" for name, text, _ in parts)], texts
 
 
-def indented(lines: Sequence[str]) -> str:
+def indent_lines(lines: Sequence[str]) -> str:
     """Lines of a function's body."""
     return "\n".join(f"    {line}" for line in lines)

@@ -14,7 +14,7 @@ from spiral.io.readers import own_units, preparation
 from spiral.io.readers.files import Table
 from spiral.io.readers.layout import ColumnLayout
 from spiral.io.readers.pulses import Edge
-from spiral.io.readers.sampling import FileSeries, resampled, without_gaps
+from spiral.io.readers.sampling import FileSeries, interpolate_gaps, resample_series
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 from spiral.types.fields import construct
 from spiral.types.record import Array, Record, check_increasing, check_noise, make_record
@@ -112,7 +112,7 @@ class Columns(Source):
             if getattr(self, name) is not None and self.pulse is None:
                 given = f"record.{name} without a pulse"
                 raise ConfigError(given, "record.pulse=COLUMN", "or leave it out")
-        self._slow_roll()
+        self._slow_roll_range()
 
     def as_test(self) -> Source:
         """The same columns and units; rows are the test's own."""
@@ -128,13 +128,13 @@ class Columns(Source):
             given = f"record={self.plugin_name()} without a file"
             raise ConfigError(given, "record.path=FILE", "record.path=a.csv")
         paths = [self.path] if isinstance(self.path, str) else list(self.path)
-        return tuple(record for path in paths for record in self._of_file(system, path))
+        return tuple(record for path in paths for record in self._file_records(system, path))
 
-    def _of_file(self, system: System, path: str) -> tuple[Record, ...]:
+    def _file_records(self, system: System, path: str) -> tuple[Record, ...]:
         table = self.read(path)
-        return tuple(one._record_of(system, table, path) for one in self._numbered(table))
+        return tuple(one._build_record(system, table, path) for one in self._expand_starred(table))
 
-    def _numbered(self, table: Table) -> list[Columns]:
+    def _expand_starred(self, table: Table) -> list[Columns]:
         """One source for each number that a star in a column's name stands for; else itself."""
         names = [*(self.channels or {}).values(), *(self.inputs or {}).values(), self.time or ""]
         starred = [c for c in map(str, names) if "*" in c and c not in table.columns]
@@ -143,28 +143,28 @@ class Columns(Source):
         return [
             replace(
                 self,
-                channels=_filled(self.channels, n),
-                inputs=_filled(self.inputs, n),
+                channels=_replace_star(self.channels, n),
+                inputs=_replace_star(self.inputs, n),
                 time=self.time and self.time.replace("*", n),
             )
-            for n in table.numbers(starred[0])
+            for n in table.starred_numbers(starred[0])
         ]
 
-    def _record_of(self, system: System, table: Table, path: str) -> Record:
-        layout = self._layout(system, table)
-        start, stop = _inside(table, layout.options(), self.rows, "record.rows")
-        series = self._series(system, table, layout, start, stop)
+    def _build_record(self, system: System, table: Table, path: str) -> Record:
+        layout = self._resolve_layout(system, table)
+        start, stop = _row_range(table, layout.options(), self.rows, "record.rows")
+        series = self._prepared_series(system, table, layout, start, stop)
         series = replace(series, noise=check_noise(dict(self.noise or {}), series.channels))
-        wish = self._slow_roll()
+        wish = self._slow_roll_range()
         if (wish, self.probe_angles, self.resample) != (None, None, None):
-            series = preparation.checked(series)
+            series = preparation.check_channels(series)
         if wish is not None:
-            series = self._without_run_out(system, table, layout, wish, series)
+            series = self._subtract_run_out(system, table, layout, wish, series)
         if self.probe_angles is not None:
-            series = preparation.to_axes(system, series, self.probe_angles)
+            series = preparation.rotate_to_axes(system, series, self.probe_angles)
         if self.resample is not None:
-            series = resampled(system, series, self.resample)
-        told = _layout_in_words(system, layout, self.rate)
+            series = resample_series(system, series, self.resample)
+        told = _describe_layout(system, layout, self.rate)
         return make_record(
             system,
             Path(path).name + (f" rows [{start}, {stop})" if self.rows else ""),
@@ -176,80 +176,82 @@ class Columns(Source):
             hold=self.hold,
         )
 
-    def _layout(self, system: System, table: Table) -> ColumnLayout:
-        channels = self._mapped(table, "channels", system.observed, required=system.observed)
+    def _resolve_layout(self, system: System, table: Table) -> ColumnLayout:
+        channels = self._resolve_columns(
+            table, "channels", system.observed, required=system.observed
+        )
         known = tuple(i.name for i in system.inputs)
         driving = tuple(i.name for i in system.inputs if i.derived_from is None)
         if self.pulse is not None:  # phase and perhaps speed come from it
             driving = tuple(n for n in driving if n != "speed")
             if self.inputs is None:
                 known = tuple(n for n in known if n != "phase")
-        inputs = self._mapped(table, "inputs", known, required=driving)
-        constant = {n: float(c) for n, c in inputs.items() if _is_number(c, table)}
+        inputs = self._resolve_columns(table, "inputs", known, required=driving)
+        constant = {n: float(c) for n, c in inputs.items() if _is_constant(c, table)}
         inputs = {n: c for n, c in inputs.items() if n not in constant}
-        clock = self._clock(table)
-        units = self._units(system, table, {**channels, **inputs, **clock})
-        ways = {n: own_units.in_system(u, system, n) for n, u in units.items()}
-        offset = self._offsets((*channels, *inputs))
+        clock = self._time_column(table)
+        units = self._resolve_units(system, table, {**channels, **inputs, **clock})
+        ways = {n: own_units.conversion_to_system(u, system, n) for n, u in units.items()}
+        offset = self._check_offsets((*channels, *inputs))
         pulse = {} if self.pulse is None else {"pulse": self.pulse}
         return ColumnLayout(channels, inputs, clock, pulse, units, ways, offset, constant)
 
-    def _series(
+    def _prepared_series(
         self, system: System, table: Table, layout: ColumnLayout, start: int, stop: int
     ) -> FileSeries:
         """Rows [start, stop) in the system's units; gaps, pulses and signs as configured."""
         name = Path(table.name).name
 
-        def values(option: str, given: Mapping[str, str]) -> dict[str, Array]:
+        def read_values(option: str, given: Mapping[str, str]) -> dict[str, Array]:
             left_out = option == "channels" and self.missing == "leave_out"
-            missing, found = left_out or self.fill_gaps is not None, {}
+            missing, converted = left_out or self.fill_gaps is not None, {}
             for k, c in given.items():
                 read = table.column(c, f"record.{option} {k}", start, stop, missing)
-                found[k] = layout.converted(k, read)
-            return found
+                converted[k] = layout.converted(k, read)
+            return converted
 
-        pulse = values("pulse", layout.pulse).get("pulse")
-        time = layout.converted("time", self._time(table, layout.clock, start, stop))
+        pulse = read_values("pulse", layout.pulse).get("pulse")
+        time = layout.converted("time", self._time_values(table, layout.clock, start, stop))
         series = FileSeries(
             name,
             time,
-            values("channels", layout.channels),
+            read_values("channels", layout.channels),
             {
-                **values("inputs", layout.inputs),
+                **read_values("inputs", layout.inputs),
                 **{n: np.full(len(time), value) for n, value in layout.constant.items()},
             },
             pulse=pulse,
         )
         if self.resample is not None or self.fill_gaps is not None or self.pulse is not None:
             check_increasing(name, time)
-        series = preparation.unwrapped(series)
+        series = preparation.unwrap_phase(series)
         if self.fill_gaps is not None:
-            series = without_gaps(series, self.fill_gaps)
+            series = interpolate_gaps(series, self.fill_gaps)
         if self.pulse is not None:
-            series = preparation.with_pulse(
+            series = preparation.add_pulse_phase(
                 system, series, self.pulse, self.pulse_level, self.pulse_edge
             )
-        return preparation.with_rotation(system, series, self.rotation)
+        return preparation.apply_rotation_sense(system, series, self.rotation)
 
-    def _slow_roll(self) -> SlowRoll | None:
+    def _slow_roll_range(self) -> SlowRoll | None:
         """The stretch of the slow roll, checked."""
         if self.slow_roll is None:
             return None
-        found: SlowRoll = construct(SlowRoll, self.slow_roll, "record.slow_roll")
-        ranges = [found.rows, found.speed]
-        if ranges.count(None) != 1 and not (found.path and ranges.count(None) == 2):
+        stretch: SlowRoll = construct(SlowRoll, self.slow_roll, "record.slow_roll")
+        ranges = [stretch.rows, stretch.speed]
+        if ranges.count(None) != 1 and not (stretch.path and ranges.count(None) == 2):
             raise ConfigError(
                 f"record.slow_roll={dict(self.slow_roll)}",
                 "rows or a range of speed; with a path of its own perhaps neither",
                 "record.slow_roll='{rows: [0, 2000]}' or record.slow_roll='{speed: [200, 400]}'",
             )
-        if found.speed is not None and not 0 <= found.speed[0] < found.speed[1]:
+        if stretch.speed is not None and not 0 <= stretch.speed[0] < stretch.speed[1]:
             raise ConfigError(
-                f"record.slow_roll speed {list(found.speed)}", "[low, high], zero or above"
+                f"record.slow_roll speed {list(stretch.speed)}", "[low, high], zero or above"
             )
-        return found
+        return stretch
 
-    def _without_run_out(
+    def _subtract_run_out(
         self, system: System, table: Table, layout: ColumnLayout, wish: SlowRoll, series: FileSeries
     ) -> FileSeries:
         """Slow-roll vectors of the named stretch, subtracted."""
@@ -257,17 +259,17 @@ class Columns(Source):
         if wish.path is not None:
             table = self.read(wish.path)
         if wish.rows is not None or wish.path is not None:
-            start, stop = _inside(table, layout.options(), wish.rows, "record.slow_roll rows")
-            slow = self._series(system, table, layout, start, stop)
+            start, stop = _row_range(table, layout.options(), wish.rows, "record.slow_roll rows")
+            slow = self._prepared_series(system, table, layout, start, stop)
         rows = np.arange(len(slow.time))
         if wish.speed is not None:
             low, high = layout.converted("speed", np.asarray(wish.speed, dtype=float))
             rows = preparation.slow_roll_rows(slow, low, high)
         vectors = preparation.slow_roll_vectors(slow, rows)
-        preparation.must_be_slow(slow, rows, series)
-        return preparation.without_run_out(system, series, vectors)
+        preparation.check_slow_roll_speed(slow, rows, series)
+        return preparation.subtract_run_out(system, series, vectors)
 
-    def _offsets(self, names: tuple[str, ...]) -> dict[str, float]:
+    def _check_offsets(self, names: tuple[str, ...]) -> dict[str, float]:
         given = dict(self.offset or {})
         for name, value in given.items():
             if name not in names:
@@ -280,14 +282,14 @@ class Columns(Source):
                 raise InputError(f"record.offset of {name!r}: {value}", "a finite number")
         return given
 
-    def _clock(self, table: Table) -> dict[str, str]:
+    def _time_column(self, table: Table) -> dict[str, str]:
         """``time`` -> its column; empty where the rate is given."""
         if self.rate is not None:
             return {}
         if self.time is not None:
-            return {"time": table.called(self.time) or self.time}
+            return {"time": table.find_column(self.time) or self.time}
         for name in _TIME_COLUMNS:
-            if column := table.called(name):
+            if column := table.find_column(name):
                 return {"time": column}
         raise InputError(
             f"{table.name}: no column of time among {', '.join(table.columns[:12])}",
@@ -295,29 +297,31 @@ class Columns(Source):
             "record.time=COLUMN, or record.rate=SAMPLES_PER_SECOND",
         )
 
-    def _time(self, table: Table, clock: Mapping[str, str], start: int, stop: int) -> Array:
+    def _time_values(self, table: Table, clock: Mapping[str, str], start: int, stop: int) -> Array:
         if self.rate is not None:
             return np.arange(stop - start) / self.rate
         return table.column(clock["time"], "record.time", start, stop)
 
-    def _mapped(
+    def _resolve_columns(
         self, table: Table, option: str, known: tuple[str, ...], required: tuple[str, ...]
     ) -> dict[str, str]:
         """Name -> column: as configured, else columns with the system's own names."""
         given: Mapping[str, str] | None = getattr(self, option)
         if given is None:
-            found = {n: table.called(n) for n in known}
-            return {n: c or n for n, c in found.items() if c or n in required}
+            columns = {n: table.find_column(n) for n in known}
+            return {n: c or n for n, c in columns.items() if c or n in required}
         for name in given:
             if name not in known:
                 raise InputError(
                     f"record.{option} names {name!r}",
                     f"one of the system's {option}: {', '.join(known) or 'none'}",
-                    _turned(option, given, table, known) or did_you_mean(name, known),
+                    _swapped_names_hint(option, given, table, known) or did_you_mean(name, known),
                 )
-        return {n: table.called(str(c)) or c for n, c in given.items()}
+        return {n: table.find_column(str(c)) or c for n, c in given.items()}
 
-    def _units(self, system: System, table: Table, columns: Mapping[str, str]) -> dict[str, str]:
+    def _resolve_units(
+        self, system: System, table: Table, columns: Mapping[str, str]
+    ) -> dict[str, str]:
         """Name -> unit, as configured by name or by column, else as the file names it."""
         given = dict(self.units or {})
         from_pulse = self.pulse is not None and any(i.name == "speed" for i in system.inputs)
@@ -336,7 +340,7 @@ class Columns(Source):
         return {**named, **by_column, **given}
 
 
-def _inside(
+def _row_range(
     table: Table, columns: Mapping[str, str], rows: tuple[int, int] | None, option: str
 ) -> tuple[int, int]:
     """The rows asked for, or all, of a table whose columns have one length."""
@@ -351,21 +355,23 @@ def _inside(
     return start, stop
 
 
-def _filled(names: Mapping[str, str] | None, number: str) -> Mapping[str, str] | None:
+def _replace_star(names: Mapping[str, str] | None, number: str) -> Mapping[str, str] | None:
     """Columns with a number in place of their star."""
     return names and {k: str(c).replace("*", number) for k, c in names.items()}
 
 
-def _turned(option: str, given: Mapping[str, str], table: Table, known: tuple[str, ...]) -> str:
+def _swapped_names_hint(
+    option: str, given: Mapping[str, str], table: Table, known: tuple[str, ...]
+) -> str:
     """A hint where columns stand before the names that they are for; empty where they do not."""
     pairs = {str(c): n for n, c in given.items()}
-    if not all(n in known and table.called(c) for n, c in pairs.items()):
+    if not all(n in known and table.find_column(c) for n, c in pairs.items()):
         return ""
     words = ", ".join(f"{n}: {c}" for n, c in pairs.items())
     return f"the system's own name comes first: record.{option}='{{{words}}}'"
 
 
-def _is_number(given: str, table: Table) -> bool:
+def _is_constant(given: str, table: Table) -> bool:
     """Whether an input's column is a number, and no column is called so."""
     try:
         return given not in table.columns and bool(np.isfinite(float(given)))
@@ -373,7 +379,7 @@ def _is_number(given: str, table: Table) -> bool:
         return False
 
 
-def _layout_in_words(system: System, layout: ColumnLayout, rate: float | None) -> str:
+def _describe_layout(system: System, layout: ColumnLayout, rate: float | None) -> str:
     """What was taken for what, in words."""
     clock, units = layout.clock, layout.units
     words = [

@@ -1,4 +1,4 @@
-"""Arrays inside HDF5, NPZ and Parquet files from anywhere: no cycle, no other file, no flood.
+"""Arrays of untrusted HDF5, NPZ and Parquet files: limited size, no link cycles or other files.
 
 What a file declares is counted before it is unpacked. Links that lead nowhere, in a circle or into
 another file are left out and named.
@@ -63,7 +63,7 @@ class Allowance:
         ------
         InputError : too many.
         """
-        self.take(count * width(dtype), passing)
+        self.take(count * item_bytes(dtype), passing)
 
     def notes(self) -> tuple[str, ...]:
         """What was left out, in words."""
@@ -73,17 +73,17 @@ class Allowance:
         return (f"{Path(self.given).name}: left out {', '.join(self.left_out[:_NAMED])}{more}",)
 
 
-def width(dtype: np.dtype[Any]) -> int:
+def item_bytes(dtype: np.dtype[Any]) -> int:
     """Bytes of an item where it is read or worked with, whichever is more."""
     return max(dtype.itemsize, _FLOAT * len(dtype.names or "x"))
 
 
-def series_of(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
+def series_in_array(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
     """The one-dimensional series of an array: itself, the lines of a matrix, a record's fields."""
     array = np.asarray(value)
     if array.dtype.names and array.ndim == 1:
         for part in array.dtype.names:
-            yield from series_of(f"{name}.{part}", array[part])
+            yield from series_in_array(f"{name}.{part}", array[part])
         return
     if array.dtype.kind not in "biuf" or array.size < 2:
         return
@@ -107,12 +107,12 @@ def npz_arrays(given: str, path: Path) -> dict[str, np.ndarray]:
     allowance = Allowance(given, path.stat().st_size)
     with zipfile.ZipFile(path) as packed:
         for member in packed.infolist():
-            allowance.take(max(member.file_size, _declared(packed, member)))
+            allowance.take(max(member.file_size, _declared_bytes(packed, member)))
     with np.load(path, allow_pickle=False) as arrays:
-        return {name: _numbers(given, arrays, name) for name in arrays.files}
+        return {name: _load_array(given, arrays, name) for name in arrays.files}
 
 
-def _numbers(given: str, arrays: Any, name: str) -> np.ndarray:
+def _load_array(given: str, arrays: Any, name: str) -> np.ndarray:
     """One array; Python objects are never loaded, since loading them runs what they hold."""
     try:
         return arrays[name]
@@ -125,7 +125,7 @@ def _numbers(given: str, arrays: Any, name: str) -> np.ndarray:
         ) from error  # fmt: skip
 
 
-def _declared(packed: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
+def _declared_bytes(packed: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
     """Bytes of the numbers that an array's own head promises; none where it has no such head."""
     with packed.open(member) as file:
         try:
@@ -135,7 +135,7 @@ def _declared(packed: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
             shape, _, dtype = head(file)
         except ValueError:
             return 0
-    return math.prod(shape) * width(dtype)
+    return math.prod(shape) * item_bytes(dtype)
 
 
 def parquet_columns(path: Path, allowance: Allowance) -> list[tuple[str, Any]]:
@@ -165,7 +165,7 @@ def parquet_columns(path: Path, allowance: Allowance) -> list[tuple[str, Any]]:
     allowance.take(about.num_rows * (_NUMBER * len(plain) + _OBJECT * len(text)))
     with pq.ParquetFile(path, read_dictionary=list(text)) as opened:
         frame = opened.read(columns=kept).to_pandas()
-    found = []
+    columns_read = []
     for column in frame.columns:
         name, values = str(column), frame[column]
         shared = isinstance(values.dtype, pd.CategoricalDtype)
@@ -173,11 +173,11 @@ def parquet_columns(path: Path, allowance: Allowance) -> list[tuple[str, Any]]:
         if max(map(len, words), default=0) > _LONGEST:
             allowance.left_out.append(f"{name} (long texts)")
             continue
-        found.append((name, values.astype(object) if name in text else values))
-    return found
+        columns_read.append((name, values.astype(object) if name in text else values))
+    return columns_read
 
 
-def _followed(group: Any, key: str) -> Any:
+def _follow_link(group: Any, key: str) -> Any:
     """What a name of a group leads to, or nothing."""
     try:
         return group.get(key)
@@ -202,13 +202,13 @@ class Hdf5:
             if isinstance(group.get(key, getlink=True), self.h5py.ExternalLink):
                 self.allowance.left_out.append(f"{name} (a link into another file)")
                 continue
-            item = _followed(group, key)
+            item = _follow_link(group, key)
             if item is None:
                 self.allowance.left_out.append(f"{name} (a link to nothing)")
                 continue
-            yield from self._of(name, item, (*inside, group))
+            yield from self._item_series(name, item, (*inside, group))
 
-    def _of(self, name: str, item: Any, inside: tuple[Any, ...]) -> Iterator[Any]:
+    def _item_series(self, name: str, item: Any, inside: tuple[Any, ...]) -> Iterator[Any]:
         """Series of a group, a dataset, or the cells and structs of MATLAB 7.3."""
         if len(inside) > _DEPTH:
             return
@@ -220,9 +220,9 @@ class Hdf5:
             separator = "." if "MATLAB_class" in item.attrs else "/"
             yield from self.series(item, name + separator, inside)
         elif isinstance(item, self.h5py.Dataset):
-            yield from self._of_dataset(name, item, inside)
+            yield from self._dataset_series(name, item, inside)
 
-    def _of_dataset(self, name: str, item: Any, inside: tuple[Any, ...]) -> Iterator[Any]:
+    def _dataset_series(self, name: str, item: Any, inside: tuple[Any, ...]) -> Iterator[Any]:
         if item.external or item.is_virtual:
             self.allowance.left_out.append(f"{name} (kept in another file)")
             return
@@ -237,10 +237,12 @@ class Hdf5:
             # MATLAB counts the cells along columns; HDF5 holds the transposed array.
             for position, cell in enumerate(np.asarray(item[()]).ravel()):
                 if cell:
-                    yield from self._of(f"{name}[{position}]", item.file[cell], (*inside, item))
+                    yield from self._item_series(
+                        f"{name}[{position}]", item.file[cell], (*inside, item)
+                    )
             return
         unit = item.attrs.get("units", item.attrs.get("unit", ""))
-        for label, values in series_of(name, item[()]):
+        for label, values in series_in_array(name, item[()]):
             if isinstance(unit, str | bytes) and unit:
                 said = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
                 self.units[label] = said

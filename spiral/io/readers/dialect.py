@@ -1,6 +1,6 @@
 """How a text file writes its columns: separator, decimal mark, names, a row of units.
 
-Every reading of the first lines is laid out and judged by the share of its cells that are numbers.
+Every separator and decimal mark is tried on the first lines, and judged by the share of numbers.
 The best one is taken; where two are as good, the file is refused rather than guessed.
 """
 
@@ -35,7 +35,7 @@ _LINES = 300
 
 @dataclass(frozen=True)
 class Dialect:
-    """One reading of a text file.
+    """One way to read a text file.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Dialect:
         return ", ".join(words)
 
 
-def split(line: str, separator: str) -> list[str]:
+def split_cells(line: str, separator: str) -> list[str]:
     """The cells of one line, without quotes and outer spaces."""
     if separator == SPACES:
         return line.split()
@@ -96,14 +96,16 @@ def find_dialect(given: str, text: str, separator: str | None, decimal: str | No
     """
     lines = list(io.StringIO(text, newline=None))[:_LINES]
     lines = [line.rstrip("\n") for line in lines]
-    separators = [_checked(separator)] if separator else list(SEPARATORS)
+    separators = [_check_separator(separator)] if separator else list(SEPARATORS)
     decimals = [decimal] if decimal else list(DECIMALS)
     if decimal and decimal not in DECIMALS:
         raise ConfigError(f"record.decimal={decimal!r}", "'.' or ','", "leave it out: it is found")
-    found = [d for s in separators for m in decimals if (d := _layout(lines, s, m)) is not None]
-    fits = _best([d for d in found if d.names])
+    dialects = [
+        d for s in separators for m in decimals if (d := _fit_dialect(lines, s, m)) is not None
+    ]
+    fits = _best_dialects([d for d in dialects if d.names])
     if not fits:
-        raise _no_reading(given, found, lines, separator)
+        raise _no_dialect_error(given, dialects, lines, separator)
     if len(fits) > 1:
         both = " or ".join(f"{d.in_words()} ({len(d.names)} columns)" for d in fits[:2])
         raise InputError(
@@ -119,7 +121,7 @@ def find_dialect(given: str, text: str, separator: str | None, decimal: str | No
     return best
 
 
-def _checked(separator: str) -> str:
+def _check_separator(separator: str) -> str:
     separator = {r"\t": "\t", " ": SPACES}.get(separator, separator)
     if separator != SPACES and (len(separator) != 1 or separator in '"\n\r'):
         raise ConfigError(
@@ -128,16 +130,16 @@ def _checked(separator: str) -> str:
     return separator
 
 
-def _best(found: list[Dialect]) -> list[Dialect]:
-    """The readings with the largest share of numbers; those with several columns go first."""
-    found = [d for d in found if d.share > 0.3]
-    found = [d for d in found if len(d.names) > 1] or found
-    top = max((d.share for d in found), default=0.0)
-    found = [d for d in found if d.share > top - 1e-9]
-    marked = {d.separator for d in found if d.decimal == "." and not d.marked}
-    found = [d for d in found if d.decimal == "." or d.marked or d.separator not in marked]
-    one_column = all(len(d.names) == 1 for d in found)
-    plain = [d for d in found if d.separator != SPACES] or found
+def _best_dialects(dialects: list[Dialect]) -> list[Dialect]:
+    """The dialects with the largest share of numbers; those with several columns go first."""
+    dialects = [d for d in dialects if d.share > 0.3]
+    dialects = [d for d in dialects if len(d.names) > 1] or dialects
+    top = max((d.share for d in dialects), default=0.0)
+    dialects = [d for d in dialects if d.share > top - 1e-9]
+    marked = {d.separator for d in dialects if d.decimal == "." and not d.marked}
+    dialects = [d for d in dialects if d.decimal == "." or d.marked or d.separator not in marked]
+    one_column = all(len(d.names) == 1 for d in dialects)
+    plain = [d for d in dialects if d.separator != SPACES] or dialects
     return plain[:1] if one_column else plain
 
 
@@ -152,17 +154,17 @@ class _Line:
         return len(self.cells) == width and not self.comment and 0 < self.numbers >= self.texts
 
 
-def _line(text: str, separator: str, decimal: str) -> _Line:
+def _parse_line(text: str, separator: str, decimal: str) -> _Line:
     comment = _COMMENT.match(text)
-    cells = tuple(split(text[comment.end() :] if comment else text, separator))
+    cells = tuple(split_cells(text[comment.end() :] if comment else text, separator))
     numbers = sum(_NUMBER[decimal].fullmatch(c) is not None for c in cells)
     missing = sum(c.lower() in MISSING for c in cells)
     return _Line(cells, numbers, len(cells) - numbers - missing, comment is not None)
 
 
-def _layout(texts: list[str], separator: str, decimal: str) -> Dialect | None:
-    """The names and rows of one reading; without names where no line fits above the rows."""
-    lines = [_line(t, separator, decimal) for t in texts]
+def _fit_dialect(texts: list[str], separator: str, decimal: str) -> Dialect | None:
+    """The dialect with these two marks; without names where no line fits above the rows."""
+    lines = [_parse_line(t, separator, decimal) for t in texts]
     tail = [x for x in lines[len(lines) // 2 :] if x.numbers and not x.comment]
     if not tail:
         return None
@@ -179,13 +181,20 @@ def _layout(texts: list[str], separator: str, decimal: str) -> Dialect | None:
         c for x in rows for c in x.cells if decimal in c and _NUMBER[decimal].fullmatch(c)
     )
     share = sum(x.numbers for x in rows) / filled
-    names = () if position is None else _without_trailing(lines[position].cells)
+    names = () if position is None else _drop_trailing_empty(lines[position].cells)
     if len(names) < width and any(any(x.cells[len(names) : width]) for x in rows):
         names = ()
     return Dialect(
-        separator, decimal, _unique(names), width, first, share, position or 0,
-        dict(_units(names, lines[units].cells)) if names and units is not None else {}, marked,
-    )  # fmt: skip
+        separator,
+        decimal,
+        _unique_names(names),
+        width,
+        first,
+        share,
+        position or 0,
+        dict(_units_below_names(names, lines[units].cells)) if names and units is not None else {},
+        marked,
+    )
 
 
 def _first_row(lines: list[_Line], width: int) -> int | None:
@@ -202,45 +211,45 @@ def _first_row(lines: list[_Line], width: int) -> int | None:
 def _names_line(lines: list[_Line], first: int, width: int) -> tuple[int | None, int | None]:
     """Where the names and the units stand above row 0."""
 
-    def fits(i: int) -> bool:
-        count = len(_without_trailing(lines[i].cells))
+    def holds_names(i: int) -> bool:
+        count = len(_drop_trailing_empty(lines[i].cells))
         return lines[i].texts > 0 and count <= width and (count > 1 or width <= 2)
 
     above = [i for i in range(first - 1, -1, -1) if any(lines[i].cells)]
-    while above and lines[above[0]].comment and not fits(above[0]):
+    while above and lines[above[0]].comment and not holds_names(above[0]):
         above.pop(0)
-    if not above or not fits(above[0]):
+    if not above or not holds_names(above[0]):
         return None, None
     last = above[0]
-    if len(above) > 1 and fits(above[1]) and _are_units(lines[last].cells):
-        names = _without_trailing(lines[above[1]].cells)
-        if len(names) >= len(_without_trailing(lines[last].cells)):
+    if len(above) > 1 and holds_names(above[1]) and _are_units(lines[last].cells):
+        names = _drop_trailing_empty(lines[above[1]].cells)
+        if len(names) >= len(_drop_trailing_empty(lines[last].cells)):
             return above[1], last
     return last, None
 
 
-def _without_trailing(cells: tuple[str, ...]) -> tuple[str, ...]:
+def _drop_trailing_empty(cells: tuple[str, ...]) -> tuple[str, ...]:
     while cells and not cells[-1]:
         cells = cells[:-1]
     return cells
 
 
-def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
+def _unique_names(names: tuple[str, ...]) -> tuple[str, ...]:
     """Names that differ: a repeated one gets a number, one left out its position."""
-    found: list[str] = []
+    unique: list[str] = []
     for position, name in enumerate(names):
         usual = name or f"column {position}"
         again = usual
         count = 0
-        while again in found:
+        while again in unique:
             count += 1
             again = f"{usual}.{count}"
-        found.append(again)
-    return tuple(found)
+        unique.append(again)
+    return tuple(unique)
 
 
-def _units(names: tuple[str, ...], cells: tuple[str, ...]) -> list[tuple[str, str]]:
-    pairs = zip(_unique(names), (c.strip("[]() ") for c in cells), strict=False)
+def _units_below_names(names: tuple[str, ...], cells: tuple[str, ...]) -> list[tuple[str, str]]:
+    pairs = zip(_unique_names(names), (c.strip("[]() ") for c in cells), strict=False)
     return [(name, unit) for name, unit in pairs if unit not in _NO_UNIT]
 
 
@@ -250,16 +259,16 @@ def _are_units(cells: tuple[str, ...]) -> bool:
     return any(c not in _NO_UNIT for c in bare) and all(c in _NO_UNIT or is_unit(c) for c in bare)
 
 
-def units_in(names: Iterable[str]) -> dict[str, str]:
+def units_in_names(names: Iterable[str]) -> dict[str, str]:
     """Units that names end with, in brackets: ``force [N]``, ``t (ms)``."""
-    found = {}
+    units = {}
     for name in names:
         match = _AT_END.fullmatch(name.rstrip())
         square, round_ = ((g or "").strip() for g in match.groups()) if match else ("", "")
         unit = square or (round_ if len(round_) > 1 or round_ in _LETTERS else "")
         if unit not in _NO_UNIT and is_unit(unit):
-            found[name] = unit
-    return found
+            units[name] = unit
+    return units
 
 
 def is_unit(text: str) -> bool:
@@ -273,11 +282,11 @@ def is_unit(text: str) -> bool:
     return True
 
 
-def _no_reading(
-    given: str, found: list[Dialect], lines: list[str], separator: str | None
+def _no_dialect_error(
+    given: str, dialects: list[Dialect], lines: list[str], separator: str | None
 ) -> InputError:
     hint = "leave record.separator and record.decimal out: they are found" if separator else ""
-    rows = max(found, key=lambda d: (d.share, d.width), default=None)
+    rows = max(dialects, key=lambda d: (d.share, d.width), default=None)
     if rows is None or rows.share <= 0.3:
         return InputError(
             f"{given}: no rows of numbers under {(lines or [''])[0][:60]!r}",
@@ -290,7 +299,7 @@ def _no_reading(
             "a line of names, then rows of numbers",
             "the first line holds numbers: add a line with the columns' names",
         )
-    names = split(lines[rows.first - 1], rows.separator)
+    names = split_cells(lines[rows.first - 1], rows.separator)
     if rows.separator == "," and len(names) < rows.width <= 2 * len(names):
         hint = "if fractions are written with commas, separate the columns by semicolons or tabs"
     return InputError(

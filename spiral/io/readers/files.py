@@ -40,20 +40,20 @@ def find_file(given: str) -> Path:
             if place.is_file():
                 return place
     if any(len(place.name) < _NAME and place.is_dir() for place in places):
-        raise InputError(f"{given}: a folder", "a file", f"name one file: {_inside(places)}")
+        raise InputError(f"{given}: a folder", "a file", f"name one file: {_file_names_in(places)}")
     looked = " or ".join(str(p.parent) for p in places)
-    hint = _near(places)
+    hint = _near_miss_hint(places)
     if not hint and not folder and not path.is_absolute():
         hint = f"give the full path, or set {DATA_VARIABLE} to the folder that holds it"
     raise InputError(f"file {given[:200]!r}", f"a file in {looked}", hint or "check the path")
 
 
-def _inside(places: list[Path]) -> str:
+def _file_names_in(places: list[Path]) -> str:
     names = [p.name for place in places if place.is_dir() for p in sorted(place.iterdir())]
     return ", ".join(names[:5]) or "the folder is empty"
 
 
-def _near(places: list[Path]) -> str:
+def _near_miss_hint(places: list[Path]) -> str:
     for place in places:
         if place.parent.is_dir():
             names = [p.name for p in place.parent.iterdir() if p.is_file()]
@@ -89,14 +89,14 @@ class Table:
         """Names of the columns."""
         return tuple(self.values)
 
-    def called(self, name: str) -> str:
+    def find_column(self, name: str) -> str:
         """The column of this name, with or without its unit behind it (``force [N]``), or none."""
         if name in self.values:
             return name
         named = re.compile(rf"{re.escape(name)}\s*[\[(][^][()]*[\])]\s*")
         return next((c for c in self.values if c in self.units and named.fullmatch(c)), "")
 
-    def numbers(self, starred: str) -> list[str]:
+    def starred_numbers(self, starred: str) -> list[str]:
         """Numbers that the star in a column's name may stand for, in their order.
 
         Raises
@@ -106,14 +106,14 @@ class Table:
         head, tail = starred.split("*", 1)
         fitting = (c for c in self.columns if c.startswith(head) and c.endswith(tail))
         inner = [c[len(head) : len(c) - len(tail)] for c in fitting]
-        found = sorted((n for n in inner if n.isdigit()), key=int)
-        if not found:
+        matches = sorted((n for n in inner if n.isdigit()), key=int)
+        if not matches:
             raise InputError(
                 f"column {starred!r} of {self.name}",
                 "a column with a number in the star's place",
                 f"columns are {', '.join(self.columns[:12])}",
             )
-        return found
+        return matches
 
     def rows(self, columns: Mapping[str, str]) -> int:
         """Number of rows, which the columns in use (option -> column) must share.
@@ -122,7 +122,7 @@ class Table:
         ------
         InputError : no such column, or columns of different lengths.
         """
-        lengths = {c: len(self._found(c, option)) for option, c in columns.items()}
+        lengths = {c: len(self._column_values(c, option)) for option, c in columns.items()}
         if len(set(lengths.values())) > 1:
             listed = ", ".join(f"{c!r} {n}" for c, n in lengths.items())
             raise InputError(
@@ -139,11 +139,11 @@ class Table:
         ------
         InputError : no such column, text among the numbers, or empty cells.
         """
-        values = self._found(name, option)[start:stop]
-        numbers, bad = _parsed(values, self.decimal)
+        values = self._column_values(name, option)[start:stop]
+        numbers, bad = _parse_numbers(values, self.decimal)
         if not len(bad):
             return numbers
-        cells = [str(cell).strip() for cell in _at(values, bad)]
+        cells = [str(cell).strip() for cell in _cells_at(values, bad)]
         texts = [i for i, c in enumerate(cells) if c.lower() not in MISSING]
         if missing and not texts:
             numbers[bad] = np.nan
@@ -165,7 +165,7 @@ class Table:
             cut,
         )
 
-    def _found(self, name: str, option: str) -> Any:
+    def _column_values(self, name: str, option: str) -> Any:
         if name in self.values:
             return self.values[name]
         near = near_misses(name, self.columns)
@@ -181,7 +181,7 @@ class Table:
         )
 
 
-def _parsed(values: Any, decimal: str) -> tuple[Array, Array]:
+def _parse_numbers(values: Any, decimal: str) -> tuple[Array, Array]:
     """Numbers, NaN where there is none, and the positions of what is not finite."""
     import pandas as pd
 
@@ -199,7 +199,7 @@ def _parsed(values: Any, decimal: str) -> tuple[Array, Array]:
     return numbers, np.flatnonzero(~np.isfinite(numbers))
 
 
-def _at(values: Any, rows: Array) -> list[Any]:
+def _cells_at(values: Any, rows: Array) -> list[Any]:
     import pandas as pd
 
     return list(pd.Series(values).iloc[rows])
@@ -210,7 +210,7 @@ def _longest_run(rows: Array) -> int:
     return max(len(part) for part in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1))
 
 
-def first_line_of(error: Exception) -> str:
+def error_first_line(error: Exception) -> str:
     """The first line of an error's message, or its type where it has none."""
     return (str(error).splitlines() or [type(error).__name__])[0]
 

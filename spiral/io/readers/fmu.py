@@ -63,7 +63,7 @@ class Description:
     parameters: tuple[Variable, ...]
 
 
-def hash_of(path: str) -> str:
+def file_sha256(path: str) -> str:
     """SHA-256 of a file.
 
     Raises
@@ -77,17 +77,17 @@ def hash_of(path: str) -> str:
 
 
 @kept(16)
-def described(path: str, sha256: str) -> Description:
+def read_description(path: str, sha256: str) -> Description:
     """The description of an FMU; nothing of it is run.
 
     Raises
     ------
     InputError : no FMU, or one that cannot be used here, with the reason.
     """
-    fmpy = _fmpy()
+    fmpy = _import_fmpy()
     place = str(Path(path).expanduser())
     try:
-        found = fmpy.read_model_description(place, validate=False)
+        model = fmpy.read_model_description(place, validate=False)
         with zipfile.ZipFile(place) as archive:
             names, written = archive.namelist(), archive.read("modelDescription.xml")
     except Exception as error:  # of a broken archive, XML, or a schema: each of a kind of its own
@@ -96,12 +96,12 @@ def described(path: str, sha256: str) -> Description:
             f"FMU {path!r}: {said}", "an FMU: a zip archive with a modelDescription.xml",
             "export it anew; python -m fmpy validate FILE tells more",
         ) from error  # fmt: skip
-    _usable(path, found)
-    _at_home(path, found, names, fmpy)
-    return _description(path, found, bool(_DIRECTIONAL.search(written)))
+    _check_interface(path, model)
+    _check_binary(path, model, names, fmpy)
+    return _convert_description(path, model, bool(_DIRECTIONAL.search(written)))
 
 
-def _fmpy() -> Any:
+def _import_fmpy() -> Any:
     try:
         import fmpy
     except ImportError as error:
@@ -111,23 +111,23 @@ def _fmpy() -> Any:
     return fmpy
 
 
-def _usable(path: str, found: Any) -> None:
+def _check_interface(path: str, model: Any) -> None:
     """Refuse versions and kinds that have no rates to ask for."""
-    if found.fmiVersion.split(".")[0] not in ("2", "3"):
-        raise InputError(f"FMU {path!r} of FMI {found.fmiVersion}", "FMI 2.0 or 3.0")
-    if found.modelExchange is None:
+    if model.fmiVersion.split(".")[0] not in ("2", "3"):
+        raise InputError(f"FMU {path!r} of FMI {model.fmiVersion}", "FMI 2.0 or 3.0")
+    if model.modelExchange is None:
         raise InputError(
             f"FMU {path!r} for co-simulation alone",
             "model exchange: effects act on rates, and a step of co-simulation hides them",
             "export it once more with model exchange (in most tools a choice of the export)",
         )
-    if not found.numberOfContinuousStates:
+    if not model.numberOfContinuousStates:
         raise InputError(f"FMU {path!r} without continuous states", "at least one state")
 
 
-def _at_home(path: str, found: Any, names: Sequence[str], fmpy: Any) -> None:
+def _check_binary(path: str, model: Any, names: Sequence[str], fmpy: Any) -> None:
     """Refuse an FMU without a binary for this machine."""
-    here = fmpy.platform_tuple if found.fmiVersion.startswith("3") else fmpy.platform
+    here = fmpy.platform_tuple if model.fmiVersion.startswith("3") else fmpy.platform
     folders = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
     if here not in folders:
         raise InputError(
@@ -137,64 +137,64 @@ def _at_home(path: str, found: Any, names: Sequence[str], fmpy: Any) -> None:
         )
 
 
-def _description(path: str, found: Any, directional: bool) -> Description:
+def _convert_description(path: str, model: Any, directional: bool) -> Description:
     names: dict[str, str] = {}
-    units = {u.name: u for u in found.unitDefinitions}
-    rows = [d.variable for d in found.derivatives if d.variable.derivative is not None]
-    scalar = [v for v in found.modelVariables if _real(v)]
+    units = {u.name: u for u in model.unitDefinitions}
+    rows = [d.variable for d in model.derivatives if d.variable.derivative is not None]
+    scalar = [v for v in model.modelVariables if _is_real_scalar(v)]
 
-    def made(variables: Iterable[Any]) -> tuple[Variable, ...]:
-        return tuple(_variable(v, names, units) for v in variables)
+    def convert(variables: Iterable[Any]) -> tuple[Variable, ...]:
+        return tuple(_convert_variable(v, names, units) for v in variables)
 
-    def of(causality: str) -> list[Any]:
+    def with_causality(causality: str) -> list[Any]:
         return [v for v in scalar if v.causality == causality]
 
-    way = found.modelExchange
+    way = model.modelExchange
     return Description(
         path=path,
-        title=found.modelName or "",
-        version=int(found.fmiVersion.split(".")[0]),
+        title=model.modelName or "",
+        version=int(model.fmiVersion.split(".")[0]),
         identifier=way.modelIdentifier,
-        token=found.instantiationToken,
+        token=model.instantiationToken,
         once=bool(way.canBeInstantiatedOnlyOncePerProcess),
-        events=bool(int(found.numberOfEventIndicators or 0)),
+        events=bool(int(model.numberOfEventIndicators or 0)),
         directional=directional,
-        states=made(v.derivative for v in rows),
+        states=convert(v.derivative for v in rows),
         rates=tuple(v.valueReference for v in rows),
-        inputs=made(of("input")),
-        outputs=made(of("output")),
-        parameters=made(v for v in of("parameter") if v.variability == "tunable"),
+        inputs=convert(with_causality("input")),
+        outputs=convert(with_causality("output")),
+        parameters=convert(v for v in with_causality("parameter") if v.variability == "tunable"),
     )  # fmt: skip
 
 
-def _real(variable: Any) -> bool:
+def _is_real_scalar(variable: Any) -> bool:
     return variable.type in ("Real", "Float64") and not variable.dimensions
 
 
-def _variable(found: Any, names: dict[str, str], units: Mapping[str, Any]) -> Variable:
-    name = names.get(found.name) or identifier(found.name, set(names.values()))
-    names[found.name] = name
-    own = found.declaredType
-    unit = found.unit or (own.unit if own is not None else "") or ""
+def _convert_variable(scalar: Any, names: dict[str, str], units: Mapping[str, Any]) -> Variable:
+    name = names.get(scalar.name) or identifier(scalar.name, set(names.values()))
+    names[scalar.name] = name
+    own = scalar.declaredType
+    unit = scalar.unit or (own.unit if own is not None else "") or ""
     return Variable(
-        name, found.name, found.valueReference, _unit(unit, units),
-        _number(found.start) or 0.0, abs(_number(found.nominal) or 0.0) or 1.0,
-        _number(found.min), _number(found.max),
+        name, scalar.name, scalar.valueReference, _known_unit(unit, units),
+        _finite_number(scalar.start) or 0.0, abs(_finite_number(scalar.nominal) or 0.0) or 1.0,
+        _finite_number(scalar.min), _finite_number(scalar.max),
     )  # fmt: skip
 
 
-def _number(given: Any) -> float | None:
+def _finite_number(given: Any) -> float | None:
     try:
-        found = float(given)
+        number = float(given)
     except (TypeError, ValueError):
         return None
-    return found if np.isfinite(found) else None
+    return number if np.isfinite(number) else None
 
 
-def _unit(told: str, units: Mapping[str, Any]) -> str:
+def _known_unit(told: str, units: Mapping[str, Any]) -> str:
     """A unit as it is written here; ``N.m/rad``, ``kg.m2`` and base units are understood.
 
-    A unit that nobody knows is none.
+    An unknown unit is returned as empty.
     """
     from spiral.types.units import short_form
 
@@ -237,12 +237,12 @@ def open_fmu(path: str, sha256: str) -> Opened:
     ------
     InputError : an FMU that does not start, with its own words.
     """
-    about = described(path, sha256)
+    about = read_description(path, sha256)
     try:
-        models, folder = _instances(about)
+        models, folder = _make_instances(about)
         handles = [m.component if isinstance(m.component, int) else m.component.value
                    for m in models]  # fmt: skip
-        start = _start(about, models[0], handles[0])
+        start = _start_arguments(about, models[0], handles[0])
     except InputError:
         raise
     except Exception as error:  # of a loader, of FMPy's wrapper: each of a kind of its own
@@ -251,12 +251,12 @@ def open_fmu(path: str, sha256: str) -> Opened:
             f"FMU {path!r} does not start: {said}", "an FMU that FMPy can run",
             "python -m fmpy simulate FILE; the libraries that it needs may be missing",
         ) from error  # fmt: skip
-    program = _program(about, models, handles, folder)
+    program = _make_called_program(about, models, handles, folder)
     _choose_slopes(about, program, start)
-    return Opened(program, start, _readings(about, models[0], program, start))
+    return Opened(program, start, _state_outputs(about, models[0], program, start))
 
 
-def _instances(about: Description) -> tuple[list[Any], str]:
+def _make_instances(about: Description) -> tuple[list[Any], str]:
     from fmpy import extract
     from fmpy.fmi2 import FMU2Model
     from fmpy.fmi3 import FMU3Model
@@ -271,7 +271,7 @@ def _instances(about: Description) -> tuple[list[Any], str]:
                 instanceName=f"spiral_{number}",
             )  # fmt: skip
             model.instantiate()
-            _initialised(model, about.version)
+            _initialise_instance(model, about.version)
             models.append(model)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
@@ -281,7 +281,7 @@ def _instances(about: Description) -> tuple[list[Any], str]:
     return models, folder
 
 
-def _initialised(model: Any, version: int) -> None:
+def _initialise_instance(model: Any, version: int) -> None:
     """From instantiation to continuous-time mode, at time zero."""
     if version == 3:
         model.enterInitializationMode(startTime=0.0)
@@ -296,7 +296,7 @@ def _initialised(model: Any, version: int) -> None:
     model.enterContinuousTimeMode()
 
 
-def _address(model: Any, name: str) -> int:
+def _function_address(model: Any, name: str) -> int:
     try:
         return int(ctypes.cast(getattr(model.dll, name), ctypes.c_void_p).value or 0)
     except AttributeError:
@@ -305,7 +305,7 @@ def _address(model: Any, name: str) -> int:
         raise
 
 
-def _start(about: Description, model: Any, handle: int) -> tuple[float, ...]:
+def _start_arguments(about: Description, model: Any, handle: int) -> tuple[float, ...]:
     """States as they begin, inputs and parameters as they are described, time zero."""
     count = len(about.states)
     x = np.zeros(count)
@@ -318,16 +318,20 @@ def _start(about: Description, model: Any, handle: int) -> tuple[float, ...]:
     return (*x.tolist(), *beside, 0.0)
 
 
-def _program(
+def _make_called_program(
     about: Description, models: Sequence[Any], handles: Sequence[int], folder: str
 ) -> CalledProgram:
     groups = (about.states, about.inputs, about.parameters)
     names = ("states", "inputs", "parameters")
     references = {n: [v.reference for v in g] for n, g in zip(names, groups, strict=True)}
-    whole, numbers = fmi.memory(
-        about.version, [_address(models[0], n) for n in fmi.FUNCTIONS[about.version]], handles,
-        {**references, "rates": about.rates}, [v.nominal for g in groups for v in g], about.events,
-    )  # fmt: skip
+    whole, numbers = fmi.kernel_memory(
+        about.version,
+        [_function_address(models[0], n) for n in fmi.FUNCTIONS[about.version]],
+        handles,
+        {**references, "rates": about.rates},
+        [v.nominal for g in groups for v in g],
+        about.events,
+    )
     arguments = (*(v.name for g in groups for v in g), "time")
     rows = tuple(v.name for v in about.states)
     made = CalledProgram(
@@ -338,41 +342,41 @@ def _program(
 
 
 def _choose_slopes(about: Description, program: CalledProgram, start: Sequence[float]) -> None:
-    """Directional derivatives by those arguments for which the FMU's are what differences are."""
+    """Use the FMU's directional derivatives by arguments where they agree with differences."""
     count = len(program.arguments) - 1
     if not about.directional or not program.whole[fmi.Slot.DIRECTION]:
         return
     rng = np.random.default_rng(1)
     points = np.asarray(start) + 0.01 * rng.normal(size=(3, count + 1)) * (1 + np.abs(start))
     columns = range(count)
-    _, due = program.evaluated(points, columns)
+    _, due = program.values_and_slopes(points, columns)
     right = []
     for column in columns:  # one by one: an FMU may refuse one argument
-        fmi.set_kinds(program.whole, [fmi.DIRECTIONAL] * count)
-        _, told = program.evaluated(points, (column,))
+        fmi.set_slope_kinds(program.whole, [fmi.DIRECTIONAL] * count)
+        _, told = program.values_and_slopes(points, (column,))
         size = np.abs(due[:, column]).max() + np.abs(due).max() * 1e-12
         right.append(bool((np.abs(told[:, 0] - due[:, column]) <= _CLOSE * size).all()))
     kinds = [fmi.DIRECTIONAL if r else fmi.DIFFERENCE for r in right]
-    fmi.set_kinds(program.whole, kinds)
+    fmi.set_slope_kinds(program.whole, kinds)
 
 
-def _readings(
+def _state_outputs(
     about: Description, model: Any, program: CalledProgram, start: Sequence[float]
 ) -> tuple[tuple[str, str], ...]:
-    """Outputs that are a state wherever they are asked: output -> state."""
+    """Pairs (output, state) whose values are equal at several random points."""
     rng = np.random.default_rng(2)
     points = np.asarray(start) + 0.01 * rng.normal(size=(3, len(start))) * (1 + np.abs(start))
     told = []
     for point in points:
-        program.evaluated(point)  # by the first instance, which is free
+        program.values_and_slopes(point)  # by the first instance, which is free
         references = [v.reference for v in about.outputs]
         get = model.getFloat64 if about.version == 3 else model.getReal
         told.append(list(get(references)) if references else [])
-    found = []
+    matches = []
     for i, output in enumerate(about.outputs):
         values = np.array([row[i] for row in told])
         for j, state in enumerate(about.states):
             if np.allclose(values, points[:, j], rtol=1e-12, atol=0.0):
-                found.append((output.told, state.name))
+                matches.append((output.told, state.name))
                 break
-    return tuple(found)
+    return tuple(matches)

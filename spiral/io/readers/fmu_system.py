@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from spiral.io.readers.fmu import Description, Opened, Variable, described, open_fmu
-from spiral.physics.formulas.function import written
-from spiral.physics.outside.wrapped import Wrapped, equations, positions, unknown_rates
+from spiral.io.readers.fmu import Description, Opened, Variable, open_fmu, read_description
+from spiral.physics.formulas.function import dump_sections
+from spiral.physics.outside.wrapped import Wrapped, kinematic_rates, rate_equations, rate_inputs
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, did_you_mean
 
 
 @kept(16)
-def wrapped_fmu(
+def wrap_fmu(
     path: str,
     sha256: str,
     ports: tuple[tuple[str, str], ...],
@@ -37,26 +37,26 @@ def wrapped_fmu(
     ------
     InputError : an FMU that cannot be used. ConfigError : a name that it has not.
     """
-    about, opened = described(path, sha256), open_fmu(path, sha256)
+    about, opened = read_description(path, sha256), open_fmu(path, sha256)
     program = opened.program
-    rates = positions(program, len(about.states), opened.start)
+    rates = kinematic_rates(program, len(about.states), opened.start)
     pushed = tuple(
-        (_named("a port", c, about.states), _named("an input", entry, about.inputs))
+        (_variable_name("a port", c, about.states), _variable_name("an input", entry, about.inputs))
         for c, entry in ports
     )
     for coordinate, entry in pushed:
-        _moves(opened, about, rates, coordinate, entry)
+        _check_input_pushes(opened, about, rates, coordinate, entry)
     through = {entry for _, entry in pushed}
-    recorded = tuple(_named("inputs", n, about.inputs) for n in inputs) or tuple(
+    recorded = tuple(_variable_name("inputs", n, about.inputs) for n in inputs) or tuple(
         v.name for v in about.inputs if v.name not in through
     )
-    text = written(_sections(about, opened, rates, recorded, observed, free))
+    text = dump_sections(_equation_sections(about, opened, rates, recorded, observed, free))
     sizes = (len(about.states), len(about.inputs), len(about.parameters))
     units = {v.name: v.unit for v in about.inputs}
     return Wrapped(program, sizes, text, recorded, tuple((c, e, units[e]) for c, e in pushed))
 
 
-def _sections(
+def _equation_sections(
     about: Description,
     opened: Opened,
     rates: Mapping[str, str],
@@ -69,22 +69,22 @@ def _sections(
     given = {v.name: v.unit for v in about.inputs if v.name in recorded}
     return {
         "title": about.title,
-        "equations": equations(opened.program, rates),
+        "equations": rate_equations(opened.program, rates),
         "states": units,
-        "inputs": {**given, **unknown_rates(opened.program, rates, units)},
-        "parameters": {v.name: _parameter(v) for v in about.parameters},
-        "free": [_named("free", name, about.parameters) for name in free] or None,
-        "observed": _measured(about, opened, observed),
+        "inputs": {**given, **rate_inputs(opened.program, rates, units)},
+        "parameters": {v.name: _parameter_section(v) for v in about.parameters},
+        "free": [_variable_name("free", name, about.parameters) for name in free] or None,
+        "observed": _measured_states(about, opened, observed),
     }
 
 
-def _parameter(variable: Variable) -> dict[str, Any]:
+def _parameter_section(variable: Variable) -> dict[str, Any]:
     bounds = {"lower": variable.lower, "upper": variable.upper}
     given = {"value": variable.start, "unit": variable.unit, **bounds}
     return {k: v for k, v in given.items() if v is not None}
 
 
-def _measured(about: Description, opened: Opened, observed: Sequence[str]) -> list[str]:
+def _measured_states(about: Description, opened: Opened, observed: Sequence[str]) -> list[str]:
     """What sensors report: states, named as such or by outputs that are them, and formulas."""
     states, readings = [v.name for v in about.states], dict(opened.readings)
     told = {v.told: v.name for v in about.states} | {n: n for n in states} | readings
@@ -95,10 +95,10 @@ def _measured(about: Description, opened: Opened, observed: Sequence[str]) -> li
             "states that are measured, by name",
             f"system.observed=[{states[0]}]; states: {', '.join(states)}",
         )
-    found = []
+    measured = []
     for name in observed or readings:
         if "'" in name or "=" in name:  # a formula of states
-            found.append(name)
+            measured.append(name)
             continue
         known = {**names, **told}
         if name not in known:
@@ -108,11 +108,11 @@ def _measured(about: Description, opened: Opened, observed: Sequence[str]) -> li
                 f"a state, or an output that is one: {', '.join((*states, *readings))}",
                 did_you_mean(name, known),
             )
-        found.append(known[name])
-    return list(dict.fromkeys(found))
+        measured.append(known[name])
+    return list(dict.fromkeys(measured))
 
 
-def _named(what: str, name: str, variables: Iterable[Variable]) -> str:
+def _variable_name(what: str, name: str, variables: Iterable[Variable]) -> str:
     """A variable by its own name or the FMU's."""
     known = {v.told: v.name for v in variables} | {v.name: v.name for v in variables}
     if name not in known:
@@ -124,7 +124,7 @@ def _named(what: str, name: str, variables: Iterable[Variable]) -> str:
     return known[name]
 
 
-def _moves(
+def _check_input_pushes(
     opened: Opened, about: Description, rates: Mapping[str, str], coordinate: str, entry: str
 ) -> None:
     """Refuse an input that does not push the coordinate along.
@@ -141,7 +141,7 @@ def _moves(
         )
     row = program.rows.index(rates[coordinate])
     column = program.arguments.index(entry)
-    _, slopes = program.evaluated(np.array([opened.start]), (column,))
+    _, slopes = program.values_and_slopes(np.array([opened.start]), (column,))
     if not slopes[0, 0, row] > 0:
         moved = [n for n, v in zip(program.rows, slopes[0, 0], strict=True) if v]
         raise ConfigError(

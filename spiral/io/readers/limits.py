@@ -15,18 +15,18 @@ _MEMORY, _COPIES = 1_500_000_000, 12  # bytes for any file, and for each byte of
 _AGAIN = 1.0  # s after which a library that swallowed the first alarm is told once more
 
 
-def seconds_for(size: int) -> float:
+def time_limit(size: int) -> float:
     """How long reading a file of so many bytes may take, in s."""
     return _SECONDS + size / _SPEED
 
 
-def memory_for(size: int) -> int:
+def memory_limit(size: int) -> int:
     """How many bytes of memory reading a file of so many bytes may take."""
     return _MEMORY + _COPIES * size
 
 
-def overdue(seconds: float) -> InputError:
-    """The message for work on a file that took longer than it may."""
+def time_limit_error(seconds: float) -> InputError:
+    """The error for work on a file that exceeded its time limit."""
     return InputError(
         f"work on a file that had not ended after {seconds:.0f} s",
         "a file that is read in less",
@@ -36,7 +36,7 @@ def overdue(seconds: float) -> InputError:
 
 @contextmanager
 def within_seconds(seconds: float) -> Iterator[None]:
-    """At most so long, by the system's alarm.
+    """Limit the body of a ``with`` statement to so many seconds, by the system's alarm signal.
 
     A system without alarms, a thread other than the main one, and a program that has set an alarm
     of its own go without.
@@ -50,10 +50,10 @@ def within_seconds(seconds: float) -> Iterator[None]:
         yield
         return
 
-    def late(number: int, frame: object) -> NoReturn:
-        raise overdue(seconds)
+    def raise_time_limit(number: int, frame: object) -> NoReturn:
+        raise time_limit_error(seconds)
 
-    before = signal.signal(signal.SIGALRM, late)
+    before = signal.signal(signal.SIGALRM, raise_time_limit)
     signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN)
     try:
         yield

@@ -16,7 +16,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from spiral.io.readers.containers import Allowance, series_of
+from spiral.io.readers.containers import Allowance, series_in_array
 from spiral.types.errors import InputError
 
 _DEPTH = 12
@@ -36,7 +36,7 @@ def read_mat(given: str, path: Path) -> list[tuple[str, np.ndarray]]:
     ------
     InputError : more than may be unpacked.
     """
-    return [pair for k, v in mat_variables(given, path).items() for pair in _series(k, v)]
+    return [pair for k, v in mat_variables(given, path).items() for pair in _flatten_variable(k, v)]
 
 
 def mat_variables(given: str, path: Path) -> dict[str, Any]:
@@ -59,21 +59,21 @@ def mat_variables(given: str, path: Path) -> dict[str, Any]:
     return {k: v for k, v in variables.items() if not k.startswith("__")}
 
 
-def _series(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
+def _flatten_variable(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
     """Series inside a variable: cells as ``name[0]``, structs as ``name.field``."""
     if not isinstance(value, np.ndarray) or depth > _DEPTH:
         return
     if value.dtype.names is None and value.dtype != object:
-        yield from series_of(name, value)
+        yield from series_in_array(name, value)
         return
     items = value.ravel(order="F")
     for position, item in enumerate(items):
         if value.dtype.names is None:
-            yield from _series(f"{name}[{position}]", item, depth + 1)
+            yield from _flatten_variable(f"{name}[{position}]", item, depth + 1)
             continue
         place = name if len(items) == 1 else f"{name}[{position}]"
         for part in value.dtype.names:
-            yield from _series(f"{place}.{part}", item[part], depth + 1)
+            yield from _flatten_variable(f"{place}.{part}", item[part], depth + 1)
 
 
 class _Declared:
@@ -90,53 +90,53 @@ class _Declared:
             kind, size = struct.unpack(self._order + "II", tag)
             after = self._file.tell() + size
             if kind == _COMPRESSED:
-                self._element(_Inflated(self._file, size), 0)
+                self._count_element(_Inflated(self._file, size), 0)
             elif kind == _MATRIX:
-                self._array(self._file, size, 0)
+                self._count_array(self._file, size, 0)
             self._file.seek(after)
 
-    def _element(self, source: Any, depth: int) -> int:
+    def _count_element(self, source: Any, depth: int) -> int:
         """One array with its tag; the bytes it takes."""
         tag = source.read(8)
         if len(tag) < 8:
             return 8
         kind, size = struct.unpack(self._order + "II", tag)
         if kind == _MATRIX:
-            self._array(source, size, depth)
+            self._count_array(source, size, depth)
         else:
-            _skip(source, size)
+            _skip_bytes(source, size)
         return 8 + size
 
-    def _array(self, source: Any, size: int, depth: int) -> None:
+    def _count_array(self, source: Any, size: int, depth: int) -> None:
         """Count an array of so many bytes, and what lies in it."""
-        flags, used = self._small(source)
+        flags, used = self._read_short_element(source)
         if len(flags) < 8:  # an empty array, or one that is none
             self._allowance.take(0)
-            _skip(source, size - used)
+            _skip_bytes(source, size - used)
             return
         first, most = struct.unpack(self._order + "II", flags[:8])
         kind = first & 0xFF
         if kind in _OPAQUE:
             self._allowance.take(size)
-            _skip(source, size - used)
+            _skip_bytes(source, size - used)
             return
-        sizes, more = self._small(source)
+        sizes, more = self._read_short_element(source)
         used += more
         count = len(sizes) // 4
         entries = math.prod(struct.unpack(f"{self._order}{count}I", sizes[: 4 * count]))
         if kind in (_CELL, _STRUCT, _OBJECT):
-            self._inside(source, size - used, kind, entries, depth)
+            self._count_contents(source, size - used, kind, entries, depth)
             return
         each = {_SPARSE: 2 * _NUMBER, _TEXT: 4}.get(kind, _NUMBER)
         count = most if kind == _SPARSE else entries
         self._allowance.take(count * each * (2 if first & _COMPLEX else 1))
-        _skip(source, size - used)
+        _skip_bytes(source, size - used)
 
-    def _inside(self, source: Any, left: int, kind: int, entries: int, depth: int) -> None:
+    def _count_contents(self, source: Any, left: int, kind: int, entries: int, depth: int) -> None:
         """The arrays in a cell or struct, after the name and, of structs, the fields' names."""
         parts = []
         for _ in range({_CELL: 1, _STRUCT: 3, _OBJECT: 4}[kind]):
-            content, used = self._small(source)
+            content, used = self._read_short_element(source)
             parts.append(content)
             left -= used
         fields = 1
@@ -145,10 +145,10 @@ class _Declared:
             fields = len(parts[-1]) // max(length, 1)
         self._allowance.take(8 * entries * fields)
         while left >= 8 and depth < _DEPTH:
-            left -= self._element(source, depth + 1)
-        _skip(source, left)
+            left -= self._count_element(source, depth + 1)
+        _skip_bytes(source, left)
 
-    def _small(self, source: Any) -> tuple[bytes, int]:
+    def _read_short_element(self, source: Any) -> tuple[bytes, int]:
         """The content of a short element, and the bytes it takes with its tag and padding."""
         tag = source.read(8)
         if len(tag) < 8:
@@ -171,19 +171,19 @@ class _Inflated:
 
     def read(self, count: int) -> bytes:
         """So many bytes, or fewer at the end."""
-        found = bytearray()
-        while len(found) < count and not self._packed.eof:
+        unpacked = bytearray()
+        while len(unpacked) < count and not self._packed.eof:
             packed = self._packed.unconsumed_tail
             if not packed:
                 packed = self._file.read(min(self._left, 65536))
                 self._left -= len(packed)
                 if not packed:
                     break
-            found += self._packed.decompress(packed, count - len(found))
-        return bytes(found)
+            unpacked += self._packed.decompress(packed, count - len(unpacked))
+        return bytes(unpacked)
 
 
-def _skip(source: Any, count: int) -> None:
+def _skip_bytes(source: Any, count: int) -> None:
     """Pass over so many bytes, never holding more than a block."""
     while count > 0:
         part = len(source.read(min(count, _BLOCK)))

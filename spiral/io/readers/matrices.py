@@ -11,9 +11,9 @@ import numpy as np
 from scipy import sparse
 
 from spiral.io.readers.containers import Allowance, npz_arrays
-from spiral.io.readers.limits import seconds_for, within_seconds
+from spiral.io.readers.limits import time_limit, within_seconds
 from spiral.io.readers.matlab import mat_variables
-from spiral.physics.structures.description import SENSORS, KeptNode, described
+from spiral.physics.structures.description import SENSORS, KeptNode, describe_structure
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 
 NAMES = ("M", "K", "C", "G")
@@ -40,12 +40,12 @@ def read_structure(
     ------
     InputError, ConfigError : what cannot be read or used.
     """
-    matrices = matrices_of(source)
-    table = nodes_of(nodes, matrices["M"].shape[0])
-    return described(matrices, table, size, band, pairs, damping_ratio, highest)
+    matrices = read_matrices(source)
+    table = read_nodes(nodes, matrices["M"].shape[0])
+    return describe_structure(matrices, table, size, band, pairs, damping_ratio, highest)
 
 
-def matrices_of(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
+def read_matrices(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
     """Sparse matrices by name.
 
     Parameters
@@ -58,43 +58,45 @@ def matrices_of(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
     InputError : a file that cannot be read, no M or K, matrices that do not fit one another.
     """
     if isinstance(source, Mapping):
-        given = {k: _one(v) if isinstance(v, str | Path) else v for k, v in source.items()}
+        given = {
+            k: _read_single_matrix(v) if isinstance(v, str | Path) else v for k, v in source.items()
+        }
     else:
-        given = _file(Path(source).expanduser())
-    found = {k: _sparse(k, v) for k, v in given.items() if _is_name(k)}
+        given = _read_matrix_file(Path(source).expanduser())
+    matrices = {k: _sparse_columns(k, v) for k, v in given.items() if _is_matrix_name(k)}
     for name in ("M", "K"):
-        if name not in found:
+        if name not in matrices:
             raise InputError(
                 f"matrices {', '.join(map(str, given)) or 'none'}",
                 f"M and K, and where there are C, G and parts K_NAME; no {name} here",
                 "numpy.savez('beam.npz', M=mass, K=stiffness)",
             )
-    _check(found)
-    return found
+    _check_matrices(matrices)
+    return matrices
 
 
-def _sparse(name: str, matrix: Any) -> sparse.csc_matrix:
+def _sparse_columns(name: str, matrix: Any) -> sparse.csc_matrix:
     """A matrix by columns, where it has no more rows and columns than can be worked with."""
     if max(np.shape(matrix), default=0) > _ROWS:
         raise InputError(f"{name} with {max(np.shape(matrix))} rows or columns", f"at most {_ROWS}")
     return sparse.csc_matrix(matrix)
 
 
-def _is_name(name: str) -> bool:
+def _is_matrix_name(name: str) -> bool:
     return name in NAMES or (name.startswith("K_") and name[2:].isidentifier())
 
 
-def _file(path: Path) -> dict[str, Any]:
+def _read_matrix_file(path: Path) -> dict[str, Any]:
     try:
-        with within_seconds(seconds_for(path.stat().st_size)):
-            return _named(path)
+        with within_seconds(time_limit(path.stat().st_size)):
+            return _arrays_by_name(path)
     except (InputError, MemoryError):
         raise
     except Exception as error:  # the readers raise what their formats' parsers do
         raise InputError(f"{path}: {error}", "an NPZ or MAT file with matrices") from error
 
 
-def _named(path: Path) -> dict[str, Any]:
+def _arrays_by_name(path: Path) -> dict[str, Any]:
     """The arrays of a file by name."""
     if path.suffix.lower() == ".npz":
         return npz_arrays(str(path), path)
@@ -105,13 +107,13 @@ def _named(path: Path) -> dict[str, Any]:
     )
 
 
-def _one(path: str | Path) -> Any:
+def _read_single_matrix(path: str | Path) -> Any:
     from scipy.io import hb_read, mminfo, mmread
 
     place = Path(path).expanduser()
     try:
         size = place.stat().st_size
-        with within_seconds(seconds_for(size)):
+        with within_seconds(time_limit(size)):
             if place.suffix.lower() != ".mtx":
                 return hb_read(place)
             rows, columns, entries, form, *_ = mminfo(place)
@@ -124,9 +126,9 @@ def _one(path: str | Path) -> Any:
         raise InputError(f"{path}: {error}", "a Matrix Market or Harwell-Boeing file") from error
 
 
-def _check(found: Mapping[str, Any]) -> None:
-    size = found["M"].shape[0]
-    for name, matrix in found.items():
+def _check_matrices(matrices: Mapping[str, Any]) -> None:
+    size = matrices["M"].shape[0]
+    for name, matrix in matrices.items():
         if matrix.shape != (size, size):
             raise InputError(
                 f"{name} with {matrix.shape[0]} x {matrix.shape[1]} numbers",
@@ -142,7 +144,7 @@ def _check(found: Mapping[str, Any]) -> None:
             )
 
 
-def nodes_of(source: str | Path | Mapping[str, Any], size: int) -> tuple[KeptNode, ...]:
+def read_nodes(source: str | Path | Mapping[str, Any], size: int) -> tuple[KeptNode, ...]:
     """The nodes that are kept.
 
     Parameters
@@ -155,8 +157,12 @@ def nodes_of(source: str | Path | Mapping[str, Any], size: int) -> tuple[KeptNod
     ------
     InputError, ConfigError : a table that cannot be used.
     """
-    rows = _mapped(source) if isinstance(source, Mapping) else _table(Path(source).expanduser())
-    nodes = tuple(_node(row, size) for row in rows)
+    rows = (
+        _rows_of_mapping(source)
+        if isinstance(source, Mapping)
+        else _read_node_table(Path(source).expanduser())
+    )
+    nodes = tuple(_parse_node(row, size) for row in rows)
     for what in ("name", "dof"):
         values = [getattr(n, what) for n in nodes]
         twice = [v for v in values if values.count(v) > 1]
@@ -168,11 +174,11 @@ def nodes_of(source: str | Path | Mapping[str, Any], size: int) -> tuple[KeptNod
     return nodes
 
 
-def _mapped(source: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _rows_of_mapping(source: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [{"name": n, **(v if isinstance(v, Mapping) else {"dof": v})} for n, v in source.items()]
 
 
-def _table(path: Path) -> list[dict[str, Any]]:
+def _read_node_table(path: Path) -> list[dict[str, Any]]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             return list(csv.DictReader(file, skipinitialspace=True))
@@ -180,7 +186,7 @@ def _table(path: Path) -> list[dict[str, Any]]:
         raise InputError(f"table of nodes {str(path)!r}: {error}", "a CSV file") from error
 
 
-def _node(row: Mapping[str, Any], size: int) -> KeptNode:
+def _parse_node(row: Mapping[str, Any], size: int) -> KeptNode:
     for key in row:
         if key not in _COLUMNS:
             raise ConfigError(

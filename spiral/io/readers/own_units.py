@@ -1,4 +1,4 @@
-"""Values of a file in the units of a system, whose own units a person may choose."""
+"""Conversion from a file's units to a system's, some of which are fields of the system."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from spiral.types.errors import InputError
 from spiral.types.system import System
 from spiral.types.units import base_form, conversion
 
-_ANY = "cd"  # a unit that no system has by itself: what takes it over follows the field
+_ANY = "cd"  # candela, which no system uses: a series that takes it has its unit set by the field
 
 
-def in_system(given: str, system: System, name: str) -> tuple[float, float]:
+def conversion_to_system(given: str, system: System, name: str) -> tuple[float, float]:
     """Factor and zero that take values of a series in ``given`` to the system's unit.
 
     ``name`` is a channel, an input, or ``time``, which is in s.

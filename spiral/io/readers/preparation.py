@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from spiral.io.readers.pulses import Edge, turning
+from spiral.io.readers.pulses import Edge, phase_from_pulses
 from spiral.io.readers.sampling import FileSeries
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 from spiral.types.record import check_values
@@ -31,7 +31,7 @@ _SLOW = 0.5  # highest speed of a slow roll, as a share of the record's
 # --- phase and sense of rotation -----------------------------------------------------------------
 
 
-def with_pulse(
+def add_pulse_phase(
     system: System, series: FileSeries, column: str, level: float | None, edge: Edge | None
 ) -> FileSeries:
     """Phase from the series' once-per-turn pulse; speed too where it has none.
@@ -40,22 +40,22 @@ def with_pulse(
     ------
     InputError : a system that does not turn, a phase given twice, or unusable pulses.
     """
-    _must_turn(system, f"record.pulse={column}")
+    _check_is_rotor(system, f"record.pulse={column}")
     if "phase" in series.inputs:
         raise ConfigError(
             f"record.pulse={column} and a column of phase", "one of them", "leave one out"
         )
     assert series.pulse is not None
-    found = turning(column, series.time, series.pulse, level, edge)
-    inputs = {**series.inputs, "phase": found.phase}
-    words = found.words
+    turning_series = phase_from_pulses(column, series.time, series.pulse, level, edge)
+    inputs = {**series.inputs, "phase": turning_series.phase}
+    words = turning_series.words
     if "speed" not in inputs:
-        inputs["speed"] = found.speed
+        inputs["speed"] = turning_series.speed
         words += "; speed from them too"
-    return replace(series, inputs=inputs, pulse=None).noted(words)
+    return replace(series, inputs=inputs, pulse=None).with_note(words)
 
 
-def unwrapped(series: FileSeries) -> FileSeries:
+def unwrap_phase(series: FileSeries) -> FileSeries:
     """A phase that jumps back by a turn, made continuous: the angle is the same."""
     phase = series.inputs.get("phase")
     if phase is None:
@@ -67,10 +67,12 @@ def unwrapped(series: FileSeries) -> FileSeries:
     continuous = phase.copy()
     continuous[known] = np.unwrap(phase[known])
     inputs = {**series.inputs, "phase": continuous}
-    return replace(series, inputs=inputs).noted("phase made continuous where it jumps by a turn")
+    return replace(series, inputs=inputs).with_note(
+        "phase made continuous where it jumps by a turn"
+    )
 
 
-def with_rotation(system: System, series: FileSeries, rotation: Rotation) -> FileSeries:
+def apply_rotation_sense(system: System, series: FileSeries, rotation: Rotation) -> FileSeries:
     """Speed and phase with the sign of the sense of rotation: positive turns x towards y.
 
     Raises
@@ -79,23 +81,23 @@ def with_rotation(system: System, series: FileSeries, rotation: Rotation) -> Fil
         by speed that differ.
     """
     if rotation == "clockwise":
-        _must_turn(system, "record.rotation=clockwise")
+        _check_is_rotor(system, "record.rotation=clockwise")
         for name in ("speed", "phase"):
-            if name in series.inputs and _turned(series, name) < 0:
+            if name in series.inputs and _angle_turned(series, name) < 0:
                 raise InputError(
                     f"record.rotation=clockwise and a {name} that is negative already",
                     f"a positive {name}, or record.rotation left out",
                     "leave record.rotation out: the signs in the file are kept then",
                 )
         inputs = {k: -v if k in ("speed", "phase") else v for k, v in series.inputs.items()}
-        series = replace(series, inputs=inputs).noted(
+        series = replace(series, inputs=inputs).with_note(
             "clockwise: speed and phase are negative, x follows y"
         )
-    _must_agree(series)
+    _check_turns_agree(series)
     return series
 
 
-def _turned(series: FileSeries, name: str) -> float:
+def _angle_turned(series: FileSeries, name: str) -> float:
     """Angle turned over the record in rad, by one of the inputs."""
     values = series.inputs[name]
     if name == "phase":
@@ -103,10 +105,10 @@ def _turned(series: FileSeries, name: str) -> float:
     return float(np.trapezoid(values, series.time))
 
 
-def _must_agree(series: FileSeries) -> None:
+def _check_turns_agree(series: FileSeries) -> None:
     if not {"speed", "phase"} <= set(series.inputs):
         return
-    by_phase, by_speed = (_turned(series, n) / (2 * np.pi) for n in ("phase", "speed"))
+    by_phase, by_speed = (_angle_turned(series, n) / (2 * np.pi) for n in ("phase", "speed"))
     allowed = max(_AGREE * max(abs(by_phase), abs(by_speed)), 1.0)
     if np.isfinite(by_phase - by_speed) and abs(by_phase - by_speed) > allowed:
         raise InputError(
@@ -116,7 +118,7 @@ def _must_agree(series: FileSeries) -> None:
         )
 
 
-def _must_turn(system: System, given: str) -> None:
+def _check_is_rotor(system: System, given: str) -> None:
     names = [i.name for i in system.inputs]
     if not {"speed", "phase"} <= set(names):
         raise ConfigError(
@@ -129,12 +131,12 @@ def _must_turn(system: System, given: str) -> None:
 # --- run-out and probes --------------------------------------------------------------------------
 
 
-def checked(series: FileSeries) -> FileSeries:
-    """Channels refused or noted as the probes read them, before they are mixed or filtered."""
+def check_channels(series: FileSeries) -> FileSeries:
+    """Check channels and note clipped ones, before they are rotated, filtered or resampled."""
     for key, values in series.channels.items():
         check_values(series.name, "channel", key, values, len(series.time))
     for note in filter(None, (clipping(k, v) for k, v in series.channels.items())):
-        series = series.noted(note)
+        series = series.with_note(note)
     return series
 
 
@@ -147,17 +149,17 @@ def slow_roll_rows(series: FileSeries, low: float, high: float) -> Array:
             "record.inputs='{speed: COLUMN}', record.pulse=COLUMN, or slow_roll='{rows: [a, b]}'",
         )
     speed = np.abs(series.inputs["speed"])
-    found = np.flatnonzero((speed >= low) & (speed <= high))
-    if not len(found):
+    rows = np.flatnonzero((speed >= low) & (speed <= high))
+    if not len(rows):
         raise InputError(
             f"record.slow_roll: no sample between {low:.6g} and {high:.6g} rad/s",
             f"a range that the record visits: {speed.min():.6g} to {speed.max():.6g} rad/s",
             "limits are in the file's unit of speed (record.units)",
         )
-    return found
+    return rows
 
 
-def must_be_slow(slow: FileSeries, rows: Array, series: FileSeries) -> None:
+def check_slow_roll_speed(slow: FileSeries, rows: Array, series: FileSeries) -> None:
     """Refuse a slow-roll stretch whose speed is not well below the record's highest."""
     if "speed" not in slow.inputs or "speed" not in series.inputs or not len(rows):
         return
@@ -201,7 +203,9 @@ def slow_roll_vectors(series: FileSeries, rows: Array) -> dict[str, Array]:
     return {k: np.linalg.lstsq(basis, v[rows], rcond=None)[0] for k, v in series.channels.items()}
 
 
-def without_run_out(system: System, series: FileSeries, vectors: Mapping[str, Array]) -> FileSeries:
+def subtract_run_out(
+    system: System, series: FileSeries, vectors: Mapping[str, Array]
+) -> FileSeries:
     """The slow-roll vectors subtracted over the whole record, before probes are turned."""
     phase = series.inputs["phase"]
     channels, words = {}, []
@@ -213,10 +217,10 @@ def without_run_out(system: System, series: FileSeries, vectors: Mapping[str, Ar
             f"{key} {np.hypot(cosine, sine):.4g} {system.unit_of(key)} at {angle}° "
             f"on a mean of {mean:.4g}"
         )
-    return replace(series, channels=channels).noted("slow roll subtracted: " + ", ".join(words))
+    return replace(series, channels=channels).with_note("slow roll subtracted: " + ", ".join(words))
 
 
-def to_axes(system: System, series: FileSeries, angles: Mapping[str, float]) -> FileSeries:
+def rotate_to_axes(system: System, series: FileSeries, angles: Mapping[str, float]) -> FileSeries:
     """Readings of two probes turned to the system's axes.
 
     A probe at angle a from the first axis towards the second reads p = x cos a + y sin a; the two
@@ -226,7 +230,7 @@ def to_axes(system: System, series: FileSeries, angles: Mapping[str, float]) -> 
     ------
     InputError : not two channels with one unit, or probes nearly in line.
     """
-    first, second = _axes(system, angles)
+    first, second = _probe_axes(system, angles)
     radians = np.radians([angles[first], angles[second]])
     readings = np.column_stack([np.cos(radians), np.sin(radians)])
     apart = float(np.linalg.det(readings))
@@ -256,10 +260,10 @@ def to_axes(system: System, series: FileSeries, angles: Mapping[str, float]) -> 
     )
     if abs(abs(apart) - 1) > 1e-6:
         words += "; not at right angles, so their noise is correlated afterwards"
-    return replace(series, channels=channels, noise=noise).noted(words)
+    return replace(series, channels=channels, noise=noise).with_note(words)
 
 
-def _axes(system: System, angles: Mapping[str, float]) -> tuple[str, str]:
+def _probe_axes(system: System, angles: Mapping[str, float]) -> tuple[str, str]:
     for name, angle in angles.items():
         if name not in system.observed:
             raise InputError(

@@ -35,7 +35,7 @@ class Turning:
     words: str
 
 
-def turning(
+def phase_from_pulses(
     column: str,
     time: Array,
     values: Array,
@@ -60,9 +60,9 @@ def turning(
     if edge is None:
         edge = "falling" if np.mean(values > threshold) > _MOSTLY_HIGH else "rising"
     sign = 1.0 if edge == "rising" else -1.0
-    marks = _crossings(time, sign * values, sign * threshold, _ARMED * height)
-    _check(column, time, marks)
-    phase, speed, scatter = smoothed(marks, time)
+    marks = _crossing_times(time, sign * values, sign * threshold, _ARMED * height)
+    _check_marks(column, time, marks)
+    phase, speed, scatter = smooth_phase(marks, time)
     rates = np.sort(1.0 / np.diff(marks))
     words = (
         f"phase from {len(marks)} pulses of {column!r} ({edge} edge at {threshold:.4g}), "
@@ -96,7 +96,7 @@ def _threshold(column: str, values: Array, level: float | None) -> tuple[float, 
     return level, max(min(high - low, 2 * (level - low), 2 * (high - level)), 0.0)
 
 
-def _crossings(time: Array, values: Array, threshold: float, armed: float) -> Array:
+def _crossing_times(time: Array, values: Array, threshold: float, armed: float) -> Array:
     """Times of upward crossings, interpolated, each armed by a visit to the lower level."""
     state = np.where(values >= threshold + armed, 1, np.where(values <= threshold - armed, -1, 0))
     known = np.flatnonzero(state)
@@ -107,7 +107,7 @@ def _crossings(time: Array, values: Array, threshold: float, armed: float) -> Ar
     return time[at] + share * (time[at + 1] - time[at])
 
 
-def _check(column: str, time: Array, marks: Array) -> None:
+def _check_marks(column: str, time: Array, marks: Array) -> None:
     from scipy.ndimage import median_filter
 
     if len(marks) < MINIMUM_PULSES:
@@ -141,7 +141,7 @@ def _check(column: str, time: Array, marks: Array) -> None:
             )
 
 
-def smoothed(marks: Array, time: Array) -> tuple[Array, Array, float]:
+def smooth_phase(marks: Array, time: Array) -> tuple[Array, Array, float]:
     """Phase, speed, and the rms distance of the marks from the phase, in rad."""
     from scipy.interpolate import make_smoothing_spline
 

@@ -21,11 +21,11 @@ from spiral.io.readers.containers import (
     Hdf5,
     npz_arrays,
     parquet_columns,
-    series_of,
+    series_in_array,
 )
-from spiral.io.readers.dialect import find_dialect, units_in
-from spiral.io.readers.files import Table, find_file, first_line_of
-from spiral.io.readers.limits import seconds_for, within_seconds
+from spiral.io.readers.dialect import find_dialect, units_in_names
+from spiral.io.readers.files import Table, error_first_line, find_file
+from spiral.io.readers.limits import time_limit, within_seconds
 from spiral.io.readers.matlab import read_mat
 from spiral.types.errors import ConfigError, InputError
 
@@ -60,16 +60,16 @@ def read_table(
     MemoryError : more numbers than there is memory.
     """
     path = find_file(given)
-    with within_seconds(seconds_for(path.stat().st_size)):
-        return _named(_read(given, path, separator, decimal, only_text))
+    with within_seconds(time_limit(path.stat().st_size)):
+        return _add_units_in_names(_read_by_format(given, path, separator, decimal, only_text))
 
 
-def _read(
+def _read_by_format(
     given: str, path: Path, separator: str | None, decimal: str | None, only_text: bool
 ) -> Table:
     """The table of a file by its reader."""
-    head = _head(given, path)
-    kind = format_of(head, path.suffix)
+    head = _read_head(given, path)
+    kind = detect_format(head, path.suffix)
     if kind == "text" or (only_text and kind != "parquet"):
         return read_text(given, path, head, separator, decimal)
     try:
@@ -80,19 +80,19 @@ def _read(
         raise
     except Exception as error:  # each library raises a family of its own
         raise InputError(
-            f"{given}: {first_line_of(error)}", f"{_WORDS[kind]} that is whole", "export it anew"
+            f"{given}: {error_first_line(error)}", f"{_WORDS[kind]} that is whole", "export it anew"
         ) from error
     if not table.columns:
         raise InputError(f"{given}: {_WORDS[kind]} without a series", "columns of numbers")
     return table
 
 
-def _named(table: Table) -> Table:
+def _add_units_in_names(table: Table) -> Table:
     """The table with the units that its columns' names hold, where the file says no other."""
-    return replace(table, units={**units_in(table.columns), **table.units})
+    return replace(table, units={**units_in_names(table.columns), **table.units})
 
 
-def format_of(head: bytes, suffix: str) -> str:
+def detect_format(head: bytes, suffix: str) -> str:
     """The format of a file by its first bytes, else by its extension, else text."""
     if head.startswith(b"PAR1"):
         return "parquet"
@@ -115,20 +115,20 @@ def read_text(
     """A table from a text file: a line of names, perhaps a row of units, rows of numbers."""
     import pandas as pd
 
-    encoding = _encoding(given, head)
+    encoding = _detect_encoding(given, head)
     text = codecs.getincrementaldecoder(encoding)("replace").decode(head)
     if len(head) == _HEAD and "\n" in text:
         text = text[: text.rindex("\n") + 1]
-    found = find_dialect(given, text, separator, decimal)
-    padding = [f"\0{i}" for i in range(len(found.names), found.width)]
+    dialect = find_dialect(given, text, separator, decimal)
+    padding = [f"\0{i}" for i in range(len(dialect.names), dialect.width)]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # cells without a name
             frame = pd.read_csv(
-                path, sep=found.separator, decimal=found.decimal, skipinitialspace=True,
+                path, sep=dialect.separator, decimal=dialect.decimal, skipinitialspace=True,
                 low_memory=False, skip_blank_lines=False, encoding=encoding, index_col=False,
-                encoding_errors="replace", header=None, names=[*found.names, *padding],
-                skiprows=found.first, compression=None,
+                encoding_errors="replace", header=None, names=[*dialect.names, *padding],
+                skiprows=dialect.first, compression=None,
             )  # fmt: skip
     except (pd.errors.EmptyDataError, pd.errors.ParserError, pd.errors.ParserWarning,
             ValueError, TypeError, OverflowError) as error:  # fmt: skip
@@ -136,22 +136,22 @@ def read_text(
             raise MemoryError from error
         raise InputError(
             f"{given}: rows with other numbers of cells than the line of names "
-            f"({first_line_of(error)})",
+            f"({error_first_line(error)})",
             "as many cells in every row",
-            f"it was read as: {found.in_words()}; correct with record.separator and record.decimal",
+            f"read as: {dialect.in_words()}; correct with record.separator and record.decimal",
         ) from error
     filled = frame.notna().any(axis=1).to_numpy()
     if filled.any():  # blank lines at the end are no rows
         frame = frame.iloc[: len(filled) - int(filled[::-1].argmax())]
-    words = found.in_words() + {"utf-16": ", UTF-16", "cp1252": ", Latin-1"}.get(encoding, "")
+    words = dialect.in_words() + {"utf-16": ", UTF-16", "cp1252": ", Latin-1"}.get(encoding, "")
     if head.startswith(codecs.BOM_UTF8):
         words += ", byte order mark left out"
-    values = {str(name): frame[name] for name in found.names}
+    values = {str(name): frame[name] for name in dialect.names}
     notes = (f"{Path(given).name}: {words}",)
-    return Table(given, values, found.units, notes, found.first + 1, found.decimal)
+    return Table(given, values, dialect.units, notes, dialect.first + 1, dialect.decimal)
 
 
-def _head(given: str, path: Path) -> bytes:
+def _read_head(given: str, path: Path) -> bytes:
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -165,7 +165,7 @@ def _head(given: str, path: Path) -> bytes:
     return head
 
 
-def _encoding(given: str, head: bytes) -> str:
+def _detect_encoding(given: str, head: bytes) -> str:
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
     if any(byte < 9 for byte in head):
@@ -181,45 +181,45 @@ def _encoding(given: str, head: bytes) -> str:
     return "utf-8-sig"
 
 
-def _table(given: str, kind: str, series: Iterator[tuple[str, Any]], **more: Any) -> Table:
+def _make_table(given: str, kind: str, series: Iterator[tuple[str, Any]], **more: Any) -> Table:
     values = dict(series)
     return Table(given, values, notes=(f"{Path(given).name}: {_WORDS[kind]}",), **more)
 
 
 def _read_parquet(given: str, path: Path) -> Table:
     allowance = Allowance(given, path.stat().st_size)
-    table = _table(given, "parquet", iter(parquet_columns(path, allowance)))
+    table = _make_table(given, "parquet", iter(parquet_columns(path, allowance)))
     return replace(table, notes=(*table.notes, *allowance.notes()))
 
 
 def _read_npz(given: str, path: Path) -> Table:
-    return _table(
+    return _make_table(
         given,
         "npz",
         (
             pair
             for name, array in npz_arrays(given, path).items()
-            for pair in series_of(name, array)
+            for pair in series_in_array(name, array)
         ),
     )
 
 
 def _read_mat(given: str, path: Path) -> Table:
-    return _table(given, "mat", iter(read_mat(given, path)))
+    return _make_table(given, "mat", iter(read_mat(given, path)))
 
 
 def _read_hdf5(given: str, path: Path) -> Table:
-    h5py = _library("h5py", given)
+    h5py = _import_library("h5py", given)
     walk = Hdf5(h5py, Allowance(given, path.stat().st_size))
     with h5py.File(path, "r") as file:
-        found = list(walk.series(file))
-    table = _table(given, "hdf5", iter(found), units=walk.units)
+        series = list(walk.series(file))
+    table = _make_table(given, "hdf5", iter(series), units=walk.units)
     return replace(table, notes=(*table.notes, *walk.allowance.notes()))
 
 
 def _read_uff(given: str, path: Path) -> Table:
     """Time responses of type 58: ``data[0]``, ``data[1]`` ... in the file's order, and ``time``."""
-    pyuff = _library("pyuff", given)
+    pyuff = _import_library("pyuff", given)
     sets = pyuff.UFF(str(path)).read_sets()
     sets = sets if isinstance(sets, list) else [sets]
     functions = [s for s in sets if s.get("type") == 58 and not np.iscomplexobj(s["data"])]
@@ -230,16 +230,16 @@ def _read_uff(given: str, path: Path) -> Table:
             "real functions of time",
             "export time responses, not spectra",
         )
-    found: list[tuple[str, Any]] = [(f"data[{i}]", s["data"]) for i, s in enumerate(functions)]
+    series: list[tuple[str, Any]] = [(f"data[{i}]", s["data"]) for i, s in enumerate(functions)]
     first = np.asarray(functions[0]["x"])
     if all(np.array_equal(first, s["x"]) for s in functions):
-        found.append(("time", first))
-    listed = ", ".join(f"data[{i}] {_told(s)}" for i, s in enumerate(functions[:12]))
-    table = _table(given, "uff", iter(found))
+        series.append(("time", first))
+    listed = ", ".join(f"data[{i}] {_describe_response(s)}" for i, s in enumerate(functions[:12]))
+    table = _make_table(given, "uff", iter(series))
     return Table(given, table.values, notes=(f"{table.notes[0]}: {listed}",))
 
 
-def _told(function: dict[str, Any]) -> str:
+def _describe_response(function: dict[str, Any]) -> str:
     identity = str(function.get("id1", "")).strip()
     node = f"node {function.get('rsp_node', '?')} direction {function.get('rsp_dir', '?')}"
     return f"{identity} ({node})" if identity and identity.upper() != "NONE" else node
@@ -247,28 +247,28 @@ def _told(function: dict[str, Any]) -> str:
 
 def _read_tdms(given: str, path: Path) -> Table:
     """Channels as ``group/name``; ``time`` from the sample interval where all have the same."""
-    nptdms = _library("nptdms", given)
+    nptdms = _import_library("nptdms", given)
     allowance = Allowance(given, path.stat().st_size)
     units: dict[str, str] = {}
-    found: list[tuple[str, Any]] = []
+    series: list[tuple[str, Any]] = []
     steps = set()
     with nptdms.TdmsFile.open(path) as file:
         for channel in (c for group in file.groups() for c in group.channels()):
             allowance.take_array(len(channel), channel.dtype)
             name = f"{channel.group_name}/{channel.name}"
-            for label, values in series_of(name, channel[:]):
-                found.append((label, values))
+            for label, values in series_in_array(name, channel[:]):
+                series.append((label, values))
                 unit = str(channel.properties.get("unit_string", "")).strip()
                 if unit:
                     units[label] = unit
                 steps.add((len(values), float(channel.properties.get("wf_increment", 0.0))))
     if len(steps) == 1 and min(steps)[1] > 0:
         count, step = steps.pop()
-        found.append(("time", step * np.arange(count)))
-    return _table(given, "tdms", iter(found), units=units)
+        series.append(("time", step * np.arange(count)))
+    return _make_table(given, "tdms", iter(series), units=units)
 
 
-def _library(name: str, given: str) -> Any:
+def _import_library(name: str, given: str) -> Any:
     import importlib
 
     try:

@@ -1,4 +1,4 @@
-"""A robot's description (MJCF, URDF), read by MuJoCo; what no equation here holds is refused."""
+"""A robot's description (MJCF, URDF), read by MuJoCo; elements without equations are refused."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def read_robot(path: str, untouched: bool = False) -> str:
     InputError : no such file, one that MuJoCo does not read, or a robot that has more than hinges,
         slides and rigid bodies. ConfigError : MuJoCo is not there.
     """
-    mujoco = _mujoco(path)
+    mujoco = _import_mujoco(path)
     place = Path(path).expanduser()
     if not place.is_file():
         raise InputError(f"robot {path!r}: no such file", "an MJCF or a URDF file")
@@ -49,12 +49,12 @@ def read_robot(path: str, untouched: bool = False) -> str:
     except ValueError as error:
         said = " ".join(str(error).split())
         raise InputError(f"robot {path!r}: {said}", "an MJCF or a URDF file") from error
-    _check(path, model, untouched)
-    return _robot(place.stem, model).text
+    _check_robot(path, model, untouched)
+    return _convert_robot(place.stem, model).text
 
 
-def _mujoco(path: str) -> Any:
-    """The library, which is no dependency."""
+def _import_mujoco(path: str) -> Any:
+    """The module ``mujoco``, an optional dependency."""
     try:
         return importlib.import_module("mujoco")
     except ImportError as error:
@@ -65,42 +65,44 @@ def _mujoco(path: str) -> Any:
         ) from error
 
 
-def _check(path: str, model: Any, untouched: bool) -> None:
-    """What equations of a tree of hinges and slides do not hold."""
-    names = _names(model, "body")
+def _check_robot(path: str, model: Any, untouched: bool) -> None:
+    """Refuse what is more than rigid bodies on hinges and slides without contact."""
+    names = _element_names(model, "body")
     for count, what in _LEFT_OUT:
         if getattr(model, count, 0):
-            raise _refused(path, what, f"leave the {what} out of the file")
+            raise _unsupported_error(path, what, f"leave the {what} out of the file")
     for number, kind in enumerate(model.jnt_type):
         if int(kind) not in _KINDS:
             body = names[int(model.jnt_bodyid[number])]
             what = "a free joint" if int(kind) == 0 else "a ball joint"
             hint = "fix the base to the ground" if int(kind) == 0 else "three hinges in its place"
-            raise _refused(path, f"{what} (body {body!r})", hint)
+            raise _unsupported_error(path, f"{what} (body {body!r})", hint)
     if not model.njnt:
-        raise _refused(path, "no joint", "a URDF needs joints that are not fixed")
+        raise _unsupported_error(path, "no joint", "a URDF needs joints that are not fixed")
     for name in _CURVED:
         if np.any(getattr(model, name, 0)):
-            raise _refused(path, f"{name} that is not zero", "leave it out of the file")
+            raise _unsupported_error(path, f"{name} that is not zero", "leave it out of the file")
     if model.opt.density or model.opt.viscosity:
-        raise _refused(path, "a fluid around it", "density and viscosity zero")
+        raise _unsupported_error(path, "a fluid around it", "density and viscosity zero")
     if int(model.opt.disableflags) & _NO_FORCES:
-        raise _refused(path, "forces of its joints disabled", "leave that flag out of the file")
+        raise _unsupported_error(
+            path, "forces of its joints disabled", "leave that flag out of the file"
+        )
     untouched = untouched or bool(int(model.opt.disableflags) & _NO_CONTACT)
-    if not untouched and (pair := next(_touching(model), None)):
-        raise _refused(
+    if not untouched and (pair := next(_touching_bodies(model), None)):
+        raise _unsupported_error(
             path, f"bodies that may touch: {names[pair[0]]!r} and {names[pair[1]]!r}",
             "system.untouched=true where nothing touches in the record, or contype=\"0\" "
             "conaffinity=\"0\" of their geoms",
         )  # fmt: skip
 
 
-def _refused(path: str, what: str, hint: str) -> InputError:
+def _unsupported_error(path: str, what: str, hint: str) -> InputError:
     expected = "rigid bodies on hinges and slides, nothing in contact"
     return InputError(f"robot {path!r} with {what}", expected, hint)
 
 
-def _touching(model: Any) -> Iterator[tuple[int, int]]:
+def _touching_bodies(model: Any) -> Iterator[tuple[int, int]]:
     """Bodies whose geoms may touch: not joined rigidly, nor parent and child, as MuJoCo has it."""
     weld, own = model.body_weldid, model.geom_bodyid
     parent = [int(weld[model.body_parentid[int(weld[b])]]) for b in range(model.nbody)]
@@ -120,7 +122,7 @@ def _touching(model: Any) -> Iterator[tuple[int, int]]:
 # --- what is taken -------------------------------------------------------------------------------
 
 
-def _robot(title: str, model: Any) -> Robot:
+def _convert_robot(title: str, model: Any) -> Robot:
     joints = _joints(model)
     gravity = np.zeros(3) if int(model.opt.disableflags) & _NO_GRAVITY else model.opt.gravity
     return Robot(
@@ -133,46 +135,49 @@ def _robot(title: str, model: Any) -> Robot:
 
 
 def _bodies(model: Any) -> list[tuple[int, str]]:
-    return list(enumerate(_names(model, "body")))[1:]
+    return list(enumerate(_element_names(model, "body")))[1:]
 
 
 def _body(model: Any, number: int, name: str) -> Body:
-    turned, along = _turned(model.body_quat[number]), _turned(model.body_iquat[number])
+    turned, along = (
+        _rotation_matrix(model.body_quat[number]),
+        _rotation_matrix(model.body_iquat[number]),
+    )
     tensor = along @ np.diag(model.body_inertia[number]) @ along.T
     return Body(
         name,
         int(model.body_parentid[number]) - 1,
-        _vector(model.body_pos[number]),
-        _vector(turned),
+        _float_tuple(model.body_pos[number]),
+        _float_tuple(turned),
         float(model.body_mass[number]),
-        _vector(model.body_ipos[number]),
-        _vector(0.5 * (tensor + tensor.T)),
+        _float_tuple(model.body_ipos[number]),
+        _float_tuple(0.5 * (tensor + tensor.T)),
     )
 
 
 def _joints(model: Any) -> tuple[Joint, ...]:
-    found = []
-    for number, name in enumerate(_names(model, "joint")):
+    joints = []
+    for number, name in enumerate(_element_names(model, "joint")):
         dof, at = int(model.jnt_dofadr[number]), int(model.jnt_qposadr[number])
-        found.append(Joint(
+        joints.append(Joint(
             name, int(model.jnt_bodyid[number]) - 1, _KINDS[int(model.jnt_type[number])],
-            _vector(model.jnt_axis[number]), _vector(model.jnt_pos[number]),
+            _float_tuple(model.jnt_axis[number]), _float_tuple(model.jnt_pos[number]),
             float(model.qpos0[at]), float(model.dof_damping[dof]),
             float(model.dof_frictionloss[dof]), float(model.dof_armature[dof]),
             float(np.ravel(model.jnt_stiffness[number])[0]), float(model.qpos_spring[at]),
         ))  # fmt: skip
-    return tuple(found)
+    return tuple(joints)
 
 
 def _actuators(title: str, model: Any, joints: tuple[Joint, ...]) -> Iterator[Actuator]:
     """Motors, and servos of position and of velocity, each on a joint."""
-    for number, name in enumerate(_names(model, "actuator")):
+    for number, name in enumerate(_element_names(model, "actuator")):
         gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
         plain = not gain[1:].any() and not bias[3:].any() and not bias[0]
         on_joint = int(model.actuator_trntype[number]) == 0
         kinds = (int(model.actuator_gaintype[number]), int(model.actuator_biastype[number]))
         if not (plain and on_joint and kinds in ((0, 0), (0, 1))):
-            raise _refused(title, f"the actuator {name!r}",
+            raise _unsupported_error(title, f"the actuator {name!r}",
                            "motor, position or velocity, each on a joint")  # fmt: skip
         joint = joints[int(model.actuator_trnid[number][0])]
         own, force = joint.units[0], UNITS[joint.kind][1]
@@ -184,17 +189,17 @@ def _actuators(title: str, model: Any, joints: tuple[Joint, ...]) -> Iterator[Ac
         )  # fmt: skip
 
 
-def _names(model: Any, kind: str) -> list[str]:
-    """Names as Python has them; what has none is told by its number."""
+def _element_names(model: Any, kind: str) -> list[str]:
+    """Names as Python identifiers; an element without a name is called by its number."""
     count = {"body": model.nbody, "joint": model.njnt, "actuator": model.nactuator}[kind]
-    found: list[str] = []
+    names: list[str] = []
     for number in range(count):
         told = getattr(model, kind)(number).name or f"{kind}_{number}"
-        found.append(identifier(told, set(found)))
-    return found
+        names.append(identifier(told, set(names)))
+    return names
 
 
-def _turned(quaternion: Any) -> np.ndarray:
+def _rotation_matrix(quaternion: Any) -> np.ndarray:
     """The rotation of a quaternion (w, x, y, z)."""
     w, *v = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
     x, y, z = v
@@ -202,5 +207,5 @@ def _turned(quaternion: Any) -> np.ndarray:
     return np.eye(3) + 2 * w * across + 2 * across @ across
 
 
-def _vector(given: Any) -> tuple[float, ...]:
+def _float_tuple(given: Any) -> tuple[float, ...]:
     return tuple(map(float, np.ravel(given)))

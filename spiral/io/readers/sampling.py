@@ -41,11 +41,11 @@ class FileSeries:
     notes: tuple[str, ...] = ()
     pulse: Array | None = None
 
-    def noted(self, words: str) -> FileSeries:
+    def with_note(self, words: str) -> FileSeries:
         """The same numbers with one more note."""
         return replace(self, notes=(*self.notes, words))
 
-    def mapped(self, change: Callable[[str, Array], Array]) -> FileSeries:
+    def transform_series(self, change: Callable[[str, Array], Array]) -> FileSeries:
         """Every channel and input, and the pulse, changed by a function of its name and values."""
         channels = {k: change(k, v) for k, v in self.channels.items()}
         inputs = {k: change(k, v) for k, v in self.inputs.items()}
@@ -56,38 +56,38 @@ class FileSeries:
 # --- gaps ----------------------------------------------------------------------------------------
 
 
-def without_gaps(series: FileSeries, longest: int) -> FileSeries:
+def interpolate_gaps(series: FileSeries, longest: int) -> FileSeries:
     """Missing values and missing rows bridged by Akima interpolation, up to ``longest`` in a row.
 
     Raises
     ------
     InputError : a longer gap, or one at the start or end; the message names the place.
     """
-    opened, absent = _with_missing_rows(series, longest)
+    opened, absent = _insert_missing_rows(series, longest)
     counts = {}
 
     def bridge(key: str, values: Array) -> Array:
-        gaps = _runs(~np.isfinite(values))
+        gaps = _true_runs(~np.isfinite(values))
         if not gaps:
             return values
         _check_gaps(opened, key, gaps, longest)
         counts[key] = gaps
-        return _bridged(values)
+        return _interpolate_missing(values)
 
-    bridged = opened.mapped(bridge)
+    bridged = opened.transform_series(bridge)
     if not counts:
         return series
     values = sum(stop - start for gaps in counts.values() for start, stop in gaps)
     worst = max(stop - start for gaps in counts.values() for start, stop in gaps)
     rows = f" ({absent} rows that the file lacks)" if absent else ""
-    return bridged.noted(
+    return bridged.with_note(
         f"gaps filled by interpolation in {', '.join(counts)}: {values} values{rows}, "
         f"at most {worst} in a row"
     )
 
 
-def _with_missing_rows(series: FileSeries, longest: int) -> tuple[FileSeries, int]:
-    """Rows put in where time skips a whole number of steps, their values missing."""
+def _insert_missing_rows(series: FileSeries, longest: int) -> tuple[FileSeries, int]:
+    """Insert rows of NaN where time skips a whole number of steps; also returns their number."""
     steps = np.diff(series.time)
     usual = float(np.median(steps)) if len(steps) else 1.0
     missing = np.where(steps > _SKIP * usual, np.rint(steps / usual) - 1, 0).astype(int)
@@ -95,19 +95,21 @@ def _with_missing_rows(series: FileSeries, longest: int) -> tuple[FileSeries, in
         return series, 0
     at = int(np.argmax(missing))
     if missing[at] > longest:
-        raise _too_long(series, "time", int(missing[at]), at + 1, float(series.time[at]), longest)
+        raise _long_gap_error(
+            series, "time", int(missing[at]), at + 1, float(series.time[at]), longest
+        )
     position = np.concatenate([[0], np.cumsum(1 + missing)])
     time = np.interp(np.arange(position[-1] + 1), position, series.time)
 
-    def opened(key: str, values: Array) -> Array:
-        found = np.full(len(time), np.nan)
-        found[position] = values
-        return found
+    def insert_rows(key: str, values: Array) -> Array:
+        spread = np.full(len(time), np.nan)
+        spread[position] = values
+        return spread
 
-    return replace(series.mapped(opened), time=time), int(missing.sum())
+    return replace(series.transform_series(insert_rows), time=time), int(missing.sum())
 
 
-def _runs(bad: Array) -> list[tuple[int, int]]:
+def _true_runs(bad: Array) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
@@ -117,7 +119,7 @@ def _check_gaps(series: FileSeries, key: str, gaps: list[tuple[int, int]], longe
     for start, stop in gaps:
         if stop - start > longest:
             at = float(series.time[start])
-            raise _too_long(series, repr(key), stop - start, start, at, longest)
+            raise _long_gap_error(series, repr(key), stop - start, start, at, longest)
         if start == 0 or stop == samples:
             end = "start" if start == 0 else "end"
             raise InputError(
@@ -127,7 +129,7 @@ def _check_gaps(series: FileSeries, key: str, gaps: list[tuple[int, int]], longe
             )
 
 
-def _too_long(
+def _long_gap_error(
     series: FileSeries, what: str, count: int, row: int, at: float, longest: int
 ) -> InputError:
     return InputError(
@@ -137,7 +139,7 @@ def _too_long(
     )
 
 
-def _bridged(values: Array) -> Array:
+def _interpolate_missing(values: Array) -> Array:
     from scipy.interpolate import Akima1DInterpolator
 
     known = np.isfinite(values)
@@ -150,7 +152,7 @@ def _bridged(values: Array) -> Array:
 # --- rates ---------------------------------------------------------------------------------------
 
 
-def resampled(system: System, series: FileSeries, rate: float) -> FileSeries:
+def resample_series(system: System, series: FileSeries, rate: float) -> FileSeries:
     """Another, uniform rate: interpolation where steps differ, then an anti-alias filter.
 
     Signals pass a linear-phase low-pass (Kaiser window) at half the new rate; what the system calls
@@ -167,24 +169,24 @@ def resampled(system: System, series: FileSeries, rate: float) -> FileSeries:
     own = float(len(steps) / (series.time[-1] - series.time[0]))
     _check_rate(series, steps, own, rate)
     even = bool(np.max(np.abs(steps - 1 / own)) <= JITTER / own)
-    up, down, grid = _ratio(series.time, own, rate, even)
+    up, down, grid = _resampling_ratio(series.time, own, rate, even)
     smooth = {i.name for i in system.inputs if i.interpolation == "smooth"}
-    taps = _low_pass(up, down)
+    taps = _low_pass_taps(up, down)
     edge = 0 if up == down == 1 else _TAPS
     count = -(-len(grid) * up // down)
     step = (grid[1] - grid[0]) * down / up
     time = (grid[0] + step * np.arange(count))[edge : count - edge]
 
-    def change(key: str, values: Array) -> Array:
+    def resample_values(key: str, values: Array) -> Array:
         if key in smooth:
             return CubicSpline(series.time, values)(time)
         level = values if even else CubicSpline(series.time, values)(grid)
-        return _filtered(level, up, down, taps)[edge : count - edge]
+        return _polyphase_filter(level, up, down, taps)[edge : count - edge]
 
     gain = float(np.sqrt(up * np.sum(taps**2)))
     noise = {k: gain * v for k, v in series.noise.items()}
     steps_word = "" if even else f", uneven steps of {steps.min():.4g} to {steps.max():.4g} s"
-    return replace(series.mapped(change), time=time, noise=noise).noted(
+    return replace(series.transform_series(resample_values), time=time, noise=noise).with_note(
         f"resampled from {own:.6g} to {1 / step:.6g} Hz{steps_word}"
         + ("" if edge == 0 else f", anti-alias filter, {edge} samples less at each end")
     )
@@ -217,8 +219,8 @@ def _check_rate(series: FileSeries, steps: Array, own: float, rate: float) -> No
         )
 
 
-def _ratio(time: Array, own: float, rate: float, even: bool) -> tuple[int, int, Array]:
-    """Samples taken up and down by, from an even grid at or above the file's own rate."""
+def _resampling_ratio(time: Array, own: float, rate: float, even: bool) -> tuple[int, int, Array]:
+    """(up, down, grid): resampling factors, and the uniform grid that they start from."""
     if even:
         share = Fraction(rate / own).limit_denominator(_FINEST)
         return share.numerator, share.denominator, time
@@ -228,7 +230,7 @@ def _ratio(time: Array, own: float, rate: float, even: bool) -> tuple[int, int, 
     return 1, down, time[0] + step * np.arange(count)
 
 
-def _low_pass(up: int, down: int) -> Array:
+def _low_pass_taps(up: int, down: int) -> Array:
     """Unit-gain filter for a change of rate by up/down, at the rate times ``up``."""
     from scipy.signal import firwin
 
@@ -239,7 +241,7 @@ def _low_pass(up: int, down: int) -> Array:
     return np.asarray(firwin(2 * _TAPS * widest + 1, 1 / widest, window=window))
 
 
-def _filtered(values: Array, up: int, down: int, taps: Array) -> Array:
+def _polyphase_filter(values: Array, up: int, down: int, taps: Array) -> Array:
     from scipy.signal import resample_poly
 
     return values if up == down == 1 else resample_poly(values, up, down, window=taps)

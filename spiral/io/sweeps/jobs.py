@@ -1,4 +1,4 @@
-"""What a sweep is asked: its jobs, where they run, and what tells it from another.
+"""The plan of a sweep: its jobs, where they run, and the fingerprint that identifies it.
 
 Two starts are the same sweep where verb, names, jobs, plugins' versions, this program's version,
 the presets and the files of measurements (size and time of change) are the same. ``n_jobs`` and
@@ -65,96 +65,108 @@ class SweepPlan:
     config: Mapping[str, Any]
 
 
-def planned(
+def plan_sweep(
     verb: str,
     names: tuple[str, ...],
     overrides: Sequence[str],
     plugins: str | None,
     registry: Registry,
 ) -> SweepPlan:
-    """Every combination of the values given, in order.
+    """The plan of a sweep: one job for every combination of the values given, in order.
 
     Raises
     ------
     ConfigError : overrides that do not parse, or a bad value of ``sweep`` or ``n_jobs``.
     """
-    from spiral.io.config import options
-    from spiral.io.overrides import expand
+    from spiral.io.config import top_level_options
+    from spiral.io.overrides import expand_sweep
     from spiral.types.fields import construct
 
-    jobs = expand(overrides)
-    config = _about_the_sweep(jobs[0], registry)
+    jobs = expand_sweep(overrides)
+    config = _sweep_configuration(jobs[0], registry)
     chosen = construct(SweepOptions, config["sweep"], "sweep")
-    n_jobs = options(config).n_jobs
+    n_jobs = top_level_options(config).n_jobs
     if n_jobs == 0 or chosen.timeout <= 0:
         given = f"n_jobs={n_jobs}" if n_jobs == 0 else f"sweep.timeout={chosen.timeout:g}"
         raise ConfigError(given, "a number above zero; n_jobs=-1 is one for each processor")
     backend = Backend(chosen.backend, chosen.address, n_jobs, chosen.timeout)
-    calls = tuple(_settled(job) for job in jobs)
+    calls = tuple(_prepare_job(job) for job in jobs)
     out = str(config["out"])
-    found = _fingerprint(verb, names, calls, registry)
-    return SweepPlan(verb, names, jobs, calls, plugins, out, chosen, backend, found, config)
+    fingerprint = _sweep_fingerprint(verb, names, calls, registry)
+    return SweepPlan(verb, names, jobs, calls, plugins, out, chosen, backend, fingerprint, config)
 
 
-def key_of(text: str) -> str:
+def override_key(text: str) -> str:
     """The key of an override."""
     return text.partition("=")[0].lstrip("+~")
 
 
-def _about_the_sweep(job: Job, registry: Registry) -> Config:
+def _sweep_configuration(job: Job, registry: Registry) -> Config:
     """The configuration as far as it says where jobs run and rows are kept."""
     from spiral.io.config import compose
 
-    own = [t for t in job if key_of(t) in ("n_jobs", "out") or key_of(t).startswith(_OF_ALL)]
-    preset = [t for t in job if key_of(t) == "experiment"]
+    own = [
+        t
+        for t in job
+        if override_key(t) in ("n_jobs", "out") or override_key(t).startswith(_OF_ALL)
+    ]
+    preset = [t for t in job if override_key(t) == "experiment"]
     try:
         return compose([*preset, *own], registry)
     except ConfigError:
         return compose(own, registry)  # a preset that is not there is the jobs' own affair
 
 
-def _settled(job: Job) -> Job:
+def _prepare_job(job: Job) -> Job:
     """A job for a worker: without ``sweep.*``, and ``run=latest`` as the run it is now."""
     from spiral.io.storage import load_run
 
-    given = {key_of(t): t.partition("=")[2] for t in job}
-    rest = tuple(t for t in job if not key_of(t).startswith("sweep."))
+    given = {override_key(t): t.partition("=")[2] for t in job}
+    rest = tuple(t for t in job if not override_key(t).startswith("sweep."))
     if not given.get("run"):
         return rest
     try:
-        found = load_run(given["run"], given.get("out") or "runs").run_id
+        run_id = load_run(given["run"], given.get("out") or "runs").run_id
     except SpiralError:
         return rest
-    return tuple(f"run={found}" if key_of(t) == "run" else t for t in rest)
+    return tuple(f"run={run_id}" if override_key(t) == "run" else t for t in rest)
 
 
-def _fingerprint(verb: str, names: tuple[str, ...], jobs: Sequence[Job], registry: Registry) -> str:
-    same = [[t for t in job if key_of(t) != "n_jobs"] for job in jobs]
-    content = [verb, names, same, registry.versions(), __version__, _inputs(same, registry)]
+def _sweep_fingerprint(
+    verb: str, names: tuple[str, ...], jobs: Sequence[Job], registry: Registry
+) -> str:
+    same = [[t for t in job if override_key(t) != "n_jobs"] for job in jobs]
+    content = [verb, names, same, registry.versions(), __version__, _input_states(same, registry)]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _inputs(jobs: Sequence[Sequence[str]], registry: Registry) -> list[Any]:
+def _input_states(jobs: Sequence[Sequence[str]], registry: Registry) -> list[Any]:
     """Presets as composed, and the files that jobs read with size and time of change."""
-    from spiral.io.request import Request, configured
+    from spiral.io.request import Request, compose_request
 
-    found = []
-    for job in dict.fromkeys(tuple(t for t in job if key_of(t) in _ABOUT_FILES) for job in jobs):
+    states = []
+    for job in dict.fromkeys(
+        tuple(t for t in job if override_key(t) in _ABOUT_FILES) for job in jobs
+    ):
         try:
-            config = configured(Request("compare", overrides=job), registry)
+            config = compose_request(Request("compare", overrides=job), registry)
         except SpiralError:  # the job will say so itself
             continue
-        files = [_state(path) for group in ("record", "test") for path in _paths(config, group)]
-        found.append([{k: v for k, v in config.items() if k not in ("n_jobs", "sweep")}, files])
-    return json.loads(json.dumps(found, default=str))
+        files = [
+            _file_state(path)
+            for group in ("record", "test")
+            for path in _source_paths(config, group)
+        ]
+        states.append([{k: v for k, v in config.items() if k not in ("n_jobs", "sweep")}, files])
+    return json.loads(json.dumps(states, default=str))
 
 
-def _paths(config: Config, group: str) -> list[str]:
+def _source_paths(config: Config, group: str) -> list[str]:
     given = (config.get(group) or {}).get("path") or []
     return [given] if isinstance(given, str) else [str(path) for path in given]
 
 
-def _state(path: str) -> list[Any]:
+def _file_state(path: str) -> list[Any]:
     from spiral.io.readers.files import find_file
 
     try:

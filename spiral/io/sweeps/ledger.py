@@ -38,34 +38,34 @@ class Ledger:
 
     def rows(self) -> dict[int, dict[str, Any]]:
         """Job's number -> its row; a file that does not read is no row."""
-        found = {}
+        by_number = {}
         for file in sorted((self.folder / _ROWS).glob("*.json")):
-            row = _read(file)
+            row = _read_json(file)
             if row and file.stem.isdigit() and {"overrides", "exit", "result"} <= set(row):
-                found[int(file.stem)] = row
-        return found
+                by_number[int(file.stem)] = row
+        return by_number
 
-    def write(self, index: int, row: Mapping[str, Any]) -> None:
+    def write_row(self, index: int, row: Mapping[str, Any]) -> None:
         """Keep a row.
 
         Raises
         ------
         InputError : the folder cannot be written; rows that are there stay.
         """
-        self._told(index).unlink(missing_ok=True)
-        _write(self.folder / _ROWS / f"{index:05d}.json", row)
+        self._hook_mark(index).unlink(missing_ok=True)
+        _write_json(self.folder / _ROWS / f"{index:05d}.json", row)
 
-    def tell(self, index: int) -> None:
+    def mark_hook_run(self, index: int) -> None:
         """Note that a row's hook has run."""
-        _write(self._told(index), {})
+        _write_json(self._hook_mark(index), {})
 
-    def told(self, index: int) -> bool:
+    def has_hook_run(self, index: int) -> bool:
         """Whether a row's hook has run."""
-        return self._told(index).exists()
+        return self._hook_mark(index).exists()
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the summary: the sweep is done."""
-        _write(self.folder / _SUMMARY, summary)
+        _write_json(self.folder / _SUMMARY, summary)
 
     def discard(self) -> None:
         """Remove the folder of a sweep that could not begin."""
@@ -77,7 +77,7 @@ class Ledger:
         if self.lock is not None:
             os.close(self.lock)
 
-    def _told(self, index: int) -> Path:
+    def _hook_mark(self, index: int) -> Path:
         return self.folder / _ROWS / f"{index:05d}.told"
 
 
@@ -91,18 +91,18 @@ def open_ledger(
     InputError : the folder cannot be written.
     """
     place = Path(out).expanduser() / FOLDER
-    last = _last(place, fingerprint) if resume else None
+    last = _last_sweep(place, fingerprint) if resume else None
     if last is not None and not (last / _SUMMARY).exists():
-        held, lock = _lock(last)
+        held, lock = _lock_folder(last)
         if held:  # otherwise another process is at it
             return Ledger(last, lock, taken_up=True)
     try:
-        return _new(place, {**asked, "fingerprint": fingerprint})
+        return _create_ledger(place, {**asked, "fingerprint": fingerprint})
     except OSError as error:
-        raise _unwritten(place, error) from error
+        raise _unwritable_error(place, error) from error
 
 
-def _new(place: Path, asked: Mapping[str, Any]) -> Ledger:
+def _create_ledger(place: Path, asked: Mapping[str, Any]) -> Ledger:
     place.mkdir(parents=True, exist_ok=True)
     while True:
         folder = place / new_run_id(others=(p.name for p in place.iterdir()))
@@ -112,21 +112,21 @@ def _new(place: Path, asked: Mapping[str, Any]) -> Ledger:
             continue
         break
     (folder / _ROWS).mkdir()
-    _, lock = _lock(folder)
-    _write(folder / _ASKED, asked)
+    _, lock = _lock_folder(folder)
+    _write_json(folder / _ASKED, asked)
     return Ledger(folder, lock)
 
 
-def _last(place: Path, fingerprint: str) -> Path | None:
+def _last_sweep(place: Path, fingerprint: str) -> Path | None:
     if not place.is_dir():
         return None
     for folder in sorted(place.iterdir(), reverse=True):
-        if (_read(folder / _ASKED) or {}).get("fingerprint") == fingerprint:
+        if (_read_json(folder / _ASKED) or {}).get("fingerprint") == fingerprint:
             return folder
     return None
 
 
-def _lock(folder: Path) -> tuple[bool, int | None]:
+def _lock_folder(folder: Path) -> tuple[bool, int | None]:
     """Whether the folder is ours, until this process ends in whatever way."""
     try:
         import fcntl
@@ -143,22 +143,22 @@ def _lock(folder: Path) -> tuple[bool, int | None]:
     return True, handle
 
 
-def _read(file: Path) -> dict[str, Any] | None:
+def _read_json(file: Path) -> dict[str, Any] | None:
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        content = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return found if isinstance(found, dict) else None
+    return content if isinstance(content, dict) else None
 
 
-def _write(file: Path, content: Mapping[str, Any]) -> None:
+def _write_json(file: Path, content: Mapping[str, Any]) -> None:
     try:
         write_whole(file, to_json(content) + "\n")
     except OSError as error:
-        raise _unwritten(file, error) from error
+        raise _unwritable_error(file, error) from error
 
 
-def _unwritten(place: Path, error: OSError) -> InputError:
+def _unwritable_error(place: Path, error: OSError) -> InputError:
     return InputError(
         f"{place}: {error.strerror or error}",
         "a folder of sweeps that can be written",

@@ -52,7 +52,7 @@ class Backend:
 
 @dataclass(frozen=True)
 class Call:
-    """A job in words, as it travels: what to do, with which overrides, in which folder."""
+    """A job as it is sent to a worker: verb, names, overrides, and the caller's surroundings."""
 
     verb: str
     names: tuple[str, ...]
@@ -75,8 +75,8 @@ class ClusterError(SpiralError):
     """The scheduler went away while jobs were under way."""
 
 
-def call_for(verb: str, names: tuple[str, ...], overrides: Job, plugins: str | None) -> Call:
-    """A job as it is seen from here: relative paths and variables mean the same to a worker."""
+def make_call(verb: str, names: tuple[str, ...], overrides: Job, plugins: str | None) -> Call:
+    """A job with the caller's folder and variables, so that paths mean the same to a worker."""
     variables = {k: os.environ[k] for k in _VARIABLES if k in os.environ}
     return Call(verb, names, overrides, plugins, os.getcwd(), variables)
 
@@ -85,20 +85,20 @@ def run_call(execute: Execute, call: Call) -> Answer:
     """Carry out one job; a defect in it is its answer, not the end of the sweep."""
     clock = time.perf_counter()
     try:
-        with _one_at_a_time, _placed(call):
+        with _one_at_a_time, _caller_environment(call):
             clock = time.perf_counter()
             code, result = execute(call.verb, call.names, call.overrides, call.plugins)
     except (Exception, SystemExit) as error:
-        code, result = DEFECT, failure(f"{type(error).__name__}: {error}", "a run")
+        code, result = DEFECT, error_result(f"{type(error).__name__}: {error}", "a run")
     return Answer(code, result, time.perf_counter() - clock)
 
 
-def failure(given: str, expected: str, try_: str = "") -> dict[str, Any]:
+def error_result(given: str, expected: str, try_: str = "") -> dict[str, Any]:
     """A result that is only an error."""
     return {"error": {"given": given, "expected": expected, "try": try_}}
 
 
-def answers(
+def run_calls(
     execute: Execute, calls: Mapping[int, Call], backend: Backend, started: Started = lambda _: None
 ) -> Generator[tuple[int, Answer], None, None]:
     """Every job's number and answer, in the order in which they end.
@@ -111,28 +111,30 @@ def answers(
     ClusterError : the scheduler went away.
     """
     if backend.name == "dask":
-        with _client(backend) as client:
-            yield from _shared(calls, _Dask(execute, started, client, backend))
-    elif processes(backend.n_jobs) == 1 or len(calls) == 1:
+        with _connect_client(backend) as client:
+            yield from _run_with_workers(calls, _Dask(execute, started, client, backend))
+    elif process_count(backend.n_jobs) == 1 or len(calls) == 1:
         for index, call in calls.items():
             started(index)
             yield index, run_call(execute, call)
     else:
-        width = min(processes(backend.n_jobs), len(calls))
-        yield from _shared(calls, _Loky(execute, started, width))
+        width = min(process_count(backend.n_jobs), len(calls))
+        yield from _run_with_workers(calls, _Loky(execute, started, width))
 
 
-def processes(n_jobs: int) -> int:
+def process_count(n_jobs: int) -> int:
     """``n_jobs`` as a number: -1 is one for each processor, -2 one less."""
     from joblib import cpu_count
 
     return n_jobs if n_jobs > 0 else max(1, cpu_count() + 1 + n_jobs)
 
 
-def _shared(calls: Mapping[int, Call], workers: _Loky | _Dask) -> Iterator[tuple[int, Answer]]:
-    """All jobs; where a process dies, those it may have been working on are suspects.
+def _run_with_workers(
+    calls: Mapping[int, Call], workers: _Loky | _Dask
+) -> Iterator[tuple[int, Answer]]:
+    """Run all jobs; those that were under way when a process died are suspects.
 
-    Those run alone, after the others; one whose process dies again is the culprit.
+    Suspects run alone, after the others; one whose process dies again gets an error as its answer.
     """
     waiting, suspects = dict(calls), dict[int, Call]()
     while waiting:
@@ -141,13 +143,13 @@ def _shared(calls: Mapping[int, Call], workers: _Loky | _Dask) -> Iterator[tuple
         again: dict[int, Call] = {}
         yield from workers.run({index: call}, again, alone=True)
         if again:
-            yield index, _ended()
+            yield index, _killed_job_answer()
 
 
-def _ended() -> Answer:
+def _killed_job_answer() -> Answer:
     given = "a job whose process was ended from outside (kill -9, or out of memory)"
     try_ = "fewer jobs at a time (n_jobs=1), a shorter record, or more memory"
-    return Answer(DEFECT, failure(given, "a process that runs to its end", try_), 0.0)
+    return Answer(DEFECT, error_result(given, "a process that runs to its end", try_), 0.0)
 
 
 @dataclass(frozen=True)
@@ -168,11 +170,11 @@ class _Loky:
         executor = get_reusable_executor(
             1 if alone else self.width,
             timeout=_IDLE,
-            initializer=_as_worker,
+            initializer=_initialise_worker,
             initargs=(os.getpid(),),
             env={f"{name}_NUM_THREADS": "1" for name in _INNER},
         )
-        ended = _ended_futures(executor, self.execute, waiting, lambda: room, self.started)
+        ended = _completed_futures(executor, self.execute, waiting, lambda: room, self.started)
         try:
             for index, call, future in ended:
                 try:
@@ -200,25 +202,25 @@ class _Dask:
         from distributed.scheduler import KilledWorker
 
         executor = self.client.get_executor(pure=False)
-        width = (lambda: 1) if alone else self._width
-        ended = _ended_futures(executor, self.execute, waiting, width, self.started)
+        width = (lambda: 1) if alone else self._worker_count
+        ended = _completed_futures(executor, self.execute, waiting, width, self.started)
         try:
             for index, call, future in ended:
                 try:
-                    yield index, self._answer(future)
+                    yield index, self._collect_answer(future)
                 except KilledWorker:
                     suspects[index] = call
         finally:
             executor.shutdown(wait=False)
 
-    def _width(self) -> int:
+    def _worker_count(self) -> int:
         most = self.backend.n_jobs if self.backend.n_jobs > 0 else sys.maxsize
         try:
             return max(1, min(most, sum(self.client.ncores().values())))
         except OSError as error:
-            raise self._lost() from error
+            raise self._lost_scheduler_error() from error
 
-    def _answer(self, future: Future[Answer]) -> Answer:
+    def _collect_answer(self, future: Future[Answer]) -> Answer:
         from distributed.scheduler import KilledWorker
 
         try:
@@ -226,13 +228,13 @@ class _Dask:
         except KilledWorker:
             raise
         except CancelledError as error:
-            raise self._lost() from error
+            raise self._lost_scheduler_error() from error
         except Exception as error:  # the job did not reach the worker, or its answer not us
             text = f"{type(error).__name__}: {error}"
             try_ = "the same versions of Python and of this program on every worker"
-            return Answer(DEFECT, failure(text, "a worker that can run the job", try_), 0.0)
+            return Answer(DEFECT, error_result(text, "a worker that can run the job", try_), 0.0)
 
-    def _lost(self) -> ClusterError:
+    def _lost_scheduler_error(self) -> ClusterError:
         return ClusterError(
             f"the Dask scheduler at {self.backend.address} went away",
             "a scheduler that stays until the sweep is done",
@@ -240,14 +242,14 @@ class _Dask:
         )
 
 
-def _ended_futures(
+def _completed_futures(
     executor: Executor,
     execute: Execute,
     waiting: dict[int, Call],
     width: Callable[[], int],
     started: Started,
 ) -> Iterator[tuple[int, Call, Future[Answer]]]:
-    """At most ``width()`` jobs at a time, so that those under way are known."""
+    """Submit at most ``width()`` jobs at a time, and yield each future as it completes."""
     under_way: dict[Future[Answer], tuple[int, Call]] = {}
 
     def fill() -> bool:
@@ -265,17 +267,17 @@ def _ended_futures(
     broken = not fill()
     while under_way:
         ended = wait(under_way, return_when=FIRST_COMPLETED).done
-        broken = broken or any(_broke(future) for future in ended)
-        found = [(*under_way.pop(future), future) for future in ended]
+        broken = broken or any(_is_broken(future) for future in ended)
+        completed = [(*under_way.pop(future), future) for future in ended]
         broken = broken or not fill()  # before anything is done with what has ended
-        yield from found
+        yield from completed
 
 
-def _broke(future: Future[Answer]) -> bool:
+def _is_broken(future: Future[Answer]) -> bool:
     return not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
 
 
-def _as_worker(parent: int) -> None:
+def _initialise_worker(parent: int) -> None:
     """A worker leaves Ctrl-C to its parent, and does not outlive it."""
     import signal
 
@@ -291,7 +293,7 @@ def _as_worker(parent: int) -> None:
 
 
 @contextlib.contextmanager
-def _client(backend: Backend) -> Iterator[Any]:
+def _connect_client(backend: Backend) -> Iterator[Any]:
     """A connection to the scheduler, which has workers."""
     try:
         from distributed import Client
@@ -326,8 +328,8 @@ def _client(backend: Backend) -> Iterator[Any]:
 
 
 @contextlib.contextmanager
-def _placed(call: Call) -> Iterator[None]:
-    """In the folder of the one who asked, with the variables that are not set here."""
+def _caller_environment(call: Call) -> Iterator[None]:
+    """Run the body in the caller's folder, with those of its variables that are not set here."""
     here = os.getcwd()
     added = {k: v for k, v in call.variables.items() if k not in os.environ}
     os.environ.update(added)

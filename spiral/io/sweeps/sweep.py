@@ -21,9 +21,9 @@ from spiral.io.sweeps.pool import (
     ClusterError,
     Execute,
     Job,
-    answers,
-    call_for,
-    processes,
+    make_call,
+    process_count,
+    run_calls,
 )
 from spiral.types.errors import SpiralError
 
@@ -101,8 +101,8 @@ class Sweep:
             "taken_up": self.taken_up,
             "seconds": self.seconds,
         }
-        found: dict[str, Any] = {"runs": [row.as_dict() for row in self.rows], "sweep": about}
-        return {**found, "error": self.error} if self.error else found
+        content: dict[str, Any] = {"runs": [row.as_dict() for row in self.rows], "sweep": about}
+        return {**content, "error": self.error} if self.error else content
 
 
 def run_sweep(
@@ -131,7 +131,7 @@ def run_sweep(
 
 @dataclass
 class _Desk:
-    """What the parent keeps while a sweep is under way."""
+    """A running sweep in the parent process: its rows, jobs under way, ledger and callbacks."""
 
     plan: SweepPlan
     ledger: Ledger
@@ -148,13 +148,13 @@ class _Desk:
         """All jobs, and the sweep as it ended."""
         error, code = None, None
         try:
-            self._take_up()
-            self._work(execute)
+            self._load_earlier_rows()
+            self._run_jobs(execute)
         except Stopped as stop:
             code = stop.exit
-            self.tell(self._stopped())
+            self.tell(self._stop_message())
         except (ClusterError, OSError) as lost:
-            error, code = _as_error(lost), BAD_INPUT
+            error, code = _error_fields(lost), BAD_INPUT
         except SpiralError as unwritten:
             if not self.rows:
                 self.ledger.discard()
@@ -162,14 +162,14 @@ class _Desk:
             error, code = unwritten.as_dict(), BAD_INPUT
         if code is None:
             code = max((row.exit for row in self.rows.values()), default=0)
-        return self._finished(code, error)
+        return self._finish_sweep(code, error)
 
-    def _take_up(self) -> None:
+    def _load_earlier_rows(self) -> None:
         """Rows of an earlier start; those that failed are tried again."""
         if not self.ledger.taken_up:
             return
-        found = self.ledger.rows()
-        kept = {i: r for i, r in found.items() if i < len(self.plan.jobs)}
+        earlier = self.ledger.rows()
+        kept = {i: r for i, r in earlier.items() if i < len(self.plan.jobs)}
         self.rows = {
             i: Row(self.plan.jobs[i], r["exit"], r["result"], r.get("seconds", 0.0))
             for i, r in kept.items()
@@ -181,38 +181,41 @@ class _Desk:
         there = f"{self.taken_up} of {len(self.plan.jobs)} runs are there{more}"
         self.tell(f"taking up sweep {self.ledger.sweep_id}: {there}")
         for index, row in self.rows.items():
-            if not self.ledger.told(index):
-                self._hook(index, row)
+            if not self.ledger.has_hook_run(index):
+                self._call_row_hook(index, row)
 
-    def _work(self, execute: Execute) -> None:
+    def _run_jobs(self, execute: Execute) -> None:
         mine = f"sweep.id={self.ledger.sweep_id}"
         calls = {
-            i: call_for(self.plan.verb, self.plan.names, (*job, mine), self.plan.plugins)
+            i: make_call(self.plan.verb, self.plan.names, (*job, mine), self.plan.plugins)
             for i, job in enumerate(self.plan.calls)
             if i not in self.rows
         }
-        self._report()
-        found = answers(execute, calls, self.plan.backend, self.under_way.add)
-        with closing(found):
-            for index, answer in found:
-                self._keep(index, answer)
+        self._report_status()
+        ended = run_calls(execute, calls, self.plan.backend, self.under_way.add)
+        with closing(ended):
+            for index, answer in ended:
+                self._keep_row(index, answer)
 
-    def _keep(self, index: int, answer: Answer) -> None:
+    def _keep_row(self, index: int, answer: Answer) -> None:
         """One job has ended: its row is written whole before anything else is done."""
-        from spiral.io.writing import finite
+        from spiral.io.writing import replace_nonfinite
 
-        with self.signals.held():
+        with self.signals.defer_signals():
             row = Row(
-                self.plan.jobs[index], answer.exit, finite(answer.result), round(answer.seconds, 3)
+                self.plan.jobs[index],
+                answer.exit,
+                replace_nonfinite(answer.result),
+                round(answer.seconds, 3),
             )
             self.rows[index] = row
             self.under_way.discard(index)
-            self.ledger.write(index, row.as_dict())
-        self._report()
-        self._hook(index, row)
+            self.ledger.write_row(index, row.as_dict())
+        self._report_status()
+        self._call_row_hook(index, row)
 
-    def _hook(self, index: int, row: Row) -> None:
-        """Whatever goes wrong in it costs no row."""
+    def _call_row_hook(self, index: int, row: Row) -> None:
+        """Call ``on_row`` for a row; an exception in it is reported, and the row is kept."""
         if self.on_row is None:
             return
         try:
@@ -220,9 +223,9 @@ class _Desk:
         except Exception as error:
             self.tell(f"job {index + 1} is kept, but not told on: {type(error).__name__}: {error}")
         else:
-            self.ledger.tell(index)
+            self.ledger.mark_hook_run(index)
 
-    def _report(self) -> None:
+    def _report_status(self) -> None:
         total, done = len(self.plan.jobs), len(self.rows)
         seconds = time.perf_counter() - self.clock
         new = done - self.taken_up
@@ -230,16 +233,16 @@ class _Desk:
         failed = sum(row.exit != 0 for row in self.rows.values())
         self.on_status(Status(done, total, failed, seconds, remaining))
 
-    def _stopped(self) -> str:
+    def _stop_message(self) -> str:
         kept = f"{len(self.rows)} of {len(self.plan.jobs)} runs are kept"
         lost = sorted(self.under_way - set(self.rows))
         if self.plan.backend.name == "loky":  # jobs begin in order; one may be waiting ready
-            lost = lost[: processes(self.plan.backend.n_jobs)]
+            lost = lost[: process_count(self.plan.backend.n_jobs)]
         under_way = f", {len(lost)} under way are not" if lost else ""
         again = "; the same command takes it up" if len(self.rows) < len(self.plan.jobs) else ""
         return f"stopped: {kept}{under_way}{again}"
 
-    def _finished(self, code: int, error: dict[str, str] | None) -> Sweep:
+    def _finish_sweep(self, code: int, error: dict[str, str] | None) -> Sweep:
         sweep = Sweep(
             self.ledger.sweep_id,
             str(self.ledger.folder),
@@ -259,7 +262,7 @@ class _Desk:
         return sweep
 
 
-def _as_error(lost: Exception) -> dict[str, str]:
+def _error_fields(lost: Exception) -> dict[str, str]:
     if isinstance(lost, SpiralError):
         return lost.as_dict()
     return {"given": str(lost), "expected": "a sweep that can go on", "try": "the same command"}

@@ -20,7 +20,7 @@ _WAITS = 3  # rows that may fail before the rest is left to the end
 
 @dataclass
 class SweepTracker:
-    """Told of every row as it ends; ``finish`` logs what could not be logged then."""
+    """Logs every row as it ends; ``finish`` logs those that could not be logged then."""
 
     tracking: Tracking
     out: str | os.PathLike[str]
@@ -36,7 +36,7 @@ class SweepTracker:
         failed = Failed(sweep_id, number, row.overrides, row.result.get("error") or {})
         jobs = (failed,) if row.exit and not wanted else ()
         if self.failures < _WAITS:
-            found = studies.track(
+            tracked = studies.track(
                 self.tracking,
                 self.out,
                 wanted,
@@ -45,10 +45,10 @@ class SweepTracker:
                 draw=self.draw,
                 registry=self.registry,
             )
-            if found.failure is None:
+            if tracked.failure is None:
                 return
             self.failures += 1
-            self.tell(f"job {number + 1} is kept, but MLflow did not take it: {found.failure}")
+            self.tell(f"job {number + 1} is kept, but MLflow did not take it: {tracked.failure}")
         self.left += jobs
 
     def finish(self) -> Tracked:

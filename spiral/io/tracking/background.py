@@ -1,8 +1,8 @@
-"""MLflow is told by a process of its own: the command has answered and returned by then.
+"""Logging to MLflow by a separate process, while the command has already returned.
 
 The order goes through a pipe, so that no list of processes shows a password. The process belongs
 to no terminal: Ctrl-C and a closed window do not reach it. Whatever becomes of it, the saved run
-stays, and the next command tells what is untold; why the last telling failed is kept for that
+stays, and the next command logs what is missing; why the last logging failed is kept for that
 command in ``OUT/.tracking.failure``.
 """
 
@@ -17,8 +17,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from spiral.io.storage import FILE, own_file
-from spiral.io.tracking.store import Draw, tracking_of
+from spiral.io.storage import FILE, resolve_inside_folder
+from spiral.io.tracking.store import Draw, tracking_options
 from spiral.io.tracking.track import Tracked, track
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import InputError
@@ -31,12 +31,12 @@ _LONGEST = 500  # characters of a reason that are shown
 
 @dataclass(frozen=True)
 class Order:
-    """What a process is to tell MLflow.
+    """The runs that a background process is to log to MLflow, and how.
 
     Parameters
     ----------
     tracking : the section of this command's configuration.
-    out : folder of saved runs. run_id : the run to log, beside what earlier commands left untold.
+    out : folder of saved runs. run_id : the run to log, beside those not logged before.
     plugins : the folder that the command line named, as ``load_registry`` takes it.
     """
 
@@ -46,18 +46,18 @@ class Order:
     plugins: str | None
 
 
-def waited_for() -> bool:
-    """Whether commands tell MLflow themselves and return when it is done."""
+def is_foreground() -> bool:
+    """Whether commands log to MLflow themselves, and return when that is done."""
     return os.environ.get(WAIT_VARIABLE, "") not in ("", "0")
 
 
-def start(order: Order, module: str) -> Tracked:
+def start_process(order: Order, module: str) -> Tracked:
     """Hand an order to a new process, which runs ``module``, and do not wait for it.
 
     Returns where the run will be shown, or why no process could be started.
     """
-    tracking = tracking_of({"tracking": order.tracking})
-    uri, page = without_passwords(tracking.where(order.out)), tracking.page(order.out)
+    tracking = tracking_options({"tracking": order.tracking})
+    uri, page = without_passwords(tracking.resolve_uri(order.out)), tracking.page(order.out)
     try:
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", module],  # -P: a file of the working folder is no module
@@ -72,11 +72,11 @@ def start(order: Order, module: str) -> Tracked:
     return Tracked({}, uri, page)
 
 
-def carry_out(order: Order, draw: Draw) -> None:
-    """Tell MLflow; where that fails, leave the reason for the next command."""
-    from spiral.io.registry import load_registry, told
+def execute_order(order: Order, draw: Draw) -> None:
+    """Log an order to MLflow; where that fails, leave the reason for the next command."""
+    from spiral.io.registry import error_summary, load_registry
 
-    tracking, folder = tracking_of({"tracking": order.tracking}), Path(order.out)
+    tracking, folder = tracking_options({"tracking": order.tracking}), Path(order.out)
     if not (folder / order.run_id / FILE).is_file():  # taken away since
         return
     try:
@@ -84,20 +84,20 @@ def carry_out(order: Order, draw: Draw) -> None:
         done = track(tracking, folder, (order.run_id,), draw=draw, registry=registry)
         failure = done.failure
     except Exception as error:  # for instance a plugin folder that is gone
-        failure = told(error)
+        failure = error_summary(error)
     if failure is None:
         (folder / FAILURE).unlink(missing_ok=True)
     else:
         write_whole(folder / FAILURE, to_json({"failure": failure}))
 
 
-def last_failure(out: str | os.PathLike[str]) -> str:
-    """Why the last telling in the background failed, as one plain line; empty where it did not.
+def take_last_failure(out: str | os.PathLike[str]) -> str:
+    """Why the last logging in the background failed, as one plain line; empty where it did not.
 
-    It is said once. The folder may be anyone's: no control characters, and no more than a line.
+    Reading removes it. The folder may come from anywhere: no control characters, one line.
     """
     try:
-        file = own_file(Path(out).expanduser(), FAILURE)
+        file = resolve_inside_folder(Path(out).expanduser(), FAILURE)
         if not file.is_file():
             return ""
         with file.open(encoding="utf-8") as lines:

@@ -28,7 +28,7 @@ Metric = tuple[str, float, int]
 """(name, value, step)."""
 
 
-def rounds(saved: Saved) -> list[Mapping[str, Any]]:
+def saved_rounds(saved: Saved) -> list[Mapping[str, Any]]:
     """The rounds of a saved run; a verb that fits once has one."""
     result = saved["result"]
     if result.get("rounds"):
@@ -37,32 +37,32 @@ def rounds(saved: Saved) -> list[Mapping[str, Any]]:
     return [{"round": 0, "admitted": [], **only}] if "test_error" in only else []
 
 
-def round_metrics(found: Mapping[str, Any]) -> list[Metric]:
+def round_metrics(round_row: Mapping[str, Any]) -> list[Metric]:
     """The figures of one round, its number as step."""
-    step = int(found.get("round", 0))
-    return [(k, v, step) for k in FIGURES if (v := _finite(found.get(k))) is not None]
+    step = int(round_row.get("round", 0))
+    return [(k, v, step) for k in FIGURES if (v := _finite_float(round_row.get(k))) is not None]
 
 
-def metrics(saved: Saved) -> list[Metric]:
+def study_metrics(saved: Saved) -> list[Metric]:
     """All metrics of a study: its rounds' figures, then what it ended with."""
-    done = rounds(saved)
+    done = saved_rounds(saved)
     listed = [m for r in done for m in round_metrics(r)]
     last = max((step for _, _, step in listed), default=0)
-    for name, value in _final(saved["result"], _added(saved)):
-        number = _finite(value)
+    for name, value in _final_metrics(saved["result"], _added_effects(saved)):
+        number = _finite_float(value)
         if number is not None:
             listed.append((metric_name(name), number, last))
     return listed
 
 
-def _added(saved: Saved) -> set[str]:
+def _added_effects(saved: Saved) -> set[str]:
     """Effects beyond the seed: admitted by the loop, added by hand, or configured."""
-    found = {label for r in rounds(saved) for label in r.get("admitted", ())}
+    labels = {label for r in saved_rounds(saved) for label in r.get("admitted", ())}
     config = saved["config"]
-    return found | set(config.get("effect") or ()) | set(config.get("seed") or ())
+    return labels | set(config.get("effect") or ()) | set(config.get("seed") or ())
 
 
-def _final(result: Mapping[str, Any], added: set[str]) -> Iterator[tuple[str, Any]]:
+def _final_metrics(result: Mapping[str, Any], added: set[str]) -> Iterator[tuple[str, Any]]:
     for row in estimate_rows(result):
         if row["effect"] in added:  # whole terms are a table: metrics are for what is compared
             yield f"t.{row['effect']}.{row['parameter']}", row["t"]
@@ -76,10 +76,10 @@ def _final(result: Mapping[str, Any], added: set[str]) -> Iterator[tuple[str, An
             yield f"test_error_{kind}", result[kind].get("test_error")
     if "noise_floor" in result:
         yield "noise_floor", result["noise_floor"]
-    yield from _states(result)
+    yield from _state_metrics(result)
 
 
-def _states(result: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _state_metrics(result: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Figures of a reconstruction: the errors of every state, and the filter's own."""
     for prefix, part in (("", "states"), ("static_", "static_baseline")):
         for state, errors in (result.get(part) or {}).items():
@@ -90,42 +90,42 @@ def _states(result: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield name, result[name]
 
 
-def suggestions(saved: Saved) -> list[dict[str, Any]]:
+def suggestion_rows(saved: Saved) -> list[dict[str, Any]]:
     """One row for each candidate of each round, with its evidence."""
     result = saved["result"]
-    groups = [(r.get("round", 0), r.get("suggestions", ())) for r in rounds(saved)]
+    groups = [(r.get("round", 0), r.get("suggestions", ())) for r in saved_rounds(saved)]
     if result.get("suggestions"):
         groups = [(0, result["suggestions"])]
     return [
-        {"round": number, **{k: _cell(v) for k, v in row.items()}}
-        for number, found in groups
-        for row in found
+        {"round": number, **{k: _table_cell(v) for k, v in row.items()}}
+        for number, ranking in groups
+        for row in ranking
     ]
 
 
-def parameters(config: Mapping[str, Any]) -> dict[str, str]:
+def flat_parameters(config: Mapping[str, Any]) -> dict[str, str]:
     """The composed configuration, flat: ``record.seed`` -> ``11``; empty values left out."""
     return {
         metric_name(key): str(value)[:_LONGEST]
-        for key, value in _flat(config)
+        for key, value in _flatten(config)
         if value is not None and value != "" and value != [] and value != {}
     }
 
 
-def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, Mapping) and value:
         for name, inner in value.items():
-            yield from _flat(inner, f"{key}.{name}".lstrip("."))
+            yield from _flatten(inner, f"{key}.{name}".lstrip("."))
     else:
         yield key, value
 
 
-def tags(saved: Saved) -> dict[str, str]:
+def run_tags(saved: Saved) -> dict[str, str]:
     """What a run is found by."""
     result = saved["result"]
     effects = ((result.get("model") or {}).get("effects")) or {}
     data = [r["sha256"] for group in saved["data"].values() for r in group]
-    found = {
+    named = {
         "spiral.run_id": saved["run_id"],
         "spiral.verb": saved["verb"],
         "spiral.sweep": (saved["config"].get("sweep") or {}).get("id"),
@@ -133,10 +133,10 @@ def tags(saved: Saved) -> dict[str, str]:
         "spiral.stopped": result.get("stopped"),
         "spiral.effects": ", ".join(effects),
         "spiral.data": ", ".join(data),
-        "mlflow.note.content": story(saved),
+        "mlflow.note.content": markdown_summary(saved),
         "mlflow.source.name": f"spiral {saved['verb']}",
     }
-    return {k: str(v)[:_LONGEST] for k, v in found.items() if v}
+    return {k: str(v)[:_LONGEST] for k, v in named.items() if v}
 
 
 def run_name(saved: Saved) -> str:
@@ -148,25 +148,25 @@ def run_name(saved: Saved) -> str:
     return " ".join([*own, saved["verb"], what]).strip()[:_LONGEST_NAME]
 
 
-def round_name(found: Mapping[str, Any]) -> str:
+def round_name(round_row: Mapping[str, Any]) -> str:
     """``round 2: cubic_stiffness``."""
-    number = found.get("round", 0)
-    admitted = ", ".join(found.get("admitted", ())) or ("seed" if number == 0 else "nothing")
+    number = round_row.get("round", 0)
+    admitted = ", ".join(round_row.get("admitted", ())) or ("seed" if number == 0 else "nothing")
     return f"round {number}: {admitted}"
 
 
-def story(saved: Saved) -> str:
+def markdown_summary(saved: Saved) -> str:
     """The run in Markdown, as MLflow's page shows it: outcome, rounds, terms."""
     result = saved["result"]
     lines = [f"`spiral {saved['verb']}`, saved as `{saved['run_id']}`", ""]
     outcome = [str(result[k]) for k in ("verdict", "stopped", "advice") if result.get(k)]
     lines += [". ".join(outcome), ""] if outcome else []
-    done = rounds(saved)
+    done = saved_rounds(saved)
     if done:
         lines += ["| round | admitted | test error | chi2/dof |", "|---|---|---|---|"]
     for r in done:
         name = round_name(r).partition(": ")[2]
-        figures = f"{_text(r.get('test_error'))} | {_text(r.get('chi2_per_dof'))}"
+        figures = f"{_format_figure(r.get('test_error'))} | {_format_figure(r.get('chi2_per_dof'))}"
         lines.append(f"| {r.get('round', 0)} | {name} | {figures} |")
     table = estimate_rows(result)
     if table:
@@ -176,8 +176,8 @@ def story(saved: Saved) -> str:
             "|---|---|---|---|---|---|",
         ]
         lines += [
-            f"| {r['effect']} | {r['parameter']} | {_text(r['estimate'])} | {_text(r['se'])} "
-            f"| {_text(r['t'])} | {r['unit']} |"
+            f"| {r['effect']} | {r['parameter']} | {_format_figure(r['estimate'])} "
+            f"| {_format_figure(r['se'])} | {_format_figure(r['t'])} | {r['unit']} |"
             for r in table
         ]
     return "\n".join(lines)
@@ -188,21 +188,21 @@ def metric_name(name: str) -> str:
     return _REFUSED.sub("_", name.replace("@", ":"))
 
 
-def columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+def rows_to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     """Rows as columns, for a table."""
     names = list(dict.fromkeys(k for row in rows for k in row))
     return {name: [row.get(name) for row in rows] for name in names}
 
 
-def _cell(value: Any) -> Any:
+def _table_cell(value: Any) -> Any:
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else value
 
 
-def _finite(value: Any) -> float | None:
+def _finite_float(value: Any) -> float | None:
     if value is None or isinstance(value, bool | str):
         return None
     return float(value) if math.isfinite(value) else None
 
 
-def _text(value: Any) -> str:
+def _format_figure(value: Any) -> str:
     return "" if value is None else f"{value:.4g}"

@@ -36,7 +36,7 @@ class Tracking:
 
     Parameters
     ----------
-    enabled : whether MLflow is told at all.
+    enabled : whether runs are logged to MLflow at all.
     uri : MLflow's tracking URI; left out, ``MLFLOW_TRACKING_URI``, else SQLite in ``out``.
     experiment : MLflow's experiment.
     model : whether the final model is logged, ready to predict.
@@ -47,14 +47,14 @@ class Tracking:
     experiment: str = "spiral"
     model: bool = True
 
-    def where(self, out: str | os.PathLike[str]) -> str:
+    def resolve_uri(self, out: str | os.PathLike[str]) -> str:
         """The tracking URI in force."""
         own = Path(out).expanduser().resolve() / DATABASE
         return self.uri or os.environ.get(URI_VARIABLE) or f"sqlite:///{own}"
 
     def page(self, out: str | os.PathLike[str]) -> str:
         """What opens MLflow's page on this store: a command, or the server's own address."""
-        uri = self.where(out)
+        uri = self.resolve_uri(out)
         if not uri.startswith("sqlite:"):
             shown = without_passwords(uri)
             return shown if uri.startswith("http") else f"mlflow ui --backend-store-uri {shown}"
@@ -64,7 +64,7 @@ class Tracking:
         return f"mlflow ui --backend-store-uri sqlite:///{file}"
 
 
-def tracking_of(config: Mapping[str, Any]) -> Tracking:
+def tracking_options(config: Mapping[str, Any]) -> Tracking:
     """The tracking that a composed configuration asks for.
 
     Raises
@@ -89,7 +89,7 @@ class Store:
 
 
 @contextlib.contextmanager
-def opened(
+def open_store(
     tracking: Tracking, out: str | os.PathLike[str], draw: Draw | None = None
 ) -> Iterator[Store]:
     """The store, created and migrated where it is new; other processes wait meanwhile.
@@ -100,15 +100,18 @@ def opened(
 
     folder = Path(out).expanduser().resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    uri = tracking.where(out)
+    uri = tracking.resolve_uri(out)
     if uri.startswith("http"):
-        _reach(uri)
-    with FileLock(folder / LOCK, timeout=_PATIENCE), _quiet():  # who waits has not imported MLflow
+        _check_server(uri)
+    with (
+        FileLock(folder / LOCK, timeout=_PATIENCE),
+        _silence_mlflow(),
+    ):  # who waits has not imported MLflow
         import_mlflow()
         from mlflow import MlflowClient
 
         if uri == f"sqlite:///{folder / DATABASE}" and not (folder / DATABASE).is_file():
-            _create(folder / DATABASE)
+            _create_database(folder / DATABASE)
         client = MlflowClient(tracking_uri=uri)
         known = client.get_experiment_by_name(tracking.experiment)
         if known is not None:
@@ -120,7 +123,7 @@ def opened(
         yield Store(client, number, uri, draw)
 
 
-def _create(file: Path) -> None:
+def _create_database(file: Path) -> None:
     """MLflow's database, whole or not at all: one whose tables are half made can never be opened.
 
     The copy by SQLite holds all that is written, whatever connections MLflow keeps to the first.
@@ -144,7 +147,7 @@ def _create(file: Path) -> None:
             left.unlink(missing_ok=True)
 
 
-def _reach(uri: str) -> None:
+def _check_server(uri: str) -> None:
     """One short try to reach a server, where MLflow's own client would try for minutes.
 
     Raises
@@ -174,7 +177,7 @@ def import_mlflow() -> None:
 
 
 @contextlib.contextmanager
-def in_force(store: Store) -> Iterator[None]:
+def use_store(store: Store) -> Iterator[None]:
     """The store as MLflow's own default, for the calls that take no client.
 
     MLflow exports a default URI to the environment; what was there before comes back.
@@ -192,7 +195,7 @@ def in_force(store: Store) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def requirements_as_given() -> Iterator[None]:
+def skip_requirement_lookup() -> Iterator[None]:
     """Model requirements are logged as they are given.
 
     MLflow lists every file of every installed package (2 s) to find the module of each requirement,
@@ -209,7 +212,7 @@ def requirements_as_given() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def _silence_mlflow() -> Iterator[None]:
     """Without the remarks of MLflow, and those of its migrations on a new database."""
     names = ("mlflow", "alembic", "psycopg")
     levels = [logging.getLogger(n).level for n in names]

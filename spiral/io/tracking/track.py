@@ -15,10 +15,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spiral.io.registry import LocalFile, Registry, load_registry, told
+from spiral.io.registry import LocalFile, Registry, error_summary, load_registry
 from spiral.io.storage import FILE, SavedRun, read_run, run_ids
 from spiral.io.tracking import content
-from spiral.io.tracking.store import Draw, Store, Tracking, in_force, opened, requirements_as_given
+from spiral.io.tracking.store import (
+    Draw,
+    Store,
+    Tracking,
+    open_store,
+    skip_requirement_lookup,
+    use_store,
+)
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.masking import without_passwords
@@ -33,7 +40,7 @@ _CAUGHT_UP = 50  # saved runs that one start logs after the fact, at most
 
 @dataclass(frozen=True)
 class Tracked:
-    """What became of it: MLflow's ids of the experiment and every run, or why there are none."""
+    """The result of logging: MLflow's ids of the experiment and of every run, or why it failed."""
 
     runs: Mapping[str, str]
     uri: str = ""
@@ -76,25 +83,25 @@ def track(
     """
     if not tracking.enabled:
         return Tracked({})
-    uri, page = without_passwords(tracking.where(out)), tracking.page(out)
+    uri, page = without_passwords(tracking.resolve_uri(out)), tracking.page(out)
     folder, registry = Path(out).expanduser(), registry or load_registry(local=False)
     runs: dict[str, str] = {}
     experiment = ""
     try:
-        with opened(tracking, out, draw) as store:
+        with open_store(tracking, out, draw) as store:
             experiment = str(store.experiment)
             for run_id in wanted:
-                runs[run_id] = _once(store, tracking, folder / run_id, registry)
+                runs[run_id] = _log_unless_done(store, tracking, folder / run_id, registry)
             for job in failed:
                 _log_failure(store, job)
             if catch_up:
-                _catch_up(store, tracking, folder, registry, max(wanted, default=""))
+                _log_earlier_runs(store, tracking, folder, registry, max(wanted, default=""))
     except Exception as error:  # of whatever store: the result is saved and must not be lost
-        return Tracked(runs, uri, page, without_passwords(told(error)))
+        return Tracked(runs, uri, page, without_passwords(error_summary(error)))
     return Tracked(runs, uri, page, experiment=experiment)
 
 
-def _catch_up(
+def _log_earlier_runs(
     store: Store, tracking: Tracking, folder: Path, registry: Registry, last: str
 ) -> None:
     """Log what an earlier start could not; a folder that holds no readable run is passed over.
@@ -109,24 +116,24 @@ def _catch_up(
         except InputError:
             continue
         if (saved.config.get("tracking") or {}).get("enabled"):
-            _once(store, tracking, folder / run_id, registry)
+            _log_unless_done(store, tracking, folder / run_id, registry)
 
 
-def _once(store: Store, tracking: Tracking, folder: Path, registry: Registry) -> str:
-    """Log a saved run unless that is done; half of one, left by a killed process, goes first."""
+def _log_unless_done(store: Store, tracking: Tracking, folder: Path, registry: Registry) -> str:
+    """Log a saved run unless it was; what a killed process logged of it is removed first."""
     mark = folder / MARK
     if mark.is_file():
         return str(json.loads(mark.read_text(encoding="utf-8"))["mlflow_run_id"])
-    _remove_halves(store, folder.name)
+    _remove_partial_runs(store, folder.name)
     saved = read_run(folder / FILE)
     number = _log_study(store, saved, registry if tracking.model else None)
     write_whole(mark, to_json({"mlflow_run_id": number, "uri": without_passwords(store.uri)}))
     return number
 
 
-def _remove_halves(store: Store, run_id: str) -> None:
-    found = store.client.search_runs([store.experiment], f"tags.`spiral.run_id` = '{run_id}'")
-    for parent in found:
+def _remove_partial_runs(store: Store, run_id: str) -> None:
+    matches = store.client.search_runs([store.experiment], f"tags.`spiral.run_id` = '{run_id}'")
+    for parent in matches:
         number = parent.info.run_id
         inner = f"tags.`mlflow.parentRunId` = '{number}'"
         for child in store.client.search_runs([store.experiment], inner):
@@ -137,19 +144,19 @@ def _remove_halves(store: Store, run_id: str) -> None:
 def _log_study(store: Store, saved: SavedRun, registry: Registry | None) -> str:
     """One saved run as a parent with its rounds, its model by a registry; returns MLflow's id."""
     data = saved.data
-    started, ended = _times(data)
+    started, ended = _start_and_end(data)
     run = store.client.create_run(
-        store.experiment, started, content.tags(data), content.run_name(data)
+        store.experiment, started, content.run_tags(data), content.run_name(data)
     )
     number = run.info.run_id
     config = {k: v for k, v in saved.config.items() if k not in _NO_PARAMETER}
-    _log(store, number, content.metrics(data), content.parameters(config), ended)
-    _datasets(store, number, data)
-    _artifacts(store, number, saved)
+    _log_batches(store, number, content.study_metrics(data), content.flat_parameters(config), ended)
+    _log_datasets(store, number, data)
+    _log_artifacts(store, number, saved)
     clock = started
-    done = content.rounds(data)
-    for found in done:
-        clock = _log_round(store, number, found, clock, len(done))
+    done = content.saved_rounds(data)
+    for round_row in done:
+        clock = _log_round(store, number, round_row, clock, len(done))
     if registry is not None:
         _log_model(store, number, saved, registry)
     store.client.set_terminated(number, "FINISHED", ended)
@@ -169,23 +176,25 @@ def _log_failure(store: Store, job: Failed) -> None:
     store.client.set_terminated(run.info.run_id, "FAILED")
 
 
-def _log_round(store: Store, parent: str, found: Mapping[str, Any], clock: int, count: int) -> int:
+def _log_round(
+    store: Store, parent: str, round_row: Mapping[str, Any], clock: int, count: int
+) -> int:
     """One round as a child; returns when it ended, ms."""
     tags = {
         "mlflow.parentRunId": parent,
-        "spiral.round": str(found.get("round", 0)),
-        "spiral.admitted": ", ".join(found.get("admitted", ())),
+        "spiral.round": str(round_row.get("round", 0)),
+        "spiral.admitted": ", ".join(round_row.get("admitted", ())),
     }
-    run = store.client.create_run(store.experiment, clock, tags, content.round_name(found))
-    ended = clock + round(1000 * (found.get("seconds") or 0.0))
-    _log(store, run.info.run_id, content.round_metrics(found), {}, ended)
+    run = store.client.create_run(store.experiment, clock, tags, content.round_name(round_row))
+    ended = clock + round(1000 * (round_row.get("seconds") or 0.0))
+    _log_batches(store, run.info.run_id, content.round_metrics(round_row), {}, ended)
     if count > 1:  # a verb that fits once has all of it with the parent
-        store.client.log_dict(run.info.run_id, dict(found), "round.json")
+        store.client.log_dict(run.info.run_id, dict(round_row), "round.json")
     store.client.set_terminated(run.info.run_id, "FINISHED", ended)
     return ended
 
 
-def _log(
+def _log_batches(
     store: Store,
     number: str,
     metrics: Sequence[content.Metric],
@@ -201,7 +210,7 @@ def _log(
         store.client.log_batch(number, figures[part], given[part])
 
 
-def _datasets(store: Store, number: str, data: Mapping[str, Any]) -> None:
+def _log_datasets(store: Store, number: str, data: Mapping[str, Any]) -> None:
     """Name, size and hash of every record, as MLflow lists them beside a run."""
     from mlflow.entities import Dataset, DatasetInput, InputTag
 
@@ -218,20 +227,20 @@ def _datasets(store: Store, number: str, data: Mapping[str, Any]) -> None:
         store.client.log_inputs(number, inputs)
 
 
-def _artifacts(store: Store, number: str, saved: SavedRun) -> None:
+def _log_artifacts(store: Store, number: str, saved: SavedRun) -> None:
     import pandas as pd
     import yaml
 
     tables = {
         "terms": estimate_rows(saved.result),
-        "suggestions": content.suggestions(saved.data),
+        "suggestions": content.suggestion_rows(saved.data),
     }
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         for name, rows in tables.items():
             if rows:
                 (folder / f"{name}.json").write_text(to_json(rows), encoding="utf-8")
-                pd.DataFrame(content.columns(rows)).to_parquet(folder / f"{name}.parquet")
+                pd.DataFrame(content.rows_to_columns(rows)).to_parquet(folder / f"{name}.parquet")
         (folder / "plugins.json").write_text(to_json(saved.data["plugins"]), encoding="utf-8")
         text = yaml.safe_dump(json.loads(to_json(saved.config)), sort_keys=False)
         (folder / "config.yaml").write_text(text, encoding="utf-8")
@@ -256,14 +265,14 @@ def _log_model(store: Store, number: str, saved: SavedRun, registry: Registry) -
         return
     try:
         files = saved.local_files(registry)
-        signature = _signature(saved.model(registry).system)
+        signature = _model_signature(saved.model(registry).system)
     except ConfigError as error:
         store.client.set_tag(number, "spiral.model", f"not logged: {error.given}")
         return
     with (
         tempfile.TemporaryDirectory() as place,
-        in_force(store),
-        requirements_as_given(),
+        use_store(store),
+        skip_requirement_lookup(),
         mlflow.start_run(run_id=number),
     ):
         mlflow.pyfunc.log_model(
@@ -279,7 +288,7 @@ def _model_artifacts(place: Path, saved: SavedRun, files: Sequence[LocalFile]) -
     """Copies of the saved run and of the plugins' files: the very text that was hashed."""
     run = place / FILE
     run.write_text(to_json(saved.data), encoding="utf-8")
-    found = {content.RUN: str(run)}
+    artifacts = {content.RUN: str(run)}
     for index, file in enumerate(files):
         text = Path(file.file).read_bytes()
         if hashlib.sha256(text).hexdigest() != file.sha256:
@@ -289,21 +298,21 @@ def _model_artifacts(place: Path, saved: SavedRun, files: Sequence[LocalFile]) -
         target = place / content.PLUGINS / str(index) / Path(file.file).name
         target.parent.mkdir(parents=True)
         target.write_bytes(text)
-        found[content.PLUGINS] = str(place / content.PLUGINS)
-    return found
+        artifacts[content.PLUGINS] = str(place / content.PLUGINS)
+    return artifacts
 
 
-def _times(data: Mapping[str, Any]) -> tuple[int, int]:
+def _start_and_end(data: Mapping[str, Any]) -> tuple[int, int]:
     """Start and end of a study in ms since 1970; the end is when it was saved."""
     from datetime import datetime
 
     ended = round(1000 * datetime.fromisoformat(data["created"]).timestamp())
-    taken = sum(r.get("seconds") or 0.0 for r in content.rounds(data))
+    taken = sum(r.get("seconds") or 0.0 for r in content.saved_rounds(data))
     taken = taken or data["result"].get("seconds") or 0.0
     return ended - round(1000 * taken), ended
 
 
-def _signature(system: Any) -> Any:
+def _model_signature(system: Any) -> Any:
     """Names and types of what the served model takes and gives."""
     from mlflow.models import ModelSignature
     from mlflow.types import ColSpec, ParamSchema, ParamSpec, Schema

@@ -71,7 +71,7 @@ class SystemDefinition:
         return {**{i.name: i.unit for i in named}, **{n: u for n, _, u in self.constants}}
 
 
-_DERIVED = ("values", "readings")  # of what other sections say
+_DERIVED = ("values", "readings")  # fields that follow from other sections
 SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name not in _DERIVED), "free")
 
 
@@ -83,17 +83,19 @@ def definition_of(text: str) -> SystemDefinition:
     ------
     ConfigError : a section, a unit or a value that cannot be used.
     """
-    given = parsed(text)
+    given = parse_sections(text)
     for name in given:
         if name not in SECTIONS:
             raise unknown_field("system", str(name), SECTIONS)
     free = tuple(map(str, given.get("free") or ()))
-    constants = tuple((n, *_number(n, v)) for n, v in _section(given, "constants").items())
-    equations = _texts(given, "equations")
+    constants = tuple(
+        (n, *_required_quantity(n, v)) for n, v in _section(given, "constants").items()
+    )
+    equations = _text_list(given, "equations")
     states = _section(given, "states", needed=True)
     twice = [n for n in states if any(f"{n}''" in e for e in equations)]
-    observed, readings = split_observed(_texts(given, "observed"), twice)
-    found = SystemDefinition(
+    observed, readings = split_observed(_text_list(given, "observed"), twice)
+    definition = SystemDefinition(
         equations=equations,
         states=tuple(_state(n, v) for n, v in states.items()),
         inputs=tuple(_input(n, v) for n, v in _section(given, "inputs").items()),
@@ -108,24 +110,26 @@ def definition_of(text: str) -> SystemDefinition:
         ),
         observed=observed,
         readings=readings,
-        ports=_ports(_section(given, "ports")),
-        mass=_mass(given.get("mass")),
+        ports=_port_formulas(_section(given, "ports")),
+        mass=_mass_entries(given.get("mass")),
         title=str(given.get("title") or ""),
     )
-    _check(found, free, [f"{name}_rate" for name in twice])
-    return _with_input_rates(found)
+    _check_declared_names(definition, free, [f"{name}_rate" for name in twice])
+    return _with_input_rates(definition)
 
 
-def _with_input_rates(found: SystemDefinition) -> SystemDefinition:
-    """With the rates of inputs that the equations name, ``z'`` or ``z_rate``."""
+def _with_input_rates(definition: SystemDefinition) -> SystemDefinition:
+    """Mark the inputs whose rate ``z'`` or ``z_rate`` the equations use."""
 
-    def named(item: Input) -> bool:
+    def is_rate_used(item: Input) -> bool:
         rate = item.rate.name
         either = re.compile(rf"\b{item.name}'|\b{rate}\b")
-        texts = (*found.equations, *(text for _, text in found.readings))
-        return rate not in found.units and any(map(either.search, texts))
+        texts = (*definition.equations, *(text for _, text in definition.readings))
+        return rate not in definition.units and any(map(either.search, texts))
 
-    return replace(found, inputs=tuple(replace(i, derivative=named(i)) for i in found.inputs))
+    return replace(
+        definition, inputs=tuple(replace(i, derivative=is_rate_used(i)) for i in definition.inputs)
+    )
 
 
 def text_of_file(path: str | Path) -> str:
@@ -155,7 +159,7 @@ def text_of_file(path: str | Path) -> str:
         raise InputError(f"{path}: {error}", "TOML", "for instance states = {x = 'm'}") from error
 
 
-def parsed(text: str) -> dict[str, Any]:
+def parse_sections(text: str) -> dict[str, Any]:
     """The sections of a text in YAML, of which JSON is a part.
 
     Raises
@@ -165,7 +169,7 @@ def parsed(text: str) -> dict[str, Any]:
     import yaml
 
     try:
-        found = yaml.safe_load(text)
+        sections = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         place = f", line {mark.line + 1}" if mark else ""
@@ -173,35 +177,35 @@ def parsed(text: str) -> dict[str, Any]:
         raise ConfigError(
             f"equations of a system{place}: {reason}", "YAML", "quotes around a text with : or #"
         ) from error
-    if not isinstance(found, dict):
+    if not isinstance(sections, dict):
         raise ConfigError("equations of a system without sections", f"{', '.join(SECTIONS)}",
                           "equations: [\"m*x'' + k*x = F\"]")  # fmt: skip
-    return found
+    return sections
 
 
 def value_and_unit(name: str, given: Any) -> tuple[float | None, str]:
     """``2.0 kg``, ``[2.0, kg]``, ``2.0`` or ``kg`` -> value (none where only a unit) and unit."""
     if isinstance(given, str):
         first, _, rest = given.strip().partition(" ")
-        value = _float(first)
+        value = _float_or_none(first)
         return (None, given.strip()) if value is None else (value, rest.strip())
     if isinstance(given, int | float) and not isinstance(given, bool):
         return float(given), ""
     if isinstance(given, list | tuple) and len(given) == 2:
-        return _needed(name, given[0]), str(given[1] or "")
+        return _require_number(name, given[0]), str(given[1] or "")
     expected = "a value and a unit; uncertainties of known parameters are not used"
     raise ConfigError(f"{name}: {given!r}", expected, f"{name}: 2.0 kg")
 
 
-def _float(text: Any) -> float | None:
+def _float_or_none(text: Any) -> float | None:
     try:
         return None if isinstance(text, bool) else float(text)
     except (TypeError, ValueError):
         return None
 
 
-def _needed(name: str, given: Any) -> float:
-    value = _float(given)
+def _require_number(name: str, given: Any) -> float:
+    value = _float_or_none(given)
     if value is None:
         raise ConfigError(f"{name}: {given!r}", "a number", f"{name}: 2.0 kg")
     return value
@@ -211,27 +215,27 @@ def _needed(name: str, given: Any) -> float:
 
 
 def _section(given: Mapping[str, Any], name: str, needed: bool = False) -> dict[str, Any]:
-    found = given.get(name)
-    if (found is None or found == []) and not needed:
+    section = given.get(name)
+    if (section is None or section == []) and not needed:
         return {}
-    if not isinstance(found, Mapping) or (needed and not found):
-        raise ConfigError(f"{name}: {found!r}", "a mapping NAME: UNIT", f"{name}: {{x: m}}")
-    return {str(k): v for k, v in found.items()}
+    if not isinstance(section, Mapping) or (needed and not section):
+        raise ConfigError(f"{name}: {section!r}", "a mapping NAME: UNIT", f"{name}: {{x: m}}")
+    return {str(k): v for k, v in section.items()}
 
 
-def _texts(given: Mapping[str, Any], name: str) -> tuple[str, ...]:
-    found = given.get(name)
-    found = [found] if isinstance(found, str) else found
-    if not isinstance(found, list | tuple) or not found:
-        raise ConfigError(f"{name}: {found!r}", "a list with at least one", f"{name}: [...]")
+def _text_list(given: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    entries = given.get(name)
+    entries = [entries] if isinstance(entries, str) else entries
+    if not isinstance(entries, list | tuple) or not entries:
+        raise ConfigError(f"{name}: {entries!r}", "a list with at least one", f"{name}: [...]")
     texts: list[str] = []
-    for one in found:  # ``load: k*x`` in YAML is as good as "load = k*x"
+    for one in entries:  # ``load: k*x`` in YAML is as good as "load = k*x"
         pairs = one.items() if isinstance(one, Mapping) else ()
         texts += [f"{k} = {v}" for k, v in pairs] or [str(one)]
     return tuple(texts)
 
 
-def _described(section: str, name: str, given: Any, known: tuple[str, ...]) -> dict[str, Any]:
+def _entry_fields(section: str, name: str, given: Any, known: tuple[str, ...]) -> dict[str, Any]:
     """The fields of an entry that is a mapping; a text alone is its unit."""
     if not isinstance(given, Mapping):
         return {"unit": "" if given is None else str(given)}
@@ -241,7 +245,7 @@ def _described(section: str, name: str, given: Any, known: tuple[str, ...]) -> d
     return {"unit": "", **given}
 
 
-def _unit(name: str, unit: Any) -> str:
+def _valid_unit(name: str, unit: Any) -> str:
     text = str(unit or "").strip()
     text = "" if text == "1" else text
     try:
@@ -254,12 +258,14 @@ def _unit(name: str, unit: Any) -> str:
 
 
 def _state(name: str, given: Any) -> State:
-    entry = _described("states", name, given, ("unit", "like"))
-    return _made(State, name, _unit(name, entry["unit"]), like=str(entry.get("like") or ""))
+    entry = _entry_fields("states", name, given, ("unit", "like"))
+    return _build_declaration(
+        State, name, _valid_unit(name, entry["unit"]), like=str(entry.get("like") or "")
+    )
 
 
 def _input(name: str, given: Any) -> Input:
-    entry = _described("inputs", name, given, ("unit", "interpolation"))
+    entry = _entry_fields("inputs", name, given, ("unit", "interpolation"))
     kind = entry.get("interpolation", "smooth")
     if kind not in get_args(Interpolation):
         known = get_args(Interpolation)
@@ -268,51 +274,56 @@ def _input(name: str, given: Any) -> Input:
             f"one of {', '.join(known)}",
             did_you_mean(str(kind), known),
         )
-    return _made(Input, name, _unit(name, entry["unit"]), interpolation=kind)
+    return _build_declaration(Input, name, _valid_unit(name, entry["unit"]), interpolation=kind)
 
 
 def _quantity(name: str, given: Any) -> tuple[float | None, str]:
     if isinstance(given, Mapping):
         value = given.get("value")
-        return (None if value is None else _needed(name, value)), str(given.get("unit") or "")
+        return (None if value is None else _require_number(name, value)), str(
+            given.get("unit") or ""
+        )
     return value_and_unit(name, given)
 
 
-def _number(name: str, given: Any) -> tuple[float, str]:
+def _required_quantity(name: str, given: Any) -> tuple[float, str]:
     value, unit = _quantity(name, given)
-    return _needed(name, value), _unit(name, unit)
+    return _require_number(name, value), _valid_unit(name, unit)
 
 
 def _parameter(name: str, given: Any, free: bool) -> Parameter:
     if isinstance(given, Mapping):
-        _described("parameters", name, given, ("value", "unit", "lower", "upper"))
+        _entry_fields("parameters", name, given, ("value", "unit", "lower", "upper"))
     value, unit = _quantity(name, given)
     bounds = given if isinstance(given, Mapping) else {}
     low, high = (
-        None if bounds.get(k) is None else _needed(name, bounds[k]) for k in ("lower", "upper")
+        None if bounds.get(k) is None else _require_number(name, bounds[k])
+        for k in ("lower", "upper")
     )
     unbounded = not {"lower", "upper"} & set(bounds)
     if free and value and unbounded:  # it keeps the sign that it was given
         low, high = (0.0, None) if value > 0 else (None, 0.0)
     start = None if free else value
-    return _made(Parameter, name, _unit(name, unit), lower=low, upper=high, start=start)
+    return _build_declaration(
+        Parameter, name, _valid_unit(name, unit), lower=low, upper=high, start=start
+    )
 
 
-def _made(kind: Any, name: str, unit: str, **options: Any) -> Any:
+def _build_declaration(kind: Any, name: str, unit: str, **options: Any) -> Any:
     try:
         return kind(name, unit, **options)
     except PluginError as error:
         raise ConfigError(error.given, error.expected, error.try_) from error
 
 
-def _ports(given: Mapping[str, Any]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def _port_formulas(given: Mapping[str, Any]) -> tuple[tuple[str, tuple[str, ...]], ...]:
     return tuple(
         (n, tuple(map(str, v)) if isinstance(v, list | tuple) else (str(v),))
         for n, v in given.items()
     )
 
 
-def _mass(given: Any) -> Any:
+def _mass_entries(given: Any) -> Any:
     if not given:
         return ()
     if isinstance(given, Mapping):
@@ -321,20 +332,24 @@ def _mass(given: Any) -> Any:
     return tuple(tuple(map(str, r)) for r in rows)
 
 
-def _check(found: SystemDefinition, free: tuple[str, ...], rates: list[str]) -> None:
-    named = [i.name for i in (*found.states, *found.inputs, *found.parameters)]
-    named += [n for n, _, _ in found.constants] + [n for n, _ in found.readings]
+def _check_declared_names(
+    definition: SystemDefinition, free: tuple[str, ...], rates: list[str]
+) -> None:
+    named = [i.name for i in (*definition.states, *definition.inputs, *definition.parameters)]
+    named += [n for n, _, _ in definition.constants] + [n for n, _ in definition.readings]
     for name in named:
         if named.count(name) > 1 or name in ("t", "time", "pi") or name.endswith("_prime"):
             what = "twice" if named.count(name) > 1 else "for a state, an input or a parameter"
             raise ConfigError(f"the name {name!r} {what}", "a name of its own", f"{name}_1")
-    own = (n for n, _ in found.readings)
-    _known("observed", found.observed, [*(s.name for s in found.states), *rates, *own])
-    _known("free", free, [p.name for p in found.parameters])
-    _known("like", [s.like for s in found.states if s.like], list(found.observed))
+    own = (n for n, _ in definition.readings)
+    _require_known(
+        "observed", definition.observed, [*(s.name for s in definition.states), *rates, *own]
+    )
+    _require_known("free", free, [p.name for p in definition.parameters])
+    _require_known("like", [s.like for s in definition.states if s.like], list(definition.observed))
 
 
-def _known(what: str, given: Iterable[str], known: list[str]) -> None:
+def _require_known(what: str, given: Iterable[str], known: list[str]) -> None:
     for name in given:
         if name not in known:
             raise ConfigError(

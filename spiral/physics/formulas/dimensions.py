@@ -34,11 +34,12 @@ class Dimension:
     def times(self, other: Dimension, power: Fraction = Fraction(1)) -> Dimension:
         """The product with another to a power."""
         return Dimension(
-            _sum(self.known, other.known, power), _sum(self.unknown, other.unknown, power)
+            _add_exponents(self.known, other.known, power),
+            _add_exponents(self.unknown, other.unknown, power),
         )
 
 
-def _sum(first: Exponents, second: Exponents, power: Fraction) -> Exponents:
+def _add_exponents(first: Exponents, second: Exponents, power: Fraction) -> Exponents:
     keys = dict.fromkeys([*first, *second])
     total = {k: first.get(k, Fraction(0)) + power * second.get(k, Fraction(0)) for k in keys}
     return {k: v for k, v in total.items() if v}
@@ -58,10 +59,10 @@ def dimension(unit: str) -> Dimension:
     if not unit:
         return NONE
     try:
-        found = registry().Quantity(1.0, spelled(unit)).dimensionality
+        dimensionality = registry().Quantity(1.0, spelled(unit)).dimensionality
     except Exception as error:  # pint's parser raises what Python's tokenizer does
         raise ConfigError(f"unit {unit!r}", "a unit such as 'N/m^3'") from error
-    exponents = {k: Fraction(v).limit_denominator(24) for k, v in found.items()}
+    exponents = {k: Fraction(v).limit_denominator(24) for k, v in dimensionality.items()}
     return Dimension({k: v for k, v in exponents.items() if v})
 
 
@@ -72,8 +73,8 @@ class Demands:
         self.free = free
         self.rows: list[tuple[dict[str, Fraction], dict[str, Fraction]]] = []
 
-    def holds(self, first: Dimension, second: Dimension) -> bool:
-        """Whether both can have one dimension, beside all that was demanded before."""
+    def demand_equal(self, first: Dimension, second: Dimension) -> bool:
+        """Demand that both have one dimension; false where that contradicts earlier demands."""
         gap = first.times(second, Fraction(-1))
         left, right = dict(gap.unknown), {k: -v for k, v in gap.known.items()}
         for pivots, values in self.rows:
@@ -89,7 +90,7 @@ class Demands:
         self.rows.append(row)
         return True
 
-    def solved(self) -> dict[str, Dimension]:
+    def determined_dimensions(self) -> dict[str, Dimension]:
         """Unknown -> its dimension, for those that the demands fix."""
         return {
             next(iter(pivots)): Dimension(dict(values))
@@ -109,12 +110,12 @@ def _eliminate(
     if not times:
         return
     for into, what in ((left, pivots), (right, values)):
-        found = dict(_sum(into, what, -times))
+        total = dict(_add_exponents(into, what, -times))
         into.clear()
-        into.update(found)
+        into.update(total)
 
 
-def inferred(
+def infer_dimensions(
     formulas: Mapping[str, tuple[str, str]], known: Mapping[str, str], free: tuple[str, ...]
 ) -> dict[str, Dimension]:
     """The dimension of every free parameter.
@@ -132,14 +133,14 @@ def inferred(
     for what, (text, unit) in formulas.items():
         if syntax.is_zero(syntax.read(text)):
             continue
-        found = walk.of(syntax.read(text), text)
-        if not walk.demands.holds(found, dimension(unit)):
+        value_dimension = walk.of(syntax.read(text), text)
+        if not walk.demands.demand_equal(value_dimension, dimension(unit)):
             raise ConfigError(
-                f"{what} {text!r}, in {walk.words(found)}",
+                f"{what} {text!r}, in {walk.words(value_dimension)}",
                 f"a value in {short_form(unit) or 'no unit'}",
                 "a free coefficient takes the unit that is missing: k*(...)",
             )
-    solved = walk.demands.solved()
+    solved = walk.demands.determined_dimensions()
     open_ = [name for name in free if name not in solved]
     if open_:
         raise ConfigError(
@@ -152,7 +153,10 @@ def inferred(
 
 @dataclass(frozen=True)
 class Walk:
-    """Dimensions up a tree, demands on the way; ``known`` by name, ``units`` as they are told."""
+    """Dimensions of a formula's nodes, and the demands that they make of each other.
+
+    ``known`` are dimensions by name, ``units`` the same as they are written.
+    """
 
     demands: Demands
     known: Mapping[str, Dimension]
@@ -169,21 +173,21 @@ class Walk:
         if isinstance(node, ast.UnaryOp):
             return self.of(node.operand, text)
         if isinstance(node, ast.Call):
-            return self._of_call(node, text)
+            return self._call_dimension(node, text)
         assert isinstance(node, ast.BinOp)
         if isinstance(node.op, ast.Add | ast.Sub):
-            return self._alike(node.left, node.right, text)
+            return self._common_dimension(node.left, node.right, text)
         first = self.of(node.left, text)
         if isinstance(node.op, ast.Pow):
             power = Fraction(syntax.exponent(node.right)).limit_denominator(24)
             return NONE.times(first, power)
-        return first.times(self.of(node.right, text), Fraction(_sign(node.op)))
+        return first.times(self.of(node.right, text), Fraction(_exponent_sign(node.op)))
 
-    def _alike(self, left: ast.expr, right: ast.expr, text: str) -> Dimension:
+    def _common_dimension(self, left: ast.expr, right: ast.expr, text: str) -> Dimension:
         first, second = self.of(left, text), self.of(right, text)
         if syntax.is_zero(left):
             return second
-        if not syntax.is_zero(right) and not self.demands.holds(first, second):
+        if not syntax.is_zero(right) and not self.demands.demand_equal(first, second):
             raise ConfigError(
                 f"expression {text!r}: {ast.unparse(left)} in {self.words(first)} beside "
                 f"{ast.unparse(right)} in {self.words(second)}",
@@ -192,19 +196,19 @@ class Walk:
             )
         return first
 
-    def _of_call(self, node: ast.Call, text: str) -> Dimension:
+    def _call_dimension(self, node: ast.Call, text: str) -> Dimension:
         assert isinstance(node.func, ast.Name)
         name, given = node.func.id, node.args
         if name == "where":
             assert isinstance(given[0], ast.Compare)
-            self._alike(given[0].left, given[0].comparators[0], text)
-            return self._alike(given[1], given[2], text)
+            self._common_dimension(given[0].left, given[0].comparators[0], text)
+            return self._common_dimension(given[1], given[2], text)
         if len(given) == 2:
-            return self._alike(given[0], given[1], text)
+            return self._common_dimension(given[0], given[1], text)
         inner = self.of(given[0], text)
         if name == "sqrt":
             return NONE.times(inner, Fraction(1, 2))
-        if name in syntax.ELEMENTARY and not self.demands.holds(inner, NONE):
+        if name in syntax.ELEMENTARY and not self.demands.demand_equal(inner, NONE):
             raise ConfigError(
                 f"expression {text!r}: {name} of {ast.unparse(given[0])}, in {self.words(inner)}",
                 f"{name} of a value without a unit",
@@ -212,15 +216,17 @@ class Walk:
             )
         return NONE if name in syntax.ELEMENTARY else inner
 
-    def words(self, found: Dimension) -> str:
+    def words(self, value_dimension: Dimension) -> str:
         """A dimension in words: a unit, and the unknown parameters in it."""
-        unit = "*".join(f"{BASE.get(k, k)}^({v})" for k, v in found.known.items())
+        unit = "*".join(f"{BASE.get(k, k)}^({v})" for k, v in value_dimension.known.items())
         parts = [short_form(unit)] if unit else []
-        parts += [f"[{k}]" + ("" if v == 1 else f"^{v}") for k, v in found.unknown.items()]
+        parts += [
+            f"[{k}]" + ("" if v == 1 else f"^{v}") for k, v in value_dimension.unknown.items()
+        ]
         return " ".join(parts) or "no unit"
 
 
-def _sign(operation: ast.operator) -> int:
+def _exponent_sign(operation: ast.operator) -> int:
     return -1 if isinstance(operation, ast.Div) else 1
 
 
@@ -251,13 +257,15 @@ def unit_for(wanted: Dimension, words: Mapping[str, str]) -> str | None:
     first = next(iter(words))
     for count in range(1, 4):
         for chosen in itertools.combinations(words, count):
-            for powers in _solutions(wanted, [dimension(words[w]) for w in chosen]):
+            for powers in _exponent_solutions(wanted, [dimension(words[w]) for w in chosen]):
                 if first not in chosen or powers[0] == 1:
-                    return _product(chosen, powers)
+                    return _product_text(chosen, powers)
     return None
 
 
-def _solutions(wanted: Dimension, given: list[Dimension]) -> Iterator[tuple[Fraction, ...]]:
+def _exponent_solutions(
+    wanted: Dimension, given: list[Dimension]
+) -> Iterator[tuple[Fraction, ...]]:
     """Exponents, none zero, whose product has the dimension wanted."""
     unknown = tuple(str(i) for i in range(len(given)))
     bases = dict.fromkeys([*wanted.known, *(k for g in given for k in g.known)])
@@ -266,29 +274,29 @@ def _solutions(wanted: Dimension, given: list[Dimension]) -> Iterator[tuple[Frac
         left = {u: g.known[base] for u, g in zip(unknown, given, strict=True) if base in g.known}
         right = wanted.known.get(base, Fraction(0))
         target = Dimension({"1": right} if right else {})
-        if not demands.holds(Dimension({}, left), target):
+        if not demands.demand_equal(Dimension({}, left), target):
             return
-    solved = demands.solved()
+    solved = demands.determined_dimensions()
     powers = tuple(solved[u].known.get("1", Fraction(0)) if u in solved else None for u in unknown)
     if all(p is not None and p != 0 for p in powers):
         yield tuple(p for p in powers if p is not None)
 
 
-def _product(chosen: tuple[str, ...], powers: tuple[Fraction, ...]) -> str:
+def _product_text(chosen: tuple[str, ...], powers: tuple[Fraction, ...]) -> str:
     """``force/position^3`` from words and their powers; position/s is a velocity."""
-    found = dict(zip(chosen, powers, strict=True))
-    if found == {"position": 1, "s": -1}:
+    powers_by_word = dict(zip(chosen, powers, strict=True))
+    if powers_by_word == {"position": 1, "s": -1}:
         return "velocity"
-    above = [_power(w, p) for w, p in found.items() if p > 0]
-    below = [_power(w, -p) for w, p in found.items() if p < 0]
+    above = [_power_text(w, p) for w, p in powers_by_word.items() if p > 0]
+    below = [_power_text(w, -p) for w, p in powers_by_word.items() if p < 0]
     return "/".join(["*".join(above) or "1", *below])
 
 
-def _power(word: str, power: Fraction) -> str:
+def _power_text(word: str, power: Fraction) -> str:
     return word if power == 1 else f"{word}^{float(power):g}"
 
 
-def agree(name: str, given: str, coherent: str) -> None:
+def check_unit_agrees(name: str, given: str, coherent: str) -> None:
     """Refuse a unit that is not the one the numbers are in.
 
     Raises

@@ -26,13 +26,13 @@ from spiral.physics.formulas.rows import (
     SECOND,
     TIME,
     EquationRow,
-    checked_units,
-    negative,
-    primed,
+    check_row_units,
+    is_negative,
     read_row,
+    restore_primes,
     symbol,
 )
-from spiral.physics.formulas.symbolic import text_of
+from spiral.physics.formulas.symbolic import formula_text
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import State
 from spiral.types.rates import per_second
@@ -79,12 +79,12 @@ def equations_of(text: str) -> StandardForm:
     """
     given = definition_of(text)
     rows = [read_row(given, i) for i in range(len(given.equations))]
-    return _arranged(given, rows)
+    return _arrange_equations(given, rows)
 
 
-def _arranged(given: SystemDefinition, rows: Sequence[EquationRow]) -> StandardForm:
-    second = {s.name for s in given.states if any(_has(r, s.name + SECOND) for r in rows)}
-    pairs = _pairs(given, rows, second)
+def _arrange_equations(given: SystemDefinition, rows: Sequence[EquationRow]) -> StandardForm:
+    second = {s.name for s in given.states if any(_has_symbol(r, s.name + SECOND) for r in rows)}
+    pairs = _rate_pairs(given, rows, second)
     taken = {row.place for _, row in pairs.values()}
     coordinates = [s for s in given.states if s.name in second or s.name in pairs]
     velocity = {c.name: pairs[c.name][0] if c.name in pairs else f"{c.name}_rate"
@@ -100,12 +100,14 @@ def _arranged(given: SystemDefinition, rows: Sequence[EquationRow]) -> StandardF
         raise ConfigError(
             f"{len(rows)} equations for the states {', '.join(s.name for s in given.states)}",
             f"{len(unknown) + len(taken)}, one for each of "
-            + ", ".join(primed(str(s)) for s in (*(symbol(c + FIRST) for c in pairs), *unknown)),
+            + ", ".join(
+                restore_primes(str(s)) for s in (*(symbol(c + FIRST) for c in pairs), *unknown)
+            ),
         )
     count = len(coordinates)
-    order, signs, matrix = _matched(values, unknown, [r.place for r in left], count)
-    units = checked_units(given, rows, velocity)
-    _check_apart(matrix, count, [left[i].place for i in order])
+    order, signs, matrix = _match_equations(values, unknown, [r.place for r in left], count)
+    units = check_row_units(given, rows, velocity)
+    _check_separate_rates(matrix, count, [left[i].place for i in order])
     known = dict.fromkeys(unknown, 0)
     rest = [-sign * values[i].subs(known) for i, sign in zip(order, signs, strict=True)]
     inertia, force, force_units = inertia_of(
@@ -114,36 +116,36 @@ def _arranged(given: SystemDefinition, rows: Sequence[EquationRow]) -> StandardF
     flow = matrix[count:, count:].LUsolve(sp.Matrix(rest[count:])) if others else []
     return StandardForm(
         given, tuple(coordinates), tuple(velocity.values()), tuple(others),
-        tuple(tuple(text_of(inertia[i, j]) for j in range(count)) for i in range(count)),
-        tuple(map(text_of, force)), tuple(map(text_of, flow)), force_units,
+        tuple(tuple(formula_text(inertia[i, j]) for j in range(count)) for i in range(count)),
+        tuple(map(formula_text, force)), tuple(map(formula_text, flow)), force_units,
         readings_of(given, velocity),
     )  # fmt: skip
 
 
-def _has(row: EquationRow, name: str) -> bool:
+def _has_symbol(row: EquationRow, name: str) -> bool:
     return symbol(name) in row.value.free_symbols
 
 
-def _pairs(
+def _rate_pairs(
     given: SystemDefinition, rows: Sequence[EquationRow], second: set[str]
 ) -> dict[str, tuple[str, EquationRow]]:
     """Coordinate -> its rate and the equation that says so, of equations ``x' = v``."""
-    found: dict[str, tuple[str, EquationRow]] = {}
+    pairs: dict[str, tuple[str, EquationRow]] = {}
     names = [s.name for s in given.states if s.name not in second]
     for row in rows:
         for name in names:
-            if not _has(row, name + FIRST):
+            if not _has_symbol(row, name + FIRST):
                 continue
             for other in names:
                 gap = symbol(name + FIRST) - symbol(other)
                 if other != name and sp.expand(row.value - gap) * sp.expand(row.value + gap) == 0:
-                    found.setdefault(name, (other, row))
-    rates = [v for v, _ in found.values()]
-    chained = {n for n in found if n in rates}  # a rate that has a rate in turn: first order
-    return {n: p for n, p in found.items() if n not in chained and rates.count(p[0]) == 1}
+                    pairs.setdefault(name, (other, row))
+    rates = [v for v, _ in pairs.values()]
+    chained = {n for n in pairs if n in rates}  # a rate that has a rate in turn: first order
+    return {n: p for n, p in pairs.items() if n not in chained and rates.count(p[0]) == 1}
 
 
-def _matched(
+def _match_equations(
     values: Sequence[Any], unknown: Sequence[sp.Symbol], places: Sequence[str], count: int
 ) -> tuple[list[int], list[int], Any]:
     """The equations in the order of their unknown rates, their signs, the matrix of these rates.
@@ -155,65 +157,68 @@ def _matched(
             slope = value.diff(one)
             if slope.free_symbols & {*unknown} or slope.has(sp.Derivative, sp.Subs):
                 raise ConfigError(
-                    f"{place}, not linear in {primed(str(one))}",
+                    f"{place}, not linear in {restore_primes(str(one))}",
                     "rates of highest order as plain factors",
                 )
     matrix = sp.Matrix([[sp.expand(v.diff(one)) for one in unknown] for v in values])
     rows = {j: [i for i in range(len(values)) if matrix[i, j] != 0] for j in range(len(unknown))}
-    order = _assigned(rows, len(unknown))
+    order = _assign_rows(rows, len(unknown))
     if order is None:
-        lacking = [str(unknown[j]) for j, found in rows.items() if not found]
+        lacking = [str(unknown[j]) for j, matches in rows.items() if not matches]
         raise ConfigError(
-            f"equations without {', '.join(map(primed, lacking)) or 'a unique solution'}",
+            f"equations without {', '.join(map(restore_primes, lacking)) or 'a unique solution'}",
             "one equation for the highest rate of each state",
         )
     others = itertools.permutations(order[:count]) if count <= _PERMUTED else ()
     orders = ([*some, *order[count:]] for some in (order[:count], *others))
-    trials = ((some, *_in_order(matrix, some)) for some in orders)
-    return next((t for t in trials if _fits(t[2], count)), (order, *_in_order(matrix, order)))
+    trials = ((some, *_order_equations(matrix, some)) for some in orders)
+    return next(
+        (t for t in trials if _is_valid_order(t[2], count)),
+        (order, *_order_equations(matrix, order)),
+    )
 
 
-def _in_order(matrix: Any, order: Sequence[int]) -> tuple[list[int], Any]:
+def _order_equations(matrix: Any, order: Sequence[int]) -> tuple[list[int], Any]:
     """The equations' signs, by which each own rate is positive, and the matrix in this order."""
-    found = matrix.extract(list(order), list(range(len(order))))
-    signs = [-1 if negative(found[i, i]) else 1 for i in range(len(order))]
-    return signs, sp.diag(*signs) * found
+    ordered = matrix.extract(list(order), list(range(len(order))))
+    signs = [-1 if is_negative(ordered[i, i]) else 1 for i in range(len(order))]
+    return signs, sp.diag(*signs) * ordered
 
 
-def _fits(matrix: Any, count: int) -> bool:
+def _is_valid_order(matrix: Any, count: int) -> bool:
     """Whether every coordinate's own acceleration is there, and the mass matrix symmetric.
 
     Of m (x'' - z'') = f and m (z'' - x'') + M z'' = g each equation has both accelerations, and one
     order alone is right.
     """
     inertia = matrix[:count, :count]
-    return all(inertia[i, i] != 0 for i in range(count)) and _symmetric(inertia)
+    return all(inertia[i, i] != 0 for i in range(count)) and _is_symmetric(inertia)
 
 
-def _symmetric(inertia: Any) -> bool:
+def _is_symmetric(inertia: Any) -> bool:
     return (inertia - inertia.T).expand() == sp.zeros(*inertia.shape)
 
 
-def _assigned(rows: Mapping[int, Sequence[int]], count: int) -> list[int] | None:
+def _assign_rows(rows: Mapping[int, Sequence[int]], count: int) -> list[int] | None:
     """A row for each column, by augmenting paths; columns with one row first."""
     owner: dict[int, int] = {}
 
-    def place(column: int, seen: set[int]) -> bool:
+    def assign_column(column: int, seen: set[int]) -> bool:
         for row in rows[column]:
             if row not in seen:
                 seen.add(row)
-                if row not in owner or place(owner[row], seen):
+                if row not in owner or assign_column(owner[row], seen):
                     owner[row] = column
                     return True
         return False
 
-    if not all(place(j, set()) for j in sorted(rows, key=lambda j: len(rows[j]))):
+    if not all(assign_column(j, set()) for j in sorted(rows, key=lambda j: len(rows[j]))):
         return None
     back = {column: row for row, column in owner.items()}
     return [back[j] for j in range(count)]
 
 
-def _check_apart(matrix: Any, count: int, places: Sequence[str]) -> None:
+def _check_separate_rates(matrix: Any, count: int, places: Sequence[str]) -> None:
     size = matrix.shape[0]
     for i in range(size):
         for j in range(size):
@@ -224,7 +229,7 @@ def _check_apart(matrix: Any, count: int, places: Sequence[str]) -> None:
                     "put the rate's own equation in its place",
                 )
     inertia = matrix[:count, :count]
-    if not _symmetric(inertia):
+    if not _is_symmetric(inertia):
         raise ConfigError(
             f"equations with a mass matrix that is not symmetric: {inertia.tolist()}",
             "M = M^T, as Lagrange's equations give it, so that a force at a port has its work",
@@ -244,7 +249,7 @@ def port_unit(equations: StandardForm, texts: Iterable[str], name: str) -> tuple
     """
     units, known = equations.units, {c.name: i for i, c in enumerate(equations.coordinates)}
     walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
-    found, given = set(), equations.definition
+    axis_units, given = set(), equations.definition
     driven = {name for i in given.inputs for name in (i.name, i.rate.name)}
     for text in texts:
         names = [n for n in syntax.names(text) if n in known]
@@ -259,9 +264,11 @@ def port_unit(equations: StandardForm, texts: Iterable[str], name: str) -> tuple
             raise ConfigError(f"port {name}: {text!r}", f"a formula of {', '.join(known)}")
         position = walk.of(syntax.read(text), text)
         own = next((n for n in names if dimension(units[n]) == position), names[0])
-        found.add((units[own], equations.force_units[known[own]]))
+        axis_units.add((units[own], equations.force_units[known[own]]))
         if dimension(units[own]) != position:
             raise ConfigError(f"port {name}: {text!r}", f"a position in {units[own] or 'rad'}")
-    if len(found) > 1:
-        raise ConfigError(f"port {name} with axes in {found}", "axes of one unit and one force")
-    return found.pop()
+    if len(axis_units) > 1:
+        raise ConfigError(
+            f"port {name} with axes in {axis_units}", "axes of one unit and one force"
+        )
+    return axis_units.pop()

@@ -14,7 +14,12 @@ from types import SimpleNamespace
 from typing import Any, ClassVar
 
 from spiral.physics.formulas import syntax
-from spiral.physics.formulas.dimensions import agree, dimension, inferred, unit_for
+from spiral.physics.formulas.dimensions import (
+    check_unit_agrees,
+    dimension,
+    infer_dimensions,
+    unit_for,
+)
 from spiral.physics.formulas.place import EACH_AXIS, Place, place_of
 from spiral.types.effect import Effect, FlowEffect, ForceEffect
 from spiral.types.errors import ConfigError, did_you_mean
@@ -101,7 +106,7 @@ def class_of(name: str, given: Mapping[str, Any], system: System) -> type[Effect
     if not definition.expression:
         raise ConfigError(f"{where} without an expression", f"{where}.expression=FORMULA")
     text = json.dumps(definition.as_dict(), sort_keys=True)
-    return _class(name, text, place_of(system, definition.port))
+    return _build_class(name, text, place_of(system, definition.port))
 
 
 def formulas_of(effect: Effect) -> dict[str, str]:
@@ -126,15 +131,15 @@ class ForceByFormula(ForceEffect):
 
     def force(self, at, u, p):
         """The formulas' values, one for each axis."""
-        values = _inputs(self.place, u)
+        values = _input_values(self.place, u)
         for (axis, _), q, v in zip(self.place.positions, at.position, at.velocity, strict=True):
             values |= {axis: q, f"{axis}_rate": v}
-        found = []
+        forces = []
         for i, (_, text) in enumerate(self.formulas):
-            own = _parameters(self.parameters, p, i)
+            own = _parameter_values(self.parameters, p, i)
             each = {"q": at.position[i], "v": at.velocity[i]}
-            found.append(syntax.compute(text, {**values, **each, **own}))
-        return found
+            forces.append(syntax.compute(text, {**values, **each, **own}))
+        return forces
 
 
 class FlowByFormula(FlowEffect):
@@ -146,37 +151,39 @@ class FlowByFormula(FlowEffect):
 
     def flow(self, x, u, p):
         """The formulas' values by channel."""
-        values = _inputs(self.place, u) | {n: getattr(x, n) for n, _ in self.place.states}
-        own = _parameters(self.parameters, p, 0)
+        values = _input_values(self.place, u) | {n: getattr(x, n) for n, _ in self.place.states}
+        own = _parameter_values(self.parameters, p, 0)
         return {c: syntax.compute(text, {**values, **own}) for c, text in self.formulas}
 
 
 _BY_FORMULA = (ForceByFormula, FlowByFormula)
 
 
-def _inputs(place: Place, u: SimpleNamespace) -> dict[str, Any]:
+def _input_values(place: Place, u: SimpleNamespace) -> dict[str, Any]:
     return {n: getattr(u, n) for n, _ in place.inputs}
 
 
-def _parameters(known: tuple[Parameter, ...], p: SimpleNamespace, axis: int) -> dict[str, Any]:
+def _parameter_values(
+    known: tuple[Parameter, ...], p: SimpleNamespace, axis: int
+) -> dict[str, Any]:
     return {q.name: getattr(p, q.name)[axis] if q.per_axis else getattr(p, q.name) for q in known}
 
 
 @lru_cache(maxsize=256)
-def _class(name: str, text: str, place: Place) -> type[Effect]:
+def _build_class(name: str, text: str, place: Place) -> type[Effect]:
     definition = construct(Definition, json.loads(text), f"effect.{name}")
-    formulas = _formulas(definition.expression, place)
+    formulas = _formulas_by_output(definition.expression, place)
     used = dict.fromkeys(n for t in formulas.values() for n in syntax.names(t))
     free = tuple(n for n in used if n not in place.known)
     _check_names(definition, free, place)
-    parameters = _parameters_of(definition, formulas, free, place)
+    parameters = _define_parameters(definition, formulas, free, place)
     equation = "; ".join(f"{'F' if place.force else 'flow'}_{k} = {t}" for k, t in formulas.items())
     words = definition.meaning.rstrip(".") or "An effect by expression"
     body = {
         "__doc__": f"{words}: {equation}.",
         "__module__": __name__,
         "plugin_name": classmethod(lambda cls: name),
-        "__reduce__": lambda self: (_again, (name, text, place, self.port, self.variant)),
+        "__reduce__": lambda self: (_rebuild_effect, (name, text, place, self.port, self.variant)),
         "__annotations__": {"port": str},
         "port": definition.port,
         "parameters": parameters,
@@ -185,25 +192,25 @@ def _class(name: str, text: str, place: Place) -> type[Effect]:
         "formulas": tuple(formulas.items()),
         "inputs": tuple(n for n in used if n in dict(place.inputs)),
         "channels": () if place.force else tuple(n for n in used if n in dict(place.states)),
-        "axes": len(place.positions) if place.force and not _serves_all(definition) else None,
+        "axes": len(place.positions) if place.force and not _is_for_all_axes(definition) else None,
     }
     base = ForceByFormula if place.force else FlowByFormula
     made: type[Effect] = type(base)(name, (base,), body)  # type: ignore[assignment]
     return made
 
 
-def _again(name: str, text: str, place: Place, port: str, variant: str) -> Effect:
-    """An effect by expression in another process."""
-    return _class(name, text, place)(port=port, variant=variant)
+def _rebuild_effect(name: str, text: str, place: Place, port: str, variant: str) -> Effect:
+    """An effect by expression as unpickling makes it, in another process."""
+    return _build_class(name, text, place)(port=port, variant=variant)
 
 
-def _serves_all(definition: Definition) -> bool:
+def _is_for_all_axes(definition: Definition) -> bool:
     """Whether one formula in q and v serves any number of axes."""
     text = definition.expression
     return isinstance(text, str) and bool({*EACH_AXIS} & {*syntax.names(text)})
 
 
-def _formulas(given: Any, place: Place) -> dict[str, str]:
+def _formulas_by_output(given: Any, place: Place) -> dict[str, str]:
     """Axis or channel -> formula, from any of the ways to give it."""
     outputs = [name for name, _ in place.outputs]
     what = "axis" if place.force else "channel"
@@ -231,7 +238,7 @@ def _formulas(given: Any, place: Place) -> dict[str, str]:
 
 
 def _check_names(definition: Definition, free: tuple[str, ...], place: Place) -> None:
-    """Refuse time, and words about parameters that the expression has not."""
+    """Refuse time as a name, and options of parameters that are not in the expression."""
     for name in free:
         if name in _TIME:
             raise ConfigError(
@@ -252,10 +259,10 @@ def _check_names(definition: Definition, free: tuple[str, ...], place: Place) ->
 # --- their parameters ----------------------------------------------------------------------------
 
 
-def _parameters_of(
+def _define_parameters(
     definition: Definition, formulas: Mapping[str, str], free: tuple[str, ...], place: Place
 ) -> tuple[Parameter, ...]:
-    units = _units(definition, formulas, free, place)
+    units = _parameter_units(definition, formulas, free, place)
     shapes = {**(definition.shape or {}), **(definition.grid or {})}
     amplitudes = tuple(n for n in free if n not in shapes)
     _check_linear(formulas, free, amplitudes, place)
@@ -273,7 +280,7 @@ def _parameters_of(
     )
 
 
-def _units(
+def _parameter_units(
     definition: Definition, formulas: Mapping[str, str], free: tuple[str, ...], place: Place
 ) -> dict[str, str]:
     """Parameter -> unit relative to the port, found from the equation or checked against it."""
@@ -282,13 +289,15 @@ def _units(
     what = "force on" if place.force else "flow into"
     wanted = {f"{what} {k}": (t, due[k]) for k, t in formulas.items()}
     unsaid = tuple(n for n in free if n not in said)
-    found = inferred(wanted, {**place.known, **said}, unsaid)
+    dimensions = infer_dimensions(wanted, {**place.known, **said}, unsaid)
     units = {}
     for name in free:
-        unit = unit_for(found[name], place.words) if name in found else None
+        unit = unit_for(dimensions[name], place.words) if name in dimensions else None
         if name in said:
             given = (definition.units or {})[name]
-            units[name] = given if place.relative(given) else _said(name, said[name], place)
+            units[name] = (
+                given if place.is_relative(given) else _coherent_unit(name, said[name], place)
+            )
         elif unit is None:
             raise ConfigError(
                 f"parameter {name!r}, whose unit has no short form here",
@@ -300,12 +309,12 @@ def _units(
     return units
 
 
-def _said(name: str, unit: str, place: Place) -> str:
-    """A unit that was given, in the words of the place, once its size is the place's own."""
+def _coherent_unit(name: str, unit: str, place: Place) -> str:
+    """A given unit in the place's words, after a check that its size is that of the place's."""
     coherent = unit_for(dimension(unit), place.words)
     if coherent is None:
         return unit
-    agree(name, unit, place.absolute(coherent) or "dimensionless")
+    check_unit_agrees(name, unit, place.absolute(coherent) or "dimensionless")
     return coherent
 
 
@@ -331,10 +340,10 @@ def _check_linear(
         for name, symbol in zip(amplitudes, own, strict=True):
             others = value.diff(symbol).free_symbols & set(own)
             if others:
-                raise _not_linear(text, sorted({name, *map(str, others)}), place)
+                raise _not_linear_error(text, sorted({name, *map(str, others)}), place)
 
 
-def _not_linear(text: str, pair: list[str], place: Place) -> ConfigError:
+def _not_linear_error(text: str, pair: list[str], place: Place) -> ConfigError:
     return ConfigError(
         f"expression {text!r}, not linear in {' and '.join(pair)}",
         f"parameters that are plain factors, others with a value; known here: "

@@ -1,4 +1,4 @@
-"""A right-hand side written in Python, followed once and written as equations."""
+"""A right-hand side written in Python, traced once and written as equations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,12 @@ from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import definition_of
 from spiral.physics.formulas.dimensions import BASE, NONE, Demands, Dimension, Walk, dimension
 from spiral.physics.formulas.rows import symbol
-from spiral.physics.formulas.symbolic import CannotFollowError, Expression, expression_of, text_of
+from spiral.physics.formulas.symbolic import (
+    CannotFollowError,
+    Expression,
+    expression_of,
+    formula_text,
+)
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
 from spiral.types.rates import per_second
 from spiral.types.units import short_form
@@ -55,9 +60,9 @@ class Values:
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
         """An array of objects."""
-        found = np.empty(len(self), dtype=object)
-        found[:] = list(self)
-        return found
+        array = np.empty(len(self), dtype=object)
+        array[:] = list(self)
+        return array
 
 
 def definition_from(rhs: Callable[..., Any], sections: Mapping[str, Any]) -> dict[str, Any]:
@@ -73,10 +78,10 @@ def definition_from(rhs: Callable[..., Any], sections: Mapping[str, Any]) -> dic
     ------
     ConfigError : what cannot be followed, with its line; units that do not fit.
     """
-    declared = definition_of(written({**sections, "equations": ["0 = 0"]}))  # or refused
+    declared = definition_of(dump_sections({**sections, "equations": ["0 = 0"]}))  # or refused
     names = [s.name for s in declared.states]
 
-    def values(group: Sequence[Any]) -> Values:
+    def named_symbols(group: Sequence[Any]) -> Values:
         return Values({item.name: Expression(symbol(item.name)) for item in group})
 
     rates = {i.rate.name: i.rate.unit for i in declared.inputs}
@@ -84,37 +89,39 @@ def definition_from(rhs: Callable[..., Any], sections: Mapping[str, Any]) -> dic
     inputs = type("Inputs", (Values,), beside)  # by name alone: u has as many values as inputs
     time = Expression(symbol("time"))
     given = (
-        time, values(declared.states), inputs(vars(values(declared.inputs))),
-        values(declared.parameters),
+        time, named_symbols(declared.states), inputs(vars(named_symbols(declared.inputs))),
+        named_symbols(declared.parameters),
     )  # fmt: skip
-    found = _called(rhs, given, names)
-    formulas = {n: text_of(expression_of(v)) for n, v in found.items()}
+    derivatives = _call_with_symbols(rhs, given, names)
+    formulas = {n: formula_text(expression_of(v)) for n, v in derivatives.items()}
     units = {**rates, **declared.units, "time": "s"}
     due = {s.name: per_second(s.unit) for s in declared.states}
-    formulas, constants = _with_units(formulas, units, due)
+    formulas, constants = _name_constants(formulas, units, due)
     lines = [f"{name}' = {text}" for name, text in formulas.items()]
     if constants:
         sections = {**sections, "constants": {**(sections.get("constants") or {}), **constants}}
     return {"equations": lines, **sections}
 
 
-def written(sections: Mapping[str, Any]) -> str:
+def dump_sections(sections: Mapping[str, Any]) -> str:
     """Sections as text (YAML)."""
     import yaml
 
-    plain = {k: _plain(v) for k, v in sections.items() if v is not None}
+    plain = {k: _plain_data(v) for k, v in sections.items() if v is not None}
     return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=1000)
 
 
-def _plain(value: Any) -> Any:
+def _plain_data(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): _plain_data(v) for k, v in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
+        return _plain_data(value.tolist())
+    return [_plain_data(v) for v in value] if isinstance(value, list | tuple) else value
 
 
-def _called(rhs: Callable[..., Any], given: tuple[Any, ...], names: list[str]) -> dict[str, Any]:
+def _call_with_symbols(
+    rhs: Callable[..., Any], given: tuple[Any, ...], names: list[str]
+) -> dict[str, Any]:
     try:
         count = sum(
             p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.default is p.empty
@@ -129,17 +136,17 @@ def _called(rhs: Callable[..., Any], given: tuple[Any, ...], names: list[str]) -
             f"a function of {count} arguments", "rhs(t, x), rhs(t, x, u) or rhs(t, x, u, p)"
         )
     try:
-        found = rhs(*given[:count])
-        rates = _by_name(found, names)
+        result = rhs(*given[:count])
+        rates = _rates_by_name(result, names)
         return {n: Expression(expression_of(rates[n])) for n in names}
     except SpiralError:
         raise
     except Exception as error:
-        _refuse(rhs, error, names)
+        _raise_cannot_trace(rhs, error, names)
 
 
-def _by_name(found: Any, names: list[str]) -> Mapping[str, Any]:
-    given = dict(found) if isinstance(found, Mapping) else list(found)
+def _rates_by_name(result: Any, names: list[str]) -> Mapping[str, Any]:
+    given = dict(result) if isinstance(result, Mapping) else list(result)
     wanted = set(given) == set(names) if isinstance(given, dict) else len(given) == len(names)
     if not wanted:
         told = ", ".join(map(str, given)) if isinstance(given, dict) else f"{len(given)} values"
@@ -147,8 +154,8 @@ def _by_name(found: Any, names: list[str]) -> Mapping[str, Any]:
     return given if isinstance(given, dict) else dict(zip(names, given, strict=True))
 
 
-def _refuse(rhs: Callable[..., Any], error: Exception, names: list[str]) -> NoReturn:
-    place = _line(error)
+def _raise_cannot_trace(rhs: Callable[..., Any], error: Exception, names: list[str]) -> NoReturn:
+    place = _error_line(error)
     name = getattr(rhs, "__name__", "rhs")
     if isinstance(error, CannotFollowError):
         raise CannotTraceError(
@@ -163,7 +170,7 @@ def _refuse(rhs: Callable[..., Any], error: Exception, names: list[str]) -> NoRe
     ) from error
 
 
-def _line(error: Exception) -> str:
+def _error_line(error: Exception) -> str:
     """Where in the caller's own code it happened."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         folders = Path(frame.filename).parts
@@ -176,7 +183,7 @@ def _line(error: Exception) -> str:
 # --- numbers that have units ---------------------------------------------------------------------
 
 
-def _with_units(
+def _name_constants(
     formulas: Mapping[str, str], units: Mapping[str, str], due: Mapping[str, str]
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Formulas whose numbers with a unit are constants by name, and these constants.
@@ -189,14 +196,14 @@ def _with_units(
     for i, (state, text) in enumerate(formulas.items()):
         named[state].prefix = f"number_{i}"
         trees[state] = named[state].visit(ast.parse(text, mode="eval").body)
-    numbers = {n: v for one in named.values() for n, v in one.found.items()}
+    numbers = {n: v for one in named.values() for n, v in one.values.items()}
     demands = Demands(tuple(numbers))
     walk = Walk(demands, {n: dimension(u) for n, u in units.items()}, units)
     for state, tree in trees.items():
-        _demand(walk, demands, state, tree, formulas[state], due[state])
+        _demand_rate_unit(walk, demands, state, tree, formulas[state], due[state])
     for name in numbers:
-        demands.holds(Dimension({}, {name: Fraction(1)}), NONE)
-    solved = demands.solved()
+        demands.demand_equal(Dimension({}, {name: Fraction(1)}), NONE)
+    solved = demands.determined_dimensions()
     kept = {n: solved[n] for n in numbers if solved.get(n, NONE).known}
     names = {n: f"constant_{i + 1}" for i, n in enumerate(kept)}
     constants = {names[n]: f"{numbers[n]!r} {short_form(_unit_text(d))}" for n, d in kept.items()}
@@ -210,33 +217,35 @@ _HINT = (
 )
 
 
-def _demand(walk: Walk, demands: Demands, state: str, tree: ast.expr, text: str, unit: str) -> None:
+def _demand_rate_unit(
+    walk: Walk, demands: Demands, state: str, tree: ast.expr, text: str, unit: str
+) -> None:
     if syntax.is_zero(tree):
         return
     try:
-        found = walk.of(tree, text)
-        fits = demands.holds(found, dimension(unit))
+        rate_dimension = walk.of(tree, text)
+        fits = demands.demand_equal(rate_dimension, dimension(unit))
     except ConfigError as error:
         said = error.given.partition("': ")[2] or error.given
         raise ConfigError(f"the rate of {state}, {text}: {said}", error.expected, _HINT) from error
     if not fits:
         raise ConfigError(
-            f"the rate of {state}, {text}, in {walk.words(found)}",
+            f"the rate of {state}, {text}, in {walk.words(rate_dimension)}",
             f"a value in {short_form(unit)}",
             _HINT,
         )
 
 
-def _unit_text(found: Dimension) -> str:
-    return "*".join(f"{BASE.get(k, k)}^({v})" for k, v in found.known.items())
+def _unit_text(value_dimension: Dimension) -> str:
+    return "*".join(f"{BASE.get(k, k)}^({v})" for k, v in value_dimension.known.items())
 
 
 class _Numbers(ast.NodeTransformer):
-    """Every number but exponents and zeros by a name."""
+    """Replaces every number but exponents and zeros by a name."""
 
     def __init__(self, taken: Mapping[str, str]) -> None:
         self.prefix, self.taken = "", taken
-        self.found: dict[str, float] = {}
+        self.values: dict[str, float] = {}
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         """A power keeps its exponent, a ratio of whole numbers is one number."""
@@ -244,21 +253,21 @@ class _Numbers(ast.NodeTransformer):
             return ast.BinOp(self.visit(node.left), node.op, node.right)
         both = isinstance(node.left, ast.Constant) and isinstance(node.right, ast.Constant)
         if both and isinstance(node.op, ast.Div):
-            return self._named(node.left.value / node.right.value)  # type: ignore[attr-defined]
+            return self._replace_number(node.left.value / node.right.value)  # type: ignore[attr-defined]
         return self.generic_visit(node)
 
     def visit_Constant(self, node: ast.Constant) -> ast.AST:
         """A number, zero apart, which has any unit."""
-        return node if node.value == 0 else self._named(node.value)
+        return node if node.value == 0 else self._replace_number(node.value)
 
-    def _named(self, value: Any) -> ast.AST:
-        name = f"{self.prefix}_{len(self.found)}"
-        self.found[name] = value
+    def _replace_number(self, value: Any) -> ast.AST:
+        name = f"{self.prefix}_{len(self.values)}"
+        self.values[name] = value
         return ast.Name(name)
 
 
 class _Back(ast.NodeTransformer):
-    """Names by what stands for them."""
+    """Replaces names by what stands for them."""
 
     def __init__(self, by: Mapping[str, ast.expr]) -> None:
         self.by = by

@@ -12,8 +12,8 @@ from sympy.core.function import AppliedUndef
 from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import SystemDefinition
 from spiral.physics.formulas.dimensions import Demands, Dimension, Walk, dimension
-from spiral.physics.formulas.rows import TIME, evaluated, negative, size_of, symbol
-from spiral.physics.formulas.symbolic import text_of
+from spiral.physics.formulas.rows import TIME, formula_expression, is_negative, size_of, symbol
+from spiral.physics.formulas.symbolic import formula_text
 from spiral.types.errors import ConfigError
 from spiral.types.parameter import State
 from spiral.types.rates import per_second
@@ -40,8 +40,8 @@ def inertia_of(
             own = _own_inertia(rest[i], coordinates[i], given, units)
             above, below = sp.fraction(sp.together(rest[i]))
             matrix[i, i], force[i] = own, rest[i] if own == 1 else above * (own / below)
-    found = [_force_unit(matrix[i, i], c, given, units) for i, c in enumerate(coordinates)]
-    return matrix, force, tuple(found)
+    force_units = [_force_unit(matrix[i, i], c, given, units) for i, c in enumerate(coordinates)]
+    return matrix, force, tuple(force_units)
 
 
 def _stated_mass(given: SystemDefinition, coordinates: Sequence[State]) -> Any:
@@ -52,7 +52,7 @@ def _stated_mass(given: SystemDefinition, coordinates: Sequence[State]) -> Any:
             rows[names.index(name)][names.index(name)] = text
     else:
         rows = [list(r) for r in given.mass]
-    matrix = sp.Matrix([[evaluated(given, t) for t in row] for row in rows])
+    matrix = sp.Matrix([[formula_expression(given, t) for t in row] for row in rows])
     if matrix.shape != (len(names), len(names)) or matrix != matrix.T or 0 in matrix.diagonal():
         raise ConfigError(
             f"mass {[list(r) for r in given.mass]}",
@@ -101,8 +101,8 @@ def _own_inertia(
     states = {symbol(s.name) for s in given.states}
     named = [d for d in _divisors(acceleration) if d.free_symbols and not d.free_symbols & states]
     divisor = sp.Mul(*named)
-    found = _dimension_of(divisor, units)
-    if mechanical and found is not None and found.times(per) == due:
+    divisor_dimension = _dimension_of(divisor, units)
+    if mechanical and divisor_dimension is not None and divisor_dimension.times(per) == due:
         return divisor
     within = {s for f in acceleration.atoms(AppliedUndef) for s in f.free_symbols}
     for item in given.inputs:
@@ -110,7 +110,7 @@ def _own_inertia(
             continue
         slope: Any = sp.together(acceleration.diff(symbol(item.name)))
         plain = slope != 0 and not slope.free_symbols & {*states, *map(symbol, TIME)}
-        if plain and not negative(slope) and (dimension(item.unit) == due or not mechanical):
+        if plain and not is_negative(slope) and (dimension(item.unit) == due or not mechanical):
             own = 1 / slope
             if _dimension_of(own, units) == dimension(item.unit).times(per, Fraction(-1)):
                 return own
@@ -120,7 +120,7 @@ def _own_inertia(
 def _dimension_of(value: Any, units: Mapping[str, str]) -> Dimension | None:
     walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
     try:
-        text = text_of(value)
+        text = formula_text(value)
         return walk.of(syntax.read(text), text)
     except ConfigError:
         return None

@@ -34,30 +34,33 @@ class Law:
     units: Mapping[str, str] = field(default_factory=dict)
     lower: Mapping[str, float] = field(default_factory=dict)
 
-    def defined(self, formula: object, port: str = "") -> dict[str, object]:
+    def as_definition(self, formula: object, port: str = "") -> dict[str, object]:
         """As an effect by expression is given (``expression.Definition``)."""
-        found = {"expression": formula, "grid": dict(self.grid), "units": dict(self.units),
+        entries = {"expression": formula, "grid": dict(self.grid), "units": dict(self.units),
                  "lower": dict(self.lower), "meaning": self.meaning, "port": port}  # fmt: skip
-        return {k: v for k, v in found.items() if v}
+        return {k: v for k, v in entries.items() if v}
 
-    def beside(self, taken: Container[str]) -> Law:
+    def rename_taken_letters(self, taken: Container[str]) -> Law:
         """The law with other letters where its own are names already."""
         new = {n: n if n not in taken else f"{n}_law" for n in ("a", "b", "c", "l", "n", "K")}
 
-        def renamed(given: Mapping[str, Any]) -> dict[str, Any]:
+        def rename_keys(given: Mapping[str, Any]) -> dict[str, Any]:
             return {new[k]: v for k, v in given.items()}
 
         return replace(
-            self, formula=re.sub(r"\b[abclnK]\b", lambda m: new[m.group()], self.formula),
-            grid=renamed(self.grid), units=renamed(self.units), lower=renamed(self.lower),
-        )  # fmt: skip
+            self,
+            formula=re.sub(r"\b[abclnK]\b", lambda m: new[m.group()], self.formula),
+            grid=rename_keys(self.grid),
+            units=rename_keys(self.units),
+            lower=rename_keys(self.lower),
+        )
 
 
 _POWER = "exp({n}*log(hypot({z}, 0.01)))"
 """|z|^n, its corner at zero rounded over a hundredth, where a slope by n would be infinite."""
 
 
-def _power(z: str, n: str = "n") -> str:
+def _power_formula(z: str, n: str = "n") -> str:
     return _POWER.format(z=z, n=n)
 
 
@@ -65,88 +68,177 @@ _PLACE, _RATE = {"l": "position"}, {"l": "velocity"}
 _SIDES = (1.2, 1.6, 3.0, -1.2, -1.6, -3.0)
 
 SPRINGS = (
-    Law("sine_law", "A force that comes round again with displacement",
-        "a*sin(q/l) + b*(cos(q/l) - 1)", {"l": (0.07, 0.11, 0.17, 0.26, 0.4, 0.6)}, _PLACE,
-        {"l": 0.0}),
-    Law("tanh_law", "A spring that saturates smoothly", "-a*tanh(q/l)", {"l": (0.06, 0.2, 0.5)},
-        _PLACE, {"l": 0.0}),
-    Law("exponential_law", "A force that grows exponentially to one side", "a*(exp(q/l) - 1)",
-        {"l": (-0.7, -0.25, 0.25, 0.7)}, _PLACE),
-    Law("power_law", "A force that grows with a power of displacement",
-        f"-a*(q/l)/hypot(q/l, 0.01)*{_power('q/l')}", {"n": (0.5, 1.5, 2.5, 4.0), "l": (1.0,)},
-        _PLACE, {"n": 0.0}),
-    Law("dead_zone_law", "A spring of another stiffness beyond a gap",
-        "-a*(maximum(q - l, 0) - maximum(-q - l, 0))", {"l": (0.1, 0.25, 0.45, 0.7)}, _PLACE,
-        {"l": 0.0}),
-    Law("one_sided_law", "A spring of another stiffness beyond one point", "-a*maximum(q - l, 0)",
-        {"l": (-0.6, -0.3, 0.0, 0.3, 0.6)}, _PLACE),
-    Law("saturation_law", "A spring that yields no more than its limit",
-        "-a*(q - maximum(q - l, 0) + maximum(-q - l, 0))", {"l": (0.1, 0.25, 0.45, 0.7)}, _PLACE,
-        {"l": 0.0}),
-    Law("inverse_square_law", "A force that falls with the square of a distance",
-        "a*(1/((1 - q/l)*(1 - q/l)) - 1)", {"l": _SIDES}, _PLACE),
+    Law(
+        "sine_law",
+        "A force that comes round again with displacement",
+        "a*sin(q/l) + b*(cos(q/l) - 1)",
+        {"l": (0.07, 0.11, 0.17, 0.26, 0.4, 0.6)},
+        _PLACE,
+        {"l": 0.0},
+    ),
+    Law(
+        "tanh_law",
+        "A spring that saturates smoothly",
+        "-a*tanh(q/l)",
+        {"l": (0.06, 0.2, 0.5)},
+        _PLACE,
+        {"l": 0.0},
+    ),
+    Law(
+        "exponential_law",
+        "A force that grows exponentially to one side",
+        "a*(exp(q/l) - 1)",
+        {"l": (-0.7, -0.25, 0.25, 0.7)},
+        _PLACE,
+    ),
+    Law(
+        "power_law",
+        "A force that grows with a power of displacement",
+        f"-a*(q/l)/hypot(q/l, 0.01)*{_power_formula('q/l')}",
+        {"n": (0.5, 1.5, 2.5, 4.0), "l": (1.0,)},
+        _PLACE,
+        {"n": 0.0},
+    ),
+    Law(
+        "dead_zone_law",
+        "A spring of another stiffness beyond a gap",
+        "-a*(maximum(q - l, 0) - maximum(-q - l, 0))",
+        {"l": (0.1, 0.25, 0.45, 0.7)},
+        _PLACE,
+        {"l": 0.0},
+    ),
+    Law(
+        "one_sided_law",
+        "A spring of another stiffness beyond one point",
+        "-a*maximum(q - l, 0)",
+        {"l": (-0.6, -0.3, 0.0, 0.3, 0.6)},
+        _PLACE,
+    ),
+    Law(
+        "saturation_law",
+        "A spring that yields no more than its limit",
+        "-a*(q - maximum(q - l, 0) + maximum(-q - l, 0))",
+        {"l": (0.1, 0.25, 0.45, 0.7)},
+        _PLACE,
+        {"l": 0.0},
+    ),
+    Law(
+        "inverse_square_law",
+        "A force that falls with the square of a distance",
+        "a*(1/((1 - q/l)*(1 - q/l)) - 1)",
+        {"l": _SIDES},
+        _PLACE,
+    ),
     Law("polynomial_law", "A force that is a polynomial of displacement", "a*q**2 + b*q**3"),
     Law("quintic_law", "An odd polynomial of displacement", "a*q**3 + b*q**5"),
-)  # fmt: skip
+)
 FRICTIONS = (
-    Law("tanh_friction_law", "Friction that does not grow beyond its level", "-a*tanh(v/l)",
-        {"l": (0.005, 0.03, 0.15, 0.5)}, _RATE, {"a": 0.0, "l": 0.0}),
-    Law("stribeck_law", "Dry friction that falls from rest to sliding",
-        "-(a + b*exp(-(v/c)*(v/c)))*tanh(v/l)", {"c": (0.03, 0.1, 0.3), "l": (0.005, 0.02)},
-        {"l": "velocity", "c": "velocity"}, {"a": 0.0, "b": 0.0, "c": 0.0, "l": 0.0}),
-    Law("power_friction_law", "A damper whose force grows with a power of the rate",
-        f"-a*(v/l)/hypot(v/l, 0.01)*{_power('v/l')}", {"n": (0.5, 1.5, 2.5, 4.0), "l": (1.0,)},
-        _RATE, {"n": 0.0}),
+    Law(
+        "tanh_friction_law",
+        "Friction that does not grow beyond its level",
+        "-a*tanh(v/l)",
+        {"l": (0.005, 0.03, 0.15, 0.5)},
+        _RATE,
+        {"a": 0.0, "l": 0.0},
+    ),
+    Law(
+        "stribeck_law",
+        "Dry friction that falls from rest to sliding",
+        "-(a + b*exp(-(v/c)*(v/c)))*tanh(v/l)",
+        {"c": (0.03, 0.1, 0.3), "l": (0.005, 0.02)},
+        {"l": "velocity", "c": "velocity"},
+        {"a": 0.0, "b": 0.0, "c": 0.0, "l": 0.0},
+    ),
+    Law(
+        "power_friction_law",
+        "A damper whose force grows with a power of the rate",
+        f"-a*(v/l)/hypot(v/l, 0.01)*{_power_formula('v/l')}",
+        {"n": (0.5, 1.5, 2.5, 4.0), "l": (1.0,)},
+        _RATE,
+        {"n": 0.0},
+    ),
     Law("polynomial_friction_law", "A polynomial of the rate", "-a*v*abs(v) - b*v**3"),
-)  # fmt: skip
+)
 _HALF = {"K": "position"}
 FLOWS = (
-    Law("hill_law", "A loss that sets in and saturates (Hill)",
-        f"-a*{_power('s/K')}/(1 + {_power('s/K')})", {"n": (2.0, 4.0), "K": (0.15, 0.35, 0.7)},
-        _HALF, {"a": 0.0, "n": 0.0, "K": 0.0}),
-    Law("power_loss_law", "A loss that grows with a power of what is there",
-        f"-a*(s/K)/hypot(s/K, 0.01)*{_power('s/K')}", {"n": (0.5, 1.5, 2.5, 4.0), "K": (1.0,)},
-        _HALF, {"n": 0.0}),
-    Law("exponential_loss_law", "A loss that grows exponentially", "-a*(exp(s/K) - 1)",
-        {"K": (0.15, 0.5, -0.5)}, _HALF),
-    Law("sine_loss_law", "A flow that comes round again", "a*sin(s/K) + b*(cos(s/K) - 1)",
-        {"K": (0.1, 0.2, 0.4)}, _HALF, {"K": 0.0}),
-    Law("overflow_law", "A loss that sets in at a level", "-a*maximum(s - K, 0)",
-        {"K": (0.2, 0.5, 0.75)}, _HALF),
-    Law("inverse_loss_law", "A flow that falls with what is there", "a/(1 + s/K)",
-        {"K": (0.1, 0.4)}, _HALF, {"K": 0.0}),
-)  # fmt: skip
+    Law(
+        "hill_law",
+        "A loss that sets in and saturates (Hill)",
+        f"-a*{_power_formula('s/K')}/(1 + {_power_formula('s/K')})",
+        {"n": (2.0, 4.0), "K": (0.15, 0.35, 0.7)},
+        _HALF,
+        {"a": 0.0, "n": 0.0, "K": 0.0},
+    ),
+    Law(
+        "power_loss_law",
+        "A loss that grows with a power of what is there",
+        f"-a*(s/K)/hypot(s/K, 0.01)*{_power_formula('s/K')}",
+        {"n": (0.5, 1.5, 2.5, 4.0), "K": (1.0,)},
+        _HALF,
+        {"n": 0.0},
+    ),
+    Law(
+        "exponential_loss_law",
+        "A loss that grows exponentially",
+        "-a*(exp(s/K) - 1)",
+        {"K": (0.15, 0.5, -0.5)},
+        _HALF,
+    ),
+    Law(
+        "sine_loss_law",
+        "A flow that comes round again",
+        "a*sin(s/K) + b*(cos(s/K) - 1)",
+        {"K": (0.1, 0.2, 0.4)},
+        _HALF,
+        {"K": 0.0},
+    ),
+    Law(
+        "overflow_law",
+        "A loss that sets in at a level",
+        "-a*maximum(s - K, 0)",
+        {"K": (0.2, 0.5, 0.75)},
+        _HALF,
+    ),
+    Law(
+        "inverse_loss_law",
+        "A flow that falls with what is there",
+        "a/(1 + s/K)",
+        {"K": (0.1, 0.4)},
+        _HALF,
+        {"K": 0.0},
+    ),
+)
 
 
 @kept(16)
 def laws_of(system: System) -> tuple[Effect, ...]:
     """Every law at every place of a system where its units fit."""
-    made = _forces(system) if has_coordinates(system) else _flows(system)
+    made = _force_effects(system) if has_coordinates(system) else _flow_effects(system)
     return tuple(effect for effect in made if fits(system, effect))
 
 
-def _beside(system: System, laws: tuple[Law, ...]) -> list[Law]:
+def _laws_for_system(system: System, laws: tuple[Law, ...]) -> list[Law]:
     """Laws none of whose letters is a name of the system."""
     named = (*system.states, *system.inputs, *system.parameters)
     taken = {*(n.name for n in named), *(a for port in system.ports for a in port.axes)}
-    return [law.beside(taken) for law in laws]
+    return [law.rename_taken_letters(taken) for law in laws]
 
 
-def _forces(system: System) -> list[Effect]:
-    laws = _beside(system, (*SPRINGS, *FRICTIONS))
-    made = [class_of(law.name, law.defined(law.formula), system)() for law in laws]
+def _force_effects(system: System) -> list[Effect]:
+    laws = _laws_for_system(system, (*SPRINGS, *FRICTIONS))
+    made = [class_of(law.name, law.as_definition(law.formula), system)() for law in laws]
     return [copy for effect in made for copy in at_every_place(system, effect)]
 
 
-def _flows(system: System) -> list[Effect]:
+def _flow_effects(system: System) -> list[Effect]:
     """A flow names its state, so each state has a class of its own."""
     into = {i.name for i in system.injections}
     ports = [p for p in system.ports if len(p.axes) == 1 and p.axes[0] in into]
-    found = []
+    effects = []
     for port in ports:
-        for law in _beside(system, FLOWS):
+        for law in _laws_for_system(system, FLOWS):
             (name,) = port.axes
             formula = {name: law.formula.replace("s/", f"{name}/").replace("(s ", f"({name} ")}
-            made = class_of(f"{law.name}_{name}", law.defined(formula, port.name), system)
-            found.append(made())
-    return found
+            made = class_of(f"{law.name}_{name}", law.as_definition(formula, port.name), system)
+            effects.append(made())
+    return effects

@@ -1,4 +1,4 @@
-"""What is measured that is no state: its unit, and its formula in own names."""
+"""Readings that are no state: their units, and their formulas with names for rates."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from spiral.physics.formulas.definition import SystemDefinition
 from spiral.physics.formulas.dimensions import Demands, Walk, dimension
 from spiral.physics.formulas.rows import (
     SECOND,
-    evaluated,
-    primed,
+    formula_expression,
+    replace_primes,
+    restore_primes,
     row_units,
     size_of,
     symbol,
-    unprimed,
 )
 from spiral.types.errors import ConfigError
 from spiral.types.parameter import State
@@ -26,7 +26,7 @@ from spiral.types.units import short_form
 def readings_of(
     given: SystemDefinition, velocity: Mapping[str, str]
 ) -> tuple[tuple[State, str], ...]:
-    """Each reading that is no state with its unit, and its formula in own names.
+    """Each reading that is no state with its unit, and its formula with names for rates.
 
     Parameters
     ----------
@@ -36,25 +36,27 @@ def readings_of(
     ------
     ConfigError : what is no formula, a name or a rate that is not there, units that do not fit.
     """
-    found = []
+    readings = []
     for name, text in given.readings:
         place = f"observed: {name} = {text}"
-        formula = unprimed(text, {i.name: i.rate.name for i in given.inputs})
+        formula = replace_primes(text, {i.name: i.rate.name for i in given.inputs})
         try:
-            value = evaluated(given, formula)
+            value = formula_expression(given, formula)
             for state in (s.name for s in given.states if s.name not in velocity):
                 if symbol(state + SECOND) in value.free_symbols:
                     expected = f"of a coordinate: {', '.join(velocity) or 'there is none'}"
                     raise ConfigError(f"{state}''", expected)
-            unit = _unit(given, value, row_units(given), formula)
+            unit = _formula_unit(given, value, row_units(given), formula)
         except ConfigError as error:
-            said = primed(error.given)
+            said = restore_primes(error.given)
             raise ConfigError(f"{place}: {said}", error.expected, error.try_) from error
-        found.append((State(name, unit), formula))
-    return tuple(found)
+        readings.append((State(name, unit), formula))
+    return tuple(readings)
 
 
-def _unit(given: SystemDefinition, value: sp.Expr, units: Mapping[str, str], text: str) -> str:
+def _formula_unit(
+    given: SystemDefinition, value: sp.Expr, units: Mapping[str, str], text: str
+) -> str:
     """The unit of a formula: one that is used already where it is of its size, else a product."""
     walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
     wanted = walk.of(syntax.read(text), text)

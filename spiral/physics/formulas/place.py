@@ -36,8 +36,8 @@ class Place:
         each = dict(
             zip(EACH_AXIS, (self.position_unit, per_second(self.position_unit)), strict=True)
         )
-        found = {**dict(self.positions), **rates, **each} if self.force else dict(self.states)
-        return {**found, **dict(self.inputs)}
+        units = {**dict(self.positions), **rates, **each} if self.force else dict(self.states)
+        return {**units, **dict(self.inputs)}
 
     @property
     def words(self) -> dict[str, str]:
@@ -53,7 +53,7 @@ class Place:
         words = {**self.words, "velocity": per_second(self.position_unit)}
         return re.sub(_RELATIVE, lambda m: f"({words[m[0]] or '1'})", relative)
 
-    def relative(self, unit: str) -> bool:
+    def is_relative(self, unit: str) -> bool:
         """Whether a unit is in the place's words."""
         return bool(re.search(_RELATIVE, unit))
 

@@ -1,4 +1,4 @@
-"""Equations as text, each read, its names known, its terms of one unit and one size."""
+"""Equations as text: read, their names resolved, the units of their terms checked."""
 
 from __future__ import annotations
 
@@ -47,37 +47,39 @@ def read_row(given: SystemDefinition, number: int) -> EquationRow:
         raise ConfigError(place, "one = with a formula on each side", "m*x'' + c*x' + k*x = F")
     names = [s.name for s in given.states]
     rates = {i.name: i.rate.name for i in given.inputs}
-    for found in _PRIMED.finditer(text):
-        name, order = found[1], len(found[2])
+    for match in _PRIMED.finditer(text):
+        name, order = match[1], len(match[2])
         if name in rates and order > 1:
-            raise ConfigError(f"{place}: {found[0]}", f"of an input its first rate: {name}'")
+            raise ConfigError(f"{place}: {match[0]}", f"of an input its first rate: {name}'")
         if name not in names and name not in rates:
             raise ConfigError(
                 f"{place}: the rate of {name!r}",
                 f"of a state or an input: {', '.join((*names, *rates))}",
                 did_you_mean(name, (*names, *rates)),
             )
-    left, right = (unprimed(side, rates).strip() for side in text.split("="))
+    left, right = (replace_primes(side, rates).strip() for side in text.split("="))
     formula = left if right == "0" else f"({left}) - ({right})"
     try:
-        value = evaluated(given, formula)
+        value = formula_expression(given, formula)
     except ConfigError as error:
-        raise ConfigError(f"{place}: {primed(error.given)}", error.expected, error.try_) from error
+        raise ConfigError(
+            f"{place}: {restore_primes(error.given)}", error.expected, error.try_
+        ) from error
     return EquationRow(place, formula, value)
 
 
-def unprimed(text: str, rates: Mapping[str, str]) -> str:
-    """A formula's own names for ``x'`` and ``x''``; ``rates`` are those of inputs."""
+def replace_primes(text: str, rates: Mapping[str, str]) -> str:
+    """A formula with names in place of ``x'`` and ``x''``; ``rates`` are those of inputs."""
     ends = {1: FIRST, 2: SECOND}
     return _PRIMED.sub(lambda m: rates.get(m[1]) or m[1] + ends[len(m[2])], text)
 
 
-def primed(text: str) -> str:
-    """Its names for rates as people write them: ``x''``."""
+def restore_primes(text: str) -> str:
+    """A formula with ``x'`` and ``x''``, as people write them, in place of names for them."""
     return re.sub(rf"(\w+?)({SECOND}|{FIRST})\b", lambda m: m[1] + "'" * m[2].count("_prime"), text)
 
 
-def evaluated(given: SystemDefinition, formula: str) -> Any:
+def formula_expression(given: SystemDefinition, formula: str) -> Any:
     """A formula as an expression.
 
     Raises
@@ -114,14 +116,14 @@ def row_units(given: SystemDefinition) -> dict[str, str]:
     return units
 
 
-def checked_units(
+def check_row_units(
     given: SystemDefinition, rows: Sequence[EquationRow], velocity: Mapping[str, str]
 ) -> dict[str, str]:
-    """Name -> unit, once every equation has terms of one unit and of one size."""
+    """Check that the terms of every equation have one unit and one size; name -> unit."""
     states = {s.name: s.unit for s in given.states}
     for name, rate in velocity.items():
         if rate in states:
-            _agree(rate, states[rate], per_second(states[name]))
+            _check_rate_unit(rate, states[rate], per_second(states[name]))
     units = row_units(given)
     walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
     sizes = {n: size_of(u) for n, u in units.items()}
@@ -131,16 +133,16 @@ def checked_units(
             walk.of(syntax.read(row.formula), row.formula)
         except ConfigError as error:
             raise ConfigError(
-                f"{row.place}: {primed(error.given.partition(': ')[2] or error.given)}",
+                f"{row.place}: {restore_primes(error.given.partition(': ')[2] or error.given)}",
                 error.expected,
                 "check the units; a number that has one goes to constants: {g: 9.81 m/s^2}",
             ) from error
         if not coherent:
-            _check_sizes(row, units, sizes)
+            _check_unit_sizes(row, units, sizes)
     return units
 
 
-def _agree(rate: str, unit: str, due: str) -> None:
+def _check_rate_unit(rate: str, unit: str, due: str) -> None:
     if dimension(unit) != dimension(due) or abs(factor(unit or "1", due, rate) - 1) > 1e-9:
         raise ConfigError(f"unit {unit!r} of {rate}", f"{short_form(due)}, for it is a rate")
 
@@ -160,7 +162,9 @@ def size_of(unit: str) -> float:
         raise ConfigError(f"unit {unit!r}", "one that converts to SI") from error
 
 
-def _check_sizes(row: EquationRow, units: Mapping[str, str], sizes: Mapping[str, float]) -> None:
+def _check_unit_sizes(
+    row: EquationRow, units: Mapping[str, str], sizes: Mapping[str, float]
+) -> None:
     """Terms of one size: in SI units the whole equation is the same but for a factor."""
     names = sorted(map(str, row.value.free_symbols))
     function = sp.lambdify([symbol(n) for n in names], row.value, _PLAIN)
@@ -171,7 +175,9 @@ def _check_sizes(row: EquationRow, units: Mapping[str, str], sizes: Mapping[str,
         with contextlib.suppress(ArithmeticError, ValueError):  # a root or a logarithm below zero
             ratios.append(function(*scaled) / function(*values))
     if not ratios or max(ratios) - min(ratios) > 1e-9 * abs(ratios[0]):
-        uneven = [f"{primed(n)} in {short_form(units[n])}" for n in names if sizes[n] != 1.0]
+        uneven = [
+            f"{restore_primes(n)} in {short_form(units[n])}" for n in names if sizes[n] != 1.0
+        ]
         raise ConfigError(
             f"{row.place}, with {', '.join(uneven)}: numbers of terms that cannot be added",
             "units that go together, for instance all SI",
@@ -186,10 +192,10 @@ _PLAIN = [
 ]  # fmt: skip
 
 
-def negative(value: Any) -> bool:
+def is_negative(value: Any) -> bool:
     """Whether a factor is below zero, with all that it is made of above."""
     positive = {s: sp.Symbol(str(s), positive=True) for s in value.free_symbols}
-    found = value.subs(positive)
-    return bool(found.is_negative) or (
-        found.is_negative is None and found.could_extract_minus_sign()
+    substituted = value.subs(positive)
+    return bool(substituted.is_negative) or (
+        substituted.is_negative is None and substituted.could_extract_minus_sign()
     )

@@ -52,21 +52,21 @@ class Expression(np.lib.mixins.NDArrayOperatorsMixin):
         if method != "__call__" or options or name not in _FUNCTIONS:
             raise CannotFollowError(f"numpy.{name}", f"one of {', '.join(_NAMED)}")
         if isinstance(target, np.ndarray):
-            return _filled(target, self.__array_ufunc__(ufunc, method, *values))
+            return _fill_array(target, self.__array_ufunc__(ufunc, method, *values))
         values = tuple(np.array(v, object) if isinstance(v, list | tuple) else v for v in values)
         if any(isinstance(v, np.ndarray) and v.ndim for v in values):
             each = np.frompyfunc(lambda *v: self.__array_ufunc__(ufunc, method, *v), ufunc.nin, 1)
-            boxed = (_boxed(v) if isinstance(v, Expression) else v for v in values)
+            boxed = (_wrap_in_array(v) if isinstance(v, Expression) else v for v in values)
             return each(*boxed)
-        found = _FUNCTIONS[name](*(expression_of(v) for v in values))
-        return Condition(found) if name in _COMPARED else Expression(found)
+        result = _FUNCTIONS[name](*(expression_of(v) for v in values))
+        return Condition(result) if name in _COMPARED else Expression(result)
 
     def __array_function__(self, function: Any, types: Any, values: Any, options: Any) -> Any:
         """``numpy.where`` of a comparison and ``numpy.clip``; nothing else is known."""
         if function is np.where and len(values) == 3:
-            return _where(*values)
+            return _trace_where(*values)
         if function is np.clip and len(values) == 3 and not options:
-            return _clipped(*values)
+            return _trace_clip(*values)
         raise CannotFollowError(f"numpy.{function.__name__}", f"one of {', '.join(_NAMED)}")
 
     def __bool__(self) -> NoReturn:
@@ -87,7 +87,7 @@ class Condition(Expression):
     """A comparison of two expressions, for the first place of ``where``."""
 
 
-def _boxed(value: Any) -> Any:
+def _wrap_in_array(value: Any) -> Any:
     box = np.empty((), dtype=object)
     box[()] = value
     return box
@@ -106,19 +106,19 @@ def expression_of(value: Any) -> Any:
     return sp.Float(float(value))
 
 
-def _where(condition: Any, first: Any, second: Any) -> Any:
+def _trace_where(condition: Any, first: Any, second: Any) -> Any:
     if not isinstance(condition, Condition):
         raise CannotFollowError("numpy.where without a comparison", "numpy.where(x > g, a, b)")
     return Expression(WHERE(condition.expression, expression_of(first), expression_of(second)))
 
 
-def _clipped(value: Any, low: Any, high: Any) -> Any:
+def _trace_clip(value: Any, low: Any, high: Any) -> Any:
     """min(max(x, low), high); a bound that is None is none."""
     raised = value if low is None else np.maximum(value, low)
     return raised if high is None else np.minimum(raised, high)
 
 
-def _filled(target: Any, values: Any) -> Any:
+def _fill_array(target: Any, values: Any) -> Any:
     """An array that holds these values from now on, as ``+=`` asks for."""
     if target.dtype != object:
         raise CannotFollowError(
@@ -129,14 +129,14 @@ def _filled(target: Any, values: Any) -> Any:
     return target
 
 
-def _power(base: Any, power: Any) -> Any:
+def _raise_power(base: Any, power: Any) -> Any:
     if not power.is_number:
         raise CannotFollowError(f"the power {base}**({power})", "a power that is a number")
     whole = sp.nsimplify(power)
     return base ** (whole if whole.q <= 2 else power)
 
 
-def _is(name: str) -> Callable[[Any], Any]:
+def _sympy_function(name: str) -> Callable[[Any], Any]:
     return getattr(sp, name)
 
 
@@ -149,8 +149,8 @@ _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "true_divide": operator.truediv,
     "negative": operator.neg,
     "positive": operator.pos,
-    "power": _power,
-    "float_power": _power,
+    "power": _raise_power,
+    "float_power": _raise_power,
     "square": lambda x: x**2,
     "reciprocal": lambda x: 1 / x,
     "tan": lambda x: sp.sin(x) / sp.cos(x),
@@ -163,7 +163,7 @@ _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "minimum": MINIMUM,
     "fmax": MAXIMUM,
     "fmin": MINIMUM,
-    **{name: _is(name) for name in ("sin", "cos", "tanh", "exp", "log", "sqrt")},
+    **{name: _sympy_function(name) for name in ("sin", "cos", "tanh", "exp", "log", "sqrt")},
     **_COMPARED,
 }
 _STEPS = ("sign", "heaviside", "floor", "ceil", "rint", "trunc")
@@ -175,7 +175,7 @@ _DECIDE = "numpy.where(x > g, a, b) or spiral.math.where in place of if; numpy.m
 # --- as text -------------------------------------------------------------------------------------
 
 
-def text_of(expression: Any) -> str:
+def formula_text(expression: Any) -> str:
     """An expression as a formula (``spiral.physics.formulas.syntax``)."""
     return _Formula().doprint(expression)
 

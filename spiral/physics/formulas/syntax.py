@@ -68,9 +68,9 @@ def read(text: str) -> ast.expr:
     try:
         tree = ast.parse(text.strip().replace("^", "**"), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        found = error.msg if isinstance(error, SyntaxError) else type(error).__name__
-        raise ConfigError(f"expression {text!r}: {found}", "a formula", "-k3*x**3") from error
-    _check(tree, text, DEEPEST)
+        reason = error.msg if isinstance(error, SyntaxError) else type(error).__name__
+        raise ConfigError(f"expression {text!r}: {reason}", "a formula", "-k3*x**3") from error
+    _check_tree(tree, text, DEEPEST)
     if terms(tree) > MOST_TERMS:
         raise ConfigError(
             f"expression {text!r}: {terms(tree)} terms when multiplied out",
@@ -96,7 +96,7 @@ def compute(text: str, values: Mapping[str, Any]) -> Any:
     ConfigError : a division by zero, or a number too large.
     """
     try:
-        return _value(read(text), values)
+        return _evaluate_node(read(text), values)
     except (ZeroDivisionError, OverflowError) as error:
         raise ConfigError(
             f"expression {text!r}: {error}", "a formula with finite values"
@@ -138,29 +138,29 @@ def is_zero(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) and node.value == 0
 
 
-def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:
+def _evaluate_node(node: ast.expr, values: Mapping[str, Any]) -> Any:
     if isinstance(node, ast.Constant):
         return node.value
     if isinstance(node, ast.Name):
         return values[node.id] if node.id in values else CONSTANTS[node.id]
     if isinstance(node, ast.UnaryOp):
-        inner = _value(node.operand, values)
+        inner = _evaluate_node(node.operand, values)
         return -inner if isinstance(node.op, ast.USub) else inner
     if isinstance(node, ast.BinOp):
-        return _combined(node, values)
+        return _evaluate_binary(node, values)
     if isinstance(node, ast.Compare):
-        left, right = _pair(node.left, node.comparators[0], values)
+        left, right = _evaluate_pair(node.left, node.comparators[0], values)
         return COMPARISONS[type(node.ops[0])](left, right)
     assert isinstance(node, ast.Call)
-    return _called(node, values)
+    return _evaluate_call(node, values)
 
 
-def _combined(node: ast.BinOp, values: Mapping[str, Any]) -> Any:
+def _evaluate_binary(node: ast.BinOp, values: Mapping[str, Any]) -> Any:
     if isinstance(node.op, ast.Add | ast.Sub):
-        left, right = _pair(node.left, node.right, values)
+        left, right = _evaluate_pair(node.left, node.right, values)
     else:
-        left = _value(node.left, values)
-        right = exponent(node.right) if _is_power(node) else _value(node.right, values)
+        left = _evaluate_node(node.left, values)
+        right = exponent(node.right) if _is_power(node) else _evaluate_node(node.right, values)
         if _is_power(node) and right.is_integer():
             right = int(right)
         if _is_power(node) and isinstance(left, int):
@@ -168,9 +168,9 @@ def _combined(node: ast.BinOp, values: Mapping[str, Any]) -> Any:
     return OPERATORS[type(node.op)](left, right)
 
 
-def _pair(first: ast.expr, second: ast.expr, values: Mapping[str, Any]) -> tuple[Any, Any]:
+def _evaluate_pair(first: ast.expr, second: ast.expr, values: Mapping[str, Any]) -> tuple[Any, Any]:
     """Two values of one unit; a literal zero takes the other's."""
-    left, right = _value(first, values), _value(second, values)
+    left, right = _evaluate_node(first, values), _evaluate_node(second, values)
     if is_zero(first) and not is_zero(second):
         left = 0 * right
     elif is_zero(second) and not is_zero(first):
@@ -178,16 +178,18 @@ def _pair(first: ast.expr, second: ast.expr, values: Mapping[str, Any]) -> tuple
     return left, right
 
 
-def _called(node: ast.Call, values: Mapping[str, Any]) -> Any:
+def _evaluate_call(node: ast.Call, values: Mapping[str, Any]) -> Any:
     assert isinstance(node.func, ast.Name)
     name, given = node.func.id, node.args
     if name in ELEMENTARY or name == "sqrt":
-        return getattr(physics, name)(_value(given[0], values))
+        return getattr(physics, name)(_evaluate_node(given[0], values))
     if name == "abs":
-        return physics.length([_value(given[0], values)])
+        return physics.length([_evaluate_node(given[0], values)])
     if name == "where":
-        return physics.where(_value(given[0], values), *_pair(given[1], given[2], values))
-    first, second = _pair(given[0], given[1], values)
+        return physics.where(
+            _evaluate_node(given[0], values), *_evaluate_pair(given[1], given[2], values)
+        )
+    first, second = _evaluate_pair(given[0], given[1], values)
     if name == "hypot":
         return physics.length([first, second])
     if name == "maximum":
@@ -198,14 +200,14 @@ def _called(node: ast.Call, values: Mapping[str, Any]) -> Any:
 # --- what is allowed -----------------------------------------------------------------------------
 
 
-def _check(node: ast.AST, text: str, depth: int) -> None:
+def _check_tree(node: ast.AST, text: str, depth: int) -> None:
     if depth == 0:
         raise ConfigError(f"expression {text!r}", f"at most {DEEPEST} levels of nested terms")
-    for part in _parts(node, text):
-        _check(part, text, depth - 1)
+    for part in _allowed_children(node, text):
+        _check_tree(part, text, depth - 1)
 
 
-def _parts(node: ast.AST, text: str) -> Iterator[ast.AST]:
+def _allowed_children(node: ast.AST, text: str) -> Iterator[ast.AST]:
     """What an allowed node is made of; an error where it is not allowed."""
     if isinstance(node, ast.Constant):
         _check_number(node, text)
@@ -222,17 +224,19 @@ def _parts(node: ast.AST, text: str) -> Iterator[ast.AST]:
     elif isinstance(node, ast.Call):
         yield from _check_call(node, text)
     else:
-        found = getattr(node, "op", node)
-        raise _refused(text, node, _HINTS.get(type(found), _HINTS.get(type(node), "")))
+        operation = getattr(node, "op", node)
+        raise _not_allowed_error(
+            text, node, _HINTS.get(type(operation), _HINTS.get(type(node), ""))
+        )
 
 
 def _is_power(node: ast.BinOp) -> bool:
     return isinstance(node.op, ast.Pow)
 
 
-def _refused(text: str, node: ast.AST, hint: str) -> ConfigError:
-    found = ast.get_source_segment(text.strip(), node) or type(node).__name__
-    where = "" if found.strip() == text.strip() else f": {found}"
+def _not_allowed_error(text: str, node: ast.AST, hint: str) -> ConfigError:
+    segment = ast.get_source_segment(text.strip(), node) or type(node).__name__
+    where = "" if segment.strip() == text.strip() else f": {segment}"
     return ConfigError(
         f"expression {text!r}{where}",
         f"numbers, names, + - * / **, and {', '.join(COUNTS)}",
@@ -243,7 +247,7 @@ def _refused(text: str, node: ast.AST, hint: str) -> ConfigError:
 def _check_number(node: ast.Constant, text: str) -> None:
     value = node.value
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise _refused(text, node, "")
+        raise _not_allowed_error(text, node, "")
     if abs(value) > 1e100:
         raise ConfigError(f"expression {text!r}: {value!s:.20}", "numbers below 1e100")
 
@@ -251,7 +255,9 @@ def _check_number(node: ast.Constant, text: str) -> None:
 def _check_power(node: ast.BinOp, text: str) -> None:
     inner = node.right.operand if isinstance(node.right, ast.UnaryOp) else node.right
     if not isinstance(inner, ast.Constant) or not isinstance(inner.value, int | float):
-        raise _refused(text, node.right, "a power has a number: x**3; exp(a*log(x)) for others")
+        raise _not_allowed_error(
+            text, node.right, "a power has a number: x**3; exp(a*log(x)) for others"
+        )
     if abs(inner.value) > LARGEST_EXPONENT:
         raise ConfigError(
             f"expression {text!r}: the power {inner.value}", f"at most {LARGEST_EXPONENT}"
@@ -270,9 +276,9 @@ def _check_call(node: ast.Call, text: str) -> Iterator[ast.AST]:
     name = node.func.id if isinstance(node.func, ast.Name) else ""
     if name == "sign":
         hint = "tanh(v/w) with a width w: a step has no slope to fit by"
-        raise _refused(text, node, hint)
+        raise _not_allowed_error(text, node, hint)
     if name not in COUNTS:
-        raise _refused(text, node, did_you_mean(name, COUNTS) if name else "")
+        raise _not_allowed_error(text, node, did_you_mean(name, COUNTS) if name else "")
     if node.keywords or len(node.args) != COUNTS[name]:
         raise ConfigError(
             f"expression {text!r}: {name} of {len(node.args)} values", f"{COUNTS[name]} values"
@@ -283,7 +289,7 @@ def _check_call(node: ast.Call, text: str) -> Iterator[ast.AST]:
         return
     single = isinstance(first, ast.Compare) and len(first.ops) == 1
     if not (single and isinstance(first, ast.Compare) and type(first.ops[0]) in COMPARISONS):
-        raise _refused(text, first, "where(x > g, a, b)")
+        raise _not_allowed_error(text, first, "where(x > g, a, b)")
     yield first.left
     yield first.comparators[0]
     yield from node.args[1:]

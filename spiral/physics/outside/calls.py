@@ -29,7 +29,7 @@ def _invoke(typingctx: Any, address: Any, given: Any) -> Any:
     return types.int32(types.int64, given), codegen
 
 
-def _exchanged(typingctx: Any, address: Any, due: Any, new: Any) -> Any:
+def _compare_exchange(typingctx: Any, address: Any, due: Any, new: Any) -> Any:
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         place = builder.inttoptr(args[0], _POINTER.as_pointer())
@@ -41,7 +41,7 @@ def _exchanged(typingctx: Any, address: Any, due: Any, new: Any) -> Any:
 
 invoke: Any = intrinsic(_invoke)
 """invoke(address, given): the status of a C function for a tuple of integers and floats."""
-exchanged: Any = intrinsic(_exchanged)
+exchanged: Any = intrinsic(_compare_exchange)
 """exchanged(address, due, new): whether the integer there was ``due``; then it is ``new`` now."""
 carray: Any = getattr(nb, "carray")  # noqa: B009  (of which the stubs of Numba know nothing)
 
@@ -68,7 +68,7 @@ def store(into, first, values):
 
 
 @overload(store)
-def _stored(into, first, values):
+def _overload_store(into, first, values):
     if not isinstance(values, types.BaseTuple):
         return _store_all
     return _store_none if len(values) == 0 else _store_tuple

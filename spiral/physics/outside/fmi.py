@@ -25,7 +25,7 @@ NONE, DIRECTIONAL, DIFFERENCE = range(3)
 
 
 class Slot(IntEnum):
-    """Whole numbers at the head of the kernel's own: sizes, addresses of functions, places."""
+    """Positions at the head of the kernel's integers: sizes, addresses of functions, offsets."""
 
     TOTAL = 0
     NUMBERS = auto()
@@ -66,7 +66,7 @@ _COUNT, _WIDE, _FAILED = len(Slot), 16, 2
  _REFERENCES, _UNKNOWNS, _HANDLES, _LOCKS, _ROOM) = map(int, Slot)  # fmt: skip
 
 
-def memory(
+def kernel_memory(
     version: int,
     addresses: Sequence[int],
     handles: Sequence[int],
@@ -74,7 +74,7 @@ def memory(
     nominals: Sequence[float],
     events: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whole numbers and numbers for a kernel; slopes by differences, but none by the time.
+    """Arrays of integers and floats for a kernel; slopes by differences, but none by the time.
 
     Parameters
     ----------
@@ -87,8 +87,8 @@ def memory(
     known = [r for k in ("states", "inputs", "parameters") for r in references[k]]
     parts = {
         _KINDS: np.array([DIFFERENCE] * (count - 1) + [NONE]),
-        _REFERENCES: _packed(known),
-        _UNKNOWNS: _packed(references["rates"]),
+        _REFERENCES: _pack_references(known),
+        _UNKNOWNS: _pack_references(references["rates"]),
         _HANDLES: np.array(handles),
         _LOCKS: np.zeros(instances),
         _ROOM: np.zeros(instances * _WIDE),
@@ -107,12 +107,12 @@ def memory(
     return np.concatenate([head, *(p.astype(np.int64) for p in parts.values())]), numbers
 
 
-def set_kinds(whole: np.ndarray, kinds: Sequence[int]) -> None:
+def set_slope_kinds(whole: np.ndarray, kinds: Sequence[int]) -> None:
     """Say how the slope by each argument is found."""
     whole[whole[_KINDS] : whole[_KINDS] + len(kinds)] = kinds
 
 
-def _packed(values: Sequence[int]) -> np.ndarray:
+def _pack_references(values: Sequence[int]) -> np.ndarray:
     """Whole numbers of 32 bits in a row, as whole numbers of 64."""
     short = np.zeros(2 * (len(values) // 2 + 1), dtype=np.uint32)
     short[: len(values)] = values
@@ -120,7 +120,7 @@ def _packed(values: Sequence[int]) -> np.ndarray:
 
 
 @nb.njit(nogil=True)
-def _word(w, place):
+def _word_address(w, place):
     """The address of a whole number."""
     return w.ctypes.data + 8 * place
 
@@ -131,17 +131,17 @@ def _set_values(w, handle, first, values):
     count = len(values)
     if count == 0:
         return 0
-    place, at = _word(w, w[_REFERENCES]) + 4 * first, values.ctypes.data
+    place, at = _word_address(w, w[_REFERENCES]) + 4 * first, values.ctypes.data
     if w[_VERSION] == 3:
         return invoke(w[_SET_VALUES], (handle, place, count, at, count))
     return invoke(w[_SET_VALUES], (handle, place, count, at))
 
 
 @nb.njit(nogil=True)
-def _updated(w, handle, k):
+def _update_discrete_states(w, handle, k):
     """Discrete states brought up to date, in event mode."""
     worst, room = 0, w[_ROOM] + _WIDE * k
-    at = _word(w, room)
+    at = _word_address(w, room)
     for _ in range(10):
         w[room] = 0
         if w[_VERSION] == 3:
@@ -157,7 +157,7 @@ def _updated(w, handle, k):
 
 
 @nb.njit(nogil=True)
-def _rates(w, k, a, known, f):
+def _evaluate_rates(w, k, a, known, f):
     """f at the arguments, by an instance whose parameters are ``known``; the worst status."""
     handle = w[w[_HANDLES] + k]
     n, nu = w[_STATES], w[_INPUTS]
@@ -173,16 +173,16 @@ def _rates(w, k, a, known, f):
         if changed:
             worst = max(worst, _set_values(w, handle, n + nu, p))
             known[:] = p
-        worst = max(worst, _updated(w, handle, k))
+        worst = max(worst, _update_discrete_states(w, handle, k))
         worst = max(worst, invoke(w[_CONTINUOUS], (handle,)))
     return max(worst, invoke(w[_RATES], (handle, f.ctypes.data, n)))
 
 
 @nb.njit(nogil=True)
-def _along(w, handle, column, one, f):
-    """The slope of f by an argument, as the FMU tells it where it stands."""
+def _directional_slope(w, handle, column, one, f):
+    """The slope of f by an argument: the FMU's directional derivative at its present point."""
     n = w[_STATES]
-    place, unknowns = _word(w, w[_REFERENCES]) + 4 * column, _word(w, w[_UNKNOWNS])
+    place, unknowns = _word_address(w, w[_REFERENCES]) + 4 * column, _word_address(w, w[_UNKNOWNS])
     seed, into = one.ctypes.data, f.ctypes.data
     if w[_VERSION] == 3:
         return invoke(w[_DIRECTION], (handle, unknowns, n, place, 1, seed, 1, into, n))
@@ -190,14 +190,14 @@ def _along(w, handle, column, one, f):
 
 
 @nb.njit(nogil=True)
-def _differences(w, k, a, column, nominal, known, low, f):
-    """The same from two more calls."""
+def _difference_slope(w, k, a, column, nominal, known, low, f):
+    """The slope of f by an argument, by a central difference of two more calls."""
     here = a[column]
     step = STEP * max(abs(here), nominal)
     a[column] = here - step
-    worst = _rates(w, k, a, known, low)
+    worst = _evaluate_rates(w, k, a, known, low)
     a[column] = here + step
-    worst = max(worst, _rates(w, k, a, known, f))
+    worst = max(worst, _evaluate_rates(w, k, a, known, f))
     a[column] = here
     for i in range(len(f)):
         f[i] = (f[i] - low[i]) / (2.0 * step)
@@ -205,23 +205,23 @@ def _differences(w, k, a, column, nominal, known, low, f):
 
 
 @nb.njit(nogil=True)
-def _taken(w):
-    """An instance that no other thread uses, taken."""
+def _acquire_instance(w):
+    """Lock an instance that no other thread uses, and return its number."""
     k = 0
-    while not exchanged(_word(w, w[_LOCKS] + k), 0, 1):
+    while not exchanged(_word_address(w, w[_LOCKS] + k), 0, 1):
         k = (k + 1) % w[_INSTANCES]
     return k
 
 
 @nb.njit(nogil=True)
-def _evaluated(w, z, a, columns, values, slopes):
+def _evaluate_with_slopes(w, z, a, columns, values, slopes):
     """Values and slopes, by one instance."""
     n, count, own = w[_STATES], len(a), 2 * w[_STATES] + w[_PARAMETERS] + 1
-    k = _taken(w)
+    k = _acquire_instance(w)
     mine = z[count + k * own : count + (k + 1) * own]
     known, low, one = mine[2 * n : -1], mine[:n], mine[-1:]
     one[0] = 1.0
-    worst = _rates(w, k, a, known, values)
+    worst = _evaluate_rates(w, k, a, known, values)
     for turn in (DIRECTIONAL, DIFFERENCE):  # differences move the point
         for i in range(len(columns)):
             column = columns[i]
@@ -229,10 +229,14 @@ def _evaluated(w, z, a, columns, values, slopes):
             if kind == NONE:
                 slopes[i, :] = 0.0
             elif kind == turn and turn == DIRECTIONAL:
-                worst = max(worst, _along(w, w[w[_HANDLES] + k], column, one, slopes[i]))
+                worst = max(
+                    worst, _directional_slope(w, w[w[_HANDLES] + k], column, one, slopes[i])
+                )
             elif kind == turn:
-                worst = max(worst, _differences(w, k, a, column, z[column], known, low, slopes[i]))
-    exchanged(_word(w, w[_LOCKS] + k), 1, 0)
+                worst = max(
+                    worst, _difference_slope(w, k, a, column, z[column], known, low, slopes[i])
+                )
+    exchanged(_word_address(w, w[_LOCKS] + k), 1, 0)
     if worst >= _FAILED:
         values[:] = np.nan
         slopes[:, :] = np.nan
@@ -243,7 +247,7 @@ def kernel(whole, numbers, given, columns, count, values, slopes):
     """Values and slopes of the rates (``calls.KERNEL``)."""
     w = carray(whole, carray(whole, _COUNT)[_TOTAL])
     n, size = w[_STATES], w[_STATES] + w[_INPUTS] + w[_PARAMETERS] + 1
-    _evaluated(
+    _evaluate_with_slopes(
         w, carray(numbers, w[_NUMBERS]), carray(given, size), carray(columns, count),
         carray(values, n), carray(slopes, (count, n)),
     )  # fmt: skip

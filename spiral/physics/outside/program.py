@@ -1,4 +1,4 @@
-"""A program as a vector function of an expression: f(a), its values and slopes from a kernel.
+"""A program (an FMU, a compiled function) as f(a) in expressions, evaluated by a kernel.
 
 In an expression each value stands as a function of SymPy, whose derivative is another one; the
 emitter calls the kernel once for all of them (``spiral.physics.emit``).
@@ -38,7 +38,7 @@ class CalledProgram:
     @cached_property
     def functions(self) -> tuple[type[ProgramValue], ...]:
         """A function of SymPy for each value."""
-        return tuple(_function(self, row, None) for row in range(len(self.rows)))
+        return tuple(_value_function_class(self, row, None) for row in range(len(self.rows)))
 
     def slope(self, row: int, column: int) -> type[ProgramValue]:
         """The derivative of a value by an argument."""
@@ -48,14 +48,15 @@ class CalledProgram:
     def _slopes(self) -> tuple[tuple[type[ProgramValue], ...], ...]:
         columns = range(len(self.arguments))
         return tuple(
-            tuple(_function(self, row, c) for c in columns) for row in range(len(self.rows))
+            tuple(_value_function_class(self, row, c) for c in columns)
+            for row in range(len(self.rows))
         )
 
     def values(self, given: Sequence[Any]) -> list[Any]:
         """Expressions of the values, at expressions of the arguments."""
         return [function(*map(sp.sympify, given)) for function in self.functions]
 
-    def evaluated(self, given: Any, columns: Sequence[int] = ()) -> tuple[Array, Array]:
+    def values_and_slopes(self, given: Any, columns: Sequence[int] = ()) -> tuple[Array, Array]:
         """Values (points, rows) and slopes (points, columns, rows) at (points, arguments)."""
         from spiral.physics.outside.calls import evaluate_along
 
@@ -91,17 +92,19 @@ class ProgramValue(sp.Function):
         return True
 
 
-def _function(program: CalledProgram, row: int, column: int | None) -> type[ProgramValue]:
-    """A class of functions; ``_imp_`` is what ``lambdify`` calls with numbers and arrays."""
+def _value_function_class(
+    program: CalledProgram, row: int, column: int | None
+) -> type[ProgramValue]:
+    """SymPy's function of a value or a slope; ``lambdify`` calls its ``_imp_`` with arrays."""
     of = "" if column is None else f"_by_{program.arguments[column]}"
 
-    def numbers(*given: Any) -> Any:
+    def numeric_values(*given: Any) -> Any:
         parts = np.broadcast_arrays(*(np.asarray(g, dtype=float) for g in given))
         points = np.stack([p.ravel() for p in parts], axis=1)
-        values, slopes = program.evaluated(points, () if column is None else (column,))
-        found = values[:, row] if column is None else slopes[:, 0, row]
-        return found.reshape(parts[0].shape)
+        values, slopes = program.values_and_slopes(points, () if column is None else (column,))
+        flat = values[:, row] if column is None else slopes[:, 0, row]
+        return flat.reshape(parts[0].shape)
 
-    own = {"program": program, "row": row, "column": column, "_imp_": staticmethod(numbers),
+    own = {"program": program, "row": row, "column": column, "_imp_": staticmethod(numeric_values),
            "nargs": len(program.arguments)}  # fmt: skip
     return type(f"{program.rows[row]}{of}", (ProgramValue,), own)

@@ -52,7 +52,7 @@ class Wrapped:
         return {RATE + s: v for s, v in zip(self.program.rows, values, strict=True)}
 
 
-def positions(program: CalledProgram, count: int, start: Sequence[float]) -> dict[str, str]:
+def kinematic_rates(program: CalledProgram, count: int, start: Sequence[float]) -> dict[str, str]:
     """States whose rate is another state, wherever the program is asked: name -> its rate.
 
     Parameters
@@ -62,27 +62,25 @@ def positions(program: CalledProgram, count: int, start: Sequence[float]) -> dic
     rng = np.random.default_rng(0)
     around = np.asarray(start, dtype=float) * (1 + 0.1 * rng.normal(size=(_POINTS, len(start))))
     around += 1e-2 * rng.normal(size=around.shape)
-    rates, _ = program.evaluated(around)
-    found = {}
+    rates, _ = program.values_and_slopes(around)
+    kinematic = {}
     for i, name in enumerate(program.rows):
-        same = [j for j in range(count) if _same(rates[:, i], around[:, j]) and j != i]
+        same = [j for j in range(count) if _is_same(rates[:, i], around[:, j]) and j != i]
         if same:
-            found[name] = program.arguments[same[0]]
-    return found
+            kinematic[name] = program.arguments[same[0]]
+    return kinematic
 
 
-def equations(program: CalledProgram, rates: Mapping[str, str]) -> list[str]:
+def rate_equations(program: CalledProgram, rates: Mapping[str, str]) -> list[str]:
     """An equation for each state."""
     return [f"{name}' = {rates.get(name, RATE + name)}" for name in program.rows]
 
 
-def unknown_rates(
-    program: CalledProgram, rates: Mapping[str, str], units: Mapping[str, str]
-) -> Any:
-    """The inputs that stand for rates, as a definition has them."""
+def rate_inputs(program: CalledProgram, rates: Mapping[str, str], units: Mapping[str, str]) -> Any:
+    """Inputs ``rate_of_STATE`` for the rates that only the program knows: name -> unit."""
     left = (name for name in program.rows if name not in rates)
     return {RATE + name: per_second(units[name]) for name in left}
 
 
-def _same(values: Array, others: Array) -> bool:
+def _is_same(values: Array, others: Array) -> bool:
     return bool(np.allclose(values, others, rtol=1e-12, atol=0.0))

@@ -63,24 +63,27 @@ def equations_of_motion(
     count = len(robot.joints)
     mass: list[list[Any]] = [[0] * count for _ in range(count)]
     bias: list[Any] = [0] * count
-    pull = [_plain(g) * (sizes.metre * sizes.second**-2) for g in robot.gravity]
-    frames = _frames(robot, q, v, sizes)
+    pull = [_round_to_whole(g) * (sizes.metre * sizes.second**-2) for g in robot.gravity]
+    frames = _body_frames(robot, q, v, sizes)
     for number, (body, frame) in enumerate(zip(robot.bodies, frames, strict=True)):
-        centre = _add(frame.origin, _times(frame.turned, _long(body.centre, sizes)))
-        arm = _less(centre, frame.origin)
-        rate = _less(_add(frame.push, _swung(frame, arm)), pull)
-        tensor = _tensor(body, frame, factors[number] * sizes.inertia)
+        centre = _add(frame.origin, _multiply_vector(frame.turned, _in_metres(body.centre, sizes)))
+        arm = _subtract(centre, frame.origin)
+        rate = _subtract(_add(frame.push, _rotational_acceleration(frame, arm)), pull)
+        tensor = _inertia_tensor(body, frame, factors[number] * sizes.inertia)
         torque = _add(
-            _times(tensor, frame.spin_rate), _cross(frame.spin, _times(tensor, frame.spin))
+            _multiply_vector(tensor, frame.spin_rate),
+            _cross(frame.spin, _multiply_vector(tensor, frame.spin)),
         )
         force = [masses[number] * r for r in rate]
-        moved = {k: _moved(*axis, centre) for k, axis in frame.axes.items()}
+        moved = {k: _unit_rate_velocities(*axis, centre) for k, axis in frame.axes.items()}
         for k, (by_v, by_w) in moved.items():
             bias[k] = bias[k] + _dot(by_v, force) + _dot(by_w, torque)
             for j, (other_v, other_w) in moved.items():
                 if j < k:
                     continue
-                own = masses[number] * _dot(by_v, other_v) + _dot(by_w, _times(tensor, other_w))
+                own = masses[number] * _dot(by_v, other_v) + _dot(
+                    by_w, _multiply_vector(tensor, other_w)
+                )
                 mass[k][j] = mass[k][j] + own
     for k in range(count):
         for j in range(k):
@@ -88,71 +91,84 @@ def equations_of_motion(
     return mass, bias
 
 
-def _frames(robot: Robot, q: Values, v: Values, sizes: Sizes) -> list[_Frame]:
+def _body_frames(robot: Robot, q: Values, v: Values, sizes: Sizes) -> list[_Frame]:
     """The frame of each body."""
     unit = [[int(i == j) for j in range(3)] for i in range(3)]
     still = (sizes.zero(0, -1), sizes.zero(0, -2), sizes.zero(1, -2))
     ground = _Frame(sizes.zero(1, 0), unit, *still, {})
-    found: list[_Frame] = []
+    frames: list[_Frame] = []
     for number, body in enumerate(robot.bodies):
-        frame = _carried(found[body.parent] if body.parent >= 0 else ground, body, sizes)
+        frame = _fixed_body_frame(frames[body.parent] if body.parent >= 0 else ground, body, sizes)
         for k, joint in enumerate(robot.joints):
             if joint.body == number:
-                frame = _moving(frame, k, joint, q[k], v[k], sizes)
-        found.append(frame)
-    return found
+                frame = _frame_after_joint(frame, k, joint, q[k], v[k], sizes)
+        frames.append(frame)
+    return frames
 
 
-def _carried(parent: _Frame, body: Body, sizes: Sizes) -> _Frame:
+def _fixed_body_frame(parent: _Frame, body: Body, sizes: Sizes) -> _Frame:
     """The frame of a body that does not move in its parent's."""
-    arm = _times(parent.turned, _long(body.at, sizes))
-    turned = [[_plain(x) for x in body.turned[3 * i : 3 * i + 3]] for i in range(3)]
+    arm = _multiply_vector(parent.turned, _in_metres(body.at, sizes))
+    turned = [[_round_to_whole(x) for x in body.turned[3 * i : 3 * i + 3]] for i in range(3)]
     return replace(
         parent,
         origin=_add(parent.origin, arm),
-        turned=_product(parent.turned, turned),
-        push=_add(parent.push, _swung(parent, arm)),
+        turned=_multiply_matrices(parent.turned, turned),
+        push=_add(parent.push, _rotational_acceleration(parent, arm)),
     )
 
 
-def _moving(frame: _Frame, number: int, joint: Joint, q: Any, v: Any, sizes: Sizes) -> _Frame:
+def _frame_after_joint(
+    frame: _Frame, number: int, joint: Joint, q: Any, v: Any, sizes: Sizes
+) -> _Frame:
     """The frame after a joint."""
-    own = [_plain(x) for x in joint.axis]
-    axis = _times(frame.turned, own)
+    own = [_round_to_whole(x) for x in joint.axis]
+    axis = _multiply_vector(frame.turned, own)
     if joint.kind == "slide":
         gone = q - joint.zero * sizes.metre if joint.zero else q
         arm = [a * gone for a in axis]
         coriolis = [2 * x for x in _cross(frame.spin, [a * v for a in axis])]
-        push = _add(_add(frame.push, _swung(frame, arm)), coriolis)
+        push = _add(_add(frame.push, _rotational_acceleration(frame, arm)), coriolis)
         axes = {**frame.axes, number: (axis, None)}
         return replace(frame, origin=_add(frame.origin, arm), push=push, axes=axes)
-    at = _long(joint.at, sizes)
-    arm = _times(frame.turned, at)
+    at = _in_metres(joint.at, sizes)
+    arm = _multiply_vector(frame.turned, at)
     place = _add(frame.origin, arm)
     turning = [a * v for a in axis]
-    turned = _product(frame.turned, _rotation(own, q - joint.zero if joint.zero else q))
+    turned = _multiply_matrices(
+        frame.turned, _axis_rotation(own, q - joint.zero if joint.zero else q)
+    )
     after = _Frame(
-        place, turned, _add(frame.spin, turning),
-        _add(frame.spin_rate, _cross(frame.spin, turning)), _add(frame.push, _swung(frame, arm)),
+        place,
+        turned,
+        _add(frame.spin, turning),
+        _add(frame.spin_rate, _cross(frame.spin, turning)),
+        _add(frame.push, _rotational_acceleration(frame, arm)),
         {**frame.axes, number: (axis, place)},
-    )  # fmt: skip
-    back = [-x for x in _times(turned, at)]
-    return replace(after, origin=_add(place, back), push=_add(after.push, _swung(after, back)))
+    )
+    back = [-x for x in _multiply_vector(turned, at)]
+    return replace(
+        after,
+        origin=_add(place, back),
+        push=_add(after.push, _rotational_acceleration(after, back)),
+    )
 
 
-def _swung(frame: _Frame, arm: Values) -> list[Any]:
+def _rotational_acceleration(frame: _Frame, arm: Values) -> list[Any]:
     """alpha x r + w x (w x r)."""
     return _add(_cross(frame.spin_rate, arm), _cross(frame.spin, _cross(frame.spin, arm)))
 
 
-def _moved(axis: Values, place: Values | None, centre: Values) -> tuple[Values, Values]:
+def _unit_rate_velocities(
+    axis: Values, place: Values | None, centre: Values
+) -> tuple[Values, Values]:
     """The velocities of a centre and of its body for a unit rate of a joint."""
     if place is None:
         return axis, [0] * 3
-    return _cross(axis, _less(centre, place)), axis
+    return _cross(axis, _subtract(centre, place)), axis
 
 
-def _rotation(axis: Values, angle: Any) -> list[list[Any]]:
+def _axis_rotation(axis: Values, angle: Any) -> list[list[Any]]:
     """Rodrigues: cos a I + sin a [e]x + (1 - cos a) e e^T."""
     c, s = cos(angle), sin(angle)
     x, y, z = axis
@@ -163,19 +179,19 @@ def _rotation(axis: Values, angle: Any) -> list[list[Any]]:
     ]
 
 
-def _tensor(body: Body, frame: _Frame, factor: Any) -> list[list[Any]]:
+def _inertia_tensor(body: Body, frame: _Frame, factor: Any) -> list[list[Any]]:
     """R I R^T."""
-    rows = [[_plain(x, 0.0) for x in body.inertia[3 * i : 3 * i + 3]] for i in range(3)]
+    rows = [[_round_to_whole(x, 0.0) for x in body.inertia[3 * i : 3 * i + 3]] for i in range(3)]
     across = [list(column) for column in zip(*frame.turned, strict=True)]
-    turned = _product(_product(frame.turned, rows), across)
+    turned = _multiply_matrices(_multiply_matrices(frame.turned, rows), across)
     return [[x * factor for x in row] for row in turned]
 
 
-def _long(vector: Values, sizes: Sizes) -> list[Any]:
-    return [_plain(x, 0.0) * sizes.metre for x in vector]
+def _in_metres(vector: Values, sizes: Sizes) -> list[Any]:
+    return [_round_to_whole(x, 0.0) * sizes.metre for x in vector]
 
 
-def _plain(value: float, rounding: float = _ROUNDING) -> Any:
+def _round_to_whole(value: float, rounding: float = _ROUNDING) -> Any:
     """A number; a whole one as such, so that products with 0 and 1 vanish from expressions."""
     near = round(value)
     return near if abs(value - near) <= rounding else value
@@ -185,7 +201,7 @@ def _add(a: Values, b: Values) -> list[Any]:
     return [x + y for x, y in zip(a, b, strict=True)]
 
 
-def _less(a: Values, b: Values) -> list[Any]:
+def _subtract(a: Values, b: Values) -> list[Any]:
     return [x - y for x, y in zip(a, b, strict=True)]
 
 
@@ -201,10 +217,10 @@ def _cross(a: Values, b: Values) -> list[Any]:
     ]
 
 
-def _times(rows: Sequence[Values], vector: Values) -> list[Any]:
+def _multiply_vector(rows: Sequence[Values], vector: Values) -> list[Any]:
     return [_dot(row, vector) for row in rows]
 
 
-def _product(a: Sequence[Values], b: Sequence[Values]) -> list[list[Any]]:
+def _multiply_matrices(a: Sequence[Values], b: Sequence[Values]) -> list[list[Any]]:
     columns = [list(column) for column in zip(*b, strict=True)]
     return [[_dot(row, column) for column in columns] for row in a]

@@ -1,4 +1,4 @@
-"""A robot as text: bodies, joints and actuators, in a saved run and in other processes."""
+"""Bodies, joints and actuators of a robot, as text for saved runs and other processes."""
 
 from __future__ import annotations
 
@@ -99,18 +99,20 @@ def robot_of(text: str) -> Robot:
 
     Raises
     ------
-    ConfigError : a text that no robot made.
+    ConfigError : a text that is not a robot's (``Robot.text``).
     """
     try:
         given = json.loads(text)
         kinds = {"bodies": Body, "joints": Joint, "actuators": Actuator}
-        parts = {k: tuple(_made(kind, item) for item in given[k]) for k, kind in kinds.items()}
+        parts = {
+            k: tuple(_construct_part(kind, item) for item in given[k]) for k, kind in kinds.items()
+        }
         return Robot(str(given["title"]), _vector(given["gravity"]), **parts)
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"the text of a robot: {error}", "what spiral.system made") from error
 
 
-def _made(kind: Any, given: Mapping[str, Any]) -> Any:
+def _construct_part(kind: Any, given: Mapping[str, Any]) -> Any:
     return kind(**{k: _vector(v) if isinstance(v, list) else v for k, v in given.items()})
 
 

@@ -1,4 +1,4 @@
-"""A reduced structure as text: what a system is made of, in a saved run and in other processes."""
+"""Matrices of a reduced structure, as text for saved runs and other processes."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ class StructureForm:
         """M^-1."""
         return np.linalg.inv(self.mass)
 
-    def accelerated(self, matrix: Array) -> Array:
+    def divide_by_mass(self, matrix: Array) -> Array:
         """M^-1 times a matrix; what is zero but for rounding is zero."""
-        found = np.linalg.solve(self.mass, matrix)
-        return np.where(np.abs(found) > _ROUNDING * np.abs(found).max(), found, 0.0)
+        solution = np.linalg.solve(self.mass, matrix)
+        return np.where(np.abs(solution) > _ROUNDING * np.abs(solution).max(), solution, 0.0)
 
 
-def described(
+def describe_structure(
     matrices: Mapping[str, Any],
     table: Sequence[KeptNode],
     size: int,
@@ -75,7 +75,7 @@ def described(
     ------
     ConfigError : what cannot be used (``reduction``).
     """
-    from spiral.physics.structures.reduction import reduced
+    from spiral.physics.structures.reduction import reduce_structure
 
     sensors = [i for i, n in enumerate(table) if {*SENSORS} & {*n.uses}]
     forces = [i for i, n in enumerate(table) if {"input", "port"} & {*n.uses}] or sensors
@@ -83,21 +83,21 @@ def described(
     size = min(size, matrices["M"].shape[0])
     _check_band(band, highest)
     ends = (float(band[0]), float(band[1]))
-    found = reduced(matrices, kept, size, ends, sensors, forces, highest)
+    reduction = reduce_structure(matrices, kept, size, ends, sensors, forces, highest)
     names = [n.name for n in table]
     told = {
         "names": [*names, *(f"mode_{i + 1}" for i in range(size - len(table)))],
         "units": [*(n.unit for n in table), *["m"] * (size - len(table))],
         "uses": [list(n.uses) for n in table],
-        "pairs": _pairs(pairs or {}, names),
+        "pairs": _read_node_pairs(pairs or {}, names),
         "damping_ratio": float(damping_ratio),
         "full": matrices["M"].shape[0],
-        "band_hz": list(found.band),
-        "response_error": found.response_error,
-        "frequency_error": found.frequency_error,
-        "highest_hz": found.highest,
-        "lowered": found.lowered,
-        "matrices": {k: m.tolist() for k, m in found.matrices.items()},
+        "band_hz": list(reduction.band),
+        "response_error": reduction.response_error,
+        "frequency_error": reduction.frequency_error,
+        "highest_hz": reduction.highest,
+        "lowered": reduction.lowered,
+        "matrices": {k: m.tolist() for k, m in reduction.matrices.items()},
     }
     return json.dumps(told)
 
@@ -117,8 +117,8 @@ def _check_band(band: Sequence[float], highest: float | None) -> None:
         )
 
 
-def _pairs(given: Mapping[str, Any], names: list[str]) -> list[list[str]]:
-    found = []
+def _read_node_pairs(given: Mapping[str, Any], names: list[str]) -> list[list[str]]:
+    node_pairs = []
     for port, ends in given.items():
         pair = list(map(str, ends)) if isinstance(ends, list | tuple) else [str(ends)]
         for name in pair:
@@ -129,8 +129,8 @@ def _pairs(given: Mapping[str, Any], names: list[str]) -> list[list[str]]:
             raise ConfigError(
                 f"pair {port}: {pair}", "two nodes", f"{port}: [{', '.join(names[:2])}]"
             )
-        found.append([str(port), *pair])
-    return found
+        node_pairs.append([str(port), *pair])
+    return node_pairs
 
 
 @lru_cache(maxsize=16)
@@ -139,7 +139,7 @@ def structure_of(text: str) -> StructureForm:
 
     Raises
     ------
-    ConfigError : a text that ``described`` did not make.
+    ConfigError : a text that ``describe_structure`` did not make.
     """
     try:
         given = json.loads(text)
@@ -156,11 +156,11 @@ def structure_of(text: str) -> StructureForm:
             mass=matrices["M"],
             stiffness=matrices["K"],
             parts={k[2:]: m for k, m in matrices.items() if k.startswith("K_")},
-            damping=_by_ratio(matrices) if damping is None else damping,
+            damping=_unit_modal_damping(matrices) if damping is None else damping,
             by_ratio=damping is None,
             ratio=ratio,
             gyroscopic=matrices.get("G"),
-            report=_report(given),
+            report=_reduction_report(given),
         )
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigError(
@@ -168,7 +168,7 @@ def structure_of(text: str) -> StructureForm:
         ) from error
 
 
-def _by_ratio(matrices: Mapping[str, Array]) -> Array:
+def _unit_modal_damping(matrices: Mapping[str, Array]) -> Array:
     from scipy.linalg import eigh
 
     from spiral.physics.structures.reduction import whole_stiffness
@@ -179,7 +179,7 @@ def _by_ratio(matrices: Mapping[str, Array]) -> Array:
     return 2 * (sides * np.sqrt(np.maximum(values, 0))) @ sides.T
 
 
-def _report(given: Mapping[str, Any]) -> str:
+def _reduction_report(given: Mapping[str, Any]) -> str:
     low, high = given["band_hz"]
     count = given.get("lowered", 0)
     modes = "1 mode above it was" if count == 1 else f"{count} modes above it were"

@@ -13,8 +13,8 @@ it by mass (L. Olovsson, K. Simonsson, M. Unosson, Int. J. Numer. Meth. Eng. 63,
 
 so that the static response stays as it is, and theirs at w is off by (w / w_c)^2 of it.
 
-The coordinates that are told are the kept nodes and, of the natural modes, all but as many: each of
-these moves by itself, and only the nodes' equations are full.
+The reduced coordinates are the kept nodes and all natural modes but as many as there are nodes:
+modes are not coupled to each other, and only the nodes' equations are full.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Reduced:
     lowered: int
 
 
-def reduced(
+def reduce_structure(
     matrices: Mapping[str, Any],
     kept: Sequence[int],
     size: int,
@@ -84,14 +84,16 @@ def reduced(
             f"size={size} of a structure of {total} with {len(kept)} kept nodes",
             f"{len(kept)} to {total} coordinates",
         )
-    basis = _basis(matrices, np.asarray(kept), size)
+    basis = _craig_bampton_basis(matrices, np.asarray(kept), size)
     small = {k: basis.T @ (m @ basis) for k, m in matrices.items()}
     small = {k: 0.5 * (m - m.T if k == "G" else m + m.T) for k, m in small.items()}
     limit = HARMONICS * band[1] if highest is None else highest
-    small["M"], lowered = _lowered(small["M"], whole_stiffness(small), limit)
-    turned = _nodes_and_modes(small, basis, len(kept))
+    small["M"], lowered = _lower_high_modes(small["M"], whole_stiffness(small), limit)
+    turned = _node_mode_transform(small, basis, len(kept))
     small = {k: turned.T @ m @ turned for k, m in small.items()}
-    response, frequency, top = _errors(matrices, small, np.asarray(kept), band, sensors, forces)
+    response, frequency, top = _reduction_errors(
+        matrices, small, np.asarray(kept), band, sensors, forces
+    )
     return Reduced(small, band, response, frequency, top, lowered)
 
 
@@ -100,7 +102,7 @@ def whole_stiffness(matrices: Mapping[str, Any]) -> Any:
     return sum((m for k, m in matrices.items() if k.startswith("K_")), start=matrices["K"])
 
 
-def _lowered(mass: Array, stiffness: Array, limit: float) -> tuple[Array, int]:
+def _lower_high_modes(mass: Array, stiffness: Array, limit: float) -> tuple[Array, int]:
     """M with mass added to the modes above ``limit`` in Hz, and how many these are."""
     values, modes = eigh(stiffness, mass)
     ratios = np.maximum(values / (2 * np.pi * limit) ** 2 - 1, 0)
@@ -108,7 +110,7 @@ def _lowered(mass: Array, stiffness: Array, limit: float) -> tuple[Array, int]:
     return mass + (sides * ratios) @ sides.T, int(np.sum(ratios > 0))
 
 
-def _nodes_and_modes(small: Mapping[str, Array], basis: Array, count: int) -> Array:
+def _node_mode_transform(small: Mapping[str, Array], basis: Array, count: int) -> Array:
     """T of x = T [q_b; e], e the natural modes but those that the nodes' motion tells best.
 
     x = V_d d + V_e e with q_b = V_bd d + V_be e, where V_bd is chosen by pivots; each e in units
@@ -126,7 +128,7 @@ def _nodes_and_modes(small: Mapping[str, Array], basis: Array, count: int) -> Ar
     return turned
 
 
-def _basis(matrices: Mapping[str, Any], kept: Any, size: int) -> Array:
+def _craig_bampton_basis(matrices: Mapping[str, Any], kept: Any, size: int) -> Array:
     mass, stiffness = matrices["M"], sparse.csc_matrix(whole_stiffness(matrices))
     total, count = mass.shape[0], size - len(kept)
     others = np.setdiff1d(np.arange(total), kept)
@@ -144,12 +146,12 @@ def _basis(matrices: Mapping[str, Any], kept: Any, size: int) -> Array:
             ) from error
         basis[np.ix_(others, np.arange(len(kept)))] = -held
     if count:
-        modes = _modes(inner, sparse.csc_matrix(mass[others][:, others]), count)
+        modes = _lowest_modes(inner, sparse.csc_matrix(mass[others][:, others]), count)
         basis[np.ix_(others, np.arange(len(kept), size))] = modes / np.abs(modes).max(axis=0)
     return basis
 
 
-def _modes(stiffness: Any, mass: Any, count: int) -> Array:
+def _lowest_modes(stiffness: Any, mass: Any, count: int) -> Array:
     """(n, count) lowest modes, of a definite sign."""
     if stiffness.shape[0] <= max(_DENSE, 2 * count):
         _, modes = eigh(stiffness.toarray(), mass.toarray(), subset_by_index=(0, count - 1))
@@ -164,7 +166,7 @@ def _modes(stiffness: Any, mass: Any, count: int) -> Array:
 # --- against the full structure ------------------------------------------------------------------
 
 
-def _errors(
+def _reduction_errors(
     full: Mapping[str, Any],
     small: Mapping[str, Array],
     kept: Any,
@@ -173,23 +175,27 @@ def _errors(
     forces: Sequence[int],
 ) -> tuple[float, float, float]:
     frequencies = np.linspace(*band, FREQUENCIES)
-    of_full = _response(full, kept[list(sensors)], kept[list(forces)], frequencies)
-    of_small = _response(
+    of_full = _frequency_response(full, kept[list(sensors)], kept[list(forces)], frequencies)
+    of_small = _frequency_response(
         {k: sparse.csc_matrix(m) for k, m in small.items()}, sensors, forces, frequencies
     )
     response = float(np.sqrt(np.mean(np.abs(of_small - of_full) ** 2) / np.mean(abs(of_full) ** 2)))
-    found = np.sqrt(np.maximum(eigh(whole_stiffness(small), small["M"], eigvals_only=True), 0))
-    found = found / (2 * np.pi)
-    count = int(min(np.sum(found <= 1.2 * band[1]), full["M"].shape[0] - 2))
+    reduced_frequencies = np.sqrt(
+        np.maximum(eigh(whole_stiffness(small), small["M"], eigvals_only=True), 0)
+    )
+    reduced_frequencies = reduced_frequencies / (2 * np.pi)
+    count = int(min(np.sum(reduced_frequencies <= 1.2 * band[1]), full["M"].shape[0] - 2))
     if not count:
-        return response, 0.0, float(found[-1])
-    true = _lowest(whole_stiffness(full), full["M"], count, band[1])
+        return response, 0.0, float(reduced_frequencies[-1])
+    true = _lowest_frequencies(whole_stiffness(full), full["M"], count, band[1])
     inside = true <= band[1]
-    gaps = np.abs(found[:count] - true)[inside] / np.maximum(true[inside], 1e-3 * band[1])
-    return response, float(gaps.max(initial=0.0)), float(found[-1])
+    gaps = np.abs(reduced_frequencies[:count] - true)[inside] / np.maximum(
+        true[inside], 1e-3 * band[1]
+    )
+    return response, float(gaps.max(initial=0.0)), float(reduced_frequencies[-1])
 
 
-def _lowest(stiffness: Any, mass: Any, count: int, high: float) -> Array:
+def _lowest_frequencies(stiffness: Any, mass: Any, count: int, high: float) -> Array:
     """The lowest natural frequencies, Hz, by a shift below zero, which lets rigid motions be."""
     stiffness = sparse.csc_matrix(stiffness)
     if stiffness.shape[0] <= _DENSE:
@@ -201,15 +207,17 @@ def _lowest(stiffness: Any, mass: Any, count: int, high: float) -> Array:
     return np.sqrt(np.maximum(np.sort(values), 0)) / (2 * np.pi)
 
 
-def _response(matrices: Mapping[str, Any], sensors: Any, forces: Any, frequencies: Array) -> Array:
+def _frequency_response(
+    matrices: Mapping[str, Any], sensors: Any, forces: Any, frequencies: Array
+) -> Array:
     """(frequencies, sensors, forces) motion per force."""
     stiffness, mass = whole_stiffness(matrices), matrices["M"]
     damping = matrices.get("C")
     unit = np.zeros((mass.shape[0], len(forces)), dtype=complex)
     unit[list(forces), np.arange(len(forces))] = 1.0
-    found = []
+    responses = []
     for omega in 2 * np.pi * frequencies:
         loss = 1j * _LOSS * stiffness if damping is None else 1j * omega * damping
         moved = splu(sparse.csc_matrix(stiffness + loss - omega**2 * mass)).solve(unit)
-        found.append(moved[list(sensors)])
-    return np.array(found)
+        responses.append(moved[list(sensors)])
+    return np.array(responses)

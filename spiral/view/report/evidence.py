@@ -18,21 +18,21 @@ from spiral.view.report.style import (
     ORANGE,
     SKY,
     VERMILION,
-    blank,
-    decades,
-    words,
+    blank_figure,
+    decade_ticks,
+    label_words,
 )
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-_FEW, _LABELS = 8, 5  # points of a curve that all have words beside them; else so many of them
+_FEW, _LABELS = 8, 5  # up to 8 points of a curve are all labelled, of more only 5
 _TICKS = 16
 _LABEL = 16  # letters of a label's line
 _LEAST = 1e-3  # percent, where an error of zero is drawn
 
 
-def rounds(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def result_rounds(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """The rounds of a saved result; ``add`` has two, ``compare`` and ``diagnose`` one."""
     if result.get("rounds"):
         return list(result["rounds"])
@@ -45,38 +45,38 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
 
     Nothing for a history shorter than ``least`` rounds.
     """
-    found = rounds(result)
-    if len(found) < least or not _known(found):
+    history = result_rounds(result)
+    if len(history) < least or not _finite_errors(history):
         return None
-    figure = blank(height=430)
-    numbers = [r["round"] for r in found]
-    names = [_admitted(r) for r in found]
+    figure = blank_figure(height=430)
+    numbers = [r["round"] for r in history]
+    names = [_step_label(r) for r in history]
     for key, name, colour, dash in (
         ("fit_error", "fit error", SKY, "dot"),
         ("test_error", "test error", BLUE, "solid"),
     ):
-        values = [_percent(r.get(key)) for r in found]
+        values = [_as_percent(r.get(key)) for r in history]
         figure.add_scatter(
             x=numbers, y=values, name=name, mode="lines+markers", customdata=names,
             line={"color": colour, "width": 3, "shape": "hv", "dash": dash}, marker={"size": 10},
             hovertemplate="%{customdata}<br>%{y:.3g} %",
         )  # fmt: skip
-    told = _told([_percent(r.get("test_error")) for r in found])
+    told = _labelled_points([_as_percent(r.get("test_error")) for r in history])
     for index in told:
-        number, name, r = numbers[index], names[index], found[index]
-        value = _percent(r.get("test_error"))
+        number, name, r = numbers[index], names[index], history[index]
+        value = _as_percent(r.get("test_error"))
         at = {"y": 1, "yref": "paper", "yanchor": "top", "font": {"size": 13, "color": VERMILION}}
         if value is not None:
             at = {"y": math.log10(value), "yanchor": "bottom", "yshift": 5, "font": {"size": 13}}
         said = "↑ not finite" if value is None else percent(r["test_error"])
         figure.add_annotation(x=number, text=f"<b>{said}</b><br>{name}", align="left",
                               showarrow=False, xanchor="left", xshift=7, **at)  # fmt: skip
-    _floor_and_axes(figure, found, result.get("noise_floor"))
+    _draw_floor_and_axes(figure, history, result.get("noise_floor"))
     return figure
 
 
-def _told(values: Sequence[float | None]) -> list[int]:
-    """Which points of a curve have room for their words: all of a few, else where most happens.
+def _labelled_points(values: Sequence[float | None]) -> list[int]:
+    """Indices of the points that get a label: all of a few, else where the curve changes most.
 
     Of many: the first, the last, those that are not finite, and after the largest changes.
     """
@@ -88,15 +88,17 @@ def _told(values: Sequence[float | None]) -> list[int]:
     ]
     order = sorted(range(1, len(values) - 1), key=lambda i: size[i - 1], reverse=True)
     chosen = [0, len(values) - 1]
-    apart = len(values) / (_LABELS + 1)  # so that the words of two do not meet
+    apart = len(values) / (_LABELS + 1)  # so that labels do not overlap
     for i in order:
         if len(chosen) < _LABELS and min(abs(i - c) for c in chosen) >= apart and size[i - 1] > 0:
             chosen.append(i)
     return sorted(chosen)
 
 
-def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], share: float | None) -> None:
-    floor = _percent(share)
+def _draw_floor_and_axes(
+    figure: Any, history: Sequence[Mapping[str, Any]], share: float | None
+) -> None:
+    floor = _as_percent(share)
     if floor:
         figure.add_hline(floor, line={"color": GREY, "dash": "dash", "width": 2})
         figure.add_annotation(
@@ -109,43 +111,43 @@ def _floor_and_axes(figure: Any, found: Sequence[Mapping[str, Any]], share: floa
             text=f" noise floor {percent(share)}",
             font={"size": 13, "color": "#555"},
         )
-    numbers = [r["round"] for r in found]
+    numbers = [r["round"] for r in history]
     ticks = numbers[:: math.ceil(len(numbers) / _TICKS)]
     figure.update_xaxes(title_text="round", tickmode="array", tickvals=ticks,
                         range=[-0.15, numbers[-1] + max(0.8, 0.28 * numbers[-1])])  # fmt: skip
-    values = _known(found)
+    values = _finite_errors(history)
     low, high = min([*values, floor or math.inf]), max(values)
     bottom, top = math.log10(low) - 0.25, math.log10(high)
     span = [bottom, top + max(0.45, 0.2 * (top - bottom))]  # room for the labels of the highest
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
-                        range=span, **decades(*span),
+                        range=span, **decade_ticks(*span),
                         minor={"showgrid": True, "gridcolor": "rgba(0,0,0,0.047)"})  # fmt: skip
 
 
-def _known(found: Sequence[Mapping[str, Any]]) -> list[float]:
+def _finite_errors(history: Sequence[Mapping[str, Any]]) -> list[float]:
     """All errors that are finite, in percent."""
-    return [v for r in found for k in ("fit_error", "test_error") if (v := _percent(r.get(k)))]
+    return [v for r in history for k in ("fit_error", "test_error") if (v := _as_percent(r.get(k)))]
 
 
-def _admitted(found: Mapping[str, Any]) -> str:
-    names = [words(name) for name in found.get("admitted") or ()]
-    gone = [words(name) for name in found.get("retired") or ()]
-    let_go = "".join(f"<br>\N{MINUS SIGN} {_wrapped(name)}" for name in gone)
-    return "+ " + ",<br>".join(map(_wrapped, names)) + let_go if names else "the seed"
+def _step_label(entry: Mapping[str, Any]) -> str:
+    names = [label_words(name) for name in entry.get("admitted") or ()]
+    gone = [label_words(name) for name in entry.get("retired") or ()]
+    let_go = "".join(f"<br>\N{MINUS SIGN} {_wrap_label(name)}" for name in gone)
+    return "+ " + ",<br>".join(map(_wrap_label, names)) + let_go if names else "the seed"
 
 
-def _wrapped(name: str) -> str:
+def _wrap_label(name: str) -> str:
     """A long name on two lines."""
     return "<br>".join(wrap(name, _LABEL, break_long_words=False))
 
 
-def _percent(value: Any) -> float | None:
+def _as_percent(value: Any) -> float | None:
     return None if value is None else max(100 * float(value), _LEAST)
 
 
 def candidates(result: Mapping[str, Any]) -> go.Figure | None:
     """What each candidate explains of the residual, round by round, alias groups marked."""
-    groups = [r for r in rounds(result) if r.get("suggestions")]
+    groups = [r for r in result_rounds(result) if r.get("suggestions")]
     if not groups and result.get("suggestions"):
         groups = [{"round": 0, "suggestions": result["suggestions"]}]
     if not groups:
@@ -155,11 +157,13 @@ def candidates(result: Mapping[str, Any]) -> go.Figure | None:
     titles = [f"round {g['round']}" for g in groups]
     width = min(count, 2)
     lines = math.ceil(count / width)
-    figure = blank(lines, width, 110 + lines * (70 + 34 * rows), subplot_titles=titles,
+    figure = blank_figure(lines, width, 110 + lines * (70 + 34 * rows), subplot_titles=titles,
                    horizontal_spacing=0.3, vertical_spacing=0.3 / lines)  # fmt: skip
     for index, group in enumerate(groups):
         admitted = _next_admitted(result, group)
-        _bars(figure, group["suggestions"], admitted, index // width + 1, index % width + 1)
+        _draw_candidate_bars(
+            figure, group["suggestions"], admitted, index // width + 1, index % width + 1
+        )
     figure.update_layout(margin={"l": 170, "t": 78}, showlegend=True, barmode="overlay",
                          legend={"y": 1 + 34 / figure.layout.height})  # fmt: skip
     figure.update_xaxes(range=[0, 118 if width == 1 else 150], tickvals=[0, 50, 100])
@@ -170,13 +174,13 @@ def candidates(result: Mapping[str, Any]) -> go.Figure | None:
 
 
 def _next_admitted(result: Mapping[str, Any], group: Mapping[str, Any]) -> set[str]:
-    for other in rounds(result):
+    for other in result_rounds(result):
         if other["round"] == group["round"] + 1:
             return set(other.get("admitted", ()))
     return set()
 
 
-def _bars(
+def _draw_candidate_bars(
     figure: Any, suggestions: Sequence[Mapping[str, Any]], admitted: set[str], row: int,
     column: int,
 ) -> None:  # fmt: skip
@@ -186,41 +190,49 @@ def _bars(
         ("cannot be told from it", ORANGE, lambda name: name in aliases),
         ("other candidates", GREY, lambda name: name not in admitted | aliases),
     )
-    suggestions = sorted(suggestions, key=_share, reverse=True)
-    names = [words(s["effect"]) for s in suggestions][::-1]
+    suggestions = sorted(suggestions, key=_ranking_share, reverse=True)
+    names = [label_words(s["effect"]) for s in suggestions][::-1]
     for name, colour, belongs in kinds:
         chosen = [s for s in suggestions if belongs(s["effect"])]
         if not chosen:
             continue
         figure.add_bar(
-            y=[words(s["effect"]) for s in chosen], x=[100 * _share(s) for s in chosen],
-            orientation="h", marker_color=colour, name=name, legendgroup=name,
+            y=[label_words(s["effect"]) for s in chosen],
+            x=[100 * _ranking_share(s) for s in chosen],
+            orientation="h",
+            marker_color=colour,
+            name=name,
+            legendgroup=name,
             showlegend=name not in {t.name for t in figure.data},
-            text=[f"p {_p(_worst(s))}" for s in chosen], textposition="outside",
-            hovertext=[s["meaning"] for s in chosen], cliponaxis=False, row=row, col=column,
-        )  # fmt: skip
+            text=[f"p {_p_value_text(_larger_p_value(s))}" for s in chosen],
+            textposition="outside",
+            hovertext=[s["meaning"] for s in chosen],
+            cliponaxis=False,
+            row=row,
+            col=column,
+        )
     figure.update_yaxes(categoryorder="array", categoryarray=names, showgrid=False, row=row,
                         col=column)  # fmt: skip
 
 
-def _share(found: Mapping[str, Any]) -> float:
-    """What orders candidates: the share explained, net of its parameters where that is known."""
-    net = found.get("net")
-    return max(found["explains"] if net is None else net, 0.0)
+def _ranking_share(suggestion: Mapping[str, Any]) -> float:
+    """The share explained that orders candidates, net of the number of parameters where known."""
+    net = suggestion.get("net")
+    return max(suggestion["explains"] if net is None else net, 0.0)
 
 
-def _worst(found: Mapping[str, Any]) -> float:
+def _larger_p_value(suggestion: Mapping[str, Any]) -> float:
     """The larger of the classical p-value and the robust one, where there is one."""
-    return max(found["p_value"] or 0.0, found.get("wald_p_value") or 0.0)
+    return max(suggestion["p_value"] or 0.0, suggestion.get("wald_p_value") or 0.0)
 
 
-def _p(value: float) -> str:
+def _p_value_text(value: float) -> str:
     if value < 1e-99:
         return "< 1e-99"
     return f"= {value:.2f}" if value >= 0.01 else f"= {value:.0e}"
 
 
-def _of_a_curve(row: Mapping[str, Any]) -> bool:
+def _is_curve_coefficient(row: Mapping[str, Any]) -> bool:
     spline = re.fullmatch(r"c\d+(_\w+)?", row["parameter"])
     return row["effect"].startswith("learned_") and spline is not None
 
@@ -230,13 +242,13 @@ def coefficients(table: Sequence[Mapping[str, Any]]) -> go.Figure | None:
 
     Those of a curve say nothing one by one; the curve itself is drawn with its band.
     """
-    known = [r for r in table if r.get("se") and r.get("estimate") and not _of_a_curve(r)]
+    known = [r for r in table if r.get("se") and r.get("estimate") and not _is_curve_coefficient(r)]
     if not known:
         return None
-    names = [words(f"{r['effect']}, {r['parameter']}") for r in known][::-1]
+    names = [label_words(f"{r['effect']}, {r['parameter']}") for r in known][::-1]
     spans = [196 * abs(r["se"] / r["estimate"]) for r in known][::-1]
     clear = [span < 100 for span in spans]
-    figure = blank(height=110 + 30 * len(known))
+    figure = blank_figure(height=110 + 30 * len(known))
     for keep, colour, name in ((True, BLUE, "95 % interval"), (False, VERMILION, "holds zero")):
         at = [i for i, c in enumerate(clear) if c is keep]
         if at:

@@ -17,13 +17,13 @@ from spiral.view.report.motion import COLOURS, NAMES
 from spiral.view.report.style import (
     CYCLE,
     RPM,
-    blank,
-    decades,
+    axis_title,
+    blank_figure,
+    decade_ticks,
+    decibel_map,
     decibels,
-    heat,
-    line,
-    scaled,
-    titled,
+    draw_line,
+    scale_to_prefix,
 )
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ Array = np.ndarray
 
 _BINS = 24
 _LAGS = 60
-_LOUD = 20.0  # dB over the noise that a map reaches at least: noise alone stays dark
+_LOUD = 20.0  # dB over the noise, least top of the colour scale: noise alone stays dark
 _OVER = "dB above the noise"
 _SHOWN = 1e-5  # share of a spectrum's power above which frequencies are shown
 
@@ -43,7 +43,7 @@ def first_model(curves: Curves) -> str:
     return SEED if SEED in curves.meta["models"] else FINAL
 
 
-def error(curves: Curves, record: int, model: str) -> Array | None:
+def free_run_error(curves: Curves, record: int, model: str) -> Array | None:
     """Measured minus free run (samples, channels); nothing where it is not finite."""
     y, free = curves.get(record, "y"), curves.get(record, model, "free")
     if y is None or free is None or not np.isfinite(free).all():
@@ -53,7 +53,7 @@ def error(curves: Curves, record: int, model: str) -> Array | None:
 
 def where_map(curves: Curves, record: int, model: str) -> go.Figure | None:
     """Energy of the free-run error over time x frequency and speed x order, over the noise's."""
-    left = error(curves, record, model)
+    left = free_run_error(curves, record, model)
     if left is None:
         return None
     about = curves.meta["records"][record]
@@ -62,38 +62,38 @@ def where_map(curves: Curves, record: int, model: str) -> go.Figure | None:
     orders = None
     if phase is not None and speed is not None:
         orders = order_map(left, phase, speed, about["dt"])
-    figure = blank(1, 2 if orders else 1, 420, horizontal_spacing=0.12)
-    found = time_map(left, about["dt"])
-    top = highest(found.axis, found.power.sum(axis=0))
-    shown = found.axis <= top
+    figure = blank_figure(1, 2 if orders else 1, 420, horizontal_spacing=0.12)
+    spectrogram = time_map(left, about["dt"])
+    top = highest_frequency(spectrogram.axis, spectrogram.power.sum(axis=0))
+    shown = spectrogram.axis <= top
     dt, channels = about["dt"], left.shape[1]
-    level = decibels(found.power[:, shown].T / noise_power(found, dt, channels))
+    level = decibels(spectrogram.power[:, shown].T / noise_power(spectrogram, dt, channels))
     turned = None
     if orders is not None:
         power = orders.power / noise_power(orders, dt, channels, turning=True)[:, None]
-        turned = _over_speed(np.abs(orders.at) * RPM, power)
+        turned = _average_over_speed(np.abs(orders.at) * RPM, power)
     top = max(_LOUD, level.max(), decibels(turned[1]).max() if turned else 0.0)
-    first = heat(found.at + about["start"], found.axis[shown], level, top, _OVER)
+    first = decibel_map(spectrogram.at + about["start"], spectrogram.axis[shown], level, top, _OVER)
     first.showscale = turned is None  # both maps have one scale
     figure.add_trace(first, row=1, col=1)
     figure.update_xaxes(title_text="time (s)", row=1, col=1)
     figure.update_yaxes(title_text="frequency (Hz)", row=1, col=1)
     if orders is not None and turned is not None:
-        second = heat(turned[0], orders.axis, decibels(turned[1].T), top, _OVER)
+        second = decibel_map(turned[0], orders.axis, decibels(turned[1].T), top, _OVER)
         figure.add_trace(second, row=1, col=2)
         figure.update_xaxes(title_text="speed (rpm)", row=1, col=2)
         figure.update_yaxes(title_text="order", row=1, col=2, range=[0, 6], dtick=1)
     return figure
 
 
-def highest(axis: Array, power: Array) -> float:
-    """The frequency up to which all but a millionth of the power above the floor lies."""
+def highest_frequency(axis: Array, power: Array) -> float:
+    """Upper end of a frequency axis: 1.6 times where 99.5 % of the power over its median ends."""
     above = np.maximum(power - np.median(power), 0.0)
     held = np.cumsum(above) / max(above.sum(), 1e-300)
     return float(1.6 * axis[int(np.searchsorted(held, 0.995))] + 5 * axis[1])
 
 
-def _over_speed(rpm: Array, power: Array) -> tuple[Array, Array]:
+def _average_over_speed(rpm: Array, power: Array) -> tuple[Array, Array]:
     """Slices averaged into bins of speed, (bins, orders); empty bins take their neighbour's."""
     edges = np.linspace(rpm.min(), rpm.max(), min(60, max(len(rpm) // 2, 8)) + 1)
     at = np.clip(np.digitize(rpm, edges) - 1, 0, len(edges) - 2)
@@ -109,28 +109,28 @@ def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
     from spiral.inference.where.regions import envelope
 
     y, phase = curves.get(record, "y"), curves.get(record, "phase")
-    models = [m for m in curves.meta["models"] if error(curves, record, m) is not None]
+    models = [m for m in curves.meta["models"] if free_run_error(curves, record, m) is not None]
     if y is None or not models:
         return None
     channels = curves.meta["channels"]
     sigma = np.array(list(curves.meta["records"][record]["sigma"].values()))
-    factor, unit = scaled(channels[0]["unit"], y)
+    factor, unit = scale_to_prefix(channels[0]["unit"], y)
     columns = 3 if phase is not None else 2
-    figure = blank(1, columns, 360, horizontal_spacing=0.06, shared_yaxes=True)
+    figure = blank_figure(1, columns, 360, horizontal_spacing=0.06, shared_yaxes=True)
     for model in models:
-        left = error(curves, record, model)
+        left = free_run_error(curves, record, model)
         assert left is not None
         size = np.sqrt(np.mean((left / sigma) ** 2, axis=1))
-        _binned(figure, factor * envelope(y), size, model, 1)
+        _draw_binned_rms(figure, factor * envelope(y), size, model, 1)
         if phase is not None:
-            _binned(figure, np.degrees(phase) % 360, size, model, 2)
-        _per_channel(figure, left / sigma, model, [c["name"] for c in channels], columns)
-    figure.update_xaxes(title_text=titled("amplitude", unit), row=1, col=1)
+            _draw_binned_rms(figure, np.degrees(phase) % 360, size, model, 2)
+        _draw_channel_bars(figure, left / sigma, model, [c["name"] for c in channels], columns)
+    figure.update_xaxes(title_text=axis_title("amplitude", unit), row=1, col=1)
     figure.update_yaxes(title_text="rms error / noise", row=1, col=1)
     drawn = np.concatenate([np.asarray(t.y, dtype=float) for t in figure.data])
     drawn = np.log10(drawn[drawn > 0])  # bars begin at the noise, or below the lowest curve
     span = [min(0.0, drawn.min() - 0.1), drawn.max() + 0.15]
-    figure.update_yaxes(type="log", **decades(*span), range=span,
+    figure.update_yaxes(type="log", **decade_ticks(*span), range=span,
                         minor={"showgrid": True, "gridcolor": "rgba(0,0,0,0.047)"})  # fmt: skip
     if phase is not None:
         angle = {"dtick": 90, "range": [0, 360]}
@@ -139,7 +139,7 @@ def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
     return figure
 
 
-def _binned(figure: Any, x: Array, size: Array, model: str, column: int) -> None:
+def _draw_binned_rms(figure: Any, x: Array, size: Array, model: str, column: int) -> None:
     edges = np.linspace(x.min(), x.max(), _BINS + 1)
     at = np.clip(np.digitize(x, edges) - 1, 0, _BINS - 1)
     count = np.bincount(at, minlength=_BINS)
@@ -147,10 +147,12 @@ def _binned(figure: Any, x: Array, size: Array, model: str, column: int) -> None
     kept = count > 8
     middle = 0.5 * (edges[1:] + edges[:-1])
     rms = np.sqrt(power[kept] / count[kept])
-    line(figure, middle[kept], rms, NAMES[model], COLOURS[model], 1, column, width=2)
+    draw_line(figure, middle[kept], rms, NAMES[model], COLOURS[model], 1, column, width=2)
 
 
-def _per_channel(figure: Any, noises: Array, model: str, names: list[str], column: int) -> None:
+def _draw_channel_bars(
+    figure: Any, noises: Array, model: str, names: list[str], column: int
+) -> None:
     import plotly.graph_objects as go
 
     rms = np.sqrt(np.mean(noises**2, axis=0))
@@ -182,29 +184,31 @@ def force_surface(curves: Curves, model: str) -> go.Figure | None:
     phase = curves.get(number, "phase")
     if phase is not None:
         series["angle"], units["angle"] = np.degrees(phase[first : first + len(force)]) % 360, "°"
-    factor, unit = scaled(about["force_unit"], force)
-    figure = blank(len(axes), len(series), 80 + 230 * len(axes), horizontal_spacing=0.04,
+    factor, unit = scale_to_prefix(about["force_unit"], force)
+    figure = blank_figure(len(axes), len(series), 80 + 230 * len(axes), horizontal_spacing=0.04,
                    vertical_spacing=0.09, shared_yaxes=True, shared_xaxes=True)  # fmt: skip
     reach: list[list[float]] = [[] for _ in axes]
     for column, (name, values) in enumerate(series.items(), 1):
-        size, said = (1.0, "°") if name == "angle" else scaled(units[name], values)
+        size, said = (1.0, "°") if name == "angle" else scale_to_prefix(units[name], values)
         for row in range(1, len(axes) + 1):
             at = about["axes"].index(axes[row - 1])
-            reach[row - 1] += _surface(figure, size * values, factor * force[:, at], row, column)
-        title = titled(name.replace("_rate", "'"), said)
+            reach[row - 1] += _draw_surface_panel(
+                figure, size * values, factor * force[:, at], row, column
+            )
+        title = axis_title(name.replace("_rate", "'"), said)
         figure.update_xaxes(title_text=title, row=len(axes), col=column)
     figure.update_xaxes(tickangle=0, nticks=4 if len(series) > 3 else 5)
     if phase is not None:
         figure.update_xaxes(tickvals=[0, 180, 360], range=[0, 360], col=len(series))
     for row, axis in enumerate(axes, 1):
-        figure.update_yaxes(title_text=titled(f"force on {axis}", unit), row=row, col=1)
+        figure.update_yaxes(title_text=axis_title(f"force on {axis}", unit), row=row, col=1)
         low, high = min(reach[row - 1], default=-1.0), max(reach[row - 1], default=1.0)
         edge = 0.06 * (high - low or 1.0)
         figure.update_yaxes(range=[low - edge, high + edge], row=row)  # of all its panels
     return figure
 
 
-def _surface(figure: Any, x: Array, force: Array, row: int, column: int) -> list[float]:
+def _draw_surface_panel(figure: Any, x: Array, force: Array, row: int, column: int) -> list[float]:
     """Draw one panel; returns all heights drawn."""
     import plotly.graph_objects as go
 
@@ -222,7 +226,7 @@ def _surface(figure: Any, x: Array, force: Array, row: int, column: int) -> list
                    fillcolor="rgba(0,114,178,0.22)", name="middle half", legendgroup="half",
                    showlegend=row == column == 1), row=row, col=column,
     )  # fmt: skip
-    line(figure, middle, mean, "mean of the missing force", CYCLE[0], row, column, width=2.2)
+    draw_line(figure, middle, mean, "mean of the missing force", CYCLE[0], row, column, width=2.2)
     return [*lower, *upper, *mean]
 
 
@@ -231,19 +235,21 @@ def correlation(curves: Curves, record: int) -> go.Figure | None:
     left = curves.get(record, FINAL, "left")
     if left is None or not np.isfinite(left).all():
         return None
-    inputs = _drives(curves, record)
+    inputs = _oscillating_inputs(curves, record)
     names = [c["name"] for c in curves.meta["channels"]]
-    figure = blank(1, 2 if inputs else 1, 360, horizontal_spacing=0.13)
+    figure = blank_figure(1, 2 if inputs else 1, 360, horizontal_spacing=0.13)
     counted = int(np.count_nonzero(left[:, 0]))
     lags = min(_LAGS, len(left) // 4)
     at = np.arange(-lags, lags + 1)
     for j, name in enumerate(names):
         own = correlations(left[:, j], left[:, j], lags)
-        line(figure, at[lags + 1 :], own[lags + 1 :], f"residual {name}", CYCLE[j], width=1.8)
+        draw_line(figure, at[lags + 1 :], own[lags + 1 :], f"residual {name}", CYCLE[j], width=1.8)
         for text, values in inputs.items():
             cross = correlations(left[:, j], values, lags)
             dash = None if len(inputs) == 1 else "dot"
-            line(figure, -at, cross, f"residual {name} with {text}", CYCLE[j + 2], 1, 2, dash=dash)
+            draw_line(
+                figure, -at, cross, f"residual {name} with {text}", CYCLE[j + 2], 1, 2, dash=dash
+            )
     for column in range(1, 3 if inputs else 2):
         for side in (-1.96, 1.96):
             figure.add_hline(side / np.sqrt(max(counted, 1)), row=1, col=column,
@@ -255,14 +261,14 @@ def correlation(curves: Curves, record: int) -> go.Figure | None:
     return figure
 
 
-def _drives(curves: Curves, record: int) -> dict[str, Array]:
-    """Inputs as signals that swing: a phase by its cosine; a slow speed is none."""
-    found: dict[str, Array] = {}
+def _oscillating_inputs(curves: Curves, record: int) -> dict[str, Array]:
+    """Inputs as oscillating signals: a phase by its cosine; the speed is left out."""
+    signals: dict[str, Array] = {}
     for item in curves.meta["inputs"]:
         values: Any = curves.get(record, item["name"])
         if values is None or item["name"] == "speed":
             continue
-        found["cos θ" if item["name"] == "phase" else item["name"]] = (
+        signals["cos θ" if item["name"] == "phase" else item["name"]] = (
             np.cos(values) if item["name"] == "phase" else values
         )
-    return found
+    return signals

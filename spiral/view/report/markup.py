@@ -21,7 +21,7 @@ _LONGEST = 200_000  # characters; a term of the largest model here has some 2000
 
 
 class _Kept(HTMLParser):
-    """Writes what is on the lists again, and all text escaped; closes what was left open."""
+    """Copies allowed elements and attributes, all text escaped; remembers which are open."""
 
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)

@@ -14,11 +14,11 @@ from spiral.view.report.style import (
     MEASURED,
     SKY,
     Span,
-    band,
-    blank,
-    line,
-    scaled,
-    titled,
+    axis_title,
+    blank_figure,
+    draw_band,
+    draw_line,
+    scale_to_prefix,
 )
 
 if TYPE_CHECKING:
@@ -38,22 +38,28 @@ def measured_against_model(
     channels, time = curves.meta["channels"], curves.time(record)
     rows = 2 * len(channels)
     heights = [0.62, 0.38] * len(channels)
-    figure = blank(rows, 1, 90 + 300 * len(channels), shared_xaxes=True, vertical_spacing=0.045,
-                   row_heights=heights)  # fmt: skip
+    figure = blank_figure(
+        rows,
+        1,
+        90 + 300 * len(channels),
+        shared_xaxes=True,
+        vertical_spacing=0.045,
+        row_heights=heights,
+    )
     for j, channel in enumerate(channels):
-        factor, unit = scaled(channel["unit"], y[:, j])
+        factor, unit = scale_to_prefix(channel["unit"], y[:, j])
         top = 2 * j + 1
-        line(figure, time, factor * y[:, j], "measured", MEASURED, top, span=span)
-        line(figure, time, factor * free[:, j], NAMES[model], COLOURS[model], top, width=1.1,
+        draw_line(figure, time, factor * y[:, j], "measured", MEASURED, top, span=span)
+        draw_line(figure, time, factor * free[:, j], NAMES[model], COLOURS[model], top, width=1.1,
              span=span)  # fmt: skip
         left = factor * (y[:, j] - free[:, j])
-        line(figure, time, left, "residual", CYCLE[2], top + 1, width=1, span=span)
+        draw_line(figure, time, left, "residual", CYCLE[2], top + 1, width=1, span=span)
         sigma = factor * curves.meta["records"][record]["sigma"][channel["name"]]
         for side in (-1.96 * sigma, 1.96 * sigma):
             figure.add_hline(side, line={"color": "#555", "width": 1, "dash": "dot"},
                              row=top + 1, col=1)  # fmt: skip
-        figure.update_yaxes(title_text=titled(channel["name"], unit), row=top, col=1)
-        figure.update_yaxes(title_text=titled("residual", unit), row=top + 1, col=1)
+        figure.update_yaxes(title_text=axis_title(channel["name"], unit), row=top, col=1)
+        figure.update_yaxes(title_text=axis_title("residual", unit), row=top + 1, col=1)
     settled = curves.meta["records"][record]["settled"]
     if settled:
         end = float(time[min(settled, len(time) - 1)])
@@ -71,19 +77,19 @@ def orbit(curves: Curves, record: int) -> go.Figure | None:
         return None
     size = np.convolve(np.sum((y - y.mean(axis=0)) ** 2, axis=1), np.ones(64), "same")
     middle = int(np.argmax(size))
-    part = _turns(phase, middle, len(y), 5)
-    factor, unit = scaled(channels[0]["unit"], y[part])
-    figure = blank(height=470)
-    line(figure, factor * y[part, 0], factor * y[part, 1], "measured", MEASURED, width=3)
-    line(figure, factor * free[part, 0], factor * free[part, 1], NAMES[FINAL], SKY)
+    part = _turns_around(phase, middle, len(y), 5)
+    factor, unit = scale_to_prefix(channels[0]["unit"], y[part])
+    figure = blank_figure(height=470)
+    draw_line(figure, factor * y[part, 0], factor * y[part, 1], "measured", MEASURED, width=3)
+    draw_line(figure, factor * free[part, 0], factor * free[part, 1], NAMES[FINAL], SKY)
     if phase is not None:
-        _marks(figure, phase[part], factor * y[part])
-    figure.update_xaxes(title_text=titled(channels[0]["name"], unit), constrain="domain")
-    figure.update_yaxes(title_text=titled(channels[1]["name"], unit), scaleanchor="x")
+        _draw_phase_marks(figure, phase[part], factor * y[part])
+    figure.update_xaxes(title_text=axis_title(channels[0]["name"], unit), constrain="domain")
+    figure.update_yaxes(title_text=axis_title(channels[1]["name"], unit), scaleanchor="x")
     return figure
 
 
-def _turns(phase: Any, middle: int, samples: int, count: int) -> slice:
+def _turns_around(phase: Any, middle: int, samples: int, count: int) -> slice:
     """A few turns about a sample; 200 samples where no phase is known."""
     if phase is None:
         return slice(max(middle - 100, 0), min(middle + 100, samples))
@@ -92,7 +98,7 @@ def _turns(phase: Any, middle: int, samples: int, count: int) -> slice:
     return slice(int(near[0]), int(near[-1]) + 1)
 
 
-def _marks(figure: Any, phase: Any, path: Any) -> None:
+def _draw_phase_marks(figure: Any, phase: Any, path: Any) -> None:
     """Where the once-per-turn mark passes."""
     import plotly.graph_objects as go
 
@@ -110,21 +116,32 @@ def missing_force(curves: Curves) -> go.Figure | None:
         return None
     about = next(iter(models.values()))
     axes = about["axes"]
-    found = {m: (curves.get(a["record"], m, "force"), curves.get(a["record"], m, "force_sd"))
+    forces = {m: (curves.get(a["record"], m, "force"), curves.get(a["record"], m, "force_sd"))
              for m, a in models.items()}  # fmt: skip
-    factor, unit = scaled(about["force_unit"], *(f for f, _ in found.values() if f is not None))
-    figure = blank(len(axes), 1, 90 + 220 * len(axes), shared_xaxes=True, vertical_spacing=0.06)
-    for model, (force, spread) in found.items():
+    factor, unit = scale_to_prefix(
+        about["force_unit"], *(f for f, _ in forces.values() if f is not None)
+    )
+    figure = blank_figure(
+        len(axes), 1, 90 + 220 * len(axes), shared_xaxes=True, vertical_spacing=0.06
+    )
+    for model, (force, spread) in forces.items():
         if force is None or spread is None:
             continue
         first = models[model]["first"]
         time = curves.time(models[model]["record"])[first : first + len(force)]
         for j in range(len(axes)):
             name = f"lacking in the {NAMES[model]}"
-            band(figure, time, factor * force[:, j], factor * spread[:, j], name, COLOURS[model],
-                 j + 1)  # fmt: skip
+            draw_band(
+                figure,
+                time,
+                factor * force[:, j],
+                factor * spread[:, j],
+                name,
+                COLOURS[model],
+                j + 1,
+            )
     for j, axis in enumerate(axes):
-        figure.update_yaxes(title_text=titled(f"force on {axis}", unit), row=j + 1, col=1)
+        figure.update_yaxes(title_text=axis_title(f"force on {axis}", unit), row=j + 1, col=1)
     figure.update_xaxes(title_text="time (s)", row=len(axes), col=1)
     return figure
 
@@ -142,11 +159,15 @@ def hidden_states(curves: Curves) -> go.Figure | None:
     assert spread is not None
     time = curves.time(about["record"])[about["first"] : about["first"] + len(states)]
     shown = hidden[:6]
-    figure = blank(len(shown), 1, 90 + 180 * len(shown), shared_xaxes=True, vertical_spacing=0.05)
+    figure = blank_figure(
+        len(shown), 1, 90 + 180 * len(shown), shared_xaxes=True, vertical_spacing=0.05
+    )
     for row, (i, state) in enumerate(shown, 1):
-        factor, unit = scaled(state["unit"], states[:, i])
+        factor, unit = scale_to_prefix(state["unit"], states[:, i])
         name = state["name"].replace("_rate", "'")
-        band(figure, time, factor * states[:, i], factor * spread[:, i], "smoothed", AFTER, row)
-        figure.update_yaxes(title_text=titled(name, unit), row=row, col=1)
+        draw_band(
+            figure, time, factor * states[:, i], factor * spread[:, i], "smoothed", AFTER, row
+        )
+        figure.update_yaxes(title_text=axis_title(name, unit), row=row, col=1)
     figure.update_xaxes(title_text="time (s)", row=len(shown), col=1)
     return figure

@@ -15,7 +15,7 @@ from spiral.io.storage import SavedRun
 from spiral.types.run import estimate_rows
 from spiral.view.report import evidence, maps, motion, rotor, text, unknown
 from spiral.view.report.mathfont import math_style
-from spiral.view.report.style import FONT, Span, hovering
+from spiral.view.report.style import FONT, Span, add_hover_text
 
 Figure = Any
 FREE_RUN = "free_run"
@@ -23,7 +23,7 @@ FREE_RUN = "free_run"
 
 @dataclass(frozen=True)
 class Shown:
-    """A figure with its name, its heading and what it says."""
+    """A figure with its name, its heading and its caption."""
 
     name: str
     heading: str
@@ -34,7 +34,7 @@ class Shown:
 def figures(
     saved: Mapping[str, Any], curves: Curves | None, wanted: Container[str] | None = None
 ) -> list[Shown]:
-    """All figures that a saved run has what it takes for, in the order of the story.
+    """All figures that the data of a saved run allow, in the order of the report.
 
     ``wanted`` names those to draw; left out, all.
     """
@@ -45,30 +45,30 @@ def figures(
          lambda: evidence.error_falling(result)),
         ("evidence", "Evidence for each candidate", text.EVIDENCE,
          lambda: evidence.candidates(result)),
-        ("unknown", "A force in no catalog", text.UNKNOWN, lambda: unknown.curves(result)),
-        ("memory", "A force with memory", text.MEMORY, lambda: unknown.loops(result)),
+        ("unknown", "A force in no catalog", text.UNKNOWN, lambda: unknown.force_curves(result)),
+        ("memory", "A force with memory", text.MEMORY, lambda: unknown.force_loops(result)),
         ("coefficients", "Coefficients with their intervals", text.COEFFICIENTS,
          lambda: evidence.coefficients(table)),
     ]  # fmt: skip
     if curves is not None:
-        makers = [*_before(curves), *makers, *_after(curves)]
-    found = []
+        makers = [*_seed_figures(curves), *makers, *_final_figures(curves)]
+    report_figures = []
     for name, heading, caption, make in makers:
         figure = make() if wanted is None or name in wanted else None
         if figure is not None:
-            found.append(Shown(name, heading, caption, hovering(figure)))
-    return found
+            report_figures.append(Shown(name, heading, caption, add_hover_text(figure)))
+    return report_figures
 
 
-def closer(curves: Curves, name: str, span: Span) -> Figure | None:
-    """A figure of a series whose samples between two moments are all drawn, or many of them."""
+def zoomed_figure(curves: Curves, name: str, span: Span) -> Figure | None:
+    """The free-run figure with its points between two moments; ``None`` for other figures."""
     if name != FREE_RUN:
         return None
     return motion.measured_against_model(curves, curves.tested, maps.first_model(curves), span)
 
 
-def _before(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]:
-    """What is seen before anything is added."""
+def _seed_figures(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]:
+    """Figures of the model before anything is added: name, heading, caption, function."""
     model, test = maps.first_model(c), c.tested
     number = c.meta["models"][model].get("record", 0)
     turning = c.get(number, "phase") is not None
@@ -87,8 +87,8 @@ def _before(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]
     ]  # fmt: skip
 
 
-def _after(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]:
-    """What is seen with the final model."""
+def _final_figures(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]:
+    """Figures of the final model: name, heading, caption, function."""
     test = c.tested
     free: list[tuple[str, str, str, Callable[[], Figure | None]]] = []
     if SEED in c.meta["models"]:
@@ -109,8 +109,8 @@ def _after(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure | None]]]
     ]  # fmt: skip
 
 
-def report_of(saved: SavedRun) -> str | None:
-    """The report of a saved run as HTML; nothing where it kept no curves, as a sweep's jobs."""
+def report_html(saved: SavedRun) -> str | None:
+    """The report of a saved run as HTML; ``None`` where it has no curves, as jobs of a sweep."""
     curves = read_curves(saved.file.parent)
     return None if curves is None else page(saved.data, curves)[0]
 
@@ -125,15 +125,15 @@ def page(saved: Mapping[str, Any], curves: Curves | None) -> tuple[str, list[str
     second = [n for n in ("evidence", "unknown", "memory", "error_falling") if n in parts]
     third = [n for n in parts if n not in (*first, *second, "coefficients")]
     body = [
-        text.header(saved, curves),
-        text.data(saved),
-        _chapter("Where the model fails", text.sentences(curves), [parts[n] for n in first]),
-        _chapter("What is missing", text.suggested(saved), [parts[n] for n in second]),
-        _chapter("The model", text.model(saved, curves),
+        text.report_header(saved, curves),
+        text.data_section(saved),
+        _chapter("Where the model fails", text.where_sentences(curves), [parts[n] for n in first]),
+        _chapter("What is missing", text.rounds_or_suggestions(saved), [parts[n] for n in second]),
+        _chapter("The model", text.model_section(saved, curves),
                  [parts[n] for n in ("coefficients",) if n in parts]),
-        _chapter("How well it does", text.errors(saved, curves), [parts[n] for n in third]),
-        _chapter("Caveats", text.caveats(saved, curves), []),
-        _chapter("How to reproduce it", text.reproduce(saved), []),
+        _chapter("How well it does", text.error_table(saved, curves), [parts[n] for n in third]),
+        _chapter("Caveats", text.caveat_section(saved, curves), []),
+        _chapter("How to reproduce it", text.reproduction_section(saved), []),
     ]  # fmt: skip
     title = f"spiral {saved['verb']} {saved['run_id']}"
     html = (
@@ -145,7 +145,7 @@ def page(saved: Mapping[str, Any], curves: Curves | None) -> tuple[str, list[str
     return html, [s.name for s in shown]
 
 
-def single(shown: Shown) -> str:
+def single_figure_page(shown: Shown) -> str:
     """A page with one figure alone, for a picture of it."""
     from plotly.offline import get_plotlyjs
 

@@ -16,35 +16,35 @@ _PATIENCE = 90.0  # s
 _PAPER = "1122,1587"  # A3 in pixels: as wide as the report
 
 
-def browser() -> str | None:
+def find_browser() -> str | None:
     """A browser that can run without a window: ``SPIRAL_BROWSER``, or one on the path."""
     return os.environ.get(VARIABLE) or next((b for b in map(shutil.which, BROWSERS) if b), None)
 
 
-def picture(html: str, target: Path, width: int = 1060, height: int = 600) -> Path:
+def write_png(html: str, target: Path, width: int = 1060, height: int = 600) -> Path:
     """Write a PNG of a page with no network.
 
     Raises
     ------
     InputError : no browser, or one that draws nothing.
     """
-    return _written(html, target, f"--window-size={width},{height}", "--screenshot")
+    return _run_browser(html, target, f"--window-size={width},{height}", "--screenshot")
 
 
-def printed(html: str, target: Path) -> Path:
+def write_pdf(html: str, target: Path) -> Path:
     """Write a PDF of a page with no network, on paper of the size that the page asks for.
 
     Raises
     ------
     InputError : no browser, or one that prints nothing.
     """
-    return _written(html, target, f"--window-size={_PAPER}", "--no-pdf-header-footer",
+    return _run_browser(html, target, f"--window-size={_PAPER}", "--no-pdf-header-footer",
                     "--print-to-pdf")  # fmt: skip
 
 
-def _written(html: str, target: Path, *flags: str) -> Path:
+def _run_browser(html: str, target: Path, *flags: str) -> Path:
     """Have a browser without a window write a page; the last flag takes the file's name."""
-    program = browser()
+    program = find_browser()
     if program is None:
         raise InputError("no browser", f"one of {', '.join(BROWSERS)}", f"set {VARIABLE}")
     target.unlink(missing_ok=True)

@@ -8,17 +8,17 @@ import numpy as np
 
 from spiral.inference.where.orders import Spectrogram, first_order, full_spectrum, time_map
 from spiral.io.curves import FINAL, Curves
-from spiral.view.report.maps import highest
+from spiral.view.report.maps import highest_frequency
 from spiral.view.report.motion import COLOURS, NAMES
 from spiral.view.report.style import (
     CYCLE,
     GREY,
     MEASURED,
     RPM,
-    blank,
-    line,
-    scaled,
-    titled,
+    axis_title,
+    blank_figure,
+    draw_line,
+    scale_to_prefix,
 )
 
 if TYPE_CHECKING:
@@ -39,26 +39,26 @@ def bode(curves: Curves, record: int) -> go.Figure | None:
     if y is None or phase is None or speed is None or np.ptp(speed) < 1e-3 * np.abs(speed).max():
         return None
     channels = curves.meta["channels"]
-    figure = blank(2, len(channels), 520, shared_xaxes=True, vertical_spacing=0.06,
+    figure = blank_figure(2, len(channels), 520, shared_xaxes=True, vertical_spacing=0.06,
                    horizontal_spacing=0.12)  # fmt: skip
-    factor, unit = scaled(channels[0]["unit"], y)
+    factor, unit = scale_to_prefix(channels[0]["unit"], y)
     given = [("measured", y, MEASURED, 3.2), (NAMES[FINAL], free, COLOURS[FINAL], 1.5)]
     for name, values, colour, width in given:
         if values is None or not np.isfinite(values).all():
             continue
-        found = first_order(values, phase, speed, turns=_TURNS)
-        if found is None:
+        harmonic = first_order(values, phase, speed, turns=_TURNS)
+        if harmonic is None:
             return None
-        rpm = np.abs(found.speed) * RPM
+        rpm = np.abs(harmonic.speed) * RPM
         for j in range(len(channels)):
-            size, lag = factor * np.abs(found.amplitude[:, j]), found.lag[:, j]
+            size, lag = factor * np.abs(harmonic.amplitude[:, j]), harmonic.lag[:, j]
             lag = lag - 360 * np.floor(lag[int(np.argmax(rpm))] / 360)
-            line(figure, rpm, size, name, colour, 1, j + 1, width=width)
-            line(figure, rpm, lag, name, colour, 2, j + 1, width=width)
+            draw_line(figure, rpm, size, name, colour, 1, j + 1, width=width)
+            draw_line(figure, rpm, lag, name, colour, 2, j + 1, width=width)
             figure.update_xaxes(title_text="speed (rpm)", row=2, col=j + 1)
     for j, channel in enumerate(channels, 1):
         name = f"{channel['name']}, 1X peak"
-        figure.update_yaxes(title_text=titled(name, unit), row=1, col=j, rangemode="tozero")
+        figure.update_yaxes(title_text=axis_title(name, unit), row=1, col=j, rangemode="tozero")
         figure.update_yaxes(title_text=f"phase lag of {channel['name']} (°)", row=2, col=j)
     figure.update_yaxes(autorange="reversed", dtick=90, row=2)
     return figure
@@ -70,32 +70,32 @@ def polar(curves: Curves, record: int) -> go.Figure | None:
     if y is None or phase is None or speed is None or np.ptp(speed) < 1e-3 * np.abs(speed).max():
         return None
     channels, free = curves.meta["channels"], curves.get(record, FINAL, "free")
-    figure = blank(1, len(channels), 470, horizontal_spacing=0.13)
-    factor, unit = scaled(channels[0]["unit"], y)
+    figure = blank_figure(1, len(channels), 470, horizontal_spacing=0.13)
+    factor, unit = scale_to_prefix(channels[0]["unit"], y)
     for name, values, colour, width in (
         ("measured", y, MEASURED, 3.2), (NAMES[FINAL], free, COLOURS[FINAL], 1.5)
     ):  # fmt: skip
         if values is None or not np.isfinite(values).all():
             continue
-        found = first_order(values, phase, speed, turns=_FEW)
-        if found is None:
+        harmonic = first_order(values, phase, speed, turns=_FEW)
+        if harmonic is None:
             return None
-        size, lag = factor * np.abs(found.amplitude), np.deg2rad(found.lag)
+        size, lag = factor * np.abs(harmonic.amplitude), np.deg2rad(harmonic.lag)
         for j in range(len(channels)):
             x, up = size[:, j] * np.cos(lag[:, j]), -size[:, j] * np.sin(lag[:, j])
-            line(figure, x, up, name, colour, 1, j + 1, width=width)
+            draw_line(figure, x, up, name, colour, 1, j + 1, width=width)
             if name == "measured":
-                _speeds(figure, x, up, np.abs(found.speed) * RPM, j + 1)
+                _label_speeds(figure, x, up, np.abs(harmonic.speed) * RPM, j + 1)
     for j, channel in enumerate(channels, 1):
-        title = titled(f"{channel['name']}, 1X in phase with the mark", unit)
+        title = axis_title(f"{channel['name']}, 1X in phase with the mark", unit)
         figure.update_xaxes(title_text=title, constrain="domain", row=1, col=j)
         anchor = "x" if j == 1 else f"x{j}"
-        figure.update_yaxes(title_text=titled("90° ahead of it", unit), scaleanchor=anchor,
+        figure.update_yaxes(title_text=axis_title("90° ahead of it", unit), scaleanchor=anchor,
                             row=1, col=j)  # fmt: skip
     return figure
 
 
-def _speeds(figure: Any, x: Array, y: Array, rpm: Array, column: int) -> None:
+def _label_speeds(figure: Any, x: Array, y: Array, rpm: Array, column: int) -> None:
     """Speeds beside a polar plot, spread along the path, none close to another."""
     length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     at = np.searchsorted(length, np.linspace(0, length[-1], _NAMED))
@@ -118,17 +118,19 @@ def waterfall(curves: Curves, record: int) -> go.Figure | None:
     if y is None:
         return None
     channels, about = curves.meta["channels"], curves.meta["records"][record]
-    factor, unit = scaled(channels[0]["unit"], y)
-    figure = blank(1, len(channels), 560, horizontal_spacing=0.13)
+    factor, unit = scale_to_prefix(channels[0]["unit"], y)
+    figure = blank_figure(1, len(channels), 560, horizontal_spacing=0.13)
     for j, channel in enumerate(channels):
-        found = _sliced(y[:, j : j + 1], about["dt"])
-        over = _over(found, about, speed)
-        size = factor * np.sqrt(2 * found.power)
-        shown = found.axis <= highest(found.axis, found.power.sum(axis=0))
-        _ridges(figure, found.axis[shown], size[:, shown], over, 1, j + 1)
-        top = float(found.axis[shown][-1])
+        spectrogram = _slice_spectra(y[:, j : j + 1], about["dt"])
+        over = _slice_heights(spectrogram, about, speed)
+        size = factor * np.sqrt(2 * spectrogram.power)
+        shown = spectrogram.axis <= highest_frequency(
+            spectrogram.axis, spectrogram.power.sum(axis=0)
+        )
+        _draw_ridges(figure, spectrogram.axis[shown], size[:, shown], over, 1, j + 1)
+        top = float(spectrogram.axis[shown][-1])
         if speed is not None:
-            _orders(figure, over, (1, 2, 3), top, 1, j + 1)
+            _draw_order_lines(figure, over, (1, 2, 3), top, 1, j + 1)
         figure.update_xaxes(title_text="frequency (Hz)", range=[0, top], row=1, col=j + 1)
         name = "speed (rpm)" if speed is not None else "time (s)"
         peak = f"{channel['name']} up to {float(size.max()):.3g} {unit}"
@@ -143,8 +145,8 @@ def whirl(curves: Curves, record: int) -> go.Figure | None:
     if y is None or len(channels) != 2 or speed is None:
         return None
     backward, dt = bool(np.mean(speed) < 0), about["dt"]
-    factor, unit = scaled(channels[0]["unit"], y)
-    figure = blank(2, 1, 860, row_heights=[0.36, 0.64], vertical_spacing=0.1)
+    factor, unit = scale_to_prefix(channels[0]["unit"], y)
+    figure = blank_figure(2, 1, 860, row_heights=[0.36, 0.64], vertical_spacing=0.1)
     frequency = np.zeros(1)
     for name, values, colour in (
         ("measured", y, MEASURED), (NAMES[FINAL], curves.get(record, FINAL, "free"), COLOURS[FINAL])
@@ -152,26 +154,26 @@ def whirl(curves: Curves, record: int) -> go.Figure | None:
         if values is None or not np.isfinite(values).all():
             continue
         frequency, size = full_spectrum(values[:, 0], values[:, 1], dt, backward)
-        line(figure, frequency, np.maximum(factor * size, 1e-12), name, colour, width=1.1)
+        draw_line(figure, frequency, np.maximum(factor * size, 1e-12), name, colour, width=1.1)
     floor = factor * np.median(full_spectrum(y[:, 0], y[:, 1], dt)[1]) / 10
     limits = [np.log10(floor), np.log10(factor * np.ptp(y))]
-    figure.update_yaxes(range=limits, title_text=titled("amplitude", unit), type="log",
+    figure.update_yaxes(range=limits, title_text=axis_title("amplitude", unit), type="log",
                         exponentformat="power", row=1, col=1)  # fmt: skip
     top = min(float(frequency.max()), 6 * float(np.abs(speed).max()) / (2 * np.pi))
-    top = _whirling(figure, factor * y, speed, about, top)
+    top = _draw_whirl_cascade(figure, factor * y, speed, about, top)
     for row in (1, 2):
         figure.update_xaxes(title_text="backward whirl  ←  frequency (Hz)  →  forward whirl",
                             range=[-top, top], row=row, col=1)  # fmt: skip
     return figure
 
 
-def _whirling(figure: Any, y: Array, speed: Array, about: Any, top: float) -> float:
+def _draw_whirl_cascade(figure: Any, y: Array, speed: Array, about: Any, top: float) -> float:
     """The cascade of full spectra in the second row; returns the frequency up to which it goes."""
-    found = _sliced(y, about["dt"])
-    over = _over(found, about, speed)
-    top = min(top, highest(found.axis, found.power.sum(axis=0)))
-    length, rows, axis = _length(len(y)), [], np.zeros(1)
-    for at in found.at:
+    spectrogram = _slice_spectra(y, about["dt"])
+    over = _slice_heights(spectrogram, about, speed)
+    top = min(top, highest_frequency(spectrogram.axis, spectrogram.power.sum(axis=0)))
+    length, rows, axis = _slice_length(len(y)), [], np.zeros(1)
+    for at in spectrogram.at:
         first = max(round(at / about["dt"] - length / 2), 0)
         part = y[first : first + length]
         axis, size = full_spectrum(part[:, 0], part[:, 1], about["dt"], bool(np.mean(speed) < 0))
@@ -179,42 +181,42 @@ def _whirling(figure: Any, y: Array, speed: Array, about: Any, top: float) -> fl
         axis = axis[order]
         rows.append(size[order])
     shown = np.abs(axis) <= top
-    _ridges(figure, axis[shown], np.array(rows)[:, shown], over, 2, 1)
-    _orders(figure, over, (-2, -1, 1, 2), top, 2, 1)
+    _draw_ridges(figure, axis[shown], np.array(rows)[:, shown], over, 2, 1)
+    _draw_order_lines(figure, over, (-2, -1, 1, 2), top, 2, 1)
     figure.update_yaxes(title_text="speed (rpm)", row=2, col=1)
     return top
 
 
-def _length(samples: int) -> int:
+def _slice_length(samples: int) -> int:
     return int(np.clip(samples // 10, 64, 4096))
 
 
-def _sliced(values: Array, dt: float) -> Spectrogram:
-    return time_map(values - values.mean(axis=0), dt, _length(len(values)), _CASCADE, 4)
+def _slice_spectra(values: Array, dt: float) -> Spectrogram:
+    return time_map(values - values.mean(axis=0), dt, _slice_length(len(values)), _CASCADE, 4)
 
 
-def _over(found: Spectrogram, about: Any, speed: Array | None) -> Array:
-    """What slices are raised to: speed in rpm, else time in s."""
+def _slice_heights(spectrogram: Spectrogram, about: Any, speed: Array | None) -> Array:
+    """Height at which each slice of a cascade is drawn: speed in rpm, else time in s."""
     if speed is None:
-        return found.at + about["start"]
-    return RPM * np.abs(np.interp(found.at, about["dt"] * np.arange(len(speed)), speed))
+        return spectrogram.at + about["start"]
+    return RPM * np.abs(np.interp(spectrogram.at, about["dt"] * np.arange(len(speed)), speed))
 
 
-def _ridges(figure: Any, axis: Array, size: Array, over: Array, row: int, column: int) -> None:
-    """Spectra raised to what they were taken at, each hiding what lies behind it."""
+def _draw_ridges(figure: Any, axis: Array, size: Array, over: Array, row: int, column: int) -> None:
+    """Draw spectra as ridges at their speeds or times, each hiding what lies behind it."""
     height = 9.0 * np.ptp(over) / len(over) / max(float(size.max()), 1e-300)
     for k in np.argsort(over)[::-1]:
-        line(figure, axis, over[k] + height * size[k], f"{over[k]:.0f}", CYCLE[0], row, column,
+        draw_line(figure, axis, over[k] + height * size[k], f"{over[k]:.0f}", CYCLE[0], row, column,
              width=1.2, showlegend=False, fill="tozeroy", fillcolor="white")  # fmt: skip
 
 
-def _orders(
+def _draw_order_lines(
     figure: Any, over: Array, numbers: tuple[int, ...], top: float, row: int, column: int
 ) -> None:
     """Dotted lines of the orders; those of backward whirl are negative."""
     for number in numbers:
         rpm = np.array([over.min(), min(over.max(), 60 * top / abs(number))])
-        line(figure, number * rpm / 60, rpm, f"{number}X", GREY, row, column, dash="dot",
+        draw_line(figure, number * rpm / 60, rpm, f"{number}X", GREY, row, column, dash="dot",
              width=1.5, showlegend=False)  # fmt: skip
         side = "right" if number > 0 else "left"
         figure.add_annotation(x=number * rpm[1] / 60, y=rpm[1], text=f"<b>{number}X</b>",
@@ -231,15 +233,15 @@ def campbell(curves: Curves, record: int) -> go.Figure | None:
     if not curves.meta["models"].get("modes", {}).get("over_speed") or len(speed) < 2:
         return None
     rpm = speed * RPM
-    figure = blank(1, 2, 420, horizontal_spacing=0.12)
+    figure = blank_figure(1, 2, 420, horizontal_spacing=0.12)
     for k in range(frequency.shape[1]):
         colour, name = CYCLE[k % len(CYCLE)], f"mode {k + 1}"
-        line(figure, rpm, frequency[:, k], name, colour, width=2.4)
-        line(figure, rpm, 100 * damping[:, k], name, colour, 1, 2, width=2.4)
+        draw_line(figure, rpm, frequency[:, k], name, colour, width=2.4)
+        draw_line(figure, rpm, 100 * damping[:, k], name, colour, 1, 2, width=2.4)
     top = 1.25 * float(np.nanmax(frequency))
-    _measured_lines(figure, curves, record, float(rpm.max()), top)
+    _draw_measured_lines(figure, curves, record, float(rpm.max()), top)
     for number in (1, 2):
-        line(figure, rpm, number * rpm / 60, f"{number}X", GREY, dash="dot", width=1.5,
+        draw_line(figure, rpm, number * rpm / 60, f"{number}X", GREY, dash="dot", width=1.5,
              showlegend=False)  # fmt: skip
         end = min(60 * top / number, float(rpm[-1]))
         figure.add_annotation(x=end, y=number * end / 60, text=f"<b>{number}X</b>", row=1, col=1,
@@ -251,22 +253,24 @@ def campbell(curves: Curves, record: int) -> go.Figure | None:
     return figure
 
 
-def _measured_lines(figure: Any, curves: Curves, record: int, fastest: float, top: float) -> None:
+def _draw_measured_lines(
+    figure: Any, curves: Curves, record: int, fastest: float, top: float
+) -> None:
     """The strongest lines of every slice of the measured record, the larger the stronger."""
     import plotly.graph_objects as go
 
     y, speed = curves.get(record, "y"), curves.get(record, "speed")
     if y is None or speed is None:
         return
-    found = _sliced(y, curves.meta["records"][record]["dt"])
-    rpm = _over(found, curves.meta["records"][record], speed)
-    size = np.sqrt(found.power)
+    spectrogram = _slice_spectra(y, curves.meta["records"][record]["dt"])
+    rpm = _slice_heights(spectrogram, curves.meta["records"][record], speed)
+    size = np.sqrt(spectrogram.power)
     inner = size[:, 1:-1]
     peaks = (inner > size[:, :-2]) & (inner >= size[:, 2:]) & (inner > _WEAK * size.max())
     rows: list[tuple[Any, ...]] = []
     for k, slice_ in enumerate(np.where(peaks, inner, 0.0)):
         strongest = np.argsort(slice_)[::-1][:_LINES]
-        rows += [(rpm[k], found.axis[i + 1], slice_[i]) for i in strongest if slice_[i] > 0]
+        rows += [(rpm[k], spectrogram.axis[i + 1], slice_[i]) for i in strongest if slice_[i] > 0]
     rows = [r for r in rows if r[0] <= fastest and r[1] <= top]
     if rows:
         at, frequency, strength = np.array(rows).T

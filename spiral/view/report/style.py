@@ -29,7 +29,7 @@ _PREFIXED = ("m", "N", "V", "A", "Pa", "rad", "g", "W")
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def scaled(unit: str, *values: Array) -> tuple[float, str]:
+def scale_to_prefix(unit: str, *values: Array) -> tuple[float, str]:
     """A factor and the unit that goes with it, so that numbers are neither tiny nor huge.
 
     A length of 5e-5 m is drawn as 50 µm: (1e6, "µm"). Units that take no prefix stay.
@@ -38,12 +38,12 @@ def scaled(unit: str, *values: Array) -> tuple[float, str]:
     largest = max((float(np.abs(v).max()) for v in finite if v.size), default=0.0)
     first, rest = re.match(r"([A-Za-zµ]*)(.*)", unit).groups()  # type: ignore[union-attr]
     if first not in _PREFIXED or not largest:
-        return 1.0, pretty(unit)
+        return 1.0, typeset_unit(unit)
     size, prefix = next((p for p in reversed(_PREFIXES) if largest >= p[0]), _PREFIXES[0])
-    return 1.0 / size, pretty(f"{prefix}{first}{rest}")
+    return 1.0 / size, typeset_unit(f"{prefix}{first}{rest}")
 
 
-def pretty(unit: str) -> str:
+def typeset_unit(unit: str) -> str:
     """``m/s^2`` as ``m/s²``; nothing for a pure number."""
     text = re.sub(r"\^(-?\d+)", lambda m: m.group(1).translate(_SUPERSCRIPT), unit)
     return "" if text == "1" else text.replace("*", "·")
@@ -55,32 +55,32 @@ _SYMBOLS = {
 }  # fmt: skip
 
 
-def words(label: str) -> str:
+def label_words(label: str) -> str:
     """``cross_stiffness@bearing_2`` as ``cross stiffness at bearing 2``."""
     return label.replace("@", " at ").replace("_", " ")
 
 
-def symbols(meaning: str) -> str:
+def typeset_formula(meaning: str) -> str:
     """A meaning with its formula as one writes it: ``k W^2 q`` as ``k Ω² q``, with true minus."""
     text = meaning
     for plain, symbol in _SYMBOLS.items():
         text = re.sub(rf"(?<![A-Za-z]){plain}(?![A-Za-z])", symbol, text)
     minus = "\N{MINUS SIGN}"
     text = re.sub(r"(?<![\w)])-(?=[\w|(])| - ", lambda m: m.group().replace("-", minus), text)
-    return pretty(text).replace("·", "*").replace(")_+", ")₊")
+    return typeset_unit(text).replace("·", "*").replace(")_+", ")₊")
 
 
-def titled(name: str, unit: str) -> str:
+def axis_title(name: str, unit: str) -> str:
     """An axis title: ``x (µm)``."""
     return f"{name} ({unit})" if unit else name
 
 
 Span = tuple[float, float] | None
-"""From where to where of an axis is looked at; all of it with ``None``."""
+"""The visible range of an axis; all of it with ``None``."""
 
 
-def thinned(x: Array, y: Array, points: int = POINTS, span: Span = None) -> tuple[Array, Array]:
-    """At most ``points`` points that draw as all do: lowest and highest of each stretch, in order.
+def thin_curve(x: Array, y: Array, points: int = POINTS, span: Span = None) -> tuple[Array, Array]:
+    """At most ``points`` points that look like all: lowest and highest of each stretch, in order.
 
     x and y are (samples,). Peaks survive, whatever the length. Where a ``span`` of an increasing x
     is looked at, it has that many points to itself, and what lies outside a few.
@@ -90,7 +90,7 @@ def thinned(x: Array, y: Array, points: int = POINTS, span: Span = None) -> tupl
         first, last = max(first - 1, 0), min(last + 1, len(x))
         parts = ((slice(0, first), POINTS // 10), (slice(first, last), points),
                  (slice(last, len(x)), POINTS // 10))  # fmt: skip
-        pieces = [thinned(x[part], y[part], most) for part, most in parts if len(x[part])]
+        pieces = [thin_curve(x[part], y[part], most) for part, most in parts if len(x[part])]
         return tuple(map(np.concatenate, zip(*pieces, strict=True)))  # type: ignore[return-value]
     count = points // 2
     if len(y) <= points:
@@ -105,17 +105,17 @@ def thinned(x: Array, y: Array, points: int = POINTS, span: Span = None) -> tupl
     return x[chosen], y[chosen]
 
 
-def blank(rows: int = 1, columns: int = 1, height: int = 420, **options: Any) -> Any:
+def blank_figure(rows: int = 1, columns: int = 1, height: int = 420, **options: Any) -> Any:
     """An empty figure in the house look; ``options`` as of Plotly's ``make_subplots``."""
     from plotly.subplots import make_subplots
 
     figure = make_subplots(rows, columns, **options)
-    figure.update_layout(template=_look(), height=height)
+    figure.update_layout(template=_plotly_template(), height=height)
     return figure
 
 
 @lru_cache(maxsize=1)
-def _look() -> Any:
+def _plotly_template() -> Any:
     """The house look as a template, which the browser applies: many times faster than by axis."""
     import plotly.graph_objects as go
 
@@ -134,7 +134,7 @@ def _look() -> Any:
     return go.layout.Template(layout=look)
 
 
-def decades(low: float, high: float) -> dict[str, Any]:
+def decade_ticks(low: float, high: float) -> dict[str, Any]:
     """The ticks of a logarithmic axis: decades, or 1, 2, 5 where there are few; log10 of both.
 
     Those few are written out: Plotly writes 20 as 2 beside its decade, which may be out of view.
@@ -146,7 +146,7 @@ def decades(low: float, high: float) -> dict[str, Any]:
     return {"tickvals": values, "ticktext": [f"{v:g}" for v in values]}
 
 
-def line(
+def draw_line(
     figure: Any, x: Array, y: Array, name: str, colour: str, row: int = 1, column: int = 1,
     **more: Any,
 ) -> None:  # fmt: skip
@@ -154,7 +154,7 @@ def line(
     import plotly.graph_objects as go
 
     span = more.pop("span", None)
-    thin_x, thin_y = thinned(np.asarray(x), np.asarray(y), span=span)
+    thin_x, thin_y = thin_curve(np.asarray(x), np.asarray(y), span=span)
     thin_x = thin_x.astype(np.float32) if span is None else thin_x  # neighbours stay apart
     style = {"color": colour, "width": more.pop("width", 1.4), "dash": more.pop("dash", None)}
     shown = more.pop("showlegend", name not in {t.name for t in figure.data})
@@ -166,7 +166,7 @@ def line(
     figure.add_trace(trace, row=row, col=column)
 
 
-def band(
+def draw_band(
     figure: Any, x: Array, middle: Array, spread: Array, name: str, colour: str,
     row: int = 1, column: int = 1,
 ) -> None:  # fmt: skip
@@ -179,21 +179,30 @@ def band(
     outline = np.concatenate([x[part], x[part][::-1]])
     figure.add_trace(
         go.Scatter(
-            x=outline.astype(np.float32), y=np.concatenate([high, low[::-1]]).astype(np.float32),
-            fill="toself", fillcolor=faint(colour), line={"width": 0}, hoverinfo="skip",
-            name=f"{name}, 95 %", legendgroup=name, mode="lines", showlegend=False,
-        ), row=row, col=column,
-    )  # fmt: skip
-    line(figure, x, middle, name, colour, row, column)
+            x=outline.astype(np.float32),
+            y=np.concatenate([high, low[::-1]]).astype(np.float32),
+            fill="toself",
+            fillcolor=transparent_colour(colour),
+            line={"width": 0},
+            hoverinfo="skip",
+            name=f"{name}, 95 %",
+            legendgroup=name,
+            mode="lines",
+            showlegend=False,
+        ),
+        row=row,
+        col=column,
+    )
+    draw_line(figure, x, middle, name, colour, row, column)
 
 
-def hovering(figure: Any) -> Any:
-    """The figure, where the mouse reads names and units: those of the axes, for every trace."""
+def add_hover_text(figure: Any) -> Any:
+    """The figure with hover texts: names and units of the axes, for every trace."""
     layout = figure.to_plotly_json()["layout"]
     for trace in figure.data:
         if trace.hovertemplate or trace.hoverinfo == "skip" or not hasattr(trace, "hovertemplate"):
             continue
-        x, y = (_said_of(layout, getattr(trace, f"{d}axis") or d, d) for d in "xy")
+        x, y = (_axis_label(layout, getattr(trace, f"{d}axis") or d, d) for d in "xy")
         lines = [f"<b>{trace.name}</b>"] if trace.name else []
         digits = ("", "") if trace.type == "bar" else (":.6g", ":.4g")  # a bar may have a name
         lines += [f"{x}: %{{x{digits[0]}}}", f"{y}: %{{y{digits[1]}}}"]
@@ -203,23 +212,23 @@ def hovering(figure: Any) -> Any:
     return figure
 
 
-def _said_of(layout: Mapping[str, Any], name: str, letter: str) -> str:
-    """What an axis says, or one that moves with it; its letter where none says anything."""
+def _axis_label(layout: Mapping[str, Any], name: str, letter: str) -> str:
+    """The title of an axis, or of one linked with it; its letter where none has a title."""
 
-    def of(axis: str) -> Mapping[str, Any]:
+    def axis_layout(axis: str) -> Mapping[str, Any]:
         return layout.get(f"{letter}axis{axis[1:]}") or {}
 
-    group = of(name).get("matches") or name
+    group = axis_layout(name).get("matches") or name
     others = [f"{letter}{k.removeprefix(f'{letter}axis')}" for k in layout
               if k.startswith(f"{letter}axis")]  # fmt: skip
-    alike = [a for a in others if group in (a, of(a).get("matches"))]
-    titles = [(of(a).get("title") or {}).get("text") for a in (name, *alike)]
-    found = next(filter(None, titles), letter)
-    return re.sub(r"<[^>]*>|;.*", " ", found).strip()
+    alike = [a for a in others if group in (a, axis_layout(a).get("matches"))]
+    titles = [(axis_layout(a).get("title") or {}).get("text") for a in (name, *alike)]
+    label = next(filter(None, titles), letter)
+    return re.sub(r"<[^>]*>|;.*", " ", label).strip()
 
 
-def faint(colour: str, alpha: float = 0.28) -> str:
-    """A colour let through."""
+def transparent_colour(colour: str, alpha: float = 0.28) -> str:
+    """A hex colour made transparent, as ``rgba(...)``."""
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return f"rgba({red},{green},{blue},{alpha})"
 
@@ -229,8 +238,8 @@ def decibels(power: Array) -> Array:
     return 10 * np.log10(np.maximum(power, 1e-30))
 
 
-def heat(x: Array, y: Array, level: Array, top: float, title: str) -> Any:
-    """A map of decibels up to ``top``, 40 dB deep, never under zero; level is (y, x)."""
+def decibel_map(x: Array, y: Array, level: Array, top: float, title: str) -> Any:
+    """A heat map of decibels, 40 dB below ``top`` and not below zero; level is (y, x)."""
     import plotly.graph_objects as go
 
     low = max(top - 40.0, 0.0)

@@ -12,10 +12,10 @@ import numpy as np
 from spiral.io.curves import SEED, Curves
 from spiral.types.formatting import number, percent, plus_minus, probability
 from spiral.types.run import estimate_rows
-from spiral.view.report.evidence import rounds
+from spiral.view.report.evidence import result_rounds
 from spiral.view.report.markup import safe_mathml
-from spiral.view.report.sketch import figure
-from spiral.view.report.style import pretty, scaled, words
+from spiral.view.report.sketch import sketch_figure
+from spiral.view.report.style import label_words, scale_to_prefix, typeset_unit
 from spiral.view.terminal.shell import option_lines
 
 Saved = Mapping[str, Any]
@@ -84,7 +84,9 @@ CAMPBELL = (
 )
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], right: Sequence[str] = ()) -> str:
+def html_table(
+    columns: Sequence[str], rows: Sequence[Sequence[Any]], right: Sequence[str] = ()
+) -> str:
     """An HTML table; columns named in ``right`` are numbers."""
     kind = [' class="n"' if c in right else "" for c in columns]
     head = "".join(f"<th{k}>{escape(c)}</th>" for c, k in zip(columns, kind, strict=True))
@@ -97,8 +99,8 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], right: Sequence
     return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
 
 
-def header(saved: Saved, curves: Curves | None) -> str:
-    """What was found, in a headline and a sentence."""
+def report_header(saved: Saved, curves: Curves | None) -> str:
+    """The head of the page: what the run found, in a headline and a sentence."""
     result, config = saved["result"], saved["config"]
     what = config.get("experiment") or (config.get("system") or {}).get("name") or ""
     return (
@@ -110,10 +112,10 @@ def header(saved: Saved, curves: Curves | None) -> str:
 
 
 def _headline(result: Mapping[str, Any]) -> str:
-    admitted = [e for r in rounds(result) for e in r.get("admitted", ())]
-    found = result.get("missing", admitted)  # runs of older versions name what they admitted
-    if found:
-        return f"Missing: {', '.join(map(words, found))}"
+    admitted = [e for r in result_rounds(result) for e in r.get("admitted", ())]
+    effects = result.get("missing", admitted)  # runs of older versions name what they admitted
+    if effects:
+        return f"Missing: {', '.join(map(label_words, effects))}"
     verdicts = {
         "effect_missing": "An effect is missing",
         "nothing_missing": "Nothing is missing",
@@ -124,7 +126,7 @@ def _headline(result: Mapping[str, Any]) -> str:
 
 
 def _outcome(result: Mapping[str, Any]) -> str:
-    done = rounds(result)
+    done = result_rounds(result)
     if result.get("summary"):
         return f"{result['summary']} {result.get('advice') or ''}".strip()
     if not done:
@@ -140,7 +142,7 @@ def _outcome(result: Mapping[str, Any]) -> str:
     return f"{words}. {result.get('advice') or ''}".strip()
 
 
-def data(saved: Saved) -> str:
+def data_section(saved: Saved) -> str:
     """The records, and what was done to them."""
     rows = [
         (part, r["name"], r["samples"], f"{r['samples'] / r['rate']:.4g}", f"{r['rate']:.6g}")
@@ -149,10 +151,10 @@ def data(saved: Saved) -> str:
     ]
     columns = ("part", "record", "samples", "length (s)", "rate (Hz)")
     rows = [("fitted" if p == "records" else p, *rest) for p, *rest in rows]
-    return "<h2>The data</h2>" + table(columns, rows, columns[2:])
+    return "<h2>The data</h2>" + html_table(columns, rows, columns[2:])
 
 
-def sentences(curves: Curves | None) -> str:
+def where_sentences(curves: Curves | None) -> str:
     """Where the model failed, and where the final one still does."""
     if curves is None:
         return f'<p class="note">{escape(_NO_CURVES)}</p>'
@@ -166,10 +168,10 @@ def sentences(curves: Curves | None) -> str:
     return "".join(words)
 
 
-def suggested(saved: Saved) -> str:
+def rounds_or_suggestions(saved: Saved) -> str:
     """Rounds and what they admitted, or the ranked suggestions of a diagnosis."""
     result = saved["result"]
-    done = rounds(result)
+    done = result_rounds(result)
     if len(done) > 1:
         columns = ("round", "added", "fit error", "test error", "chi2/dof", "whiteness p")
         rows = [
@@ -177,7 +179,7 @@ def suggested(saved: Saved) -> str:
              percent(r["test_error"]), number(r["chi2_per_dof"]), probability(r["whiteness_p"]))
             for r in done
         ]  # fmt: skip
-        return table(columns, rows, columns[2:])
+        return html_table(columns, rows, columns[2:])
     if not result.get("suggestions"):
         return ""
     columns = ("effect", "meaning", "explains", "p", "test error with it")
@@ -186,14 +188,14 @@ def suggested(saved: Saved) -> str:
          percent(s.get("test_error_after")))
         for s in result["suggestions"]
     ]  # fmt: skip
-    return table(columns, rows, columns[2:])
+    return html_table(columns, rows, columns[2:])
 
 
-def model(saved: Saved, curves: Curves | None) -> str:
+def model_section(saved: Saved, curves: Curves | None) -> str:
     """A sketch of the model, its equation and the table of its parameters."""
     if curves is None:
         return coefficients_table(saved["result"])
-    drawn = figure(curves.meta.get("sketch"))
+    drawn = sketch_figure(curves.meta.get("sketch"))
     signs = curves.meta.get("signs")
     return drawn + coefficients_table(
         saved["result"], curves.meta["mathml"], signs if isinstance(signs, dict) else None
@@ -210,140 +212,145 @@ def coefficients_table(
     ``signs`` says of coefficients by full name what is doubtful about their sign.
     """
     rows = [
-        (words(r["effect"]), _named(r, signs or {}), plus_minus(r["estimate"], r.get("se")),
-         _ratio(r.get("t")), pretty(r["unit"] or "1") or "1")
+        (
+            label_words(r["effect"]),
+            _parameter_label(r, signs or {}),
+            plus_minus(r["estimate"], r.get("se")),
+            _format_ratio(r.get("t")),
+            typeset_unit(r["unit"] or "1") or "1",
+        )
         for r in estimate_rows(result)
-    ]  # fmt: skip
+    ]
     columns = ("effect", "parameter", "estimate ± se", "t", "unit")
-    shown = _equation(mathml) if mathml else ""
-    return shown + (table(columns, rows, columns[2:4]) if rows else "")
+    shown = _equation_table(mathml) if mathml else ""
+    return shown + (html_table(columns, rows, columns[2:4]) if rows else "")
 
 
-def _named(row: Mapping[str, Any], signs: Mapping[str, str]) -> str:
+def _parameter_label(row: Mapping[str, Any], signs: Mapping[str, str]) -> str:
     """A parameter's name, and what is doubtful about its sign."""
     said = signs.get(f"{row['effect']}.{row['parameter']}")
-    return words(row["parameter"]) + (f" ({said})" if said else "")
+    return label_words(row["parameter"]) + (f" ({said})" if said else "")
 
 
-def _ratio(t: float | None) -> str:
+def _format_ratio(t: float | None) -> str:
     """An estimate over its standard error: ``1220``, ``-3.41``."""
     if t is None:
         return "given"
     return f"{t:.0f}" if 100 <= abs(t) < 1e6 else number(t, 3)
 
 
-def _equation(found: Sequence[Mapping[str, Any]]) -> str:
+def _equation_table(equations: Sequence[Mapping[str, Any]]) -> str:
     rows = []
-    for item in found:
+    for item in equations:
         for index, term in enumerate(item["terms"]):
             name = safe_mathml(item["left"])
             left = f"<math><mrow>{name}<mo>=</mo></mrow></math>" if index == 0 else ""
             body = f'<math display="inline"><mrow>{safe_mathml(term["math"])}</mrow></math>'
             rows.append(
                 f"<tr><td>{left}</td><td>{body}</td>"
-                f'<td class="owner">{escape(words(term["owner"]))}</td></tr>'
+                f'<td class="owner">{escape(label_words(term["owner"]))}</td></tr>'
             )
     return f'<div class="wide"><table class="equation">{"".join(rows)}</table></div>'
 
 
-def sized(value: float | None, unit: str) -> str:
+def format_with_unit(value: float | None, unit: str) -> str:
     """``20.04 µm`` for 2.004e-5 m."""
     if value is None:
         return "not finite"
-    factor, name = scaled(unit, np.array([value]))
+    factor, name = scale_to_prefix(unit, np.array([value]))
     return f"{number(factor * value)} {name}".strip()
 
 
-def errors(saved: Saved, curves: Curves | None) -> str:
+def error_table(saved: Saved, curves: Curves | None) -> str:
     """Errors of each channel on the test record, in its unit where the curves know it."""
     result = saved["result"]
     last = result.get("test") or result.get("channels")
     last = last or (result.get("comparison") or result.get("after") or {}).get("channels") or {}
     units = {} if curves is None else {c["name"]: c["unit"] for c in curves.meta["channels"]}
     rows = [
-        (name, sized(v["rmse"], units.get(name, "")), percent(v["relative"]))
+        (name, format_with_unit(v["rmse"], units.get(name, "")), percent(v["relative"]))
         for name, v in last.items()
     ]
     columns = ("channel", "rms error", "of its deviation")
-    return table(columns, rows, columns[1:]) if rows else ""
+    return html_table(columns, rows, columns[1:]) if rows else ""
 
 
-def caveats(saved: Saved, curves: Curves | None) -> str:
-    """All that a reader should hold against the result."""
+def caveat_section(saved: Saved, curves: Curves | None) -> str:
+    """What limits the result: aliases, refusals, short records, changes of the data."""
     result = saved["result"]
-    found = [said for r in rounds(result) for said in _of_a_round(r)]
-    found += [
-        f"{words(s['effect']).capitalize()} cannot be told from "
-        f"{', '.join(map(words, s['aliases']))}."
+    notes = [said for r in result_rounds(result) for said in _round_caveats(r)]
+    notes += [
+        f"{label_words(s['effect']).capitalize()} cannot be told from "
+        f"{', '.join(map(label_words, s['aliases']))}."
         for s in result.get("suggestions", ())
         if s.get("aliases")
     ]
-    found += [f"Alike on this record: {', '.join(g)}." for g in result.get("alias_groups", ())]
+    notes += [f"Alike on this record: {', '.join(g)}." for g in result.get("alias_groups", ())]
     if result.get("verdict") == "not_identifiable" or result.get("stopped") == "diverged":
-        found.append(f"Refused ({result.get('stopped') or result['verdict']}): {result['advice']}")
-    found += _of_the_data(saved)
+        notes.append(f"Refused ({result.get('stopped') or result['verdict']}): {result['advice']}")
+    notes += _data_caveats(saved)
     if curves is None:
-        found.append(_NO_CURVES)
-    if not found:
-        found = ["None: no alias, no refusal, no short record, nothing changed in the data."]
-    return "".join(f'<p class="note">{escape(said)}</p>' for said in dict.fromkeys(found))
+        notes.append(_NO_CURVES)
+    if not notes:
+        notes = ["None: no alias, no refusal, no short record, nothing changed in the data."]
+    return "".join(f'<p class="note">{escape(said)}</p>' for said in dict.fromkeys(notes))
 
 
-def _of_a_round(r: Saved) -> list[str]:
-    found = doubted(r)
-    found += [
-        f"Round {r['round']}: {words(effect)} was refused: {reason}."
+def _round_caveats(r: Saved) -> list[str]:
+    notes = ambiguity_notes(r)
+    notes += [
+        f"Round {r['round']}: {label_words(effect)} was refused: {reason}."
         for effect, reason in (r.get("rejected") or {}).items()
     ]
-    found += [
-        f"Round {r['round']}: {words(effect)} was let go, superfluous beside the others."
+    notes += [
+        f"Round {r['round']}: {label_words(effect)} was let go, superfluous beside the others."
         for effect in r.get("retired", ())
     ]
-    return found
+    return notes
 
 
-def doubted(r: Saved) -> list[str]:
-    """What a round's record leaves open: look-alikes of what was added, what it could not find."""
-    found = [
-        f"{words(effect).capitalize()} cannot be told from {', '.join(map(words, others))} "
-        "on this record."
+def ambiguity_notes(r: Saved) -> list[str]:
+    """Sentences on what a round's record cannot tell apart or could not have found."""
+    notes = [
+        f"{label_words(effect).capitalize()} cannot be told from "
+        f"{', '.join(map(label_words, others))} on this record."
         for effect, others in (r.get("aliases") or {}).items()
         if others
     ]
-    found += [
-        f"{words(effect).capitalize()} could not have been found: on this record "
-        f"{', '.join(map(words, owners))} would take it over."
+    notes += [
+        f"{label_words(effect).capitalize()} could not have been found: on this record "
+        f"{', '.join(map(label_words, owners))} would take it over."
         for effect, owners in ((r.get("details") or {}).get("not_separable") or {}).items()
     ]
     if r.get("second_order"):
-        found.append(
-            f"{', '.join(map(words, r['admitted']))} is of second order: it may stand for the "
-            "remainder of an effect transmitted by a hidden state."
+        notes.append(
+            f"{', '.join(map(label_words, r['admitted']))} is of second order: it may stand for "
+            "the remainder of an effect transmitted by a hidden state."
         )
-    return found
+    return notes
 
 
-def _of_the_data(saved: Saved) -> list[str]:
-    found = []
+def _data_caveats(saved: Saved) -> list[str]:
+    notes = []
     for records in saved["data"].values():
         for r in records:
             file = re.split(r" \((?:last|block) ", r["name"])[
                 0
             ]  # the part kept apart was read as the rest was
-            found += [n if n.startswith(f"{file}:") else f"{file}: {n}" for n in r.get("notes", ())]
+            notes += [n if n.startswith(f"{file}:") else f"{file}: {n}" for n in r.get("notes", ())]
             if r["samples"] < _SHORT:
-                found.append(f"{r['name']} is short ({r['samples']} samples): its tests rest on "
+                notes.append(f"{r['name']} is short ({r['samples']} samples): its tests rest on "
                              f"few blocks.")  # fmt: skip
     if not saved["data"].get("test"):
-        found.append("There is no test record: the errors are of the data that were fitted.")
-    return found
+        notes.append("There is no test record: the errors are of the data that were fitted.")
+    return notes
 
 
-def reproduce(saved: Saved) -> str:
+def reproduction_section(saved: Saved) -> str:
     """The command, the versions, the hashes of the data."""
     given = option_lines(saved.get("overrides", ()))
     # The effects of ``add`` come before its overrides.
-    names = [e for r in rounds(saved["result"]) for e in r.get("admitted", ())]
+    names = [e for r in result_rounds(saved["result"]) for e in r.get("admitted", ())]
     named = " " + " ".join(names) if saved["verb"] == "add" else ""
     hashes = [
         (part, r["name"], r["sha256"]) for part, group in saved["data"].items() for r in group
@@ -352,8 +359,8 @@ def reproduce(saved: Saved) -> str:
     plugins = [(k, v) for k, v in saved["plugins"].items() if k.split("/")[-1] in used]
     return (
         f"<pre>spiral {escape(saved['verb'])}{escape(named)}{escape(given)}</pre>"
-        + table(("part", "record", "SHA-256 of its numbers"), hashes)
-        + table(("plugin", "from"), plugins)
+        + html_table(("part", "record", "SHA-256 of its numbers"), hashes)
+        + html_table(("plugin", "from"), plugins)
         + f"<p>Run <code>{escape(saved['run_id'])}</code>; the composed configuration is in its "
         "run.json.</p>"
     )

@@ -1,4 +1,4 @@
-"""What a trial of an effect shows: where it helps, and its own force over the missing one."""
+"""Figures of a trial of an effect: where it helps, and its force beside the missing one."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from spiral.view.report.style import (
     BLACK,
     GREEN,
     VERMILION,
-    band,
-    blank,
-    faint,
-    line,
-    scaled,
-    titled,
+    axis_title,
+    blank_figure,
+    draw_band,
+    draw_line,
+    scale_to_prefix,
+    transparent_colour,
 )
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ _BINS, _FEW = 40, 5  # of a state, and samples under which a bin is left out
 _NAMES = ("without it", "with it")
 
 
-def helped(before: Curves, after: Curves) -> go.Figure | None:
+def residual_comparison(before: Curves, after: Curves) -> go.Figure | None:
     """Rms of each channel's residual, part by part of the test record, of two models.
 
     Green where the second predicts better, red where worse; dotted the sensor's noise. Nothing
@@ -45,27 +45,34 @@ def helped(before: Curves, after: Curves) -> go.Figure | None:
     edges = np.unique(np.linspace(first, len(y), min(_PARTS, len(y) - first) + 1).astype(int))
     time = after.time(record)[(edges[:-1] + edges[1:] - 1) // 2]
     channels = after.meta["channels"]
-    figure = blank(len(channels), 1, 70 + 130 * len(channels), shared_xaxes=True,
+    figure = blank_figure(len(channels), 1, 70 + 130 * len(channels), shared_xaxes=True,
                    vertical_spacing=0.08)  # fmt: skip
     for j, channel in enumerate(channels):
-        left = [_rms((y - f)[:, j], edges) for f in runs if f is not None]
-        factor, unit = scaled(channel["unit"], *left)
+        left = [_part_rms((y - f)[:, j], edges) for f in runs if f is not None]
+        factor, unit = scale_to_prefix(channel["unit"], *left)
         old, new = (factor * v for v in left)
         for high, colour in ((old, GREEN), (new, VERMILION)):
-            _fill(figure, time, np.minimum(old, new), high, faint(colour), j + 1)
+            _fill_between(
+                figure, time, np.minimum(old, new), high, transparent_colour(colour), j + 1
+            )
         for name, values, colour in zip(_NAMES, (old, new), (BEFORE, AFTER), strict=True):
             figure.add_scatter(x=time, y=values, name=name, mode="lines", showlegend=j == 0,
                                line={"color": colour, "width": 1.6}, row=j + 1, col=1)  # fmt: skip
         sigma = factor * after.meta["records"][record]["sigma"][channel["name"]]
         figure.add_hline(sigma, line={"color": "#555", "width": 1, "dash": "dot"}, row=j + 1, col=1)
-        figure.update_yaxes(title_text=titled(f"{channel['name']} error", unit), rangemode="tozero",
-                            title_font_size=12, row=j + 1, col=1)  # fmt: skip
+        figure.update_yaxes(
+            title_text=axis_title(f"{channel['name']} error", unit),
+            rangemode="tozero",
+            title_font_size=12,
+            row=j + 1,
+            col=1,
+        )
     figure.update_xaxes(title_text="time (s)", title_font_size=12, row=len(channels), col=1)
     figure.update_layout(font_size=12, margin={"l": 50, "r": 8, "t": 30, "b": 40})
     return figure
 
 
-def over_missing(
+def missing_force_comparison(
     time: np.ndarray,
     missing: np.ndarray,
     deviation: np.ndarray,
@@ -79,32 +86,34 @@ def over_missing(
 
     Over time, and below over the state (name -> unit, values) that the missing force follows best.
     """
-    factor, said = scaled(unit, missing)
-    figure = blank(2 * len(axes), 1, 60 + 380 * len(axes), vertical_spacing=0.2 / len(axes))
+    factor, said = scale_to_prefix(unit, missing)
+    figure = blank_figure(2 * len(axes), 1, 60 + 380 * len(axes), vertical_spacing=0.2 / len(axes))
     curves = ((alone, "alone", GREEN, "dot"), (refitted, "with its refit", AFTER, None))
     for j, axis in enumerate(axes):
         row = 2 * j + 1
-        band(figure, time, factor * missing[:, j], factor * deviation[:, j], "missing", BLACK, row)
-        name = max(states, key=lambda n, j=j: _follows(states[n][1], missing[:, j]))
-        size, word = scaled(*states[name])
-        at, mean = _binned(states[name][1], missing[:, j])
-        line(figure, size * at, factor * mean, "missing", BLACK, row + 1, width=2.4)
-        for force, title, colour, dash in curves:
-            line(figure, time, factor * force[:, j], title, colour, row, dash=dash)
-            at, mean = _binned(states[name][1], force[:, j])
-            line(figure, size * at, factor * mean, title, colour, row + 1, dash=dash, width=2)
-        figure.update_yaxes(
-            title_text=titled(f"force on {axis}", said), title_font_size=12, row=row
+        draw_band(
+            figure, time, factor * missing[:, j], factor * deviation[:, j], "missing", BLACK, row
         )
-        figure.update_yaxes(title_text=titled("mean", said), title_font_size=12, row=row + 1)
+        name = max(states, key=lambda n, j=j: _share_following_state(states[n][1], missing[:, j]))
+        size, word = scale_to_prefix(*states[name])
+        at, mean = _bin_means(states[name][1], missing[:, j])
+        draw_line(figure, size * at, factor * mean, "missing", BLACK, row + 1, width=2.4)
+        for force, title, colour, dash in curves:
+            draw_line(figure, time, factor * force[:, j], title, colour, row, dash=dash)
+            at, mean = _bin_means(states[name][1], force[:, j])
+            draw_line(figure, size * at, factor * mean, title, colour, row + 1, dash=dash, width=2)
+        figure.update_yaxes(
+            title_text=axis_title(f"force on {axis}", said), title_font_size=12, row=row
+        )
+        figure.update_yaxes(title_text=axis_title("mean", said), title_font_size=12, row=row + 1)
         figure.update_xaxes(title_text="time (s)", title_font_size=12, row=row)
-        figure.update_xaxes(title_text=titled(name.replace("_rate", "'"), word),
+        figure.update_xaxes(title_text=axis_title(name.replace("_rate", "'"), word),
                             title_font_size=12, row=row + 1)  # fmt: skip
     figure.update_layout(font_size=12, margin={"l": 50, "r": 8, "t": 44, "b": 40})
     return figure
 
 
-def _binned(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _bin_means(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middles of bins of a state and the mean of the values in each, of bins with some samples."""
     low, high = np.quantile(x, (0.002, 0.998))
     edges = np.linspace(low, high, _BINS + 1)
@@ -116,24 +125,24 @@ def _binned(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (0.5 * (edges[:-1] + edges[1:]))[shown], total[shown] / count[shown]
 
 
-def _follows(x: np.ndarray, force: np.ndarray) -> float:
+def _share_following_state(x: np.ndarray, force: np.ndarray) -> float:
     """The share of a force that its mean over a state explains."""
     if not np.ptp(x) > 0:
         return 0.0
-    at, mean = _binned(x, force)
+    at, mean = _bin_means(x, force)
     if len(at) < 2:
         return 0.0
     left = force - np.interp(x, at, mean)
     return 1.0 - float(left.var() / (force.var() or 1.0))
 
 
-def _rms(left: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def _part_rms(left: np.ndarray, edges: np.ndarray) -> np.ndarray:
     squares = np.add.reduceat(left**2, edges[:-1])
     squares[-1] = np.sum(left[edges[-2] : edges[-1]] ** 2)
     return np.sqrt(squares / np.diff(edges))
 
 
-def _fill(
+def _fill_between(
     figure: go.Figure, time: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, row: int
 ) -> None:
     """The area between two curves."""

@@ -7,22 +7,30 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spiral.view.report.style import BLUE, GREY, ORANGE, SKY, blank, scaled, titled
+from spiral.view.report.style import (
+    BLUE,
+    GREY,
+    ORANGE,
+    SKY,
+    axis_title,
+    blank_figure,
+    scale_to_prefix,
+)
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 
-def curves(result: Mapping[str, Any]) -> go.Figure | None:
+def force_curves(result: Mapping[str, Any]) -> go.Figure | None:
     """Force against state with its simultaneous 95 % band, one panel for each axis."""
-    found = result.get("unknown")
-    if not found:
+    shape = result.get("unknown")
+    if not shape:
         return None
-    panels = found["curves"]
-    what = "flow" if str(found.get("sentence")).startswith("A flow") else "force"
-    figure = blank(1, len(panels), 430, horizontal_spacing=0.12)
-    wide, state_unit = scaled(found["state_unit"], *(np.array(c["at"]) for c in panels))
-    high, force_unit = scaled(found["force_unit"], *(np.array(c["force"]) for c in panels))
+    panels = shape["curves"]
+    what = "flow" if str(shape.get("sentence")).startswith("A flow") else "force"
+    figure = blank_figure(1, len(panels), 430, horizontal_spacing=0.12)
+    wide, state_unit = scale_to_prefix(shape["state_unit"], *(np.array(c["at"]) for c in panels))
+    high, force_unit = scale_to_prefix(shape["force_unit"], *(np.array(c["force"]) for c in panels))
     for column, c in enumerate(panels, 1):
         shown = column == 1
         at, force, band = wide * np.array(c["at"]), high * np.array(c["force"]), np.array(c["band"])
@@ -42,30 +50,32 @@ def curves(result: Mapping[str, Any]) -> go.Figure | None:
             showlegend=shown, row=1, col=column,
         )  # fmt: skip
         name = c["state"].replace("_rate", "'")
-        figure.update_xaxes(title_text=titled(name, state_unit), row=1, col=column)
-    figure.update_yaxes(title_text=titled(what, force_unit), row=1, col=1)
+        figure.update_xaxes(title_text=axis_title(name, state_unit), row=1, col=column)
+    figure.update_yaxes(title_text=axis_title(what, force_unit), row=1, col=1)
     return figure
 
 
-def loops(result: Mapping[str, Any]) -> go.Figure | None:
+def force_loops(result: Mapping[str, Any]) -> go.Figure | None:
     """A missing force with memory over position, in order of time, one panel for each axis.
 
     Where the position grows the line is drawn in another colour than where it falls; the two meet
     where the motion turns, and a ring marks where the line begins.
     """
-    found = result.get("memory")
-    if not found:
+    memory = result.get("memory")
+    if not memory:
         return None
-    panels = found["loops"]
-    figure = blank(1, len(panels), 430, horizontal_spacing=0.12)
-    wide, unit = scaled(found["position_unit"], *(np.array(c["position"]) for c in panels))
-    high, force_unit = scaled(found["unit"], *(np.array(c["force"]) for c in panels))
+    panels = memory["loops"]
+    figure = blank_figure(1, len(panels), 430, horizontal_spacing=0.12)
+    wide, unit = scale_to_prefix(
+        memory["position_unit"], *(np.array(c["position"]) for c in panels)
+    )
+    high, force_unit = scale_to_prefix(memory["unit"], *(np.array(c["force"]) for c in panels))
     for column, c in enumerate(panels, 1):
         at, force = wide * np.array(c["position"]), high * np.array(c["force"])
         grows = np.diff(at) > 0  # from each point to the next
         for name, color, shown in (("position grows", BLUE, grows),
                                    ("position falls", ORANGE, ~grows)):  # fmt: skip
-            x, y = _steps(at, force, shown)
+            x, y = _line_with_gaps(at, force, shown)
             figure.add_scatter(
                 x=x, y=y, name=name, mode="lines", line={"color": color, "width": 2},
                 showlegend=column == 1, row=1, col=column,
@@ -75,13 +85,15 @@ def loops(result: Mapping[str, Any]) -> go.Figure | None:
             marker={"color": "rgba(0,0,0,0)", "size": 11, "line": {"color": GREY, "width": 2}},
             row=1, col=column,
         )  # fmt: skip
-        figure.update_xaxes(title_text=titled(c["axis"], unit), row=1, col=column)
-    figure.update_yaxes(title_text=titled("force", force_unit), row=1, col=1)
+        figure.update_xaxes(title_text=axis_title(c["axis"], unit), row=1, col=column)
+    figure.update_yaxes(title_text=axis_title("force", force_unit), row=1, col=1)
     return figure
 
 
-def _steps(x: np.ndarray, y: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of a path (samples) the steps that are shown (samples - 1), as one line with gaps."""
+def _line_with_gaps(
+    x: np.ndarray, y: np.ndarray, shown: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The part of a path (samples) whose steps (samples - 1) are shown, as one line with gaps."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], shown, [0]])))
     pieces = [np.append(np.arange(a, b + 1), -1) for a, b in edges.reshape(-1, 2)]
     at = np.concatenate(pieces) if pieces else np.array([], int)

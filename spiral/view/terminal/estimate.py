@@ -10,12 +10,12 @@ from rich.text import Text
 from spiral.types.formatting import number, percent, plus_minus, probability
 from spiral.view.terminal.parts import (
     Screen,
-    command,
-    heading,
-    next_steps,
     parameter_table,
-    ruled,
-    warn_unconverged,
+    print_heading,
+    print_next_steps,
+    print_outcome_error,
+    request_command,
+    ruled_table,
 )
 
 if TYPE_CHECKING:
@@ -28,26 +28,26 @@ VERBS = ("estimate",)
 def show(verb: str, outcome: Outcome) -> None:
     """Print an outcome on standard output."""
     console = Screen(highlight=False)
-    found: Estimation = outcome.parts["estimation"]
-    for part in found.parts:
+    estimation: Estimation = outcome.parts["estimation"]
+    for part in estimation.parts:
         record = part.record
         length = record.samples * record.dt
         console.print(Text(f"{record.name}: {record.samples} samples, {length:.4g} s", "dim"))
     fitted = outcome.parts["calibration"]
     if fitted is not None:
-        heading(console, f"Model, fitted on stretches of {fitted.horizon} samples")
+        print_heading(console, f"Model, fitted on stretches of {fitted.horizon} samples")
         console.print(parameter_table(fitted.model))
         if fitted.untold:
             console.print(Text(f"not told by these records: {', '.join(fitted.untold)}", "yellow"))
-    heading(console, f"States by {found.observer}, after the first second")
-    console.print(_states(found))
-    for line in _tracked(found):
+    print_heading(console, f"States by {estimation.observer}, after the first second")
+    console.print(_state_table(estimation))
+    for line in _tracked_parameters(estimation):
         console.print(Text(line))
-    for line in _doubts(found):
+    for line in _uncertain_parameters(estimation):
         console.print(Text(line))
-    for part in found.parts:
-        _trust(console, part, len(found.parts) > 1)
-    seen = found.observability
+    for part in estimation.parts:
+        _print_innovation_checks(console, part, len(estimation.parts) > 1)
+    seen = estimation.observability
     ratio = seen.singular_values[0] / max(seen.singular_values[-1], 1e-300)
     console.print(
         f"observability rank {seen.rank} of {len(seen.singular_values)}, singular values over "
@@ -55,25 +55,27 @@ def show(verb: str, outcome: Outcome) -> None:
     )
     for written in outcome.parts["written"]:
         console.print(Text(f"written: {written.file}, {written.rows} rows"), soft_wrap=True)
-    warn_unconverged(console, outcome)
+    print_outcome_error(console, outcome)
     request = outcome.parts["request"]
-    next_steps(
+    smoothed = request_command("estimate", request, ["observer=rts"])
+    table = f"{request_command('estimate', request)} --out states.csv"
+    print_next_steps(
         console,
-        (command("estimate", request, ["observer=rts"]), "each sample judged by the whole record"),
-        (f"{command('estimate', request)} --out states.csv", "states with their bands as a table"),
+        (smoothed, "each sample judged by the whole record"),
+        (table, "states with their bands as a table"),
     )
 
 
-def _states(found: Estimation):
-    known = any(s.relative is not None for s in found.states.values())
+def _state_table(estimation: Estimation):
+    known = any(s.relative is not None for s in estimation.states.values())
     columns = ["state", "error", "static", "correlation", "in 95 %", "1 sigma"]
     shown = columns if known else ["state", "1 sigma"]
-    table = ruled(*shown, "unit", right=shown[1:])
-    for name, score in found.states.items():
+    table = ruled_table(*shown, "unit", right=shown[1:])
+    for name, score in estimation.states.items():
         cells = {
             "state": name,
             "error": percent(score.relative),
-            "static": percent(found.baseline.get(name)),
+            "static": percent(estimation.baseline.get(name)),
             "correlation": number(score.correlation, 6),
             "in 95 %": percent(score.coverage_95),
             "1 sigma": number(score.deviation, 3),
@@ -82,29 +84,29 @@ def _states(found: Estimation):
     return table
 
 
-def _tracked(found: Estimation) -> list[str]:
+def _tracked_parameters(estimation: Estimation) -> list[str]:
     """Parameters followed beside the states, with the value they ended with."""
-    first, lines = found.parts[0], []
-    at = max(first.found.done - 1, 0)
-    for name in first.found.names[len(first.task.states) :]:
-        mean, deviation = (float(v[at]) for v in first.found.state(name))
+    first, lines = estimation.parts[0], []
+    at = max(first.reconstruction.done - 1, 0)
+    for name in first.reconstruction.names[len(first.task.states) :]:
+        mean, deviation = (float(v[at]) for v in first.reconstruction.state(name))
         lines.append(f"{name} {plus_minus(mean, deviation)} {first.unit(name)} at the end")
     return lines
 
 
-def _doubts(found: Estimation) -> list[str]:
-    """Uncertain parameters, before the first record and after; those of a fit are in its table."""
-    prior = found.parts[0].task.prior
+def _uncertain_parameters(estimation: Estimation) -> list[str]:
+    """Uncertain parameters before and after the first record; none where a fit gave them."""
+    prior = estimation.parts[0].task.prior
     if prior is None or prior.told:
         return []
     return [
         f"{name} {plus_minus(d['estimate'], d['se'])} {d['unit']}, doubt before {d['before']:.3g}"
-        for name, d in found.parts[0].doubts.items()
+        for name, d in estimation.parts[0].doubts.items()
     ]
 
 
-def _trust(console: Console, part: Reconstructed, named: bool) -> None:
-    """Innovations in words: prediction, NIS and its bands, whiteness."""
+def _print_innovation_checks(console: Console, part: Reconstructed, named: bool) -> None:
+    """Print checks of the innovations: prediction error, NIS and its bands, whiteness."""
     seen = part.consistency
     console.print()
     if named:
@@ -124,6 +126,6 @@ def _trust(console: Console, part: Reconstructed, named: bool) -> None:
     console.print(
         f"innovations white: p = {probability(seen.whiteness_p)}, Q/N {seen.whiteness_effect:.2g}"
     )
-    levels = ", ".join(f"{k} {v:.2g}" for k, v in part.found.levels.items())
+    levels = ", ".join(f"{k} {v:.2g}" for k, v in part.reconstruction.levels.items())
     if levels:
         console.print(f"process noise, share of the rates: {levels}")

@@ -13,28 +13,28 @@ from rich.text import Text
 _ROWS = 9
 
 
-def not_separable(console: Console, found: Mapping[str, Sequence[str]]) -> None:
-    """Candidates that could not have been found, and what takes them over."""
-    if not found:
+def print_not_separable(console: Console, look_alikes: Mapping[str, Sequence[str]]) -> None:
+    """Print candidates that could not have been found, and the effects that look like them."""
+    if not look_alikes:
         return
-    words = "; ".join(f"{name} (from {', '.join(found[name])})" for name in found)
+    words = "; ".join(f"{name} (from {', '.join(look_alikes[name])})" for name in look_alikes)
     console.print()
     console.print(Text(f"Not separable from the model on this record: {words}.", style="yellow"))
 
 
-def unknown(console: Console, found: Mapping[str, Any] | None) -> None:
-    """The shape of what no effect with a name explains: a sentence, and the curve with its band."""
-    if not found:
+def print_unknown_shape(console: Console, shape: Mapping[str, Any] | None) -> None:
+    """Print what no effect with a name explains: a sentence, and the curve with its band."""
+    if not shape:
         return
     console.print()
     console.print(Text("What no effect with a name explains", style="bold"))
-    share = f"{100 * found['explains']:.0f} % of what was left"
-    console.print(Text(f"{found['sentence']} It explains {share}."))
-    for curve in found["curves"]:
-        console.print(_curve(curve, found["state_unit"], found["force_unit"]))
+    share = f"{100 * shape['explains']:.0f} % of what was left"
+    console.print(Text(f"{shape['sentence']} It explains {share}."))
+    for curve in shape["curves"]:
+        console.print(_curve_table(curve, shape["state_unit"], shape["force_unit"]))
 
 
-def _curve(curve: Mapping[str, Any], state_unit: str, force_unit: str) -> Table:
+def _curve_table(curve: Mapping[str, Any], state_unit: str, force_unit: str) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
     table.add_column(f"{curve['state']} ({state_unit})", justify="right")
     table.add_column(f"force ({force_unit})", justify="right")

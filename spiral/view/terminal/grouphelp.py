@@ -36,68 +36,70 @@ def groups_help(plugins: str | None, words: Sequence[str] = ()) -> str:
     except SpiralError as error:
         return f"options of each group: not known, {error.given} (expected: {error.expected})"
     if words:
-        return "\n\n".join(_asked(word.partition("=")[2] or word, registry) for word in words)
+        return "\n\n".join(
+            _group_or_plugin_help(word.partition("=")[2] or word, registry) for word in words
+        )
     lines = ["options of each group (-m sweeps over them: system=a,b):"]
-    for group, kind in _groups(registry).items():
-        lines += _wrapped(f"{group}=", registry.names(kind))
-    lines += _wrapped("experiment=", experiments())
-    lines += _failed(registry)
+    for group, kind in _option_groups(registry).items():
+        lines += _group_line(f"{group}=", registry.names(kind))
+    lines += _group_line("experiment=", experiments())
+    lines += _failure_lines(registry)
     return "\n".join([*lines, "", "--help GROUP or --help NAME tells meanings and fields"])
 
 
-def _groups(registry: Registry) -> dict[str, str]:
+def _option_groups(registry: Registry) -> dict[str, str]:
     own = {kind: kind for kind in registry.kinds if kind not in GROUPS.values()}
     return {**{g: k for g, k in GROUPS.items() if k in registry.kinds}, **own}
 
 
-def _asked(word: str, registry: Registry) -> str:
-    groups = _groups(registry)
+def _group_or_plugin_help(word: str, registry: Registry) -> str:
+    groups = _option_groups(registry)
     if word in groups:
         entries = [e for e in registry.entries if e.kind == groups[word]]
         width = max(len(e.name) for e in entries)
-        listed = [line for e in entries for line in _listed(e, width)]
-        return "\n".join([f"{word}=", *listed, *_failed(registry)])
-    found = [e for e in registry.entries if e.name == word]
-    if not found:
+        listed = [line for e in entries for line in _plugin_lines(e, width)]
+        return "\n".join([f"{word}=", *listed, *_failure_lines(registry)])
+    matches = [e for e in registry.entries if e.name == word]
+    if not matches:
         known = [*groups, *(e.name for e in registry.entries)]
         expected = f"a group ({', '.join(groups)}) or a plugin's name"
         raise ConfigError(f"--help {word}", expected, did_you_mean(word, known))
     by_kind = {kind: group for group, kind in reversed(groups.items())}
-    return "\n".join(line for e in found for line in _described(e, by_kind[e.kind]))
+    return "\n".join(line for e in matches for line in _plugin_help(e, by_kind[e.kind]))
 
 
-def _listed(entry: Entry, width: int) -> list[str]:
+def _plugin_lines(entry: Entry, width: int) -> list[str]:
     """A plugin in a group: its meaning, and the names of its fields."""
-    lines = _filled(_meaning(entry), f"  {entry.name:<{width}}  ")
-    fields = ", ".join(_fields(entry))
-    return lines + (_filled(f"fields: {fields}", " " * (width + 4)) if fields else [])
+    lines = _wrap_text(_meaning_and_origin(entry), f"  {entry.name:<{width}}  ")
+    fields = ", ".join(_visible_fields(entry))
+    return lines + (_wrap_text(f"fields: {fields}", " " * (width + 4)) if fields else [])
 
 
-def _described(entry: Entry, group: str) -> list[str]:
+def _plugin_help(entry: Entry, group: str) -> list[str]:
     """A plugin by itself: its meaning, its fields with usual values, its parameters."""
     from spiral.types.fields import field_meanings
 
-    lines = [f"{group}={entry.name}", *_filled(_meaning(entry), "  ")]
+    lines = [f"{group}={entry.name}", *_wrap_text(_meaning_and_origin(entry), "  ")]
     key = f"effect.{entry.name}" if group == "effect" else group
     meanings, own = field_meanings(entry.plugin), " ".join(f"{s}=" for s in _sections_of(entry))
-    for name, value in _fields(entry).items():
+    for name, value in _visible_fields(entry).items():
         shown = "null" if value is None else repr(value)
-        lines += _filled(f"{key}.{name}={shown}", "    ")
-        lines += _filled(meanings[name], " " * 8) if name in meanings else []
-    lines += _filled(f"beside them: {own}", "    ") if own else []
+        lines += _wrap_text(f"{key}.{name}={shown}", "    ")
+        lines += _wrap_text(meanings[name], " " * 8) if name in meanings else []
+    lines += _wrap_text(f"beside them: {own}", "    ") if own else []
     parameters = getattr(entry.plugin, "parameters", ())
     if parameters and isinstance(parameters, tuple):
         named = ", ".join(f"{p.name} ({p.unit or '1'})" for p in parameters)
-        lines += _filled(f"parameters: {named}", "    ")
+        lines += _wrap_text(f"parameters: {named}", "    ")
     return lines
 
 
-def _meaning(entry: Entry) -> str:
+def _meaning_and_origin(entry: Entry) -> str:
     own = "" if entry.origin == _SHIPPED else f" [{entry.origin} {entry.version}]"
     return f"{entry.plugin.meaning()}{own}"
 
 
-def _fields(entry: Entry) -> dict[str, Any]:
+def _visible_fields(entry: Entry) -> dict[str, Any]:
     from spiral.types.fields import defaults_of
 
     hidden = {"variant", *_sections_of(entry)}
@@ -106,24 +108,24 @@ def _fields(entry: Entry) -> dict[str, Any]:
 
 def _sections_of(entry: Entry) -> tuple[str, ...]:
     """Fields that are options of their own: the plugins of a strategy."""
-    from spiral.io.strategy_config import sections
+    from spiral.io.strategy_config import plugin_option_names
 
-    return sections(entry.plugin) if entry.kind == "strategy" else ()
+    return plugin_option_names(entry.plugin) if entry.kind == "strategy" else ()
 
 
-def _failed(registry: Registry) -> list[str]:
+def _failure_lines(registry: Registry) -> list[str]:
     return [
         line
         for f in registry.failures
-        for line in _filled(f"not usable: {f.name} in {f.file}: {f.message}", "  ")
+        for line in _wrap_text(f"not usable: {f.name} in {f.file}: {f.message}", "  ")
     ]
 
 
-def _wrapped(key: str, names: Sequence[str]) -> list[str]:
-    return _filled(", ".join(names), f"  {key:<12}")
+def _group_line(key: str, names: Sequence[str]) -> list[str]:
+    return _wrap_text(", ".join(names), f"  {key:<12}")
 
 
-def _filled(text: str, first: str) -> list[str]:
+def _wrap_text(text: str, first: str) -> list[str]:
     width = max(40, min(shutil.get_terminal_size().columns, 110) - 2)
     return textwrap.wrap(
         text, width, initial_indent=first, subsequent_indent=" " * len(first),

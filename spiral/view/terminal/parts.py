@@ -15,7 +15,7 @@ from rich.text import Text
 from spiral.io.registry import NO_FOLDER
 from spiral.types.formatting import number, percent, plus_minus
 from spiral.types.masking import without_passwords
-from spiral.view.terminal.shell import spoken
+from spiral.view.terminal.shell import join_command
 
 if TYPE_CHECKING:
     from spiral.io.request import Outcome, Request
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
 
 Tell = Callable[[str], None]
 
-_PREVIEWED = 4  # records whose numbers are shown
+_PREVIEWED = 4  # at most so many records have their series shown
 
 
 class Screen(Console):
-    """A console; whoever reads its output may stop when they have seen enough."""
+    """A console whose reader may close the pipe (``spiral plugins | head``)."""
 
     def on_broken_pipe(self) -> None:
-        """Let the program end as it does elsewhere."""
+        """Raise ``BrokenPipeError``, which ends the program in silence."""
         self.quiet = True
         raise BrokenPipeError
 
 
 @contextmanager
-def progress() -> Iterator[Tell]:
-    """A line on standard error that says what is being done; lines of a log off a terminal."""
+def progress_line() -> Iterator[Tell]:
+    """A status line on standard error; log lines where that is no terminal."""
     console = Screen(stderr=True, highlight=False)
     if not console.is_terminal:
         yield lambda message: console.print(message, style="dim", soft_wrap=True, markup=False)
@@ -53,21 +53,21 @@ def progress() -> Iterator[Tell]:
         yield tell
 
 
-def round_line(found: Round, tell: Tell) -> None:
-    """One line about a round that has just ended."""
-    c = found.comparison
-    what = "+ " + ", ".join(found.admitted) if found.admitted else "the seed"
+def announce_round(finished_round: Round, tell: Tell) -> None:
+    """Announce a round that has just ended, in one line."""
+    c = finished_round.comparison
+    what = "+ " + ", ".join(finished_round.admitted) if finished_round.admitted else "the seed"
     errors = f"test error {percent(c.test_error)}, chi2/dof {number(c.chi2_per_dof)}"
-    tell(f"round {found.number}: {what}: {errors}, {found.seconds:.1f} s")
+    tell(f"round {finished_round.number}: {what}: {errors}, {finished_round.seconds:.1f} s")
 
 
-def heading(console: Console, text: str) -> None:
-    """An empty line, then a heading."""
+def print_heading(console: Console, text: str) -> None:
+    """Print an empty line, then a heading."""
     console.print()
     console.print(Text(text, style="bold"))
 
 
-def ruled(*columns: str, right: Sequence[str] = ()) -> Table:
+def ruled_table(*columns: str, right: Sequence[str] = ()) -> Table:
     """A table without a frame; numbers, in columns named ``right``, are never wrapped."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
     for name in columns:
@@ -76,13 +76,13 @@ def ruled(*columns: str, right: Sequence[str] = ()) -> Table:
     return table
 
 
-def about(console: Console, outcome: Outcome, numbers: bool = False) -> None:
-    """The records and what was done to them, each note once; with numbers, their series too."""
-    from spiral.view.terminal.preview import described, quiet_test
+def print_records(console: Console, outcome: Outcome, numbers: bool = False) -> None:
+    """Print the records and their notes, each once; with ``numbers`` their series too."""
+    from spiral.view.terminal.preview import describe_records, quiet_test_warning
 
     told: set[str] = set()
-    found = described(outcome.parts["problem"])
-    for shown, record in enumerate(found):
+    descriptions = describe_records(outcome.parts["problem"])
+    for shown, record in enumerate(descriptions):
         length = record["samples"] / record["rate"]
         words = f"{record['samples']} samples, {length:.4g} s, {record['rate']:.6g} Hz"
         console.print(Text(f"{record['part']:<5}{record['name']}: {words}", "dim"))
@@ -90,14 +90,14 @@ def about(console: Console, outcome: Outcome, numbers: bool = False) -> None:
             console.print(Text(f"     note: {note}", style="yellow"))
         told.update(record["notes"])
         if numbers and shown < _PREVIEWED:
-            console.print(_series(record["series"]))
-    if warning := quiet_test(found):
+            console.print(_series_table(record["series"]))
+    if warning := quiet_test_warning(descriptions):
         console.print(Text(warning, style="yellow"))
 
 
-def _series(rows: list[dict[str, Any]]) -> Table:
+def _series_table(rows: list[dict[str, Any]]) -> Table:
     columns = ["", "lowest", "highest", "deviation", "noise"]
-    table = ruled(*columns, "unit", right=columns[1:])
+    table = ruled_table(*columns, "unit", right=columns[1:])
     for row in rows:
         name = row["name"] + (" (derived)" if row["kind"] == "derived" else "")
         noise = number(row.get("noise"), 3) + (" declared" if row.get("noise_declared") else "")
@@ -106,19 +106,19 @@ def _series(rows: list[dict[str, Any]]) -> Table:
     return table
 
 
-def next_steps(console: Console, *commands: tuple[str, str]) -> None:
-    """Commands that a person may type next, and what each is for."""
-    heading(console, "Next")
+def print_next_steps(console: Console, *commands: tuple[str, str]) -> None:
+    """Print commands that a person may type next, and what each is for."""
+    print_heading(console, "Next")
     for command, meaning in commands:
         console.print(Text(f"  {command}", style="cyan"), soft_wrap=True)
         console.print(Text(f"      {meaning}", style="dim"))
 
 
-def command(verb: str, request: Request, names: Sequence[str] = ()) -> str:
+def request_command(verb: str, request: Request, names: Sequence[str] = ()) -> str:
     """A command line with the overrides of a request, quoted for a shell."""
     plugins = plugin_options(request.plugins)
     given = map(without_passwords, request.overrides)
-    return spoken("spiral", verb, *names, *given, *plugins)
+    return join_command("spiral", verb, *names, *given, *plugins)
 
 
 def plugin_options(folder: str | None) -> list[str]:
@@ -128,8 +128,8 @@ def plugin_options(folder: str | None) -> list[str]:
     return [] if folder is None else ["--plugins", folder]
 
 
-def warn_unconverged(console: Console, outcome: Outcome) -> None:
-    """What went wrong, where an outcome says so."""
+def print_outcome_error(console: Console, outcome: Outcome) -> None:
+    """Print the error of an outcome, if it has one."""
     error = outcome.result.get("error")
     if error:
         console.print()
@@ -139,10 +139,12 @@ def warn_unconverged(console: Console, outcome: Outcome) -> None:
 
 def parameter_table(model: Any) -> Table:
     """Every parameter of a model: estimate with standard error, t, unit."""
-    table = ruled("effect", "parameter", "estimate ± se", "t", "unit", right=["estimate ± se", "t"])
+    table = ruled_table(
+        "effect", "parameter", "estimate ± se", "t", "unit", right=["estimate ± se", "t"]
+    )
     for owner, parameters in model.estimates().items():
-        for index, (name, found) in enumerate(parameters.items()):
-            value = plus_minus(found.estimate, found.se)
-            t = number(found.t, 3) if found.t is not None else "given"
-            table.add_row(owner if index == 0 else "", name, value, t, found.unit or "1")
+        for index, (name, estimate) in enumerate(parameters.items()):
+            value = plus_minus(estimate.estimate, estimate.se)
+            t = number(estimate.t, 3) if estimate.t is not None else "given"
+            table.add_row(owner if index == 0 else "", name, value, t, estimate.unit or "1")
     return table

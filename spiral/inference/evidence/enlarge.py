@@ -1,8 +1,8 @@
-"""Studies that hold more than their candidates: a learned curve, or an effect with own states.
+"""Studies compiled with further effects, and fit states transferred from one to another.
 
-A study is compiled once with all candidates that are cheap. What is called for later (in a round
-whose residual asks for it) is compiled in a study of its own, from which a standing and an
-admission are carried to another by the names of their parameters.
+A study is compiled once with all candidates that are cheap. What a round calls for later (a learned
+curve, an effect with states of its own) is compiled in a study of its own; fit states and
+admissions are transferred between studies by the names of their parameters.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from spiral.inference.evidence.assembly import (
     Assembly,
     Variant,
     assemble,
-    compiled_of,
-    first_row,
+    compile_with_variants,
+    initial_values,
     with_steps,
 )
 from spiral.inference.evidence.comparison import substeps_for
@@ -29,35 +29,37 @@ from spiral.types.label import split_variant
 from spiral.types.record import Array
 
 
-def holding(assembly: Assembly, standing: FitState) -> Assembly:
-    """A study that has all effects of a standing, late ones too; the same where it has them.
+def enlarge_for(assembly: Assembly, fit_state: FitState) -> Assembly:
+    """The study compiled with all effects of a fit state; the same one where it has them.
 
-    The standing's values are in its order. Its steps are as fine as the standing wants them, or an
-    effect that brings fast states.
+    The fit state's values are already in its order. Its integration steps are as fine as those of
+    the fit state, or finer where an effect brings fast states.
     """
-    made = having(assembly, standing.labels)
-    now, substeps = made.study.series[0].substeps, standing.substeps
+    made = enlarge(assembly, fit_state.labels)
+    now, substeps = made.study.series[0].substeps, fit_state.substeps
     if len(made.study.own):
-        substeps = max(substeps, substeps_for(made, standing.values[0]))
+        substeps = max(substeps, substeps_for(made, fit_state.values[0]))
     if substeps <= now:
         return made
     return with_steps(made, substeps)
 
 
-def having(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
-    """A study that has all effects with these compiled labels, at the same steps per sample."""
+def enlarge(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
+    """The study compiled with all effects of these labels, at the same steps per sample."""
     known = {*assembly.problem.model.labels, *(v.label for v in assembly.variants)}
     names = {split_variant(x)[0] for x in labels if x not in known}
     if not names:
         return assembly
     if assembly.bare:
-        return with_variants(assembly, [_variant(assembly, x) for x in labels if x not in known])
+        return with_variants(
+            assembly, [_find_variant(assembly, x) for x in labels if x not in known]
+        )
     more = tuple(e for e in assembly.problem.dictionary if e.label in names)
     candidates = (*assembly.problem.candidates, *more)
-    return reassembled(assembly, candidates, held_variants(assembly, labels))
+    return reassemble(assembly, candidates, own_state_variants(assembly, labels))
 
 
-def _variant(assembly: Assembly, label: str) -> Variant:
+def _find_variant(assembly: Assembly, label: str) -> Variant:
     """A variant by its label, of those offered or of an effect that is called for later."""
     for variant in assembly.offered:
         if variant.label == label:
@@ -65,7 +67,7 @@ def _variant(assembly: Assembly, label: str) -> Variant:
     name, tag = split_variant(label)
     problem = assembly.problem
     effects = (*assembly.later, *problem.dictionary, *laws_of(problem.model.system))
-    return variant_of(next(e for e in effects if e.label == name), tag, {})
+    return make_variant(next(e for e in effects if e.label == name), tag, {})
 
 
 def with_variants(assembly: Assembly, more: Sequence[Variant]) -> Assembly:
@@ -75,24 +77,24 @@ def with_variants(assembly: Assembly, more: Sequence[Variant]) -> Assembly:
     if not new:
         return assembly
     variants = (*assembly.variants, *new)
-    study = replace(assembly.study, compiled=compiled_of(assembly.problem, variants))
+    study = replace(assembly.study, compiled=compile_with_variants(assembly.problem, variants))
     return replace(assembly, study=study, variants=variants)
 
 
-def emptied(assembly: Assembly) -> Assembly:
-    """A bare study with none of its variants compiled."""
-    study = replace(assembly.study, compiled=compiled_of(assembly.problem, ()))
+def without_variants(assembly: Assembly) -> Assembly:
+    """A bare study compiled with none of its variants."""
+    study = replace(assembly.study, compiled=compile_with_variants(assembly.problem, ()))
     return replace(assembly, study=study, variants=())
 
 
-def held_variants(assembly: Assembly, labels: tuple[str, ...]) -> tuple[Variant, ...]:
-    """Variants of effects with own states among these labels; their shapes stay to be carried."""
+def own_state_variants(assembly: Assembly, labels: tuple[str, ...]) -> tuple[Variant, ...]:
+    """Variants of effects with own states among these labels, their shapes still without values."""
     later = {e.label: e for e in assembly.later}
     pairs = [split_variant(label) for label in labels]
-    return tuple(variant_of(later[name], tag, {}) for name, tag in pairs if name in later)
+    return tuple(make_variant(later[name], tag, {}) for name, tag in pairs if name in later)
 
 
-def variant_of(effect: Effect, tag: str, shapes: dict[str, float], searched: int = 1) -> Variant:
+def make_variant(effect: Effect, tag: str, shapes: dict[str, float], searched: int = 1) -> Variant:
     """A copy of an effect with its shapes by name, all of which a refit may set free."""
     copy = replace(effect, variant=tag)
     loose = [p for p in effect.parameters if p.role == "shape" and (p.spectrum or p.grid)]
@@ -101,7 +103,7 @@ def variant_of(effect: Effect, tag: str, shapes: dict[str, float], searched: int
     return Variant(copy, effect, values, None, tuned, searched)
 
 
-def reassembled(
+def reassemble(
     assembly: Assembly, candidates: tuple[Effect, ...], more: tuple[Variant, ...] = ()
 ) -> Assembly:
     """The same records with other candidates, at the same steps per sample."""
@@ -113,20 +115,20 @@ def reassembled(
     return with_steps(made, substeps)
 
 
-def carried(standing: FitState, old: Assembly, new: Assembly) -> FitState:
-    """A standing's values in another study's order of parameters."""
-    values = first_row(new)
+def transfer_fit_state(fit_state: FitState, old: Assembly, new: Assembly) -> FitState:
+    """A fit state in another study's order of parameters and states."""
+    values = initial_values(new)
     tail = len(old.study.keys)
     for i, key in enumerate(old.study.keys):
         if key in new.study.keys:
-            values[:, new.study.index(key)] = standing.values[:, i]
-    values[:, len(new.study.keys) :] = standing.values[:, tail:]
-    starts = _in_order(standing.starts, old, new, 0.0)
-    spreads = _in_order(standing.spreads, old, new, np.nan)
-    return replace(standing, values=values, starts=starts, spreads=spreads)
+            values[:, new.study.index(key)] = fit_state.values[:, i]
+    values[:, len(new.study.keys) :] = fit_state.values[:, tail:]
+    starts = _reorder_states(fit_state.starts, old, new, 0.0)
+    spreads = _reorder_states(fit_state.spreads, old, new, np.nan)
+    return replace(fit_state, values=values, starts=starts, spreads=spreads)
 
 
-def _in_order(
+def _reorder_states(
     rows: tuple[Array, ...] | None, old: Assembly, new: Assembly, other: float
 ) -> tuple[Array, ...] | None:
     """Numbers of the states in another study's order; ``other`` for those that are new."""
@@ -134,20 +136,20 @@ def _in_order(
         return None
     before, after = old.study.compiled.traced.states, new.study.compiled.traced.states
     places = [(i, before.index(n)) for i, n in enumerate(after) if n in before]
-    found = tuple(np.full(len(after), other) for _ in rows)
-    for mine, theirs in zip(found, rows, strict=True):
+    reordered = tuple(np.full(len(after), other) for _ in rows)
+    for mine, theirs in zip(reordered, rows, strict=True):
         for i, j in places:
             mine[i] = theirs[j]
-    return found
+    return reordered
 
 
-def moved(admitted: Admitted, old: Assembly, new: Assembly) -> Admitted:
-    """An admission on another study: values in its order, the fit's windows as they were."""
-    standing = carried(admitted.standing, old, new)
+def transfer_admission(admitted: Admitted, old: Assembly, new: Assembly) -> Admitted:
+    """An admission in another study's order of parameters and states, its windows as they were."""
+    fit_state = transfer_fit_state(admitted.fit_state, old, new)
     stage = admitted.stage
     states = old.study.compiled.traced.states
     kept = [states.index(n) for n in new.study.compiled.traced.states]
     starts = tuple(x[:, kept] for x in stage.fitted.point.starts)
-    point = replace(stage.fitted.point, values=standing.values, starts=starts)
+    point = replace(stage.fitted.point, values=fit_state.values, starts=starts)
     stage = replace(stage, fitted=replace(stage.fitted, point=point, reduction=None))
-    return Admitted(standing, stage, new.variant(admitted.variant.label))
+    return Admitted(fit_state, stage, new.variant(admitted.variant.label))
