@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spiral.engine.gate import Gate, Judgement, Trial
+from spiral.engine.statistics import DECISIVE_ODDS
 from spiral.types.errors import ConfigError
 
 
@@ -27,7 +28,7 @@ class Innovation(Gate):
     alpha: float = 0.01
     rivals: int = 4
     share: float = 0.3
-    odds: float = 100.0
+    odds: float = DECISIVE_ODDS
 
     def judge(self, trial: Trial) -> Judgement:
         """The candidate with the highest likelihood, or none.

@@ -13,6 +13,7 @@ from spiral.io.readers.files import Table
 from spiral.io.readers.readers import read_table
 from spiral.io.writing import replace_nonfinite, write_whole
 from spiral.types.errors import InputError
+from spiral.types.label import split_key
 
 if TYPE_CHECKING:
     from spiral.inference.problem import Problem
@@ -180,7 +181,7 @@ def describe_model(model: Model) -> dict[str, Any]:
     active = set(model.active)
     rows = []
     for key, parameter in model.pairs:
-        owner, name = key.rsplit(".", 1)
+        owner, name = split_key(key)
         if parameter.scope == "record":
             continue
         estimate = told.get(owner, {}).get(name)

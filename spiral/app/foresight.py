@@ -13,6 +13,7 @@ from spiral.inference.problem import Problem
 from spiral.io.config import build_derivative
 from spiral.io.registry import Registry
 from spiral.types.errors import ConfigError, InputError
+from spiral.types.label import owner_of, parameter_of
 
 _EQUAL = 1e-12  # of a cosine: equal up to rounding
 _UNKNOWN = "This cannot be told before a fit: states that no sensor sees take part."
@@ -54,7 +55,7 @@ def identifiability_forecast(
 
 def _candidates_in_equations(problem: Problem, identification: Identification) -> set[str]:
     """Candidates of which every regressor equals one of a system parameter (|cosine| = 1)."""
-    owners = np.array([k.rsplit(".", 1)[0] for k in identification.terms])
+    owners = np.array([owner_of(k) for k in identification.terms])
     alike = np.abs(identification.richness.gram) > 1 - _EQUAL
     return {
         e.label
@@ -72,4 +73,4 @@ def _replace_system_label(problem: Problem, group: Sequence[str]) -> list[str]:
 
 def _free_system_parameters(problem: Problem) -> list[str]:
     """Names of the system's own parameters that the fit finds."""
-    return [k.rsplit(".", 1)[1] for k in problem.model.active if k.startswith("system.")]
+    return [parameter_of(k) for k in problem.model.active if k.startswith("system.")]

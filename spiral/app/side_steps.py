@@ -16,6 +16,7 @@ from spiral.io.registry import Registry
 from spiral.io.writing import replace_nonfinite, write_whole
 from spiral.physics.passivity import implausible_signs
 from spiral.types.errors import SpiralError
+from spiral.types.label import owner_of
 from spiral.types.model import Model
 from spiral.types.record import Record
 
@@ -47,7 +48,7 @@ def trial_details(
     if serial not in known:
         known.clear()
         known[serial] = _missing_force_or_none(before, record)
-    signs = {k: v for k, v in implausible_signs(after).items() if k.rsplit(".", 1)[0] == effect}
+    signs = {k: v for k, v in implausible_signs(after).items() if owner_of(k) == effect}
     return {
         "pushes": _draw_effect_force(figures, effect, known[serial], after, record),
         "signs": signs,

@@ -8,6 +8,7 @@ import numpy as np
 
 from spiral.engine.sensitivities import Reduction, reduce_windows
 from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
+from spiral.types.label import owner_of
 from spiral.types.record import Array
 
 _ITERATIONS = 30
@@ -105,7 +106,7 @@ def _hold_loose_columns(
     whole = float(np.sqrt(sum(np.sum(w**2) for w in weighted)))
     norms = np.linalg.norm(reduction.triangle[:-1, :-1], axis=0)
     width = np.full(columns.count, np.inf)
-    owners = [keys[columns.index[c]].rsplit(".", 1)[0] for c in loose]
+    owners = [owner_of(keys[columns.index[c]]) for c in loose]
     for owner in set(owners):
         own = [c for c, o in zip(loose, owners, strict=True) if o == owner]
         best = float(norms[own].max())

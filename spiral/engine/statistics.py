@@ -9,6 +9,12 @@ from scipy import special
 
 from spiral.types.record import Array
 
+DECISIVE_ODDS = 100.0
+"""Ratio of likelihoods from which one model is told from another: what Jeffreys calls decisive.
+
+Source: H. Jeffreys, Theory of Probability, appendix B.
+"""
+
 
 @dataclass(frozen=True)
 class Whiteness:

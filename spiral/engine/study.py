@@ -10,6 +10,7 @@ import numpy as np
 from spiral.engine.series import Series
 from spiral.engine.windows import WindowLayout
 from spiral.physics.compile import Compiled
+from spiral.types.label import owner_of, parameter_of
 from spiral.types.record import Array
 
 CORRECTION = "phase_correction"
@@ -58,7 +59,7 @@ class CompiledStudy:
     def index(self, key: str) -> int:
         """Position of a parameter, or of a coefficient of the phase correction."""
         if key.startswith(f"{CORRECTION}."):
-            return len(self.keys) + int(key.rsplit(".", 1)[1])
+            return len(self.keys) + int(parameter_of(key))
         return self.keys.index(key)
 
     def inputs(self, record: int, row: Array) -> Array:
@@ -184,3 +185,8 @@ def columns_for(study: CompiledStudy, keys: Iterable[str], shared_origin: bool) 
 
 
 Layouts = tuple[WindowLayout, ...]
+
+
+def column_owner(key: str) -> str:
+    """The label of the effect that a column belongs to; the phase origin is the unbalance's."""
+    return "unbalance" if key == ORIGIN else owner_of(key)

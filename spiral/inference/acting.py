@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from spiral.types.formatting import number, percent
+from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.noise import COLOURED
 from spiral.types.parameter import BETWEEN, Interpolation
@@ -89,7 +90,7 @@ def _bound_sentences(model: Model) -> tuple[str, ...]:
     """A sentence for every parameter of the system itself that a fit has moved to a bound."""
     table, said = model.estimates().get("system", {}), []
     for key, parameter in model.pairs:
-        owner, name = key.rsplit(".", 1)
+        owner, name = split_key(key)
         if owner != "system" or key not in model.active or name not in table:
             continue
         value = table[name].estimate

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from spiral.engine.gate import Gate
+from spiral.engine.statistics import DECISIVE_ODDS
 from spiral.types.derivative import Derivative
 from spiral.types.errors import ConfigError
 from spiral.types.learner import Learner
@@ -25,8 +26,7 @@ class LikelihoodOptions:
     rivals : candidates that are refitted in a round, best score first; each is a fit of its own.
     judged : winners that may be judged in a round, each at its share of the round's level
         (Bonferroni): a first one that is refused makes room for those behind it (decision 131).
-    odds : ratio of likelihoods under which two candidates are called alike; 100 is what Jeffreys
-        calls decisive (Theory of Probability, appendix B).
+    odds : ratio of likelihoods under which two candidates are called alike.
     random_limit : random force, as a share of the machine's own rates, beside which no effect is
         admitted: it follows the record whatever the model says (decision 133). No fit has a larger
         one than 1.
@@ -37,7 +37,7 @@ class LikelihoodOptions:
 
     rivals: int = 8
     judged: int = 3
-    odds: float = 100.0
+    odds: float = DECISIVE_ODDS
     random_limit: float = 1.0
     listed: int = 5
     laws: bool = True

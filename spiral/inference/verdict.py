@@ -36,6 +36,7 @@ from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence, memory_stand_ins
 from spiral.types.effect import ForceEffect
 from spiral.types.formatting import number, percent
+from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.placement import at_every_place
 from spiral.types.run import Comparison, Round, Stopped, Verdict
@@ -64,7 +65,7 @@ def reasons_for_doubt(last: Round, label: str, settings: Settings) -> str:
     told = last.details.get(FROM_NONE, {}).get(label, 0.0)
     reasons: list[str] = []
     for key, parameter in model.pairs:
-        owner, name = key.rsplit(".", 1)
+        owner, name = split_key(key)
         if owner != label or parameter.role != "amplitude" or (t := table[name].t) is None:
             continue
         value = table[name].estimate

@@ -22,7 +22,7 @@ from spiral.io.system_files import plugin_of_file
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.fields import by_name, construct, defaults_of, field_names, is_open, plain
-from spiral.types.label import name_of, split_port
+from spiral.types.label import name_of, owner_of, split_port
 
 Config = dict[str, Any]
 
@@ -209,7 +209,7 @@ def build_model(config: Config, registry: Registry) -> Any:
         gone = set(registry.names("effect"))
 
         def is_present(key: str) -> bool:
-            owner = key.rsplit(".", 1)[0]
+            owner = owner_of(key)
             return owner in {e.label for e in effects} or name_of(owner) not in gone
 
         values = {k: v for k, v in values.items() if is_present(k)}

@@ -29,6 +29,7 @@ from spiral.inference.where.surface import rank_force_shapes
 from spiral.io.curves import FINAL, Curves
 from spiral.physics.couplings import couplings_of
 from spiral.physics.passivity import implausible_signs
+from spiral.types.label import owner_of
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
@@ -200,7 +201,7 @@ def _force_curves(
               "states": missing.states, "states_sd": missing.spreads}  # fmt: skip
     kept.update({f"{prefix}.{k}": v.astype(np.float32) for k, v in single.items()})
     labels = assembly.problem.model.labels
-    owned = [k for k in assembly.study.keys if k.rsplit(".", 1)[0] in labels]
+    owned = [k for k in assembly.study.keys if owner_of(k) in labels]
     ranked = rank_force_shapes(missing, tuple(owned))[:6]
     words = [{**vars(s)} for s in ranked]
     return {"record": region.number, "first": missing.start, "shapes": words,

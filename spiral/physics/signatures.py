@@ -30,6 +30,7 @@ from spiral.types.effect import (
     SensorEffect,
     StateFlow,
 )
+from spiral.types.label import parameter_of
 from spiral.types.placement import check_effect, input_columns
 from spiral.types.port import At, Port
 from spiral.types.record import Array
@@ -86,7 +87,7 @@ class Along:
 def amplitude_names(effect: Effect, port: Port) -> tuple[str, ...]:
     """Names of an effect's amplitudes in the order of columns, with ``_axis`` where per axis."""
     known = {p.name for p in effect.amplitudes()}
-    return tuple(k.rsplit(".", 1)[1] for k, p in effect.keys(port) if p.name in known)
+    return tuple(parameter_of(k) for k, p in effect.keys(port) if p.name in known)
 
 
 def signatures(
@@ -314,9 +315,7 @@ def _injection_gain(system: System) -> Function:
     traced = trace(system, ())
     x = SimpleNamespace(**dict(zip((s.name for s in system.states), traced.x, strict=True)))
     u = SimpleNamespace(**dict(zip(traced.inputs, traced.u, strict=True)))
-    p = SimpleNamespace(
-        **{k.split(".", 1)[1]: s for k, s in zip(traced.keys, traced.p, strict=True)}
-    )
+    p = SimpleNamespace(**{parameter_of(k): s for k, s in zip(traced.keys, traced.p, strict=True)})
     pushes = {i.name: sp.Symbol(f"q{j}", real=True) for j, i in enumerate(system.injections)}
     rates = system.rate(x, u, p, pushes)
     wanted = sp.Matrix([sp.sympify(rates[s.name]) for s in system.states])
@@ -331,9 +330,7 @@ def _port_geometry(system: System, name: str) -> Function:
     traced = trace(system, ())
     port = system.port(name)
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    p = SimpleNamespace(
-        **{k.split(".", 1)[1]: s for k, s in zip(traced.keys, traced.p, strict=True)}
-    )
+    p = SimpleNamespace(**{parameter_of(k): s for k, s in zip(traced.keys, traced.p, strict=True)})
     q, v = system.split(x)
     names = [c.name for c in system.coordinates]
     position = sp.Matrix([sp.sympify(e) for e in port.coordinates(q, p)])
@@ -349,8 +346,6 @@ def _port_position(system: System, name: str) -> Function:
     traced = trace(system, ())
     port = system.port(name)
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    p = SimpleNamespace(
-        **{k.split(".", 1)[1]: s for k, s in zip(traced.keys, traced.p, strict=True)}
-    )
+    p = SimpleNamespace(**{parameter_of(k): s for k, s in zip(traced.keys, traced.p, strict=True)})
     place = [sp.sympify(e) for e in port.coordinates(x, p)]
     return sp.lambdify([*traced.x, *traced.p], place, "numpy")

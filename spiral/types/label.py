@@ -1,4 +1,7 @@
-"""An effect's name in a model, ``NAME@PORT#VARIANT``: port and variant may be absent."""
+"""Names in a model: an effect's label ``NAME@PORT#VARIANT``, a parameter's key ``OWNER.PARAMETER``.
+
+Port and variant may be absent from a label. Nothing else takes these texts apart.
+"""
 
 
 def make_label(name: str, port: str = "", variant: str = "") -> str:
@@ -21,3 +24,19 @@ def split_variant(label: str) -> tuple[str, str]:
 def name_of(label: str) -> str:
     """The effect's name alone."""
     return split_port(split_variant(label)[0])[0]
+
+
+def split_key(key: str) -> tuple[str, str]:
+    """Owner (``system`` or an effect's label) and parameter of a key ``OWNER.PARAMETER``."""
+    owner, _, parameter = key.rpartition(".")
+    return owner, parameter
+
+
+def owner_of(key: str) -> str:
+    """What a parameter's key belongs to: ``system`` or an effect's label."""
+    return split_key(key)[0]
+
+
+def parameter_of(key: str) -> str:
+    """A parameter's name without its owner."""
+    return split_key(key)[1]

@@ -11,7 +11,7 @@ import numpy as np
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.formatting import plus_minus
-from spiral.types.label import name_of
+from spiral.types.label import name_of, owner_of, split_key
 from spiral.types.parameter import Parameter
 from spiral.types.placement import check_effect, model_keys
 from spiral.types.system import System
@@ -100,9 +100,7 @@ class Model:
 
     def amplitudes(self, label: str) -> tuple[str, ...]:
         """Full names of the amplitudes of one effect."""
-        return tuple(
-            k for k, p in self.pairs if k.rsplit(".", 1)[0] == label and p.role == "amplitude"
-        )
+        return tuple(k for k, p in self.pairs if owner_of(k) == label and p.role == "amplitude")
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -132,7 +130,7 @@ class Model:
                 f"effect {label!r}", "an effect of the model", did_you_mean(label, self.labels)
             )
         keep = tuple(e for e in self.effects if e.label != label)
-        gone = {k for k, _ in self.pairs if k.rsplit(".", 1)[0] == label}
+        gone = {k for k, _ in self.pairs if owner_of(k) == label}
         return replace(
             self,
             effects=keep,
@@ -161,7 +159,7 @@ class Model:
 
     def unit(self, key: str) -> str:
         """The absolute unit of a parameter."""
-        owner = key.rsplit(".", 1)[0]
+        owner = owner_of(key)
         parameter = dict(self.pairs)[key]
         if owner == "system":
             return pretty_unit(parameter.unit)
@@ -172,7 +170,7 @@ class Model:
         """owner -> parameter -> estimate, the system's own under ``system``."""
         table: dict[str, dict[str, Estimate]] = {}
         for key, parameter in self.pairs:
-            owner, name = key.rsplit(".", 1)
+            owner, name = split_key(key)
             value = float(
                 self.values.get(key, np.nan if parameter.start is None else parameter.start)
             )

@@ -24,6 +24,7 @@ from spiral.physics.signatures import Along, Own, effect_inputs, port_motion_alo
 from spiral.physics.trace import Traced
 from spiral.types.cache import kept
 from spiral.types.effect import Effect, expand
+from spiral.types.label import parameter_of
 from spiral.types.placement import check_effect
 from spiral.types.port import At
 from spiral.types.record import Array
@@ -52,7 +53,7 @@ def own_states_along(
     copies = len(next(iter(shapes.values()), np.zeros(1)))
     values = np.zeros((copies, len(compiled.traced.keys)))
     for i, key in enumerate(compiled.traced.keys):
-        name = key.rsplit(".", 1)[1]
+        name = parameter_of(key)
         known = compiled.traced.parameters[i]
         if known.role == "shape":
             values[:, i] = shapes.get(known.name, shapes.get(name, known.start or 0.0))

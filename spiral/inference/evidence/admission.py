@@ -28,6 +28,7 @@ from spiral.inference.evidence.scoring import Ranked, amplitude_keys, score_stag
 from spiral.inference.problem import Progress
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
+from spiral.types.label import owner_of, split_key
 from spiral.types.record import Array
 
 _START, _STARTS = 0.1, 3  # of its upper bound, where an amplitude starts; most shapes refitted so
@@ -47,7 +48,7 @@ class Admitted:
     def held(self) -> tuple[str, ...]:
         """Its amplitudes that stay at zero, by their real names."""
         label, name = self.variant.label, self.variant.original.label
-        own = [k.rsplit(".", 1) for k in self.fit_state.held]
+        own = [split_key(k) for k in self.fit_state.held]
         return tuple(f"{name}.{key}" for owner, key in own if owner == label)
 
 
@@ -218,8 +219,8 @@ def drop_effect(assembly: Assembly, fit_state: FitState, label: str) -> FitState
         fit_state,
         values=values,
         labels=tuple(x for x in fit_state.labels if x != label),
-        freed=tuple(k for k in fit_state.freed if k.rsplit(".", 1)[0] != label),
-        held=tuple(k for k in fit_state.held if k.rsplit(".", 1)[0] != label),
+        freed=tuple(k for k in fit_state.freed if owner_of(k) != label),
+        held=tuple(k for k in fit_state.held if owner_of(k) != label),
     )
 
 

@@ -28,6 +28,7 @@ from spiral.physics.compile import Compiled, compile_model
 from spiral.physics.rest import check_rest, is_finite_along, undefined_effects_along
 from spiral.physics.trace import trace
 from spiral.types.effect import Effect
+from spiral.types.label import owner_of, split_key
 from spiral.types.model import Model
 from spiral.types.parameter import Parameter
 from spiral.types.port import Port
@@ -271,7 +272,7 @@ def active_keys(
     corrections = assembly.study.correction_keys if corrected and turning else ()
     keys = []
     for key in assembly.study.keys:
-        owner = key.rsplit(".", 1)[0]
+        owner = owner_of(key)
         if key == ORIGIN:
             if ORIGIN in movable and any(e.undirected() for e in effects):
                 keys.append(key)
@@ -289,7 +290,7 @@ def nuisance_keys(assembly: Assembly, labels: tuple[str, ...]) -> tuple[str, ...
     traced = assembly.study.compiled.traced
     keys = []
     for key, parameter in zip(traced.keys, traced.parameters, strict=True):
-        owner = key.rsplit(".", 1)[0]
+        owner = owner_of(key)
         if parameter.scope != "record" or (owner != "system" and owner not in labels):
             continue
         if key == ORIGIN and not any("phase" in e.inputs for e in effects):
@@ -355,7 +356,7 @@ def with_model_values(
     rename = {v.label: v.original.label for v in assembly.variants if v.label in own}
     new_values = values.copy()
     for column, key in enumerate(assembly.study.keys):
-        owner, name = key.rsplit(".", 1)
+        owner, name = split_key(key)
         value = model.values.get(f"{rename.get(owner, owner)}.{name}")
         if owner in own and value is not None:
             new_values[:, column] = value
@@ -381,19 +382,17 @@ def to_model(
     effects += tuple(v.original for v in chosen)
 
     def original_key(key: str) -> str:
-        owner, name = key.rsplit(".", 1)
+        owner, name = split_key(key)
         return f"{rename.get(owner, owner)}.{name}"
 
     kept = {"system", *labels}
     row = dict(zip(assembly.study.keys, values[0], strict=False))  # corrections left out
-    known = {original_key(k): float(v) for k, v in row.items() if k.rsplit(".", 1)[0] in kept}
+    known = {original_key(k): float(v) for k, v in row.items() if owner_of(k) in kept}
     return replace(
         model,
         effects=effects,
         values=known,
-        errors={
-            original_key(k): float(v) for k, v in errors.items() if k.rsplit(".", 1)[0] in kept
-        },
+        errors={original_key(k): float(v) for k, v in errors.items() if owner_of(k) in kept},
         freed=(*model.freed, *(original_key(k) for k in freed)),
         fixed=(*model.fixed, *(original_key(k) for k in held)),
     )

@@ -36,6 +36,7 @@ from spiral.inference.evidence.spectrum import frequency_band, frequency_shapes
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import Traced, trace
 from spiral.types.effect import Effect
+from spiral.types.label import parameter_of
 from spiral.types.model import Model
 from spiral.types.parameter import Parameter
 from spiral.types.port import Port
@@ -198,7 +199,7 @@ def port_motion_expressions(
     """A port's position, and in a mechanical system its velocity, as expressions of the states."""
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
     own = zip(traced.keys, traced.parameters, strict=True)
-    p = SimpleNamespace(**{k.split(".", 1)[1]: sp.Float(v.start or 1.0) for k, v in own})
+    p = SimpleNamespace(**{parameter_of(k): sp.Float(v.start or 1.0) for k, v in own})
     if not has_coordinates(system):
         return [("position", list(port.coordinates(x, p)))]
     q, v = system.split(x)

@@ -10,7 +10,7 @@ import numpy as np
 from spiral.engine.growth import Stage
 from spiral.engine.score import Score, ScoreTable, build_score_table, residual_block_samples, score
 from spiral.engine.sensitivities import Reduction, reduce_windows, residuals
-from spiral.engine.study import ParameterColumns
+from spiral.engine.study import ParameterColumns, column_owner
 from spiral.inference.evidence.assembly import (
     ORIGIN,
     Assembly,
@@ -20,6 +20,7 @@ from spiral.inference.evidence.assembly import (
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.gridnull import effective_tests
 from spiral.inference.evidence.inseparable import inseparable_part
+from spiral.types.label import owner_of
 
 _NEAR = 0.8  # share of the best variant's gain from which another scores nearly as well
 
@@ -169,9 +170,7 @@ def score_groups(
 def _column_owner(assembly: Assembly, index: int) -> str:
     """The effect that an active column belongs to; phase and its correction are the unbalance's."""
     keys = assembly.study.keys
-    owner = keys[index].rsplit(".", 1)[0] if index < len(keys) else "system"
-    if owner == "system":
-        return "unbalance" if index >= len(keys) or keys[index] == ORIGIN else "system"
+    owner = column_owner(keys[index] if index < len(keys) else ORIGIN)
     known = {v.label: v.original.label for v in assembly.variants}
     return known.get(owner, owner)
 
@@ -203,7 +202,7 @@ def amplitude_keys(assembly: Assembly, variant: Variant) -> tuple[str, ...]:
         k
         for owner in owners
         for k, p in zip(traced.keys, traced.parameters, strict=True)
-        if k.rsplit(".", 1)[0] == owner and p.name in names
+        if owner_of(k) == owner and p.name in names
     )
 
 

@@ -28,6 +28,7 @@ from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import amplitude_keys
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
+from spiral.types.label import owner_of
 from spiral.types.record import Array
 
 _RANK = 1e-7  # relative size under which a signature is called zero
@@ -151,7 +152,7 @@ class View:
             i
             for i in range(self.fitted)
             if self.moving.index[i] < len(keys)
-            and keys[self.moving.index[i]].rsplit(".", 1)[0] == label
+            and owner_of(keys[self.moving.index[i]]) == label
             and roles[self.moving.index[i]].role == "amplitude"
         ]
 
@@ -163,7 +164,7 @@ class View:
                 owners.add(variant.companion.label)
         keys = self.assembly.study.keys
         last = range(self.fitted, self.moving.count)
-        return [i for i in last if keys[self.moving.index[i]].rsplit(".", 1)[0] in owners]
+        return [i for i in last if owner_of(keys[self.moving.index[i]]) in owners]
 
 
 def _squared_distance_to_span(response: Array, others: Array) -> float:

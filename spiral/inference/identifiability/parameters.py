@@ -8,7 +8,7 @@ import numpy as np
 
 from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import reduce_windows
-from spiral.engine.study import ParameterColumns
+from spiral.engine.study import ParameterColumns, column_owner
 from spiral.inference.evidence.assembly import Assembly, columns_with_bounds
 from spiral.inference.evidence.fit_state import FitState, all_samples, fit_growing_windows
 from spiral.inference.evidence.scoring import amplitude_keys
@@ -116,7 +116,7 @@ def _entangled_groups(
     assembly: Assembly, fit_state: FitState, stage: Stage, bad: Array, owners: list[str]
 ) -> tuple[tuple[str, ...], ...]:
     """Effects tied together: the model's entangled ones, and candidates that they mimic."""
-    links = [{_owner_label(owners[i]) for i in np.flatnonzero(np.abs(v) > 0.1)} for v in bad]
+    links = [{column_owner(owners[i]) for i in np.flatnonzero(np.abs(v) > 0.1)} for v in bad]
     groups = [(v, amplitude_keys(assembly, v)) for v in assembly.variants]
     keys = tuple(k for _, g in groups for k in g)
     active = columns_with_bounds(assembly, fit_state.keys(assembly))[0].count
@@ -137,15 +137,10 @@ def _entangled_groups(
             continue
         shares = right[kept].T @ (along / singular[kept][:, None])
         tied = {
-            _owner_label(owners[i]) for i in np.flatnonzero(np.max(np.abs(shares), axis=1) > 0.1)
+            column_owner(owners[i]) for i in np.flatnonzero(np.max(np.abs(shares), axis=1) > 0.1)
         }
         links.append({variant.original.label, *tied})
     return merge_overlapping_groups(links)
-
-
-def _owner_label(key: str) -> str:
-    owner, name = key.rsplit(".", 1)
-    return "unbalance" if name == "phase_origin" else owner
 
 
 def merge_overlapping_groups(links: list[set[str]]) -> tuple[tuple[str, ...], ...]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.series import half_step_inputs
+from spiral.engine.study import column_owner
 from spiral.physics.trace import Traced, trace
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, InputError
@@ -50,18 +51,12 @@ class Signatures:
     @property
     def owners(self) -> tuple[str, ...]:
         """The effect of each column; the phase origin belongs to the unbalance."""
-        return tuple(owner_of(k) for k in self.keys)
+        return tuple(column_owner(k) for k in self.keys)
 
     def only(self, keys: tuple[str, ...]) -> Signatures:
         """These columns alone, in this order."""
         index = [self.keys.index(k) for k in keys]
         return replace(self, keys=keys, columns=self.columns[:, :, index])
-
-
-def owner_of(key: str) -> str:
-    """The label of the effect that a key belongs to."""
-    owner, name = key.rsplit(".", 1)
-    return "unbalance" if name == "phase_origin" else owner
 
 
 def equation_rows(system: System) -> tuple[str, ...]:
@@ -116,7 +111,7 @@ def signatures(
     values = {**shapes, **model.values}
     keys, columns = _nonzero_columns(traced, rows, values, states, _input_samples(system, record))
     for effect in kept:
-        if not any(owner_of(k) == effect.label for k in keys):
+        if not any(column_owner(k) == effect.label for k in keys):
             left_out[effect.label] = "no force anywhere along the record"
     return Signatures(keys, rows, columns, left_out, shapes)
 

@@ -14,6 +14,7 @@ from typing import get_args
 import numpy as np
 
 from spiral.engine.likelihood.predict import Masks, predict_cases
+from spiral.engine.statistics import DECISIVE_ODDS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.likelihood.fitting import (
@@ -27,7 +28,6 @@ from spiral.types.parameter import Input, Interpolation
 
 Ways = Mapping[str, Interpolation]
 
-_ODDS = 100.0  # to one, for which an input runs in another way than its system says
 _SHOWN = 1.0  # squared change of the whitened misses from which a record can tell two ways apart
 
 
@@ -41,7 +41,7 @@ def select_input_interpolation(
     makes wrong interpolations likely too.
     """
     for some in _undeclared_input_groups(assembly.problem):
-        least = fit.height + float(np.log(_ODDS))
+        least = fit.height + float(np.log(DECISIVE_ODDS))
         others = _refit_interpolations(assembly, fit, some, None, least, progress)
         best = max(filter(is_random_force_small, others), key=lambda f: f.height, default=fit)
         fit = best if best.height > least else fit
@@ -59,7 +59,7 @@ def restore_declared_interpolation(
         state = replace(
             fit.state, between=_replace_interpolation(fit, (known,), known.interpolation)
         )
-        least = fit.height - float(np.log(_ODDS))
+        least = fit.height - float(np.log(DECISIVE_ODDS))
         own = fit_by_likelihood(assembly, state, rough=True, least=least)
         fit = own if own.height > least else fit
     return fit
@@ -88,7 +88,7 @@ def likelier_interpolation_fit(
 
     It has to gain over ``base`` at least ``least``, the best candidate's gain, and the log odds.
     """
-    needed = base.height + max(least, float(np.log(_ODDS)))
+    needed = base.height + max(least, float(np.log(DECISIVE_ODDS)))
     fits = [
         fit
         for some in _undeclared_input_groups(assembly.problem)

@@ -14,6 +14,7 @@ import numpy as np
 
 from spiral.inference.identifiability.parameters import merge_overlapping_groups
 from spiral.inference.likelihood.fitting import LikelihoodFit
+from spiral.types.label import owner_of
 from spiral.types.record import Array
 
 _WHOLE = 1.0  # relative standard error from which a combination is not identified
@@ -57,7 +58,7 @@ def find_parameter_ties(fit: LikelihoodFit) -> Ties:
     for vector in _flat_directions(gram, estimate.covariance, sizes, told):
         change = np.abs(vector)
         part = change > _PART * min(change.max(), _WHOLE)
-        owners = {k.rsplit(".", 1)[0] for k, p in zip(keys, part, strict=True) if p}
+        owners = {owner_of(k) for k, p in zip(keys, part, strict=True) if p}
         if np.sum(part) > 1 and np.all(seen[part]):
             groups.append(owners if len(owners) > 1 else set(np.array(keys)[part].tolist()))
             flat.append(np.where(part, vector, 0.0) / np.linalg.norm(vector[part]))

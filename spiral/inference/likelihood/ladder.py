@@ -23,6 +23,7 @@ from spiral.engine.filter.task import Task, build_task
 from spiral.engine.likelihood.fit import Maximum, maximise_likelihood
 from spiral.engine.likelihood.noise import STEEPEST, NoiseModel, NoiseTerm, size_limits
 from spiral.engine.likelihood.predict import Prepared
+from spiral.engine.statistics import DECISIVE_ODDS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import liveliest_stretch, tracked_deviations
 from spiral.inference.likelihood.fitting import (
@@ -36,7 +37,6 @@ from spiral.inference.problem import Progress
 from spiral.types.noise import COLOURED, Kind
 from spiral.types.spoilt import bridged
 
-ODDS = 100.0  # to one, for which a term is kept
 _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those that keep up
 _KEEP = 0.7  # share of the best gain at first look that keeps up
 _SHARED = 0.7  # of the size of white noise, that it and a coloured one start with (half of it)
@@ -202,7 +202,7 @@ def _best_noise_model(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | No
         if t.finite
     ]
     worth, chosen = max(worths, key=lambda x: x[0], default=(0.0, None))
-    return chosen if worth > np.log(ODDS) else None
+    return chosen if worth > np.log(DECISIVE_ODDS) else None
 
 
 def tune_noise(prepared: Prepared, noise: NoiseModel) -> Maximum:
@@ -222,7 +222,7 @@ def _raise_low_pass_order(at: Maximum) -> Maximum:
             break
         terms = tuple(replace(t, order=order) if t in band else t for t in at.noise.terms)
         more = tune_noise(at.prepared, replace(at.noise, terms=terms))
-        if not (more.finite and more.log_likelihood > at.log_likelihood + np.log(ODDS)):
+        if not (more.finite and more.log_likelihood > at.log_likelihood + np.log(DECISIVE_ODDS)):
             break
         at = more
     return at
@@ -354,7 +354,7 @@ def drop_needless_noise(
         progress("asking whether less acts at random")
         less = noise.replace_with_white(kind)
         worth = _noise_penalty(noise, less, fit.estimate.prepared)
-        enough = fit.height - worth - float(np.log(ODDS))
+        enough = fit.height - worth - float(np.log(DECISIVE_ODDS))
         trial = continue_fit(assembly, fit, less, rough=True, least=enough)
         if trial.height > enough:
             fit, noise = trial, less

@@ -55,6 +55,7 @@ from spiral.physics.history import (
 )
 from spiral.physics.signatures import Along, effect_inputs, port_motion_along
 from spiral.types.effect import Effect, values_for
+from spiral.types.label import parameter_of
 from spiral.types.placement import at_every_place
 from spiral.types.port import At
 from spiral.types.record import Array
@@ -201,7 +202,7 @@ def _mean_and_deviation(values: Array) -> tuple[float, float]:
 def _memoryless_variants(assembly: Assembly, past: Variant) -> tuple[Variant, ...]:
     """Any force without memory at the same port, and sensors and inputs a few samples late."""
     system, series = assembly.problem.model.system, assembly.study.series
-    shapes = {k.rsplit(".", 1)[1]: v for k, v in past.shapes.items()}
+    shapes = {parameter_of(k): v for k, v in past.shapes.items()}
     length = max(s.samples * s.dt for s in series)
     variants = [make_variant(PresentForce(port=past.effect.port), "", {**shapes, "record": length})]
     late: list[Effect] = [LateInput(port=place_name(port)) for port in system.driven]
@@ -289,7 +290,7 @@ def _memory_force_along(task: Task, along: Along, past: Variant) -> Array:
     """(samples, axes) the force with memory along a motion."""
     effect, values = past.effect, _values_by_key(task)
     axes = along.system.place(effect).axes
-    shapes = {k.rsplit(".", 1)[1]: np.array([v]) for k, v in past.shapes.items()}
+    shapes = {parameter_of(k): np.array([v]) for k, v in past.shapes.items()}
     states = own_states_along(along, task.series.dt, effect, shapes)[0]
     own = SimpleNamespace(**arrange_own_states(effect, len(axes), states))
     assert isinstance(effect, RememberedForce)

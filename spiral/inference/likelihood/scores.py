@@ -45,6 +45,7 @@ from spiral.inference.evidence.spectrum import (
 from spiral.inference.likelihood.fitting import LikelihoodFit, free_parameters
 from spiral.physics.signatures import Along, Own, amplitude_names, signatures
 from spiral.types.effect import Effect
+from spiral.types.label import parameter_of
 from spiral.types.placement import input_columns
 from spiral.types.record import Array
 
@@ -187,7 +188,7 @@ def _own_states_by_label(along: Along, dt: float, groups: Sequence[Group]) -> di
     )
     for _, some in itertools.groupby(keyed, key=lambda v: v.original.label):
         variants = list(some)
-        names = [k.rsplit(".", 1)[1] for k in variants[0].shapes]
+        names = [parameter_of(k) for k in variants[0].shapes]
         shapes = {n: np.array([v.shapes[f"{v.label}.{n}"] for v in variants]) for n in names}
         states = own_states_along(along, dt, variants[0].original, shapes)
         axes = len(along.system.place(variants[0].original).axes)
@@ -301,7 +302,7 @@ def _signature_columns(
     at = 0
     for group in groups:
         variant = group.variant
-        shapes = {k.rsplit(".", 1)[1]: v for k, v in variant.shapes.items()}
+        shapes = {parameter_of(k): v for k, v in variant.shapes.items()}
         own = {
             n: tuple(p[where] for p in v) if isinstance(v, tuple) else v[where]
             for n, v in owns.get(variant.label, {}).items()

@@ -15,6 +15,7 @@ import numpy as np
 from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.task import Task
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
+from spiral.engine.statistics import DECISIVE_ODDS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
@@ -23,7 +24,7 @@ from spiral.inference.likelihood.fitting import (
     largest_force,
     schwarz_penalty,
 )
-from spiral.inference.likelihood.ladder import ODDS, initial_gust_sizes, shared_groups, tune_noise
+from spiral.inference.likelihood.ladder import initial_gust_sizes, shared_groups, tune_noise
 from spiral.inference.problem import Progress
 
 _FITTED = 2  # models of the noise that are fitted together with the parameters
@@ -48,7 +49,7 @@ def replace_large_forces(
     for look in looks[:_FITTED]:
         trial = continue_fit(assembly, fit, look.noise, rough=True) if look.finite else fit
         more = schwarz_penalty(len(trial.estimate.noise.names) - len(at.noise.names), at.prepared)
-        likely = trial.height - more > fit.height - np.log(ODDS)
+        likely = trial.height - more > fit.height - np.log(DECISIVE_ODDS)
         small = largest_force(trial.estimate.noise) <= limit
         if not (likely and small and is_white(assembly, trial)):
             continue

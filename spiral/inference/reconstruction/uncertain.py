@@ -22,7 +22,7 @@ from spiral.engine.filter.task import Task
 from spiral.engine.fit import covariance
 from spiral.inference.reconstruction.calibrate import Calibration
 from spiral.types.errors import ConfigError, did_you_mean
-from spiral.types.label import split_port
+from spiral.types.label import split_key, split_port
 from spiral.types.model import Model
 
 _HOW = "a share of the value such as 0.2, or {absolute: 3} in the parameter's unit"
@@ -73,7 +73,7 @@ def fitted_prior(calibration: Calibration, record: int) -> Prior | None:
 
 def pattern_names(key: str) -> tuple[str, ...]:
     """Its names in patterns: ``effect@place_1.name``, ``place_1.name`` and ``place.name``."""
-    owner, parameter = key.rsplit(".", 1)
+    owner, parameter = split_key(key)
     name, port = split_port(owner)
     place = port or name
     return key, f"{place}.{parameter}", f"{re.sub('_?[0-9]+$', '', place)}.{parameter}"

@@ -69,6 +69,7 @@ from spiral.inference.verdict import FROM_NONE
 from spiral.types.effect import Effect
 from spiral.types.formatting import number
 from spiral.types.horizon import changes
+from spiral.types.label import parameter_of, split_key
 from spiral.types.run import Comparison
 
 _LAST = 1e-6  # whiteness from which a model may be the last
@@ -221,9 +222,9 @@ def _refuse_senseless(whole: Whole, rival: Rival) -> Refusal | None:
     if _has_vanished(whole, rival.label):
         return Refusal("fitted to all samples it is nothing: zero, or within its error of it")
     model, variant = whole.settled.comparison.model, rival.ranked.variant
-    tried = {k.rpartition(".")[2]: size for k, size in variant.shapes.items()}
+    tried = {parameter_of(k): size for k, size in variant.shapes.items()}
     for key, parameter in model.pairs:
-        owner, name = key.rsplit(".", 1)
+        owner, name = split_key(key)
         if owner == rival.label and parameter.role == "shape" and key in model.values:
             value = model.values[key]
             if parameter.at_bound(value):
@@ -238,7 +239,7 @@ def _has_vanished(whole: Whole, label: str) -> bool:
     model, settled = whole.settled.comparison.model, whole.settled
     told = settled.details.get(FROM_NONE, {}).get(label, 0.0)
     known, least = model.estimates().get(label, {}), whole.assembly.problem.settings.least_t
-    names = [key.rsplit(".", 1)[1] for key in model.amplitudes(label)]
+    names = [parameter_of(key) for key in model.amplitudes(label)]
     zero = [known[n].estimate == 0.0 for n in names]
     sizes = [abs(t) for n in names if (t := known[n].t) is not None]
     faint = len(sizes) == len(names) and not max([*sizes, told], default=np.inf) >= least

@@ -29,6 +29,7 @@ from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.admission import finish_fit, settle_fit
 from spiral.inference.strategies.base import Begun
 from spiral.inference.strategies.other_noise import fit_with_noise_growth
+from spiral.types.label import owner_of
 
 
 def begin_study(problem: Problem, progress: Progress) -> Begun:
@@ -75,7 +76,7 @@ def _fit_seed(problem: Problem, progress: Progress) -> tuple[Assembly, Likelihoo
     bare = refine_substeps(bare, state)
     fit = best_fit(bare, state, progress)
     for effect in problem.model.effects:
-        keys = tuple(k for k in problem.scaled if k.rsplit(".", 1)[0] == effect.label)
+        keys = tuple(k for k in problem.scaled if owner_of(k) == effect.label)
         fit = refit_from_other_shapes(bare, fit, effect, keys)
         fit = refit_effect_shapes(bare, fit, effect, keys)
     fit = finish_fit(bare, fit, progress)

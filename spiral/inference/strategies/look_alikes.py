@@ -46,7 +46,7 @@ from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import Passed, fit_with_rival, offer_effects
 from spiral.inference.strategies.needed import admitted_variants
 from spiral.inference.strategy_options import LikelihoodOptions
-from spiral.types.label import make_label
+from spiral.types.label import make_label, owner_of
 from spiral.types.run import Comparison
 
 _PROMISING = 3  # candidates that are asked in place of two effects
@@ -223,7 +223,7 @@ def _model_as_rival(
     """The model with its effects as a rival of those that look like them."""
     gain, keys = model.height - base.height, model.estimate.keys
     count = sum(
-        max(sum(k.rpartition(".")[0] == v.label for k in keys), len(amplitude_keys(assembly, v)))
+        max(sum(owner_of(k) == v.label for k in keys), len(amplitude_keys(assembly, v)))
         for v in held
     )
     worth = gain - schwarz_penalty(count, base.estimate.prepared)

@@ -13,6 +13,7 @@ from spiral.inference.likelihood.between import fit_with_other_interpolations
 from spiral.inference.likelihood.fitting import LikelihoodFit, fit_by_likelihood, schwarz_penalty
 from spiral.inference.problem import Progress
 from spiral.types.effect import InputEffect, SensorEffect
+from spiral.types.label import owner_of
 
 
 def drop_superfluous_effects(
@@ -91,7 +92,7 @@ def likelihood_ratio_t(assembly: Assembly, fit: LikelihoodFit) -> dict[str, floa
         if _is_far_from_zero(assembly, fit, amplitude_keys(assembly, variant)):
             continue
         without = _refit_without(assembly, fit, variant, rough=True)
-        free = [k for k in fit.estimate.keys if k.rpartition(".")[0] == variant.label]
+        free = [k for k in fit.estimate.keys if owner_of(k) == variant.label]
         gain = max(fit.height - without.height, 0.0)
         told[variant.original.label] = _equivalent_t(2 * gain, len(free))
     return told

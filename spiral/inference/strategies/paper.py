@@ -38,6 +38,7 @@ from spiral.inference.paper.regression import (
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.base import Begun, Settled, Step
 from spiral.inference.strategy_options import PaperOptions
+from spiral.types.label import owner_of
 from spiral.types.learner import Learned, learned
 from spiral.types.library import Term, terms_of
 from spiral.types.record import Array
@@ -296,7 +297,7 @@ def _step_with_admission(
 
 
 def _key_owner(key: str) -> str:
-    return key.rsplit(".", 1)[0]
+    return owner_of(key)
 
 
 def settle(

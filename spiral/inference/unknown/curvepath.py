@@ -15,6 +15,7 @@ from spiral.inference.evidence.assembly import Assembly, effects_of
 from spiral.inference.evidence.scales import port_motion_expressions
 from spiral.physics.learned import Learned, LearnedFlow, LearnedStateFlow
 from spiral.types.effect import Effect, FlowEffect, ForceEffect, StateFlow, values_for
+from spiral.types.label import owner_of
 from spiral.types.port import At
 from spiral.types.record import Array
 
@@ -93,7 +94,7 @@ class Path:
     def slope(self, row: Array, labels: list[str], index: int) -> Array:
         """(points,) its derivative by a parameter."""
         keys = self.assembly.study.keys
-        if index >= len(keys) or keys[index].rsplit(".", 1)[0] not in labels:
+        if index >= len(keys) or owner_of(keys[index]) not in labels:
             return np.zeros(len(self.at))
         step = _STEP * max(abs(row[index]), 1e-12)
         if self.assembly.study.compiled.traced.parameters[index].role == "amplitude":
@@ -101,7 +102,7 @@ class Path:
         ahead, back = row.copy(), row.copy()
         ahead[index] += step
         back[index] -= step
-        owner = [keys[index].rsplit(".", 1)[0]]
+        owner = [owner_of(keys[index])]
         return (self.force(ahead, owner) - self.force(back, owner)) / (2 * step)
 
     def _total_force(self, row: Array, labels: list[str], velocity: float) -> Array:

@@ -20,6 +20,7 @@ from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import Masks
 from spiral.inference.unknown.curvepath import Course, Path, courses, window_states
 from spiral.physics.learned import Learned, LearnedForce, spacing
+from spiral.types.label import owner_of
 from spiral.types.record import Array
 from spiral.types.run import Suggestion
 
@@ -173,7 +174,7 @@ def _curve_with_band(fit: CurveFit, course: Course) -> Curve:
     seed = list(assembly.problem.model.labels)
     path = Path(assembly, fit.learned, course, at)
     slopes = np.array([path.slope(row, added, i) for i in fit.moving]).T
-    seeds = [i for i, k in enumerate(assembly.study.keys) if k.rsplit(".", 1)[0] in seed]
+    seeds = [i for i, k in enumerate(assembly.study.keys) if owner_of(k) in seed]
     basis = np.array([path.slope(row, seed, i) for i in seeds]).T
     left = residual_projection(basis, visited)
     spread = left @ slopes @ fit.covariance @ slopes.T @ left.T

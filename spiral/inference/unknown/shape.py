@@ -23,6 +23,7 @@ from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose_on_windows
 from spiral.inference.unknown.forcecurve import Unknown, curve_fit_on_windows, describe_curve
 from spiral.physics.learned import Learned
+from spiral.types.label import owner_of
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def _seed_state_with_curves(
     for i, (key, parameter) in enumerate(
         zip(study.keys, study.compiled.traced.parameters, strict=True)
     ):
-        owner = key.rsplit(".", 1)[0]
+        owner = owner_of(key)
         if (parameter.role == "shape" or owner in kept) and owner not in known:
             values[:, i] = fit_state.values[:, i]
     return replace(begun, values=values, labels=kept)

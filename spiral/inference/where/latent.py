@@ -20,6 +20,7 @@ from spiral.engine.filter.extended import FilterSettings, filter_record, smooth_
 from spiral.engine.filter.setup import choose_levels, prepare_filter, with_level
 from spiral.engine.filter.task import Task, prepare_task
 from spiral.types.effect import ForceEffect
+from spiral.types.label import owner_of
 from spiral.types.model import Model
 from spiral.types.parameter import Parameter
 from spiral.types.record import Array, Record
@@ -80,7 +81,7 @@ def add_latent_force(model: Model) -> Model:
 def latent_keys(model: Model) -> tuple[str, ...]:
     """Names of the unknown force's parameters in a model that has it."""
     label = LatentForce().label
-    return tuple(k for k, _ in model.pairs if k.rsplit(".", 1)[0] == label)
+    return tuple(k for k, _ in model.pairs if owner_of(k) == label)
 
 
 def missing_force(

@@ -17,6 +17,7 @@ import numpy as np
 
 from spiral.types.effect import Effect, InputEffect, SensorEffect
 from spiral.types.errors import PluginError, did_you_mean
+from spiral.types.label import parameter_of
 from spiral.types.parameter import Parameter
 from spiral.types.placement import model_keys
 from spiral.types.plugin import Plugin
@@ -164,7 +165,7 @@ def check_own_states(effect: Effect, physics: Physics) -> str:
     own = [n for n in physics.compiled.traced.states if n.startswith(f"{effect.label}.")]
     if effect.states and not own:
         raise PluginError("states of its own without rates", "a rate for each")
-    return ", ".join(n.split(".", 1)[1] for n in own) or "none"
+    return ", ".join(parameter_of(n) for n in own) or "none"
 
 
 def check_equation_units(system: System, effects: Sequence[Effect]) -> str:

@@ -13,6 +13,7 @@ from spiral.io.export.names import latex_text, sanitise_text
 from spiral.physics.outside.program import ProgramValue
 from spiral.physics.trace import Traced, trace
 from spiral.types.effect import SensorEffect
+from spiral.types.label import parameter_of
 from spiral.types.model import Model
 from spiral.types.system import has_coordinates
 
@@ -138,7 +139,7 @@ def _substitute_values(traced: Traced, model: Model) -> Traced:
     for key, symbol in zip(traced.keys, traced.p, strict=True):
         value = model.values.get(key, starts.get(key))
         known = value is not None and value == value
-        swap[symbol] = sp.Float(value) if known else _real_symbol(key.rsplit(".", 1)[-1])
+        swap[symbol] = sp.Float(value) if known else _real_symbol(parameter_of(key))
     tiny = {f: 0 for e in traced.rate for f in e.atoms(sp.Float) if 0 < abs(f) < 1e-150}
     rate = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.rate)
     output = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.output)
