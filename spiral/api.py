@@ -250,7 +250,7 @@ def plan(run: Run, *effects: str | Effect, plugins: Plugins = None, **wishes: An
     wishes : what a test may vary (``durations``, ``rates``, ``speeds``, ``amplitudes``, ``bands``);
         ``parameter`` and ``standard_error``; ``progress``.
     """
-    from spiral.inference.plan import Wanted
+    from spiral.inference.plan import PlanQuestion
     from spiral.inference.plan import plan as step
     from spiral.inference.plan_options import plan_options
     from spiral.inference.planned_tests import planned_tests, simulator
@@ -259,7 +259,7 @@ def plan(run: Run, *effects: str | Effect, plugins: Plugins = None, **wishes: An
     with _progress_context(wishes) as progress:
         chosen, problem = plan_options(wishes), replace(_problem_of_run(run), model=run.model)
         wanted = tuple(registry.effect_from_label(e) if isinstance(e, str) else e for e in effects)
-        asked = Wanted(wanted, chosen.parameter or "", chosen.standard_error)
+        asked = PlanQuestion(wanted, chosen.parameter or "", chosen.standard_error)
         tests = planned_tests(problem, chosen)
         return step(problem, asked, tests, simulator(problem, registry.simulation), progress)
 

@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 from spiral.commands import memory
 from spiral.commands.perform import perform, perform_sweep_job
-from spiral.commands.telling import log_run_to_mlflow, print_tracking_outcome
+from spiral.commands.tracking import log_run_to_mlflow, print_tracking_outcome
 from spiral.io.registry import NO_FOLDER
 from spiral.io.request import BAD_INPUT, Request
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean

@@ -34,8 +34,13 @@ FORMER = {
     "reading": "io.readers",
     "registry": "io.registry",
     "testing": "io.testing",
+    "conformance": "io.conformance",
 }  # fmt: skip
 """Former name -> present one, both below ``spiral``; the modules of a package with it."""
+
+
+RENAMED = {"spiral.io.conformance.rehearsal": "spiral.io.conformance.regression"}
+"""Modules below those that have another name of their own now."""
 
 
 CALLED = {"spiral.types.system": "spiral.io.own_model"}
@@ -48,7 +53,8 @@ def present(name: str) -> str | None:
     parts = below.split(".")
     if package != "spiral" or parts[0] not in FORMER:
         return None
-    return ".".join(("spiral", FORMER[parts[0]], *parts[1:]))
+    moved = ".".join(("spiral", FORMER[parts[0]], *parts[1:]))
+    return RENAMED.get(moved, moved)
 
 
 class _Called(ModuleType):

@@ -12,14 +12,14 @@ from hashlib import sha256
 
 import numpy as np
 
-from experiments.hidden_effects.cases import ROTOR, SWING, Case, Scene, record_of, truth_of
+from experiments.hidden_effects.cases import ROTOR, SWING, Case, LiveStudy, record_of, truth_of
 from spiral.engine.growth import layouts_for
 from spiral.engine.study import Point
 from spiral.inference.evidence.assembly import assemble, initial_values
 from spiral.inference.evidence.comparison import refine_substeps
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scales import largest_port_motion, shape_scale
-from spiral.inference.identifiability.information import View
+from spiral.inference.identifiability.information import RecordInformation
 from spiral.inference.problem import Problem
 from spiral.io.registry import Registry
 from spiral.types.effect import Effect
@@ -36,7 +36,7 @@ KNOWN_FROM = 100.0  # rise of chi^2 that an effect must cause to count as identi
 SCENES = {
     "planar_rotor": replace(ROTOR, duration=3.0, rate=200.0, substeps=16),
     "oscillator": replace(SWING, fields={}, duration=8.0, rate=125.0, repeated=True, substeps=16),
-    "cascaded_tanks": Scene(
+    "cascaded_tanks": LiveStudy(
         "cascaded_tanks",
         {},
         {"pump.gain": 0.04, "outlets.upper": 0.05, "outlets.lower": 0.05},
@@ -47,7 +47,7 @@ SCENES = {
     ),
 }
 CHAINS = {
-    f"chain_{n}": Scene(
+    f"chain_{n}": LiveStudy(
         "chain", {"masses": n},
         {"linear_stiffness.stiffness": 4000.0, "linear_damping.damping": 2.0},
         duration=8.0, rate=200.0, substeps=16, everywhere=True, corner=30.0, force=20.0,
@@ -174,7 +174,7 @@ def _share(
     shapes: Mapping[str, float],
     label: str,
     system: System,
-    scene: Scene,
+    scene: LiveStudy,
     base: Record,
     registry: Registry,
 ) -> float:
@@ -226,7 +226,7 @@ def _change(case: Case, system: System, registry: Registry) -> float:
     starts = np.array([[record.truth[s][0] if s in record.truth else 0.0
                         for s in assembly.study.compiled.traced.states]])  # fmt: skip
     layouts = layouts_for(assembly.study, record.samples, (None,))
-    view = View.of(assembly, layouts, Point(initial_values(assembly), (starts,)))
+    view = RecordInformation.of(assembly, layouts, Point(initial_values(assembly), (starts,)))
     return view.noncentrality_alone(effect.label)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spiral.engine.gate import Gate, Judgement, Trial
-from spiral.engine.statistics import DECISIVE_ODDS
+from spiral.inference.problem import DECISIVE_ODDS
 from spiral.types.errors import ConfigError
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from spiral.engine.filter.observer import Observer, Reconstruction
 
 if TYPE_CHECKING:
-    from spiral.engine.filter.extended import FilterSettings, Pass
+    from spiral.engine.filter.extended import FilterPass, FilterSettings
     from spiral.engine.filter.task import Task
     from spiral.types.record import Array
 
@@ -71,8 +71,8 @@ class Tuned(Observer):
         self, task: Task, settings: FilterSettings, clock: float
     ) -> Reconstruction:
         """Reconstruct with uncertain parameters: bands hold the spread of their posterior."""
-        from spiral.engine.filter.doubted import add_parameter_doubt
         from spiral.engine.filter.extended import as_reconstruction
+        from spiral.engine.filter.marginal import add_parameter_doubt
         from spiral.engine.filter.posterior import posterior
         from spiral.engine.filter.setup import with_level
 
@@ -82,7 +82,7 @@ class Tuned(Observer):
         prior = task.prior
         assert prior is not None
 
-        def run_at_values(values: Array) -> Pass:
+        def run_at_values(values: Array) -> FilterPass:
             return self.run(task.with_parameters(prior.keys, values), settings)
 
         top = self.run(task, settings)
@@ -100,7 +100,7 @@ class Tuned(Observer):
         return replace(made, values=averaged.values(prior.keys)) if averaged else made
 
     @abstractmethod
-    def run(self, task: Task, settings: FilterSettings) -> Pass:
+    def run(self, task: Task, settings: FilterSettings) -> FilterPass:
         """One run over the record with these numbers."""
 
 
@@ -117,7 +117,7 @@ class Ekf(Tuned):
 
     transition: Literal["exact", "second_order"] = "exact"
 
-    def run(self, task: Task, settings: FilterSettings) -> Pass:
+    def run(self, task: Task, settings: FilterSettings) -> FilterPass:
         """Filter the record."""
         from spiral.engine.filter.extended import filter_record
 
@@ -131,7 +131,7 @@ class Rts(Tuned):
     x_s = x - P l, P_s = P - P L P, in the Bryson-Frazier form (``spiral.engine.filter.smoother``).
     """
 
-    def run(self, task: Task, settings: FilterSettings) -> Pass:
+    def run(self, task: Task, settings: FilterSettings) -> FilterPass:
         """Filter, then go back from the record's end; innovations stay those of the filter."""
         from spiral.engine.filter.extended import filter_record, smooth_run
 
@@ -154,7 +154,7 @@ class Ukf(Tuned):
     beta: float = 0.0
     kappa: float = 0.0
 
-    def run(self, task: Task, settings: FilterSettings) -> Pass:
+    def run(self, task: Task, settings: FilterSettings) -> FilterPass:
         """Filter the record."""
         from spiral.engine.filter.sigma_points import filter_sigma_points
 

@@ -8,7 +8,7 @@ from spiral_plugins.gates.innovation import Innovation as MostLikely
 from spiral_plugins.gates.joint import ValidationRollback
 
 from spiral.engine.gate import Gate
-from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.strategies.base import RefittedModel, StartedStudy, Step, Strategy
 from spiral.inference.strategy_options import InnovationOptions
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Innovation(InnovationOptions, Strategy):
 
     gate: tuple[Gate, ...] = (MostLikely(), ValidationRollback())
 
-    def begin(self, problem: Problem, progress: Progress) -> Begun:
+    def begin(self, problem: Problem, progress: Progress) -> StartedStudy:
         """The seed at its most likely values and process noise."""
         from spiral.inference.strategies.innovation import begin
 
@@ -52,7 +52,9 @@ class Innovation(InnovationOptions, Strategy):
 
         return propose(self, assembly, fit_state, comparison, progress)
 
-    def settle(self, assembly: Assembly, step: Step[Admission], progress: Progress) -> Settled:
+    def settle(
+        self, assembly: Assembly, step: Step[Admission], progress: Progress
+    ) -> RefittedModel:
         """Most likely values and process noise with what was admitted."""
         from spiral.inference.strategies.innovation import settle
 
@@ -60,7 +62,7 @@ class Innovation(InnovationOptions, Strategy):
 
     def admit(
         self, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
-    ) -> Settled:
+    ) -> RefittedModel:
         """Most likely values and process noise with an effect that the user names."""
         from spiral.inference.strategies.innovation import admit
 

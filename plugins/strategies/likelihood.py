@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from spiral.inference.strategies.base import AskedAgain, Begun, Settled, Step, Strategy
+from spiral.inference.strategies.base import (
+    RefittedModel,
+    RemainingLookAlikes,
+    StartedStudy,
+    Step,
+    Strategy,
+)
 from spiral.inference.strategy_options import LikelihoodOptions
 
 if TYPE_CHECKING:
@@ -13,7 +19,7 @@ if TYPE_CHECKING:
     from spiral.inference.evidence.assembly import Assembly
     from spiral.inference.evidence.fit_state import FitState
     from spiral.inference.problem import Problem, Progress
-    from spiral.inference.strategies.likelihood import Scored
+    from spiral.inference.strategies.likelihood import ScoredRound
     from spiral.types.run import Comparison, Suggestion
 
 
@@ -30,7 +36,7 @@ class Likelihood(LikelihoodOptions, Strategy):
     by_name = True
     ignores = ("phase_knot",)  # the filter tracks the phase itself
 
-    def begin(self, problem: Problem, progress: Progress) -> Begun:
+    def begin(self, problem: Problem, progress: Progress) -> StartedStudy:
         """The model as it is, most likely with the noise that its record wants."""
         from spiral.inference.strategies.beginning import begin_study
 
@@ -43,27 +49,29 @@ class Likelihood(LikelihoodOptions, Strategy):
         comparison: Comparison,
         number: int,
         progress: Progress,
-    ) -> Step[Scored]:
+    ) -> Step[ScoredRound]:
         """The candidate that makes the record most likely, if it passes on other blocks."""
         from spiral.inference.strategies.likelihood import propose
 
         return propose(self, assembly, fit_state, comparison, number, progress)
 
-    def settle(self, assembly: Assembly, step: Step[Scored], progress: Progress) -> Settled:
+    def settle(
+        self, assembly: Assembly, step: Step[ScoredRound], progress: Progress
+    ) -> RefittedModel:
         """The refit and comparison that were made when the effect was proposed."""
         from spiral.inference.strategies.likelihood import settle
 
         return settle(step)
 
-    def ranked(self, step: Step[Scored]) -> tuple[Suggestion, ...]:
+    def ranked(self, step: Step[ScoredRound]) -> tuple[Suggestion, ...]:
         """All candidates by what they are worth."""
         from spiral.inference.strategies.likelihood import suggestions_by_worth
 
         return suggestions_by_worth(step)
 
     def choose(
-        self, assembly: Assembly, fit_state: FitState, step: Step[Scored], label: str
-    ) -> Step[Scored]:
+        self, assembly: Assembly, fit_state: FitState, step: Step[ScoredRound], label: str
+    ) -> Step[ScoredRound]:
         """Another candidate in place of the proposal; no gate is asked."""
         from spiral.inference.strategies.likelihood import choose
 
@@ -73,7 +81,7 @@ class Likelihood(LikelihoodOptions, Strategy):
         self, assembly: Assembly, fit_state: FitState, comparison: Comparison,
         aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
         progress: Progress,
-    ) -> AskedAgain:  # fmt: skip
+    ) -> RemainingLookAlikes:  # fmt: skip
         """Earlier look-alikes beside the final model's values and noise."""
         from spiral.inference.strategies.likelihood import ask_again
 
@@ -81,7 +89,7 @@ class Likelihood(LikelihoodOptions, Strategy):
 
     def admit(
         self, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
-    ) -> Settled:
+    ) -> RefittedModel:
         """An effect by its name, with the shapes that the record prefers."""
         from spiral.inference.strategies.likelihood import admit
 

@@ -12,7 +12,7 @@ from spiral_plugins.learners.tanh_network import TanhNetwork
 from spiral_plugins.libraries.paper import Paper as PaperTable
 
 from spiral.engine.gate import Gate
-from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.strategies.base import RefittedModel, StartedStudy, Step, Strategy
 from spiral.inference.strategy_options import PaperOptions
 from spiral.types.derivative import Derivative
 from spiral.types.errors import ConfigError
@@ -67,7 +67,7 @@ class Paper(PaperOptions, Strategy):
             )
         return offered
 
-    def begin(self, problem: Problem, progress: Progress) -> Begun:
+    def begin(self, problem: Problem, progress: Progress) -> StartedStudy:
         """Derivatives, equations and columns of the study; the seed by joint least squares."""
         from spiral.inference.strategies.paper import begin
 
@@ -86,7 +86,7 @@ class Paper(PaperOptions, Strategy):
 
         return propose(self, assembly, fit_state, progress)
 
-    def settle(self, assembly: Assembly, step: Step[FitState], progress: Progress) -> Settled:
+    def settle(self, assembly: Assembly, step: Step[FitState], progress: Progress) -> RefittedModel:
         """Joint least squares with the admitted terms."""
         from spiral.inference.strategies.paper import settle
 
@@ -94,7 +94,7 @@ class Paper(PaperOptions, Strategy):
 
     def admit(
         self, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
-    ) -> Settled:
+    ) -> RefittedModel:
         """Joint least squares with the terms of an effect that the user names."""
         from spiral.inference.strategies.paper import admit
 

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from spiral.inference.strategies.base import Added, Begun, Settled, Step, Strategy
+from spiral.inference.strategies.base import (
+    AddedEffects,
+    RefittedModel,
+    StartedStudy,
+    Step,
+    Strategy,
+)
 from spiral.inference.strategy_options import ShootingOptions
 
 if TYPE_CHECKING:
@@ -27,7 +33,7 @@ class Shooting(ShootingOptions, Strategy):
     by_hand = True
     by_name = True
 
-    def begin(self, problem: Problem, progress: Progress) -> Begun:
+    def begin(self, problem: Problem, progress: Progress) -> StartedStudy:
         """The seed fitted on growing windows of the half that judges."""
         from spiral.inference.strategies.shooting import begin
 
@@ -46,7 +52,7 @@ class Shooting(ShootingOptions, Strategy):
 
         return propose_candidate(self, assembly, fit_state, comparison, number, progress)
 
-    def settle(self, assembly: Assembly, step: Step[Proposal], progress: Progress) -> Settled:
+    def settle(self, assembly: Assembly, step: Step[Proposal], progress: Progress) -> RefittedModel:
         """Refitted on the half that did not select; effects made superfluous are dropped."""
         from spiral.inference.strategies.shooting import settle
 
@@ -72,7 +78,9 @@ class Shooting(ShootingOptions, Strategy):
 
         return compare_on_windows(problem, progress)
 
-    def add(self, problem: Problem, effects: tuple[Effect, ...], progress: Progress) -> Added:
+    def add(
+        self, problem: Problem, effects: tuple[Effect, ...], progress: Progress
+    ) -> AddedEffects:
         """Before and after, each fitted to all samples."""
         from spiral.inference.strategies.shooting import fit_before_and_after
 

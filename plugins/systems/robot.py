@@ -143,13 +143,13 @@ class Robot(MechanicalSystem):
         return forces
 
     def _mass_and_bias(self, q, v, p, still=False):
-        from spiral.physics.robots.motion import Sizes, equations_of_motion
+        from spiral.physics.robots.motion import BaseUnits, equations_of_motion
 
         form = self.form
         at, speeds = ([getattr(x, j.name) for j in form.joints] for x in (q, v))
         units = _has_units(at[0])
         one = [registry().Quantity(1.0, unit) for unit in ("m", "s", "kg*m**2")]
-        sizes = Sizes(*one) if units else Sizes()
+        sizes = BaseUnits(*one) if units else BaseUnits()
         if still:
             speeds = [_with_unit_like(0, f"{j.units[0]}/s", at[0]) for j in form.joints]
         masses = [

@@ -8,15 +8,15 @@ from collections.abc import Callable
 from nicegui import ui
 
 from spiral.app import panels
-from spiral.app.session import Scene
-from spiral.app.study import Study, Turn
+from spiral.app.session import LiveStudy
+from spiral.app.study import Study, StudyState
 from spiral.types.formatting import percent
 
 Move = Callable[[int | None], None]
 """Look at the turn with this serial."""
 
 
-def draw_undo_redo(scene: Scene, move: Move) -> None:
+def draw_undo_redo(scene: LiveStudy, move: Move) -> None:
     """One step back, and one forward for each branch that begins here."""
     study, idle = scene.study, scene.busy is None
     turn = study.turn
@@ -30,7 +30,7 @@ def draw_undo_redo(scene: Scene, move: Move) -> None:
             again.props("flat").set_enabled(idle)
 
 
-def draw_branch_tree(scene: Scene, move: Move) -> None:
+def draw_branch_tree(scene: LiveStudy, move: Move) -> None:
     """All branches with their errors, where there are several; the line looked at is marked."""
     study = scene.study
     if all(len(study.after(t.serial)) < 2 for t in study.turns):
@@ -42,7 +42,7 @@ def draw_branch_tree(scene: Scene, move: Move) -> None:
             _draw_branch(scene, first, move)
 
 
-def _draw_branch(scene: Scene, turn: Turn, move: Move) -> None:
+def _draw_branch(scene: LiveStudy, turn: StudyState, move: Move) -> None:
     """A turn and, below it, the turns made from it; only a fork indents its branches."""
     _draw_branch_entry(scene, turn, move)
     later = scene.study.after(turn.serial)
@@ -54,7 +54,7 @@ def _draw_branch(scene: Scene, turn: Turn, move: Move) -> None:
             _draw_branch(scene, one, move)
 
 
-def _draw_branch_entry(scene: Scene, turn: Turn, move: Move) -> None:
+def _draw_branch_entry(scene: LiveStudy, turn: StudyState, move: Move) -> None:
     study: Study = scene.study
     here = study.turn is not None and study.turn.serial == turn.serial
     error = turn.result.get("test_error")

@@ -12,9 +12,9 @@ from urllib.parse import quote
 
 from spiral.app.record_setup import safe_file_name
 from spiral.app.session import Session
-from spiral.app.study import Turn
+from spiral.app.study import StudyState
+from spiral.app.study_archive import write_archive
 from spiral.app.viewer import Viewer
-from spiral.app.whole import write_archive
 from spiral.io.export.kinds import KINDS, export
 from spiral.io.storage import resolve_inside_folder, run_folder
 from spiral.io.tracking.store import Tracking
@@ -88,7 +88,7 @@ def write_download(session: Session, ident: str, serial: int, name: str) -> Path
     return file
 
 
-def _tracked_runs(session: Session, ident: str, turn: Turn) -> list[str]:
+def _tracked_runs(session: Session, ident: str, turn: StudyState) -> list[str]:
     """MLflow's places of a turn's run and of the ends of the study's other branches."""
     study = session.scene(ident).study
     others = [t.tracked for t in study.turns if not study.after(t.serial)]
@@ -117,14 +117,14 @@ def mlflow_chart_path(places: Sequence[str]) -> str:
     return f"metric?{said}&x_axis=step&y_axis_scale=log"
 
 
-def _saved_turn(session: Session, ident: str, serial: int) -> Turn:
+def _saved_turn(session: Session, ident: str, serial: int) -> StudyState:
     turn = session.scene(ident).study.turn_of(serial)
     if turn is None or not turn.run_id:
         raise ConfigError(f"turn {serial}", "a turn that is saved", "wait a moment")
     return turn
 
 
-def _report_page(session: Session, turn: Turn) -> str:
+def _report_page(session: Session, turn: StudyState) -> str:
     from spiral.io.curves import read_curves
     from spiral.io.storage import load_run
     from spiral.view.report.page import page
@@ -133,7 +133,7 @@ def _report_page(session: Session, turn: Turn) -> str:
     return page(saved.data, read_curves(saved.file.parent))[0]
 
 
-def _saved_model(session: Session, turn: Turn) -> Any:
+def _saved_model(session: Session, turn: StudyState) -> Any:
     from spiral.io.registry import load_registry
     from spiral.io.storage import load_run
 

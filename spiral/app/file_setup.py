@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from spiral.app import record_setup as kept
+from spiral.app import record_setup as setups
 from spiral.app.processes import Event
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.io.readers.files import find_file
@@ -52,18 +52,18 @@ class FileSetup:
 
     def create_setup(self, name: str) -> RecordSetup:
         """A new setup with a folder for a file of this name."""
-        return kept.new_setup(self._out, name)
+        return setups.new_setup(self._out, name)
 
     def discard_setup(self, setup: RecordSetup) -> None:
         """Delete the folder of a file that did not arrive."""
-        shutil.rmtree(kept.setup_folder(self._out, setup.ident), ignore_errors=True)
+        shutil.rmtree(setups.setup_folder(self._out, setup.ident), ignore_errors=True)
 
     def read_arrived_file(self, setup: RecordSetup) -> None:
         """Order that a file, now complete on disk, be read."""
         with self._lock:
             version = self._open[setup.ident].version if setup.ident in self._open else 0
             self._store_file(OpenFile(setup, version, busy="Reading the file"))
-            folder = str(kept.setup_folder(self._out, setup.ident))
+            folder = str(setups.setup_folder(self._out, setup.ident))
             layout = {"separator": setup.separator or None, "decimal": setup.decimal or None}
             order = self._file_order(setup, "describe_file")
             self._give({**order, **layout, "path": setup.path, "folder": folder})
@@ -82,7 +82,7 @@ class FileSetup:
         InputError : no such file.
         """
         file = find_file(path.strip()).resolve()
-        setup = replace(kept.new_setup(self._out, file.name), path=str(file))
+        setup = replace(setups.new_setup(self._out, file.name), path=str(file))
         self.read_arrived_file(setup)
         return setup.ident
 
@@ -95,7 +95,7 @@ class FileSetup:
         """
         with self._lock:
             if ident not in self._open:
-                self._open[ident] = OpenFile(kept.load_setup(self._out, ident))
+                self._open[ident] = OpenFile(setups.load_setup(self._out, ident))
             return self._open[ident]
 
     def change_choice(self, ident: str, choice: Choice) -> None:
@@ -111,7 +111,7 @@ class FileSetup:
         """One more file of the same machine: the test, where there is none yet, else to fit."""
         with self._lock:
             setup = self.current_file(ident).setup
-            use = kept.FIT if setup.files(kept.TEST) else kept.TEST
+            use = setups.FIT if setup.files(setups.TEST) else setups.TEST
             self.set_file_use(ident, str(file), name, use)
 
     def set_file_use(self, ident: str, path: str, name: str, use: str) -> None:
@@ -122,15 +122,15 @@ class FileSetup:
             known = [one if o["path"] == path else o for o in opened.setup.others]
             others = known if one in known else [*known, one]
             setup = replace(opened.setup, others=tuple(o for o in others if o["use"]))
-            if use == kept.TEST:  # a whole file is the test now, not rows of the first
+            if use == setups.TEST:  # a whole file is the test now, not rows of the first
                 setup = replace(setup, choice=replace(setup.choice, test_rows=()))
             self._check_mapping(replace(opened, setup=setup))
 
     def free_file_path(self, ident: str, name: str) -> Path:
         """A place for a further file, which is not there yet."""
         folder, wanted = (
-            kept.setup_folder(self._out, self.current_file(ident).setup.ident),
-            kept.safe_file_name(name),
+            setups.setup_folder(self._out, self.current_file(ident).setup.ident),
+            setups.safe_file_name(name),
         )
         for number in range(1, 1000):
             file = folder / (wanted if number == 1 else f"{number}-{wanted}")
@@ -153,7 +153,7 @@ class FileSetup:
         if opened.foreseeing:
             self._forgo(opened.setup.ident)
         setup = replace(opened.setup, seen=(), trouble=None, foresight={}, reading={})
-        complete = not kept.missing_choices(setup)
+        complete = not setups.missing_choices(setup)
         asked = opened.asked + 1
         self._store_file(replace(opened, setup=setup, asked=asked, foreseeing=False,
                           busy="Reading with this mapping" if complete else ""))  # fmt: skip
@@ -163,16 +163,16 @@ class FileSetup:
     def _mapping_order(self, setup: RecordSetup, do: str, asked: int) -> dict[str, Any]:
         order = {
             **self._file_order(setup, do),
-            "folder": str(kept.setup_folder(self._out, setup.ident)),
+            "folder": str(setups.setup_folder(self._out, setup.ident)),
         }
-        return {**order, "overrides": list(kept.setup_overrides(setup)), "asked": asked}
+        return {**order, "overrides": list(setups.setup_overrides(setup)), "asked": asked}
 
     def set_equations(self, ident: str, text: str) -> None:
         """Take equations as the system, once they are read; a file of its own for every text."""
         with self._lock:
             opened = self.current_file(ident)
             name = f"equations-{hashlib.sha256(text.encode()).hexdigest()[:12]}.yaml"
-            file = kept.setup_folder(self._out, ident) / name
+            file = setups.setup_folder(self._out, ident) / name
             write_whole(file, text)
             setup = replace(opened.setup, equations=text, trouble=None)
             asked = opened.asked + 1
@@ -189,14 +189,14 @@ class FileSetup:
         ConfigError : a mapping that is not complete.
         """
         opened = self.current_file(ident)
-        setup, lacking = opened.setup, kept.missing_choices(opened.setup)
+        setup, lacking = opened.setup, setups.missing_choices(opened.setup)
         if lacking:
             raise ConfigError(f"a mapping without {', '.join(lacking)}", "all of them chosen",
                               "choose what is marked")  # fmt: skip
         if opened.foreseeing:
             self._forgo(ident)  # the first fit needs the processor more
         more = f" and {len(setup.others)} more" if setup.others else ""
-        return setup.name + more, kept.setup_overrides(setup)
+        return setup.name + more, setups.setup_overrides(setup)
 
     def on_event(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
         """Apply a process event to its setup; events about an earlier mapping are dropped."""
@@ -261,7 +261,7 @@ class FileSetup:
 
     def _store_file(self, opened: OpenFile) -> None:
         self._open[opened.setup.ident] = replace(opened, version=opened.version + 1)
-        kept.save_setup(self._out, opened.setup)
+        setups.save_setup(self._out, opened.setup)
 
 
 def _setup_for_system(setup: RecordSetup, name: str) -> RecordSetup:
@@ -269,5 +269,5 @@ def _setup_for_system(setup: RecordSetup, name: str) -> RecordSetup:
     system = next(s for s in setup.systems if s["name"] == name)
     was = setup.choice
     rows = {"fit_rows": was.fit_rows, "test_rows": was.test_rows}
-    choice = replace(kept.guess_columns(setup.columns, system), more=was.more, **rows)
+    choice = replace(setups.guess_columns(setup.columns, system), more=was.more, **rows)
     return replace(setup, choice=choice, model={})

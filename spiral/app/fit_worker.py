@@ -19,13 +19,13 @@ from spiral.app.caveats import indistinguishable_effects, turn_caveats
 from spiral.app.drawing import FIRST, write_turn_figures
 from spiral.app.own_effect import example_formula
 from spiral.app.python_text import non_default_options
-from spiral.app.side_steps import (
+from spiral.app.study import turn_folder
+from spiral.app.trials import (
     draw_benefit_figure,
     keep_latest,
     rank_discriminating_tests,
     trial_details,
 )
-from spiral.app.study import turn_folder
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.discover import Checkpoint
 from spiral.inference.evidence.assembly import Assembly, initial_values
@@ -41,11 +41,11 @@ from spiral.inference.rounds import (
     start_study,
     strategy_for,
 )
-from spiral.inference.strategies.base import Begun, Step, Strategy
+from spiral.inference.strategies.base import StartedStudy, Step, Strategy
 from spiral.inference.unknown.memory import memory_sentence
 from spiral.io.checkpoint import read_checkpoint, write_checkpoint
+from spiral.io.compute_curves import free_curves
 from spiral.io.curves import FINAL, Curves, add_seed_curves, read_curves, write_curves
-from spiral.io.gather import free_curves
 from spiral.io.registry import Registry
 from spiral.io.writing import replace_nonfinite, to_json, write_whole
 from spiral.physics.passivity import implausible_signs
@@ -71,7 +71,7 @@ class FitWorker:
     problem: Problem | None = None
     registry: Registry | None = None
     strategy: Strategy | None = None
-    begun: Begun | None = None
+    begun: StartedStudy | None = None
     overrides: tuple[str, ...] = ()
     program: Mapping[str, Any] = field(default_factory=dict)
     ranked: dict[int, tuple[Checkpoint, Step]] = field(default_factory=dict)
@@ -264,7 +264,7 @@ class FitWorker:
         }
         self.tell("records", description)
 
-    def _begin_strategy(self) -> Begun:
+    def _begin_strategy(self) -> StartedStudy:
         if self.begun is None:
             assert self.problem is not None
             self._tell_progress("compiling the model and all candidates")

@@ -12,7 +12,7 @@ from typing import Any
 from nicegui import ui
 
 from spiral.app import panels
-from spiral.app.session import Scene, Session
+from spiral.app.session import LiveStudy, Session
 from spiral.app.study import Study
 from spiral.app.stylesheet import STYLE
 from spiral.io.export.kinds import KINDS
@@ -164,7 +164,7 @@ def shell_command(study: Study) -> str:
     return f"spiral add {' '.join(study.added)}{given}"
 
 
-def draw_run_links(session: Session, scene: Scene) -> None:
+def draw_run_links(session: Session, scene: LiveStudy) -> None:
     """Draw the menu of downloads (report, numbers, model) and the link to MLflow."""
     turn = scene.study.turn
     if turn is None or not turn.run_id:

@@ -11,8 +11,8 @@ from typing import Any
 from nicegui import ui
 
 from spiral.app import equations, frame, model_setup, panels
-from spiral.app import record_setup as kept
-from spiral.app.data_desk import Desk, foresight_message
+from spiral.app import record_setup as setups
+from spiral.app.data_setup import DataSetup, foresight_message
 from spiral.app.drop_zone import drop_script
 from spiral.app.file_preview import PICTURE, READING
 from spiral.app.file_setup import OpenFile
@@ -29,7 +29,7 @@ _BLOCKS = "holdout_blocks=5"
 
 
 @dataclass
-class Form:
+class MappingPage:
     """One tab on one setup."""
 
     session: Session
@@ -39,7 +39,7 @@ class Form:
     regions: dict[str, ui.element] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.desk = Desk(self.session, self.ident, self._change_choice)
+        self.desk = DataSetup(self.session, self.ident, self._change_choice)
 
     def refresh(self) -> None:
         """Draw what has changed."""
@@ -94,7 +94,7 @@ class Form:
 
     def _draw_advice(self, setup: RecordSetup) -> None:
         """A button for each setting that the message tells to try."""
-        lines = kept.advised_lines(setup.trouble) if setup.columns else []
+        lines = setups.advised_lines(setup.trouble) if setup.columns else []
         if not lines:
             return
         with ui.row().classes("gap-2").style("margin-top:8px").props('id="advice"'):
@@ -104,7 +104,7 @@ class Form:
 
     def _use_setting(self, line: str) -> None:
         more = self.session.file_setup.current_file(self.ident).setup.choice.more
-        self._set_more(kept.replace_line(more, line))
+        self._set_more(setups.replace_line(more, line))
 
     def _draw_text_layout(self, setup: RecordSetup) -> None:
         """Fields for ``record.separator`` and ``record.decimal``, where no columns were found."""
@@ -134,7 +134,7 @@ class Form:
         table = text.html_table(("column", "unit", "first rows", "range"), rows)
         ui.html(panels.restyle_table(table), sanitize=False)
         if setup.drawn:
-            data = frame.load_figure(kept.setup_folder(self.session.out, self.ident) / PICTURE)
+            data = frame.load_figure(setups.setup_folder(self.session.out, self.ident) / PICTURE)
             if data is not None:
                 self.desk.draw_picture(data)
 
@@ -146,7 +146,7 @@ class Form:
         ui.html("<h2 class='head'>What reading changes</h2>", sanitize=False)
         said = "".join(f"<li>{escape(note)}</li>" for note in changes["notes"])
         ui.html(f"<ul class='soft'>{said}</ul>", sanitize=False)
-        data = frame.load_figure(kept.setup_folder(self.session.out, self.ident) / READING)
+        data = frame.load_figure(setups.setup_folder(self.session.out, self.ident) / READING)
         if data is None or not changes["series"]:
             ui.html("<p class='soft'>No number changes.</p>", sanitize=False)
             return
@@ -276,14 +276,14 @@ class Form:
         """The unit in a column's name where the file names none, as in ``disp_um``."""
         setup = self.session.file_setup.current_file(self.ident).setup
         named = any(c["name"] == column and c["unit"] for c in setup.columns)
-        return "" if named else kept.unit_from_name(column)
+        return "" if named else setups.unit_from_name(column)
 
     def _draw_summary(self, opened: OpenFile) -> None:
         setup = opened.setup
         if not setup.systems:
             return
         ui.html("<h2 class='head'>What was understood</h2>", sanitize=False)
-        lacking = kept.missing_choices(setup)
+        lacking = setups.missing_choices(setup)
         if lacking:
             ui.html(f"<p class='soft'>Still to choose: {escape(', '.join(lacking))}.</p>",
                     sanitize=False)  # fmt: skip
@@ -337,7 +337,7 @@ def file_page(session: Session, ident: str) -> None:
     except SpiralError as error:
         frame.not_found_page(error)
         return
-    form = Form(session, ident)
+    form = MappingPage(session, ident)
     drop_script()
     with frame.header_bar(opened.setup.name):
         pass

@@ -9,10 +9,10 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import frame, panels, unseen
+from spiral.app import frame, horizon_errors, panels
 from spiral.app.own_effect import normalize_effect_name
-from spiral.app.session import Scene, Session
-from spiral.app.study import Turn, trial_figure_file, turn_folder
+from spiral.app.session import LiveStudy, Session
+from spiral.app.study import StudyState, trial_figure_file, turn_folder
 from spiral.types.errors import SpiralError
 from spiral.types.label import name_of
 
@@ -39,7 +39,7 @@ OWN = "invent"  # the order that an effect of one's own gives
 
 
 @dataclass
-class Missing:
+class CandidateList:
     """The list of candidates in one tab: what is typed and how much of it is shown.
 
     ``ask`` runs what a click asks for and shows a refusal; ``again`` draws the list anew.
@@ -56,7 +56,7 @@ class Missing:
     wrong: Mapping[str, str] | None = None
     why: set[tuple[int, str, str]] = field(default_factory=set)
 
-    def build(self, scene: Scene) -> None:
+    def build(self, scene: LiveStudy) -> None:
         """Draw the list of the turn that is looked at."""
         turn = scene.study.turn
         ui.html("<h2 class='head'>What is missing</h2>", sanitize=False)
@@ -79,7 +79,7 @@ class Missing:
         self._draw_candidates(scene, turn)
         self._draw_own_effect(scene, turn)
 
-    def _draw_ending(self, scene: Scene, turn: Turn) -> None:
+    def _draw_ending(self, scene: LiveStudy, turn: StudyState) -> None:
         """What it means that nothing passes the gates."""
         said = panels.ending_message(scene.study, turn)
         kind = "good" if turn.verdict == "whiteness" else "note"
@@ -89,7 +89,7 @@ class Missing:
             button = ui.button("Offer its curve as an effect", on_click=lambda: self.ask(learn))
             button.props("outline").style("margin:10px 0").set_enabled(scene.busy is None)
 
-    def _draw_candidates(self, scene: Scene, turn: Turn) -> None:
+    def _draw_candidates(self, scene: LiveStudy, turn: StudyState) -> None:
         """The candidates, best first; those of the user and the proposed ones always."""
         if not turn.candidates:
             return
@@ -107,7 +107,7 @@ class Missing:
             said = "Show fewer" if self.every else f"Show {left} {'more' if few else 'candidates'}"
             ui.button(said, on_click=self._toggle_all).props("flat dense")
 
-    def _draw_proposal(self, scene: Scene, turn: Turn) -> None:
+    def _draw_proposal(self, scene: LiveStudy, turn: StudyState) -> None:
         """What the trial of the proposed effect says; where there was none, a button for it."""
         said, kind = panels.proposal_message(turn)
         name = {"worse": "note worse", "fine": "good", "trying": "soft"}[kind]
@@ -117,7 +117,7 @@ class Missing:
             button = ui.button("Try it on the test record")
             button.on_click(lambda: self.ask(lambda: attempt(turn.serial))).props("outline")
 
-    def _draw_own_effect(self, scene: Scene, turn: Turn) -> None:
+    def _draw_own_effect(self, scene: LiveStudy, turn: StudyState) -> None:
         """An effect written as a formula, tested at once; what was typed stays when it is drawn."""
         typed, about = self.typed, scene.study.example
         failed = scene.study.trouble or {}
@@ -150,7 +150,7 @@ class Missing:
             self.wrong = error.as_dict()
         self.again()
 
-    def _draw_candidate(self, scene: Scene, turn: Turn, candidate: Any) -> None:
+    def _draw_candidate(self, scene: LiveStudy, turn: StudyState, candidate: Any) -> None:
         effect, aliases = candidate["effect"], tuple(candidate["aliases"])
         first = effect in turn.proposed
         with ui.element("div").classes("effect first" if first else "effect"):
@@ -170,7 +170,7 @@ class Missing:
                     self._draw_alias_comparison(scene, turn, (effect, *aliases))
                     self._draw_plan(scene, turn, (effect, *aliases))
 
-    def _draw_trial(self, scene: Scene, turn: Turn, effect: str) -> None:
+    def _draw_trial(self, scene: LiveStudy, turn: StudyState, effect: str) -> None:
         """What an effect does on the test record, and where; a button where that is not known."""
         trial = panels.trial_result(turn, effect)
         if not trial:
@@ -179,7 +179,7 @@ class Missing:
             button.props("flat dense").classes("try").set_enabled(scene.busy is None)
             button.props["aria-label"] = f"Try {panels.label_words(effect)} on the test record"
             return
-        ui.html(unseen.trial_changes(trial["changes"]), sanitize=False).classes("wide")
+        ui.html(horizon_errors.trial_changes(trial["changes"]), sanitize=False).classes("wide")
         ui.html(panels.sign_warnings(trial.get("signs") or {}), sanitize=False).classes("wide")
         for what, (title, said) in _SHOWS.items():
             if not trial.get("drawn" if what == "why" else "pushes"):
@@ -198,7 +198,7 @@ class Missing:
             self.why ^= {key}
             self.again()
 
-    def _draw_trial_figure(self, turn: Turn, effect: str, what: str, said: str) -> None:
+    def _draw_trial_figure(self, turn: StudyState, effect: str, what: str, said: str) -> None:
         """A figure of an effect's trial."""
         figures = turn_folder(self.session.out, self.ident, turn.serial) / "figures"
         data = frame.load_figure(trial_figure_file(figures, effect, what))
@@ -207,17 +207,19 @@ class Missing:
             return
         frame.draw_plot(data, what, said)
 
-    def _draw_plan(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
+    def _draw_plan(self, scene: LiveStudy, turn: StudyState, effects: tuple[str, ...]) -> None:
         """The test to run next that tells effects apart; a button where none was asked for."""
         if scene.plan.get("effects") == list(effects):
             ui.html(panels.plan_table(scene.plan), sanitize=False).props('id="plan"')
             return
         wanted = functools.partial(self.session.plan, self.ident, effects, turn.serial)
-        names = unseen.join_words([panels.label_words(e) for e in effects])
+        names = horizon_errors.join_words([panels.label_words(e) for e in effects])
         button = ui.button(f"Which test tells {names} apart?", on_click=lambda: self.ask(wanted))
         button.props("flat dense").set_enabled(scene.busy is None)
 
-    def _draw_alias_comparison(self, scene: Scene, turn: Turn, effects: tuple[str, ...]) -> None:
+    def _draw_alias_comparison(
+        self, scene: LiveStudy, turn: StudyState, effects: tuple[str, ...]
+    ) -> None:
         if scene.contrast:
             ui.html(panels.contrast_table(scene.contrast, scene.windows), sanitize=False)
             with ui.row().classes("gap-2").style("margin:8px 0 4px"):

@@ -8,13 +8,13 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import branches, frame, panels, python_text, studies, tour, unseen
+from spiral.app import branches, frame, horizon_errors, panels, python_text, studies, tour
 from spiral.app.address import Address, format_address
 from spiral.app.figures import Figures
-from spiral.app.missing import OWN, Missing
-from spiral.app.session import Scene, Session
+from spiral.app.missing import OWN, CandidateList
+from spiral.app.session import LiveStudy, Session
 from spiral.app.side_by_side import NAME, SideBySide
-from spiral.app.study import Turn
+from spiral.app.study import StudyState
 from spiral.types.errors import SpiralError
 from spiral.view.report.evidence import error_falling
 
@@ -70,11 +70,11 @@ class StudyView:
         self.beside = SideBySide(
             self.figures, lambda: self.redraw("beside"), self._update_address, self.at.beside
         )
-        self.missing = Missing(
+        self.missing = CandidateList(
             self.session, self.ident, self._run_or_notify, lambda: self.redraw("missing")
         )
 
-    def scene(self) -> Scene:
+    def scene(self) -> LiveStudy:
         """The study as it is now."""
         return self.session.scene(self.ident)
 
@@ -120,7 +120,9 @@ class StudyView:
         self.version = -1
         self.refresh()
 
-    def _region_builders(self, scene: Scene) -> list[tuple[str, Callable[[Scene], None], Any]]:
+    def _region_builders(
+        self, scene: LiveStudy
+    ) -> list[tuple[str, Callable[[LiveStudy], None], Any]]:
         study, turn = scene.study, scene.study.turn
         busy = scene.busy
         key = None if turn is None else turn.serial
@@ -151,7 +153,7 @@ class StudyView:
 
     # --- regions ---------------------------------------------------------------------------------
 
-    def _draw_progress(self, scene: Scene) -> None:
+    def _draw_progress(self, scene: LiveStudy) -> None:
         """What is under way; its button is never replaced, as a click on one just gone is lost."""
         busy = scene.busy
         if busy is None:
@@ -172,7 +174,7 @@ class StudyView:
         bar = ui.linear_progress(0.0, show_value=False, size="5px").props("instant-feedback")
         return _Progress(words, bar)
 
-    def _draw_tour(self, scene: Scene) -> None:
+    def _draw_tour(self, scene: LiveStudy) -> None:
         turn = scene.study.turn
         serial = 0 if turn is None else turn.serial
 
@@ -186,7 +188,7 @@ class StudyView:
             lambda e: self._run_or_notify(lambda: self.session.add(self.ident, e, serial)),
         )
 
-    def _draw_trouble(self, scene: Scene) -> None:
+    def _draw_trouble(self, scene: LiveStudy) -> None:
         """The last message; one about an own formula stands beside its field."""
         error, begun = scene.study.trouble, scene.study.turns or scene.busy
         if not error and not begun:  # its program ended before the first fit
@@ -201,7 +203,7 @@ class StudyView:
                     "flat"
                 )
 
-    def _draw_headline(self, scene: Scene) -> None:
+    def _draw_headline(self, scene: LiveStudy) -> None:
         study = scene.study
         ui.html(panels.headline(study), sanitize=False)
         if self.said is not None and study.turn is not None:
@@ -218,9 +220,9 @@ class StudyView:
         if study.note:
             ui.label(study.note).classes("soft own-note").props["id"] = "note"
 
-    def _draw_step_change(self, scene: Scene, turn: Turn) -> None:
+    def _draw_step_change(self, scene: LiveStudy, turn: StudyState) -> None:
         """What the last step did to predictions of unseen data; undone with one click."""
-        astray, worse = panels.divergence_warning(turn), unseen.worse_step_note(turn)
+        astray, worse = panels.divergence_warning(turn), horizon_errors.worse_step_note(turn)
         if astray or worse:
             with ui.element("div").classes("note worse").props('role="status" id="worse"'):
                 for said in filter(None, (astray, worse)):
@@ -231,9 +233,9 @@ class StudyView:
                         scene.busy is None
                     )
                     undo.props("unelevated color=primary padding='4px 12px'")
-        ui.html(unseen.horizon_error_table(turn), sanitize=False)
+        ui.html(horizon_errors.horizon_error_table(turn), sanitize=False)
 
-    def _draw_error_curve(self, scene: Scene) -> None:
+    def _draw_error_curve(self, scene: LiveStudy) -> None:
         study = scene.study
         rounds = [{**t.result, "round": i} for i, t in enumerate(study.line)]
         result = {"rounds": rounds, "noise_floor": study.noise_floor}
@@ -246,7 +248,7 @@ class StudyView:
         else:
             self.fall.update_figure(frame.responsive_figure(figure.to_plotly_json()))
 
-    def _draw_figure_tabs(self, scene: Scene) -> None:
+    def _draw_figure_tabs(self, scene: LiveStudy) -> None:
         turn = scene.study.turn
         if turn is None or not (turn.figures or scene.busy is None):
             said = "Reading, fitting, drawing: figures come in a few seconds."
@@ -295,7 +297,7 @@ class StudyView:
                 if name in dict(TABS)[title]:
                     self.figures.show_figure(turn.serial, name, heading, caption)
 
-    def _draw_data(self, scene: Scene) -> None:
+    def _draw_data(self, scene: LiveStudy) -> None:
         study = scene.study
         with ui.expansion("The data, and this as a command and in Python").classes("w-full"):
             if study.records:
@@ -309,7 +311,7 @@ class StudyView:
                 ui.html("<p class='soft' style='margin:12px 0 4px'>In Python:</p>", sanitize=False)
                 frame.draw_code(text)
 
-    def _draw_links(self, scene: Scene) -> None:
+    def _draw_links(self, scene: LiveStudy) -> None:
         frame.draw_run_links(self.session, scene)
         studies.draw_study_menu(self.session, scene.study, ui.navigate.reload, lambda: None)
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from spiral.app import unseen
-from spiral.app.study import LEARNED, Study, Turn
+from spiral.app import horizon_errors
+from spiral.app.study import LEARNED, Study, StudyState
 from spiral.types.formatting import digits, number, percent, probability
 from spiral.view.report import text
 from spiral.view.report.style import label_words, typeset_formula
@@ -55,7 +55,7 @@ def caveats_note(said: Sequence[str]) -> str:
     return f'<div class="note caveats" id="caveats"><b>Caveats</b><ul>{items}</ul></div>'
 
 
-def ending_message(study: Study, turn: Turn) -> str:
+def ending_message(study: Study, turn: StudyState) -> str:
     """What it means that nothing passes the gates."""
     said = ENDINGS.get(turn.verdict) or escape(turn.advice)
     error, floor = turn.result.get("test_error"), study.noise_floor
@@ -69,7 +69,7 @@ def ending_message(study: Study, turn: Turn) -> str:
     return said
 
 
-def has_learnable_curve(study: Study, turn: Turn) -> bool:
+def has_learnable_curve(study: Study, turn: StudyState) -> bool:
     """Whether the curve of what is left can be offered as an effect, and is not yet."""
     asked = any(o.partition("=")[0] == LEARNED for o in study.overrides)
     return bool(turn.shape) and turn.verdict == "no_candidate" and not asked
@@ -97,7 +97,7 @@ def headline(study: Study) -> str:
     )
 
 
-def error_announcement(turn: Turn) -> str:
+def error_announcement(turn: StudyState) -> str:
     """The free-run error as a sentence for screen readers."""
     return f"Free-run error on the test record: {_error_percent(turn.result.get('test_error'))}"
 
@@ -126,7 +126,7 @@ def effect_chips(study: Study) -> str:
     return f'<div class="chips">{"".join(items)}</div>{left}'
 
 
-def channel_error_table(turn: Turn, units: Mapping[str, str]) -> str:
+def channel_error_table(turn: StudyState, units: Mapping[str, str]) -> str:
     """Errors of each channel in its unit, chi2 and whiteness of the fit."""
     rows = [
         (name, text.format_with_unit(v["rmse"], units.get(name, "")), _error_percent(v["relative"]))
@@ -145,7 +145,7 @@ def channel_error_table(turn: Turn, units: Mapping[str, str]) -> str:
     )
 
 
-def divergence_warning(turn: Turn) -> str:
+def divergence_warning(turn: StudyState) -> str:
     """A warning where the free run diverges (its error is not finite); else empty."""
     if turn.result.get("test_error") is not None:
         return ""
@@ -197,14 +197,14 @@ def candidate_evidence(row: Mapping[str, Any]) -> str:
     )
 
 
-def ranking_order_note(turn: Turn) -> str:
+def ranking_order_note(turn: StudyState) -> str:
     """What orders the candidates, and why the proposed one stands where it does."""
     said = "Ordered by the share of what the model misses that each explains, all on the same data."
     effects = [row["effect"] for row in turn.candidates or ()]
     first = next((e for e in effects if e in turn.proposed), None)
     above = effects[: effects.index(first)] if first else []
     if above:
-        names = unseen.join_words([label_words(e) for e in above])
+        names = horizon_errors.join_words([label_words(e) for e in above])
         said += (
             f" {label_words(first or '').capitalize()} is proposed although {names} "
             f"{'explains' if len(above) == 1 else 'explain'} more there: other data, on which "
@@ -213,7 +213,7 @@ def ranking_order_note(turn: Turn) -> str:
     return escape(said)
 
 
-def proposal_message(turn: Turn) -> tuple[str, str]:
+def proposal_message(turn: StudyState) -> tuple[str, str]:
     """What the trial on the test record says of the proposed effect: a sentence and its kind.
 
     The kind is ``worse``, ``fine``, ``trying`` (not known yet) or nothing where none is proposed.
@@ -224,9 +224,10 @@ def proposal_message(turn: Turn) -> tuple[str, str]:
     passes = f"<b>{escape(name)}</b> is confirmed on data that took no part in its choice"
     if turn.preview.get("effect") not in turn.proposed:
         return f"{passes}; what it does on the test record is not known yet.", "trying"
-    where = unseen.worse_horizons(turn.preview["changes"])
+    where = horizon_errors.worse_horizons(turn.preview["changes"])
     if where:
-        said = f"{passes}, but predicts the test record <b>worse</b>: {unseen.join_words(where)}."
+        horizons = horizon_errors.join_words(where)
+        said = f"{passes}, but predicts the test record <b>worse</b>: {horizons}."
         return f"{said} Something else may be missing, or the test record differs.", "worse"
     return f"{passes}, and predicts the test record no worse at any horizon.", "fine"
 
@@ -237,7 +238,7 @@ def indistinguishable_note(others: Sequence[str]) -> str:
     return f"This record cannot tell it from <b>{escape(names)}</b>."
 
 
-def trial_result(turn: Turn, effect: str) -> Mapping[str, Any]:
+def trial_result(turn: StudyState, effect: str) -> Mapping[str, Any]:
     """What came of trying an effect on the test record; nothing where it was not tried."""
     if turn.preview.get("effect") == effect:
         return {**turn.preview, **turn.trials.get(effect, {})}
@@ -268,7 +269,7 @@ def error_message(error: Mapping[str, str]) -> str:
 def contrast_table(rows: Sequence[Mapping[str, Any]], windows: int) -> str:
     """Effects side by side, each refitted alone: one row for each figure, all on the same data."""
     figures = [
-        (unseen.horizon_label(h), [_error_percent(r["unseen"][i]["error"]) for r in rows])
+        (horizon_errors.horizon_label(h), [_error_percent(r["unseen"][i]["error"]) for r in rows])
         for i, h in enumerate(rows[0]["unseen"])
     ]
     figures += [
@@ -281,7 +282,7 @@ def contrast_table(rows: Sequence[Mapping[str, Any]], windows: int) -> str:
     )
 
 
-def model_table(turn: Turn) -> str:
+def model_table(turn: StudyState) -> str:
     """The equation and its coefficients with their standard errors."""
     signs = turn.result.get("signs") or {}
     return restyle_table(text.coefficients_table(turn.result, turn.equation, signs))
@@ -300,7 +301,7 @@ def test_split_note(records: Sequence[Mapping[str, Any]]) -> str:
     """Where the test record comes from, in a sentence."""
     tests = [r["name"] for r in records if r["part"] == "test"]
     if not is_test_held_out(records):
-        return f"No fit sees the test record: {unseen.join_words(tests)}."
+        return f"No fit sees the test record: {horizon_errors.join_words(tests)}."
     where = "The last part" if len(tests) == 1 else f"The last part of each of {len(tests)} records"
     where = f"The end of each of {len(tests)} blocks" if "(block " in tests[0] else where
     return f"{where} is kept apart as the test record: no fit sees it."

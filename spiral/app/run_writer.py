@@ -17,8 +17,8 @@ from spiral.app.study import turn_folder
 from spiral.inference.problem import Problem
 from spiral.inference.rounds import Checkpoint, conclude_study
 from spiral.io.checkpoint import read_checkpoint
+from spiral.io.compute_curves import gather_curves
 from spiral.io.curves import FINAL, SEED, Curves, drop_seed_curves, write_curves
-from spiral.io.gather import gather_curves
 from spiral.io.registry import Registry
 from spiral.io.storage import save_result
 from spiral.types.run import Run
@@ -55,7 +55,7 @@ class RunWriter:
 
     def foresee(self, order: Order) -> None:
         """Whether the records can tell the model's effects and all candidates apart."""
-        from spiral.app.foresight import identifiability_forecast
+        from spiral.app.identifiability import identifiability_forecast
 
         self._load_problem(order)
         assert self.problem is not None

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from spiral.app import study as kept
-from spiral.app import unseen
+from spiral.app import horizon_errors
+from spiral.app import study as study_files
 from spiral.app.file_setup import DOES, FORESEE, FileSetup
 from spiral.app.own_effect import effect_overrides, normalize_effect_name
 from spiral.app.panels import label_words
 from spiral.app.processes import Event, Process
-from spiral.app.study import LEARNED, Study, Turn
+from spiral.app.study import LEARNED, Study, StudyState
 from spiral.io.registry import local_sources
 from spiral.io.tracking.store import URI_VARIABLE
 from spiral.types.errors import ConfigError
@@ -35,7 +35,7 @@ _EXPECTED = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRS
 
 
 @dataclass(frozen=True)
-class Busy:
+class Activity:
     """What is under way: in words, since when, and how many messages of about how many."""
 
     what: str
@@ -53,7 +53,7 @@ class Busy:
 
 
 @dataclass(frozen=True)
-class Scene:
+class LiveStudy:
     """A study with what is under way; ``version`` grows with every change.
 
     ``contrast`` are candidates side by side, their chi2 on windows of ``windows`` samples; ``plan``
@@ -62,7 +62,7 @@ class Scene:
 
     study: Study
     version: int = 0
-    busy: Busy | None = None
+    busy: Activity | None = None
     writing: tuple[int, ...] = ()
     contrast: tuple[Mapping[str, Any], ...] = ()
     windows: int = 0
@@ -75,7 +75,7 @@ class Session:
     def __init__(self, out: Path, plugins: str | None = None) -> None:
         self.out, self.plugins = out, plugins
         self._lock = threading.RLock()
-        self._scenes: dict[str, Scene] = {}
+        self._scenes: dict[str, LiveStudy] = {}
         self._expected = dict(_EXPECTED)
         self._fits = Process("fits", out, self._on_fit_event)
         self._writer = Process("writer", out, self._on_writer_event)
@@ -97,13 +97,13 @@ class Session:
 
     def studies(self) -> list[Study]:
         """All studies on disk, the latest first."""
-        return kept.list_studies(self.out)
+        return study_files.list_studies(self.out)
 
     def is_loaded(self, ident: str) -> bool:
         """Whether a study is open; one that was deleted is not."""
         return ident in self._scenes
 
-    def scene(self, ident: str) -> Scene:
+    def scene(self, ident: str) -> LiveStudy:
         """A study as it is now.
 
         Raises
@@ -112,7 +112,7 @@ class Session:
         """
         with self._lock:
             if ident not in self._scenes:
-                self._scenes[ident] = Scene(kept.load_study(self.out, ident))
+                self._scenes[ident] = LiveStudy(study_files.load_study(self.out, ident))
                 self._queue_unsaved_turns(ident)
             return self._scenes[ident]
 
@@ -131,9 +131,9 @@ class Session:
                     "tracking.uri on the page", "the address that the page was started with",
                     f"{URI_VARIABLE}=ADDRESS spiral app",
                 )  # fmt: skip
-        study = kept.new_study(self.out, title, overrides, tour)
+        study = study_files.new_study(self.out, title, overrides, tour)
         with self._lock:
-            self._scenes[study.ident] = Scene(study)
+            self._scenes[study.ident] = LiveStudy(study)
         self.start(study.ident)
         return study.ident
 
@@ -236,7 +236,7 @@ class Session:
         with self._lock:
             scene = self._idle_scene(ident, serial)
             self._store_scene(
-                replace(scene, study=kept.select_turn(scene.study, to), contrast=(), plan={})
+                replace(scene, study=study_files.select_turn(scene.study, to), contrast=(), plan={})
             )
 
     def revise(self, ident: str, title: str, note: str) -> None:
@@ -254,7 +254,7 @@ class Session:
             scene = self.scene(ident)
             if scene.busy or scene.writing:
                 raise ConfigError("a study at work", "a study at rest", "wait, or cancel it first")
-            kept.delete_study(self.out, ident)
+            study_files.delete_study(self.out, ident)
             del self._scenes[ident]
 
     def cancel(self, ident: str) -> None:
@@ -264,7 +264,7 @@ class Session:
 
     # --- how it is done --------------------------------------------------------------------------
 
-    def _idle_scene(self, ident: str, serial: int) -> Scene:
+    def _idle_scene(self, ident: str, serial: int) -> LiveStudy:
         scene = self.scene(ident)
         if scene.busy:
             raise ConfigError(f"a click while {scene.busy.what.lower()}", "a study at rest",
@@ -274,19 +274,19 @@ class Session:
                               "the study as it is now, shown here", "look again")  # fmt: skip
         return scene
 
-    def _start_order(self, scene: Scene, do: str, what: str, **more: Any) -> None:
+    def _start_order(self, scene: LiveStudy, do: str, what: str, **more: Any) -> None:
         serial = scene.study.serials
         study = replace(scene.study, serials=serial + 1, trouble=None)
-        busy = Busy(what, serial, self._waiting_message(), expected=self._expected[do])
+        busy = Activity(what, serial, self._waiting_message(), expected=self._expected[do])
         self._store_scene(replace(scene, study=study, contrast=(), plan={}, busy=busy))
         self._fits.give({**self._study_order(study, do, serial), **more})
 
     def _waiting_message(self) -> str:
         """What an order given now waits for, in words: one process does one thing at a time."""
         ahead = [f"“{s.study.title}”" for s in self._scenes.values() if s.busy]
-        return f"waits for {unseen.join_words(ahead)}" if ahead else ""
+        return f"waits for {horizon_errors.join_words(ahead)}" if ahead else ""
 
-    def _start_preview(self, scene: Scene, effect: str, serial: int) -> None:
+    def _start_preview(self, scene: LiveStudy, effect: str, serial: int) -> None:
         self._start_order(scene, "preview", f"Trying {label_words(effect)} on the test record",
                   effect=effect, base=serial)  # fmt: skip
 
@@ -294,11 +294,11 @@ class Session:
         return {"do": do, "study": study.ident, "serial": serial, "plugins": self.plugins,
                 "overrides": list(study.overrides)}  # fmt: skip
 
-    def _store_scene(self, scene: Scene, save: bool = True) -> Scene:
+    def _store_scene(self, scene: LiveStudy, save: bool = True) -> LiveStudy:
         scene = replace(scene, version=scene.version + 1)
         self._scenes[scene.study.ident] = scene
         if save:
-            kept.save_study(self.out, scene.study)
+            study_files.save_study(self.out, scene.study)
         return scene
 
     def _on_fit_event(self, order: Mapping[str, Any], kind: str, data: Event) -> None:
@@ -328,7 +328,9 @@ class Session:
             if kind == "ranked" and order["do"] != "invent":
                 self._queue_run_writing(order["study"], _target_serial(order))
 
-    def _apply_event(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> Scene:
+    def _apply_event(
+        self, order: Mapping[str, Any], kind: str, data: Event, scene: LiveStudy
+    ) -> LiveStudy:
         """The scene after an event that brought a result."""
         study = scene.study
         serial = _target_serial(order)
@@ -337,15 +339,15 @@ class Session:
             values["records"] = tuple(data["records"])
             return replace(scene, study=replace(study, **values))
         if kind == "turn":
-            turn = Turn(serial, data["added"], data["result"])
-            study = replace(kept.add_turn(study, turn), noise_floor=data["noise_floor"])
+            turn = StudyState(serial, data["added"], data["result"])
+            study = replace(study_files.add_turn(study, turn), noise_floor=data["noise_floor"])
             busy = replace(scene.busy, landed=True) if scene.busy else None
             return replace(scene, study=study, busy=busy)
         if kind == "contrast":
             return replace(scene, contrast=tuple(data["rows"]), windows=data["horizon"])
         if kind == "plan":
             return replace(scene, plan=data["plan"])
-        values = {k: v for k, v in data.items() if k in Turn.__dataclass_fields__}
+        values = {k: v for k, v in data.items() if k in StudyState.__dataclass_fields__}
         if kind == "ranked":
             values |= {"preview": {}, "trials": {}}  # another ranking proposes anew
         if kind == "preview":
@@ -355,16 +357,18 @@ class Session:
                 values[name] = tuple(values[name])
         if "figures" in values:
             values["figures"] = tuple((n, h, c) for n, h, c in values["figures"])
-        return replace(scene, study=kept.update_turn(study, serial, **values))
+        return replace(scene, study=study_files.update_turn(study, serial, **values))
 
-    def _finish_order(self, order: Mapping[str, Any], kind: str, data: Event, scene: Scene) -> None:
+    def _finish_order(
+        self, order: Mapping[str, Any], kind: str, data: Event, scene: LiveStudy
+    ) -> None:
         busy, study = scene.busy, scene.study
         if kind == "done" and busy:
             self._expected[order["do"]] = max(busy.said, 1)
         if kind == "failed":
             study = replace(study, trouble={**data, "at": order["do"]})
         if kind == "cancelled":
-            study = kept.remove_newest_turn(
+            study = study_files.remove_newest_turn(
                 study, order["serial"]
             )  # it may have landed, not yet ranked
             said = f"Cancelled: {busy.what.lower()}" if busy else "Cancelled"
@@ -398,13 +402,13 @@ class Session:
             serial = order["serial"]
             if kind in ("done", "failed", "cancelled"):
                 left = tuple(s for s in scene.writing if s != serial)
-                study = kept.update_turn(scene.study, serial, complete=kind == "done")
+                study = study_files.update_turn(scene.study, serial, complete=kind == "done")
                 self._store_scene(replace(scene, study=study, writing=left))
             elif kind != "progress":
                 self._store_scene(self._apply_event(order, kind, data, scene))
 
 
-def _trial_update(turn: Turn | None, trial: Mapping[str, Any]) -> dict[str, Any]:
+def _trial_update(turn: StudyState | None, trial: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of a turn after an effect was tried: its trials, and the preview of a proposed one."""
     if turn is None:
         return {}

@@ -13,10 +13,10 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import unseen
+from spiral.app import horizon_errors
 from spiral.app.figures import Figures, Span
-from spiral.app.session import Scene
-from spiral.app.study import Study, Turn, turn_folder
+from spiral.app.session import LiveStudy
+from spiral.app.study import Study, StudyState, turn_folder
 from spiral.types.errors import SpiralError
 from spiral.types.formatting import digits, percent, plus_minus
 from spiral.types.run import estimate_rows
@@ -45,7 +45,7 @@ class SideBySide:
     def __post_init__(self) -> None:
         self.opened = len(self.chosen) > 1
 
-    def build(self, scene: Scene) -> None:
+    def build(self, scene: LiveStudy) -> None:
         """The choice of steps and, where it is opened, what they come to; nothing for one step."""
         study = scene.study
         if len(study.turns) < 2:
@@ -82,7 +82,7 @@ class SideBySide:
         )
         ui.html(comparison_parameters(study, turns), sanitize=False).classes("w-full")
 
-    def chosen_turns(self, study: Study) -> list[Turn]:
+    def chosen_turns(self, study: Study) -> list[StudyState]:
         """The steps chosen; at first the ends of all branches, or the last step and the first."""
         known = [t for t in study.turns if t.serial in self.chosen]
         if not self.chosen:
@@ -97,7 +97,7 @@ class SideBySide:
         self.changed()
         self.again()
 
-    def _draw_overlay(self, study: Study, turns: Sequence[Turn]) -> None:
+    def _draw_overlay(self, study: Study, turns: Sequence[StudyState]) -> None:
         names = [step_name(study, t) for t in turns]
         folders = [turn_folder(self.figures.session.out, study.ident, t.serial) for t in turns]
 
@@ -127,7 +127,7 @@ class SideBySide:
         ui.html(f"<p class='caption'>{escape(_SAID)}</p>", sanitize=False)
 
 
-def step_name(study: Study, turn: Turn) -> str:
+def step_name(study: Study, turn: StudyState) -> str:
     """A step in a few words: what it added, with its number where another added the same."""
     if not turn.added:
         return "the model as it was"
@@ -136,7 +136,7 @@ def step_name(study: Study, turn: Turn) -> str:
     return f"+ {label_words(turn.added)}{which}"
 
 
-def _step_path(study: Study, turn: Turn) -> str:
+def _step_path(study: Study, turn: StudyState) -> str:
     """A step with all that was added before it, and its error."""
     said = [step_name(study, turn)]
     before = turn
@@ -147,10 +147,11 @@ def _step_path(study: Study, turn: Turn) -> str:
     return f"{path}: {_error_percent(turn.result.get('test_error'))}"
 
 
-def comparison_errors(study: Study, turns: Sequence[Turn]) -> str:
+def comparison_errors(study: Study, turns: Sequence[StudyState]) -> str:
     """Errors of steps on the test record, by horizon and by channel; the least of a row is bold."""
     of = [
-        {unseen.horizon_label(h): h["error"] for h in t.result.get("unseen") or ()} for t in turns
+        {horizon_errors.horizon_label(h): h["error"] for h in t.result.get("unseen") or ()}
+        for t in turns
     ]
     horizons = dict.fromkeys(h for entries in of for h in entries)
     rows = [(horizon, [entries.get(horizon) for entries in of]) for horizon in horizons]
@@ -169,7 +170,7 @@ def comparison_errors(study: Study, turns: Sequence[Turn]) -> str:
     )
 
 
-def comparison_parameters(study: Study, turns: Sequence[Turn]) -> str:
+def comparison_parameters(study: Study, turns: Sequence[StudyState]) -> str:
     """Every parameter with its standard error in each step; a dash where a model has none."""
     tables = [
         {(r["effect"], r["parameter"]): r for r in estimate_rows({"model": t.result.get("model")})}
@@ -193,7 +194,7 @@ Rows = Sequence[tuple[str, Sequence[str], int | None]]
 """A row's name, its cells, and which of them stands out."""
 
 
-def _comparison_table(study: Study, turns: Sequence[Turn], what: str, rows: Rows) -> str:
+def _comparison_table(study: Study, turns: Sequence[StudyState], what: str, rows: Rows) -> str:
     head = "".join(f"<th class='n'>{escape(step_name(study, t))}</th>" for t in turns)
     body = ""
     for label, cells, best in rows:

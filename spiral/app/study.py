@@ -34,7 +34,7 @@ _ID = re.compile(r"[0-9a-f-]{8,40}")
 
 
 @dataclass(frozen=True)
-class Turn:
+class StudyState:
     """One state of a study, in plain data.
 
     ``parent`` is the serial of the turn that it was made from; ``added`` the effect that made it;
@@ -89,7 +89,7 @@ class Study:
     title: str
     overrides: tuple[str, ...]
     created: str
-    turns: tuple[Turn, ...] = ()
+    turns: tuple[StudyState, ...] = ()
     at: int = 0
     serials: int = 0
     trouble: Mapping[str, str] | None = None
@@ -102,14 +102,14 @@ class Study:
     tour: bool = False
 
     @property
-    def turn(self) -> Turn | None:
+    def turn(self) -> StudyState | None:
         """The turn that is looked at; nothing before the first fit."""
         return self.turns[self.at] if self.turns else None
 
     @property
-    def line(self) -> tuple[Turn, ...]:
+    def line(self) -> tuple[StudyState, ...]:
         """The turns from the first to the one that is looked at."""
-        turns: list[Turn] = []
+        turns: list[StudyState] = []
         turn = self.turn
         while turn is not None:
             turns.insert(0, turn)
@@ -117,7 +117,7 @@ class Study:
             turn = None if before is None else self.turn_of(before)
         return tuple(turns)
 
-    def after(self, serial: int | None) -> tuple[Turn, ...]:
+    def after(self, serial: int | None) -> tuple[StudyState, ...]:
         """The turns made from a turn, one for each branch; those made from none with ``None``."""
         return tuple(t for t in self.turns if t.parent == serial)
 
@@ -143,12 +143,12 @@ class Study:
             gone = [*(e for e in gone if e not in present), *left]
         return tuple(present), tuple(gone)
 
-    def turn_of(self, serial: int) -> Turn | None:
+    def turn_of(self, serial: int) -> StudyState | None:
         """A turn by its number, which no other ever gets."""
         return next((t for t in self.turns if t.serial == serial), None)
 
 
-def add_turn(study: Study, turn: Turn) -> Study:
+def add_turn(study: Study, turn: StudyState) -> Study:
     """The study with one more turn, made from the selected one and selected itself."""
     parent = None if study.turn is None else study.turn.serial
     turns = (*study.turns, replace(turn, parent=parent))
@@ -247,12 +247,12 @@ def load_study(out: Path, ident: str) -> Study:
         raise InputError(f"{file}: {error}", "a study saved by this program") from error
 
 
-def _repair_parents(turns: tuple[Turn, ...]) -> tuple[Turn, ...]:
+def _repair_parents(turns: tuple[StudyState, ...]) -> tuple[StudyState, ...]:
     """Turns with their parents checked: an earlier turn, else the one before; none for the first.
 
     Files of version 0.2 name no parents: there, turns were a line.
     """
-    repaired: list[Turn] = []
+    repaired: list[StudyState] = []
     for turn in turns:
         earlier = [t.serial for t in repaired]
         parent = turn.parent if turn.parent in earlier else (earlier or [None])[-1]

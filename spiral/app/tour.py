@@ -8,8 +8,8 @@ from html import escape
 from nicegui import ui
 
 from spiral.app import panels
-from spiral.app.session import Scene, Session
-from spiral.app.study import Study, Turn
+from spiral.app.session import LiveStudy, Session
+from spiral.app.study import Study, StudyState
 from spiral.types.formatting import percent
 
 PRESET = "rotor_coastdown"
@@ -33,7 +33,7 @@ def begin_tour(session: Session) -> str:
     return session.create("A tour: the rotor", (f"experiment={PRESET}",), tour=True)
 
 
-def draw_tour_step(scene: Scene, where: Callable[[], None], add: Callable[[str], None]) -> None:
+def draw_tour_step(scene: LiveStudy, where: Callable[[], None], add: Callable[[str], None]) -> None:
     """What this step shows, and the next click; nothing where the study is no tour.
 
     ``where`` shows where the model fails; ``add`` admits an effect.
@@ -58,7 +58,7 @@ def draw_tour_step(scene: Scene, where: Callable[[], None], add: Callable[[str],
                 ui.link("To the first page", "/").classes("quiet")
 
 
-def _step_text(study: Study, turn: Turn | None, busy: bool) -> str:
+def _step_text(study: Study, turn: StudyState | None, busy: bool) -> str:
     """What is seen now, as HTML text."""
     if turn is None:
         return _BEGIN
@@ -91,6 +91,6 @@ def _error_change_text(study: Study) -> str:
     )
 
 
-def _error_percent(turn: Turn) -> str:
+def _error_percent(turn: StudyState) -> str:
     value = turn.result.get("test_error")
     return "not finite" if value is None else percent(value)

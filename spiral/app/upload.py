@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
-from spiral.app import record_setup as kept
+from spiral.app import record_setup as setups
 from spiral.app.session import Session
 from spiral.types.errors import ConfigError, InputError
 
@@ -78,7 +78,7 @@ async def receive_file(
             files.discard_setup(setup)
         raise
     if setup is None:
-        files.join_file(beside, file, kept.safe_file_name(name))
+        files.join_file(beside, file, setups.safe_file_name(name))
         return beside
     files.read_arrived_file(setup)
     return setup.ident

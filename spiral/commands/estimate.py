@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from spiral.commands.study import Command
     from spiral.inference.reconstruction.calibrate import Calibration
     from spiral.inference.reconstruction.estimate import Estimation
-    from spiral.io.tables import Written
+    from spiral.io.tables import WrittenTable
     from spiral.types.model import Model
     from spiral.types.record import Record
 
@@ -85,7 +85,7 @@ def _calibration_dict(fitted: Calibration) -> dict[str, Any]:
     }
 
 
-def _write_state_tables(out: str | None, estimation: Estimation) -> tuple[Written, ...]:
+def _write_state_tables(out: str | None, estimation: Estimation) -> tuple[WrittenTable, ...]:
     from spiral.io.tables import write_states
 
     if out is None:

@@ -23,7 +23,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     ------
     SpiralError : bad input; the caller makes it exit 2.
     """
-    from spiral.commands import estimate, export, foresight, plugins, report, study
+    from spiral.commands import estimate, export, planning, plugins, report, study
     from spiral.io.custom import registry_for_config
     from spiral.io.programs import programs_named
     from spiral.io.registry import load_registry
@@ -46,8 +46,8 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
     registry = registry_for_config(config, registry)
     steps = {
         "discover": study.discover, "compare": study.compare, "diagnose": study.diagnose,
-        "add": study.add, "estimate": estimate.reconstruct_states, "identify": foresight.identify,
-        "plan": foresight.plan,
+        "add": study.add, "estimate": estimate.reconstruct_states, "identify": planning.identify,
+        "plan": planning.plan,
     }  # fmt: skip
     if request.verb == "simulate":
         return study.simulate(request, config, registry)

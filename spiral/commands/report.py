@@ -32,8 +32,8 @@ def run_and_save_curves(study: Command, step: Callable[[Command], Outcome]) -> O
         return outcome
     if not top_level_options(study.config).curves:
         return outcome
+    from spiral.io.compute_curves import gather_curves
     from spiral.io.curves import write_curves
-    from spiral.io.gather import gather_curves
 
     folder = Path(study.config["out"]).expanduser() / outcome.result["run_id"]
     try:

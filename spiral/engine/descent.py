@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.elimination import triangle_of
-from spiral.engine.fit import Fitted, damped_step
+from spiral.engine.fit import WindowFit, damped_step
 from spiral.engine.sensitivities import Reduction, reduce_windows
 from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
 from spiral.types.record import Array
@@ -26,7 +26,7 @@ _ITERATIONS = 40
 
 
 @dataclass(frozen=True)
-class Mix:
+class ColumnMix:
     """Columns that move together: ``matrix`` (columns, k); empty columns move alone."""
 
     matrix: Array
@@ -44,27 +44,27 @@ def descend(
     point: Point,
     columns: ParameterColumns,
     bounds: tuple[Array, Array],
-    mix: Mix | None = None,
+    mix: ColumnMix | None = None,
     iterations: int = _ITERATIONS,
-) -> Fitted:
+) -> WindowFit:
     """Minimise the weighted squared prediction error; converged where no step promises a fall."""
     reduction = reduce_windows(study, layouts, point, columns)
     if not reduction.finite:
-        return Fitted(point, np.inf, reduction.samples, reduction.nuisances, False, 0, None)
+        return WindowFit(point, np.inf, reduction.samples, reduction.nuisances, False, 0, None)
     for iteration in range(iterations):
         worth = max(_ENOUGH, _RELATIVE * reduction.cost)
         seen = mix.mix_columns(reduction) if mix else reduction
         promised = reduction.cost - float(seen.triangle[-1, -1] ** 2)
         if promised < worth:
-            return Fitted.from_reduction(point, reduction, True, iteration)
+            return WindowFit.from_reduction(point, reduction, True, iteration)
         better = _find_descent_step(study, layouts, point, columns, bounds, reduction, mix)
         if better is None:
-            return Fitted.from_reduction(point, reduction, promised < 10 * worth, iteration)
+            return WindowFit.from_reduction(point, reduction, promised < 10 * worth, iteration)
         fall = reduction.cost - better[1].cost
         point, reduction = better
         if fall < 0.1 * worth:
-            return Fitted.from_reduction(point, reduction, promised < 10 * worth, iteration)
-    return Fitted.from_reduction(point, reduction, False, iterations)
+            return WindowFit.from_reduction(point, reduction, promised < 10 * worth, iteration)
+    return WindowFit.from_reduction(point, reduction, False, iterations)
 
 
 def _find_descent_step(
@@ -74,7 +74,7 @@ def _find_descent_step(
     columns: ParameterColumns,
     bounds: tuple[Array, Array],
     reduction: Reduction,
-    mix: Mix | None,
+    mix: ColumnMix | None,
 ) -> tuple[Point, Reduction] | None:
     """The first share of the first damped step that lowers the cost."""
     for damping in _DAMPINGS:
@@ -96,7 +96,7 @@ def _damped_direction(
     columns: ParameterColumns,
     bounds: tuple[Array, Array],
     reduction: Reduction,
-    mix: Mix | None,
+    mix: ColumnMix | None,
     damping: float,
 ) -> Array:
     if mix is None:

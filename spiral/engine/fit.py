@@ -17,7 +17,7 @@ _RELATIVE = 1e-6  # the same as a share of the sum of squares
 
 
 @dataclass(frozen=True)
-class Fitted:
+class WindowFit:
     """Result of one fit: where it ended and whether it converged; failing is a value."""
 
     point: Point
@@ -31,7 +31,7 @@ class Fitted:
     @classmethod
     def from_reduction(
         cls, point: Point, reduction: Reduction, converged: bool, iterations: int
-    ) -> Fitted:
+    ) -> WindowFit:
         """The result at a point, with its pass."""
         return cls(
             point, reduction.cost, reduction.samples, reduction.nuisances, converged, iterations,
@@ -52,7 +52,7 @@ def fit(
     columns: ParameterColumns,
     bounds: tuple[Array, Array],
     iterations: int = _ITERATIONS,
-) -> Fitted:
+) -> WindowFit:
     """Minimise the weighted squared prediction error over columns and window starts.
 
     Each step solves min |R d - z|^2 + damping |S d|^2 with R the reduced triangle and S its column
@@ -64,7 +64,7 @@ def fit(
     if held is not columns:
         columns, reduction = held, reduce_windows(study, layouts, point, held)
     if not reduction.finite:
-        return Fitted(point, np.inf, reduction.samples, reduction.nuisances, False, 0, None)
+        return WindowFit(point, np.inf, reduction.samples, reduction.nuisances, False, 0, None)
     for iteration in range(1, iterations + 1):
         cost = reduction.cost
         worth = max(_ENOUGH, _RELATIVE * cost)
@@ -72,7 +72,7 @@ def fit(
         for _ in range(8):
             step, promised = damped_step(reduction, columns, point, bounds, damping)
             if promised < worth:
-                return Fitted.from_reduction(point, reduction, True, iteration)
+                return WindowFit.from_reduction(point, reduction, True, iteration)
             trial = _move_point(point, columns, reduction, step)
             reached = reduce_windows(study, layouts, trial, columns)
             if reached.cost <= cost:
@@ -80,12 +80,12 @@ def fit(
                 break
             damping = max(damping * 10.0, 1e-4)
         if better is None:
-            return Fitted.from_reduction(point, reduction, promised < 10 * worth, iteration)
+            return WindowFit.from_reduction(point, reduction, promised < 10 * worth, iteration)
         point, reduction = trial, better
         damping = max(damping / 10.0, 1e-12)
         if cost - reduction.cost < worth:
-            return Fitted.from_reduction(point, reduction, True, iteration)
-    return Fitted.from_reduction(point, reduction, False, iterations)
+            return WindowFit.from_reduction(point, reduction, True, iteration)
+    return WindowFit.from_reduction(point, reduction, False, iterations)
 
 
 def _hold_loose_columns(
@@ -158,7 +158,7 @@ def _move_point(
     return Point(columns.apply_step(point.values, step), starts)
 
 
-def standard_deviations(fitted: Fitted) -> Array:
+def standard_deviations(fitted: WindowFit) -> Array:
     """Square roots of the covariance's diagonal; infinite for a column that nothing depends on."""
     if fitted.reduction is None:
         return np.zeros(0)
@@ -167,7 +167,7 @@ def standard_deviations(fitted: Fitted) -> Array:
     return np.where(seen, spread, np.inf)
 
 
-def covariance(fitted: Fitted) -> Array:
+def covariance(fitted: WindowFit) -> Array:
     """Covariance of the columns, sigma as declared: (R^T R)^-1, pseudo-inverse where deficient."""
     if fitted.reduction is None:
         return np.zeros((0, 0))

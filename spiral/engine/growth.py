@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.fit import Fitted, fit
+from spiral.engine.fit import WindowFit, fit
 from spiral.engine.sensitivities import drive_effect_states, run_windows
 from spiral.engine.start import smoothed_motion
 from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
@@ -24,7 +24,7 @@ class Stage:
 
     length: int
     layouts: Layouts
-    fitted: Fitted
+    fitted: WindowFit
 
 
 def layouts_for(study: CompiledStudy, length: int, masks: tuple[Array | None, ...]) -> Layouts:
@@ -72,7 +72,7 @@ def transfer_window_starts(
     return tuple(starts)
 
 
-def _has_run_away(before: Fitted, after: Fitted, columns: ParameterColumns) -> bool:
+def _has_run_away(before: WindowFit, after: WindowFit, columns: ParameterColumns) -> bool:
     """Whether a parameter that was well determined has moved by a factor of a hundred.
 
     A model that cannot follow long windows may flee to where its input no longer matters (an

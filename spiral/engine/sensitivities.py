@@ -67,7 +67,7 @@ class _Batch:
 
 
 @dataclass(frozen=True)
-class _Reduced:
+class _ReducedBatch:
     """One batch: rows left after elimination, the elimination, Gram blocks, cost and rank."""
 
     rows: Array
@@ -77,7 +77,7 @@ class _Reduced:
     rank: int
 
     @classmethod
-    def diverged_batch(cls) -> _Reduced:
+    def diverged_batch(cls) -> _ReducedBatch:
         """A batch whose model did not stay finite."""
         none = np.zeros((0, 0))
         return cls(none, none, none, np.inf, 0)
@@ -99,7 +99,7 @@ def reduce_windows(
 
     grids = [study.inputs(r, row) for r, row in enumerate(point.values)]
 
-    def reduce_batch(batch: _Batch) -> _Reduced:
+    def reduce_batch(batch: _Batch) -> _ReducedBatch:
         weight, grid = weights[batch.record], grids[batch.record]
         return _reduce_batch(study, layouts, point, columns, batch, weight, grid, block)
 
@@ -242,7 +242,7 @@ def _reduce_batch(
     weight: Array,
     grid: Array,
     block: int,
-) -> _Reduced:
+) -> _ReducedBatch:
     """Integrate one batch piece by piece, keeping its triangle and its Gram blocks."""
     series = study.series[batch.record]
     starts = layouts[batch.record].starts[batch.windows].copy()
@@ -262,7 +262,7 @@ def _reduce_batch(
         at = starts + first
         ok = _advance_batch(study, series, grid, x, s, at, piece, values, local, weight, rows)
         if not ok or not np.isfinite(rows).all():
-            return _Reduced.diverged_batch()
+            return _ReducedBatch.diverged_batch()
         cost += float(np.sum(rows[:, :, -1] ** 2))
         if block:
             raw.append(gram_matrices(rows, block * channels))
@@ -272,4 +272,4 @@ def _reduce_batch(
     if block:
         projected = project_gram_matrices(np.concatenate(raw, axis=1), eliminated)
         kept = merge_blocks(projected, block, batch.length)
-    return _Reduced(left, eliminated, kept, cost, rank)
+    return _ReducedBatch(left, eliminated, kept, cost, rank)

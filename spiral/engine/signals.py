@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 
-class Stopped(BaseException):
+class Interrupted(BaseException):
     """Asked to stop from outside; ``exit`` is 130 after Ctrl-C, 143 after SIGTERM."""
 
     def __init__(self, number: int) -> None:
@@ -18,7 +18,7 @@ class Stopped(BaseException):
 
 
 class Signals:
-    """Within it the first SIGINT or SIGTERM raises ``Stopped``; a second acts as without it.
+    """Within it the first SIGINT or SIGTERM raises ``Interrupted``; a second acts as without it.
 
     Only the main thread can listen; elsewhere nothing changes.
     """
@@ -42,7 +42,7 @@ class Signals:
 
     @contextlib.contextmanager
     def defer_signals(self) -> Iterator[None]:
-        """Defer a signal until the block has ended, then raise ``Stopped``."""
+        """Defer a signal until the block has ended, then raise ``Interrupted``."""
         self._held = True
         try:
             yield
@@ -59,7 +59,7 @@ class Signals:
     def _raise(self) -> None:
         number, self._waiting = self._waiting, None
         if number is not None:
-            raise Stopped(number)
+            raise Interrupted(number)
 
     def _restore(self) -> None:
         while self._before:

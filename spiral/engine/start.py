@@ -17,7 +17,7 @@ import sympy as sp
 from spiral.engine.series import Series
 from spiral.engine.study import CompiledStudy
 from spiral.physics.outside.program import ProgramValue
-from spiral.physics.trace import Traced
+from spiral.physics.trace import TracedModel
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError
 from spiral.types.record import Array
@@ -67,7 +67,7 @@ def _integrate_rate(rate: Array, series: Series) -> Array:
     return integral - np.polynomial.Polynomial.fit(time, integral, 3)(time)
 
 
-def fill_like_states(traced: Traced, states: Array, inputs: Array) -> None:
+def fill_like_states(traced: TracedModel, states: Array, inputs: Array) -> None:
     """Copy into states (..., n) the measured state or input (..., columns) each is ``like``."""
     for name, shown in traced.like:
         if shown not in (*traced.inputs, *traced.states):  # a reading that is no state
@@ -97,7 +97,7 @@ class Balance:
     rows: int
 
 
-def has_balance(traced: Traced) -> bool:
+def has_balance(traced: TracedModel) -> bool:
     """Whether forces can be balanced: a mechanical model all of whose coordinates are measured.
 
     Measured accelerations will do as well. An outside program has no balance: it only returns
@@ -108,7 +108,7 @@ def has_balance(traced: Traced) -> bool:
     return bool(traced.balance) and known and coordinates <= {*traced.shown, *traced.accelerated}
 
 
-def prepare_balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ...]) -> Balance:
+def prepare_balance(study: CompiledStudy, traced: TracedModel, unknown: tuple[str, ...]) -> Balance:
     """Prepare the balance of a model traced without its candidates.
 
     Raises
@@ -137,7 +137,7 @@ def prepare_balance(study: CompiledStudy, traced: Traced, unknown: tuple[str, ..
 
 @kept(32)
 def _linear_balance(
-    traced: Traced, unknown: tuple[str, ...], origin: str | None
+    traced: TracedModel, unknown: tuple[str, ...], origin: str | None
 ) -> tuple[Callable[..., list[Any]], Callable[..., list[Any]], int | None]:
     """Columns of the unknowns, the rest, and which unknown turns."""
     symbols = [traced.p[traced.keys.index(k)] for k in unknown]
@@ -148,7 +148,7 @@ def _linear_balance(
     return made[0], made[1], _turning_unknown(traced, linear, origin)
 
 
-def _turning_unknown(traced: Traced, linear: sp.Matrix, origin: str | None) -> int | None:
+def _turning_unknown(traced: TracedModel, linear: sp.Matrix, origin: str | None) -> int | None:
     """The one unknown whose column turns with the phase origin, if there is just one."""
     if origin is None:
         return None

@@ -9,12 +9,6 @@ from scipy import special
 
 from spiral.types.record import Array
 
-DECISIVE_ODDS = 100.0
-"""Ratio of likelihoods from which one model is told from another: what Jeffreys calls decisive.
-
-Source: H. Jeffreys, Theory of Probability, appendix B.
-"""
-
 
 @dataclass(frozen=True)
 class Whiteness:
@@ -57,7 +51,7 @@ def ljung_box(values: Array, lags: int) -> float:
 
 
 @dataclass(frozen=True)
-class Paired:
+class PairedDifference:
     """Paired difference of two models' squared errors on held-out samples.
 
     ``fall`` = sum (a^2 - b^2), above zero where b predicts better; ``share`` the weight g of b in
@@ -74,7 +68,9 @@ class Paired:
     energy: float = np.inf
 
 
-def paired_errors(first: tuple[Array, ...], second: tuple[Array, ...], block: int) -> Paired:
+def paired_errors(
+    first: tuple[Array, ...], second: tuple[Array, ...], block: int
+) -> PairedDifference:
     """Compare weighted residuals a and b of two models on the same held-out samples.
 
     With d = a - b the paired difference is sum (a^2 - b^2) = 2 sum a d - sum d^2 = 2 sum d^2
@@ -84,15 +80,15 @@ def paired_errors(first: tuple[Array, ...], second: tuple[Array, ...], block: in
     as at a resonance. (Encompassing test: Harvey, Leybourne and Newbold 1998.)
     """
     if not all(np.isfinite(b).all() for b in second):
-        return Paired(-np.inf, 0.0, -np.inf, 1.0, 0.0)
+        return PairedDifference(-np.inf, 0.0, -np.inf, 1.0, 0.0)
     if not all(np.isfinite(a).all() for a in first):
-        return Paired(np.inf, 1.0, np.inf, 0.0, 0.0)
+        return PairedDifference(np.inf, 1.0, np.inf, 0.0, 0.0)
     counted = [np.any((a != 0) | (b != 0), axis=1) for a, b in zip(first, second, strict=True)]
     a, b = ([r[c] for r, c in zip(side, counted, strict=True)] for side in (first, second))
     d = [x - y for x, y in zip(a, b, strict=True)]
     energy = sum(float(np.sum(x * x)) for x in d)
     if energy < 1e-12:
-        return Paired(0.0, 0.5, 0.0, 1.0, 1.0, energy)
+        return PairedDifference(0.0, 0.5, 0.0, 1.0, 1.0, energy)
     share = sum(float(np.sum(x * y)) for x, y in zip(a, d, strict=True)) / energy
     sums = np.concatenate(
         [_block_sums(np.sum((x - share * y) * y, axis=1), block) for x, y in zip(a, d, strict=True)]
@@ -102,7 +98,7 @@ def paired_errors(first: tuple[Array, ...], second: tuple[Array, ...], block: in
     degrees = max(len(sums) - 1, 1)
     fall = 2.0 * energy * (share - 0.5)
     p_fall, p_differ = float(special.stdtr(degrees, -t)), float(2 * special.stdtr(degrees, -abs(t)))
-    return Paired(fall, share, t, p_fall, p_differ, energy)
+    return PairedDifference(fall, share, t, p_fall, p_differ, energy)
 
 
 def _block_sums(values: Array, block: int) -> Array:

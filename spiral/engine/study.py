@@ -9,7 +9,7 @@ import numpy as np
 
 from spiral.engine.series import Series
 from spiral.engine.windows import WindowLayout
-from spiral.physics.compile import Compiled
+from spiral.physics.compile import CompiledModel
 from spiral.types.label import owner_of, parameter_of
 from spiral.types.record import Array
 
@@ -21,7 +21,7 @@ ORIGIN = "system.phase_origin"
 class CompiledStudy:
     """One compiled model (the seed and all candidates) and the records of one machine."""
 
-    compiled: Compiled
+    compiled: CompiledModel
     series: tuple[Series, ...]
 
     @property

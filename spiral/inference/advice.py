@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from spiral.inference.acting import random_forces
+from spiral.inference.disturbances import random_forces
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence
 from spiral.inference.verdict import noise_sentence
-from spiral.types.run import Comparison, Round, Stopped, Verdict
+from spiral.types.run import Comparison, Round, StopReason, Verdict
 
 
 def advice_for(
     verdict: Verdict,
-    stopped: Stopped,
+    stopped: StopReason,
     rounds: Sequence[Round],
     groups: tuple[tuple[str, ...], ...],
     settings: Settings,
@@ -64,7 +64,7 @@ def _curve_advice(shape: Mapping[str, Any]) -> str:
 
 
 def _ending_sentence(
-    verdict: Verdict, stopped: Stopped, last: Comparison, settings: Settings
+    verdict: Verdict, stopped: StopReason, last: Comparison, settings: Settings
 ) -> str:
     """Why the loop ended."""
     near = is_near_noise(last, settings)

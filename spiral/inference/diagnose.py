@@ -25,13 +25,13 @@ from spiral.inference.likelihood.fitting import apply_integration_settings
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.rounds import strategy_for
 from spiral.inference.strategies.base import Strategy
-from spiral.inference.strategies.resolved import propose_with_own_states
+from spiral.inference.strategies.resonances import propose_with_own_states
 from spiral.inference.strategies.shooting import find_unknown_curve
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose_on_windows
 from spiral.inference.verdict import seed_sentence, seed_verdict, verdict_sentence
 from spiral.inference.where.regions import locate_failure
-from spiral.types.run import Comparison, Diagnosis, Round, Stopped, Suggestion
+from spiral.types.run import Comparison, Diagnosis, Round, StopReason, Suggestion
 
 
 @one_blas_thread
@@ -140,7 +140,7 @@ def _windows_diagnosis(
     progress: Progress,
 ) -> Diagnosis:
     settings = assembly.problem.settings
-    stopped: Stopped = "diverged" if proposal.diverged else "no_candidate"
+    stopped: StopReason = "diverged" if proposal.diverged else "no_candidate"
     shape = None
     if proposal.admitted is None and comparison.whiteness_p < settings.whiteness_level:
         curve = find_unknown_curve(options, assembly, fit_state, proposal, comparison, 1, progress)

@@ -18,11 +18,11 @@ from spiral.inference.rounds import (
     start_study,
     strategy_for,
 )
-from spiral.inference.strategies.base import Added, Settled, Strategy
+from spiral.inference.strategies.base import AddedEffects, RefittedModel, Strategy
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import changes
-from spiral.types.run import Comparison, Round, Run, Stopped
+from spiral.types.run import Comparison, Round, Run, StopReason
 
 OnRound = Callable[[Round], None]
 
@@ -75,7 +75,7 @@ def _run_rounds(
     keep: Keep,
 ) -> Run:
     settings = assembly.problem.settings
-    stopped: Stopped = "max_rounds"
+    stopped: StopReason = "max_rounds"
     while True:
         keep(at)
         clock = time.perf_counter()
@@ -120,14 +120,14 @@ def add(
 
 def _add_by_name(
     strategy: Strategy, problem: Problem, effects: tuple[Effect, ...], progress: Progress
-) -> Added:
+) -> AddedEffects:
     _check_can_add(strategy, problem, [e.label for e in effects])
     clock = time.perf_counter()
     begun = strategy.begin(replace(problem, candidates=effects), progress)
-    settled, spent = Settled(begun.fit_state, begun.comparison), time.perf_counter() - clock
+    settled, spent = RefittedModel(begun.fit_state, begun.comparison), time.perf_counter() - clock
     for effect in effects:
         settled = strategy.admit(begun.assembly, settled.fit_state, effect.label, progress)
-    return Added(begun.comparison, settled.comparison, spent)
+    return AddedEffects(begun.comparison, settled.comparison, spent)
 
 
 def _check_can_add(strategy: Strategy, problem: Problem, labels: list[str]) -> None:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.inference.acting import coloured_noise, random_forces, random_shares
+from spiral.inference.disturbances import coloured_noise, random_forces, random_shares
 from spiral.inference.problem import Settings
 from spiral.types.formatting import number, percent
 from spiral.types.horizon import Change, changes

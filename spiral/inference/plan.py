@@ -26,14 +26,18 @@ from spiral.inference.evidence.assembly import (
 from spiral.inference.evidence.comparison import last_stage, prepare_study, refine_substeps
 from spiral.inference.evidence.fit_state import FitState, all_samples
 from spiral.inference.evidence.judge import fit_whole_records
-from spiral.inference.identifiability.information import Pair, View, separation_probability
+from spiral.inference.identifiability.information import (
+    Distinguishability,
+    RecordInformation,
+    separation_probability,
+)
 from spiral.inference.problem import Problem, Progress, silent
+from spiral.types.display import Readable, Summary
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model
 from spiral.types.record import Record
-from spiral.types.showing import Readable, Summary
 
 ENOUGH = 0.95  # probability with which a proposed test must separate
 
@@ -62,7 +66,7 @@ Simulate = Callable[[Model, PlannedTest], Record]
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PlanQuestion:
     """The question: effects to tell apart, or a parameter and the standard error it should have."""
 
     effects: tuple[Effect, ...] = ()
@@ -71,7 +75,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Outlook:
+class TestForecast:
     """What one test would tell.
 
     ``probability`` of telling all wanted effects apart; ``error`` of the wanted parameter;
@@ -80,7 +84,7 @@ class Outlook:
     """
 
     test: PlannedTest
-    pairs: tuple[Pair, ...] = ()
+    pairs: tuple[Distinguishability, ...] = ()
     probability: float | None = None
     error: float | None = None
     noise_share: float = 0.0
@@ -100,11 +104,11 @@ class Plan(Readable):
     machine they are planned for, ``unit`` that of the wanted parameter.
     """
 
-    wanted: Wanted
+    wanted: PlanQuestion
     model: Model
     unit: str
-    now: Outlook
-    tests: tuple[Outlook, ...]
+    now: TestForecast
+    tests: tuple[TestForecast, ...]
     suffices: int
     advice: str
     notes: tuple[str, ...] = ()
@@ -138,7 +142,7 @@ class _Truth:
 @one_blas_thread
 def plan(
     problem: Problem,
-    wanted: Wanted,
+    wanted: PlanQuestion,
     tests: Sequence[PlannedTest],
     simulate: Simulate,
     progress: Progress = silent,
@@ -171,7 +175,7 @@ def plan(
     return Plan(wanted, model, unit, now, tuple(order), suffices, advice, notes)
 
 
-def _is_answer(outlook: Outlook, wanted: Wanted) -> bool:
+def _is_answer(outlook: TestForecast, wanted: PlanQuestion) -> bool:
     if outlook.failure:
         return False
     if wanted.effects:
@@ -180,7 +184,7 @@ def _is_answer(outlook: Outlook, wanted: Wanted) -> bool:
     return wanted.standard_error is not None and outlook.error <= wanted.standard_error
 
 
-def _sort_key(outlook: Outlook, wanted: Wanted) -> tuple[float, ...]:
+def _sort_key(outlook: TestForecast, wanted: PlanQuestion) -> tuple[float, ...]:
     """Tests that answer first, the shortest of them; then the others by what they tell."""
     told = -outlook.noncentrality if wanted.effects else (outlook.error or np.inf)
     if _is_answer(outlook, wanted):
@@ -192,7 +196,7 @@ def _sort_key(outlook: Outlook, wanted: Wanted) -> tuple[float, ...]:
 
 
 def _fit_truths(
-    problem: Problem, wanted: Wanted, progress: Progress
+    problem: Problem, wanted: PlanQuestion, progress: Progress
 ) -> tuple[tuple[_Truth, ...], tuple[str, ...]]:
     if wanted.parameter:
         known = [k for k, _ in problem.model.pairs]
@@ -265,19 +269,21 @@ def _is_record_parameter(model: Model, key: str) -> bool:
 # --- what a test tells ---------------------------------------------------------------------------
 
 
-def _outlook_at_hand(problem: Problem, truths: tuple[_Truth, ...], wanted: Wanted) -> Outlook:
+def _outlook_at_hand(
+    problem: Problem, truths: tuple[_Truth, ...], wanted: PlanQuestion
+) -> TestForecast:
     """What the records at hand tell, each truth on their own inputs and fitted initial states."""
     first = problem.records[0]
     test = PlannedTest("the record at hand", {}, first.samples * first.dt, 1.0 / first.dt)
-    pairs: list[Pair] = []
+    pairs: list[Distinguishability] = []
     error = None
     for truth in truths:
         values = initial_values(truth.assembly)
         stage = fit_whole_records(truth.assembly, truth.model.labels, values)
-        view = View.of(truth.assembly, stage.layouts, stage.fitted.point)
+        view = RecordInformation.of(truth.assembly, stage.layouts, stage.fitted.point)
         pairs += view.pairs(truth.effect, truth.others)
         error = view.standard_error(wanted.parameter) if wanted.parameter else None
-    return Outlook(
+    return TestForecast(
         test, tuple(pairs), separation_probability(pairs, problem.settings.alias_level), error
     )
 
@@ -285,29 +291,29 @@ def _outlook_at_hand(problem: Problem, truths: tuple[_Truth, ...], wanted: Wante
 def _outlook_of_test(
     problem: Problem,
     truths: tuple[_Truth, ...],
-    wanted: Wanted,
+    wanted: PlanQuestion,
     test: PlannedTest,
     simulate: Simulate,
-) -> Outlook:
+) -> TestForecast:
     """What a planned test would tell, with the noise of the records at hand."""
-    pairs: list[Pair] = []
+    pairs: list[Distinguishability] = []
     error, shares = None, []
     for truth in truths:
         try:
             record, model = _simulate_planned(problem, truth, test, simulate)
         except SpiralError as failed:
-            return Outlook(test, failure=failed.given)
+            return TestForecast(test, failure=failed.given)
         shares.append(np.mean([s / np.std(record.channels[c]) for c, s in record.sigma().items()]))
         knot = problem.settings.phase_knot
         one = replace(truth.assembly.problem, model=model, records=(record,))
         steps = truth.assembly.study.series[0].substeps
         assembly = with_records(replace(truth.assembly, problem=one), (record,), steps, knot)
         assembly = refine_substeps(assembly, FitState(model.labels, initial_values(assembly)))
-        view = View.of(assembly, *_window_from_truth(assembly, record))
+        view = RecordInformation.of(assembly, *_window_from_truth(assembly, record))
         pairs += view.pairs(truth.effect, truth.others)
         error = view.standard_error(wanted.parameter) if wanted.parameter else None
     share = float(np.mean(shares))
-    return Outlook(
+    return TestForecast(
         test,
         tuple(pairs),
         separation_probability(pairs, problem.settings.alias_level),
@@ -341,7 +347,9 @@ def _window_from_truth(assembly: Assembly, record: Record) -> tuple[Layouts, Poi
     return layouts, Point(initial_values(assembly), (np.array([start]),))
 
 
-def _plan_advice(best: Outlook | None, now: Outlook, wanted: Wanted, suffices: int) -> str:
+def _plan_advice(
+    best: TestForecast | None, now: TestForecast, wanted: PlanQuestion, suffices: int
+) -> str:
     if best is None or best.failure:
         return "No planned test could be simulated."
     if wanted.effects:

@@ -11,6 +11,12 @@ from spiral.types.parameter import Interpolation
 from spiral.types.plugin import Plugin
 from spiral.types.record import Record
 
+DECISIVE_ODDS = 100.0
+"""Ratio of likelihoods from which one model is told from another: what Jeffreys calls decisive.
+
+Source: H. Jeffreys, Theory of Probability, appendix B.
+"""
+
 Progress = Callable[[str], None]
 """Told in words what is being done; the command line draws it."""
 

@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 from spiral.inference.advice import advice_for
 from spiral.inference.evidence.assembly import Assembly, to_model
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.identifiability.held import tied_groups
+from spiral.inference.identifiability.undetermined import tied_groups
 from spiral.inference.problem import Problem, Progress, Settings
-from spiral.inference.strategies.base import Begun, Settled, Step, Strategy
+from spiral.inference.strategies.base import RefittedModel, StartedStudy, Step, Strategy
 from spiral.inference.verdict import missing_effects, study_summary, study_verdict
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.horizon import changes
 from spiral.types.model import Model
-from spiral.types.run import Round, Run, Stopped, Verdict
+from spiral.types.run import Round, Run, StopReason, Verdict
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def strategy_for(problem: Problem) -> Strategy:
     return problem.strategy
 
 
-def start_study(begun: Begun, seconds: float) -> Checkpoint:
+def start_study(begun: StartedStudy, seconds: float) -> Checkpoint:
     """The seed as round 0."""
     first = Round(0, (), {}, {}, (), begun.comparison, seconds, details=begun.details)
     return Checkpoint((first,), begun.fit_state)
@@ -164,7 +164,7 @@ def admit_step(
                       settled.fit_state)  # fmt: skip
 
 
-def _round_after(before: Round, step: Step, settled: Settled, seconds: float) -> Round:
+def _round_after(before: Round, step: Step, settled: RefittedModel, seconds: float) -> Round:
     return Round(
         number=before.number + 1,
         admitted=step.admitted,
@@ -182,7 +182,7 @@ def _round_after(before: Round, step: Step, settled: Settled, seconds: float) ->
 
 
 def conclude_study(
-    at: Checkpoint, stopped: Stopped, settings: Settings, advice: str | None = None
+    at: Checkpoint, stopped: StopReason, settings: Settings, advice: str | None = None
 ) -> Run:
     """The history of a study that ends here."""
     rounds = at.rounds
@@ -202,7 +202,7 @@ def conclude_study(
     )
 
 
-def refuse_study(begun: Begun, first: Round) -> Run:
+def refuse_study(begun: StartedStudy, first: Round) -> Run:
     """The history of a study whose record cannot tell its seed's effects apart."""
     fit_state = begun.fit_state
     model: Model = to_model(begun.assembly, fit_state.labels, fit_state.values, {})

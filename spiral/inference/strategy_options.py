@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from spiral.engine.gate import Gate
-from spiral.engine.statistics import DECISIVE_ODDS
+from spiral.inference.problem import DECISIVE_ODDS
 from spiral.types.derivative import Derivative
 from spiral.types.errors import ConfigError
 from spiral.types.learner import Learner

@@ -10,13 +10,13 @@ from scipy import special
 
 from spiral.engine.growth import Stage
 from spiral.engine.score import cosine
-from spiral.engine.statistics import Paired, paired_errors, round_level
-from spiral.inference.evidence.admission import Admitted, admit_candidate
+from spiral.engine.statistics import PairedDifference, paired_errors, round_level
+from spiral.inference.evidence.admission import AdmittedEffect, admit_candidate
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.farstart import rescore_from_far_starts
 from spiral.inference.evidence.fit_state import FitState, Masks, fit_growing_windows
 from spiral.inference.evidence.judge import fit_held_out
-from spiral.inference.evidence.scoring import Evidence, Ranked, Ranking, score_stage
+from spiral.inference.evidence.refit_scores import rescore_from_far_starts
+from spiral.inference.evidence.scoring import Evidence, RankedCandidate, Ranking, score_stage
 from spiral.inference.problem import Progress, Settings, silent
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.types.effect import SensorEffect
@@ -39,7 +39,7 @@ class Proposal:
 
     evidence: Evidence | None
     stages: tuple[Stage, ...]
-    admitted: Admitted | None
+    admitted: AdmittedEffect | None
     aliases: tuple[str, ...]
     suggestions: tuple[Suggestion, ...]
     rejected: Mapping[str, str] = field(default_factory=dict)
@@ -82,7 +82,7 @@ def propose_on_windows(
     if evidence is None:
         return Proposal(None, stages, None, (), ())
     rejected: dict[str, str] = {}
-    chosen: Admitted | None = None
+    chosen: AdmittedEffect | None = None
     aliases: tuple[str, ...] = ()
     tests = _test_count(assembly, evidence)
     passing = [r for r in evidence.ranked if _is_significant(r, tests, settings, round_number)]
@@ -180,7 +180,9 @@ def _test_count(assembly: Assembly, evidence: Evidence) -> int:
     return (len(evidence.ranked) + waiting) * _STAGES
 
 
-def _is_significant(ranked: Ranked, tests: int, settings: Settings, round_number: int) -> bool:
+def _is_significant(
+    ranked: RankedCandidate, tests: int, settings: Settings, round_number: int
+) -> bool:
     """Classical and robust p-values below the candidate's share of the round's level."""
     level = np.log(round_level(settings.level, round_number) / tests)
     return max(ranked.log_p) < level
@@ -191,11 +193,11 @@ def _refit_rivals(
     assembly: Assembly,
     fit_state: FitState,
     evidence: Evidence,
-    ranked: Ranked,
-    passing: list[Ranked],
+    ranked: RankedCandidate,
+    passing: list[RankedCandidate],
     mask: Masks,
     rejected: Mapping[str, str],
-) -> tuple[Admitted, tuple[str, ...]]:
+) -> tuple[AdmittedEffect, tuple[str, ...]]:
     """Refit candidate and rivals; the best on held-out data wins, its equals are aliases."""
     gain = ranked.score.gain
     rivals = [
@@ -222,7 +224,7 @@ def _refit_rivals(
     return refits[winner], tuple(refits[i].variant.original.label for i in equals)
 
 
-def _acts_on_sensor(admitted: Admitted) -> bool:
+def _acts_on_sensor(admitted: AdmittedEffect) -> bool:
     return isinstance(admitted.variant.original, SensorEffect)
 
 
@@ -230,7 +232,7 @@ def _alias_level(assembly: Assembly) -> float:
     return assembly.problem.settings.alias_level
 
 
-def _is_alike(assembly: Assembly, paired: Paired) -> bool:
+def _is_alike(assembly: Assembly, paired: PairedDifference) -> bool:
     """Not significantly different, or so near that no draw of the noise could tell them apart.
 
     Twins differ by what their fits left to converge, of which a paired test may make anything.
@@ -240,7 +242,7 @@ def _is_alike(assembly: Assembly, paired: Paired) -> bool:
 
 
 def _refusal_reason(
-    assembly: Assembly, fit_state: FitState, evidence: Evidence, first: Admitted, mask: Masks
+    assembly: Assembly, fit_state: FitState, evidence: Evidence, first: AdmittedEffect, mask: Masks
 ) -> str:
     """Why the gates refuse a refitted candidate; empty where they let it pass."""
     settings = assembly.problem.settings
@@ -264,7 +266,10 @@ def _refusal_reason(
 
 
 def top_suggestions(
-    options: ShootingOptions, evidence: Evidence, chosen: Admitted | None, aliases: tuple[str, ...]
+    options: ShootingOptions,
+    evidence: Evidence,
+    chosen: AdmittedEffect | None,
+    aliases: tuple[str, ...],
 ) -> tuple[Suggestion, ...]:
     """The best candidates as suggestions: the admitted one, then the others by their evidence."""
     suggestions = suggestions_by_evidence(evidence, chosen, aliases)
@@ -273,7 +278,7 @@ def top_suggestions(
 
 
 def suggestions_by_evidence(
-    evidence: Ranking, chosen: Admitted | None, aliases: tuple[str, ...]
+    evidence: Ranking, chosen: AdmittedEffect | None, aliases: tuple[str, ...]
 ) -> tuple[Suggestion, ...]:
     """All candidates as suggestions in one order: by ``net``, on the same windows for all.
 
@@ -296,7 +301,7 @@ def suggestions_by_evidence(
 
 
 def _make_suggestion(
-    ranked: Ranked, aliases: tuple[str, ...], hint: tuple[str, ...], net: float
+    ranked: RankedCandidate, aliases: tuple[str, ...], hint: tuple[str, ...], net: float
 ) -> Suggestion:
     scored = ranked.score
     return Suggestion(

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from spiral.inference.acting import (
+from spiral.inference.disturbances import (
     random_forces,
     random_sentence,
     record_sentence,
 )
-from spiral.inference.identifiability.held import (
+from spiral.inference.identifiability.undetermined import (
     describe_held_parameters,
     describe_undetermined_parameters,
     has_tied_effects,
@@ -39,7 +39,7 @@ from spiral.types.formatting import number, percent
 from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.placement import at_every_place
-from spiral.types.run import Comparison, Round, Stopped, Verdict
+from spiral.types.run import Comparison, Round, StopReason, Verdict
 from spiral.types.system import place_name
 
 FROM_NONE = "standard_errors"
@@ -127,7 +127,7 @@ def _has_error_grown(rounds: Sequence[Round], settings: Settings) -> bool:
 # --- verdicts ------------------------------------------------------------------------------------
 
 
-def study_verdict(rounds: Sequence[Round], stopped: Stopped, settings: Settings) -> Verdict:
+def study_verdict(rounds: Sequence[Round], stopped: StopReason, settings: Settings) -> Verdict:
     """The verdict on the seed after a study: ``effect_missing`` where it found one.
 
     Where it admitted effects of which none is determined, or which raise the error on unseen data,
@@ -139,7 +139,7 @@ def study_verdict(rounds: Sequence[Round], stopped: Stopped, settings: Settings)
 
 
 def seed_verdict(
-    seed: Round, stopped: Stopped, settings: Settings, proposed: bool = False
+    seed: Round, stopped: StopReason, settings: Settings, proposed: bool = False
 ) -> Verdict:
     """The verdict on a seed, which ``diagnose`` gives; ``proposed``: an effect passed the gates.
 
@@ -217,7 +217,7 @@ def _figures_clause(comparison: Comparison, settings: Settings) -> str:
 
 
 def study_summary(
-    rounds: Sequence[Round], verdict: Verdict, stopped: Stopped, settings: Settings
+    rounds: Sequence[Round], verdict: Verdict, stopped: StopReason, settings: Settings
 ) -> str:
     """What a study found, with its figures, in sentences for a report."""
     admitted = _admitted_labels(rounds)

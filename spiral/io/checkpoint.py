@@ -35,7 +35,7 @@ _NO_INFLUENCE = ("out", "n_jobs", "run", "tracking", "sweep")  # on the result o
 
 
 @dataclass(frozen=True)
-class Keeper:
+class CheckpointStore:
     """Stores a study's checkpoints; ``folder`` is ``None`` while the same study runs elsewhere."""
 
     folder: Path | None
@@ -86,8 +86,8 @@ def read_checkpoint(file: Path, registry: Registry) -> Checkpoint:
 @contextmanager
 def checkpoint_keeper(
     config: Mapping[str, Any], problem: Problem, registry: Registry, out: str | os.PathLike[str]
-) -> Iterator[Keeper]:
-    """The ``Keeper`` of a study, locked against the same study in another process."""
+) -> Iterator[CheckpointStore]:
+    """The ``CheckpointStore`` of a study, locked against the same study in another process."""
     from filelock import FileLock, Timeout
 
     place = Path(out).expanduser() / FOLDER / study_fingerprint(config, problem, registry)
@@ -96,13 +96,13 @@ def checkpoint_keeper(
         place.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout:
-        yield Keeper(None, registry)
+        yield CheckpointStore(None, registry)
         return
     except OSError as error:
         raise unwritable_folder_error(out, error) from error
     try:
         _remove_stale_locks(place.parent)
-        yield Keeper(place, registry)
+        yield CheckpointStore(place, registry)
     finally:
         lock.release()
         Path(f"{place}.lock").unlink(missing_ok=True)

@@ -15,7 +15,7 @@ _LETTERS = {"alpha": "α", "beta": "β", "phase": "θ", "speed": "Ω"}  # noqa: 
 _DIGITS = 4
 
 
-class _Printer(MathMLPresentationPrinter):
+class _MathmlPrinter(MathMLPresentationPrinter):
     """States with dots for their rates, numbers as m x 10^n with a few digits."""
 
     def _print_Symbol(self, sym: sp.Symbol, style: str = "plain") -> Any:
@@ -57,7 +57,7 @@ def _dotted_symbol(printer: MathMLPresentationPrinter, name: str) -> Any:
 
 def mathml(model: Model) -> list[dict[str, Any]]:
     """One entry for each equation: ``left``, and ``terms`` of (owner, MathML) in order."""
-    printer = _Printer()
+    printer = _MathmlPrinter()
     entries = []
     for item in model_equations(model)[0]:
         rate = item.left.endswith("'")
@@ -71,7 +71,7 @@ def mathml(model: Model) -> list[dict[str, Any]]:
     return entries
 
 
-def _signed_term(printer: _Printer, value: sp.Expr) -> str:
+def _signed_term(printer: _MathmlPrinter, value: sp.Expr) -> str:
     """A term with its sign first; sums are multiplied out no further."""
     negative = value.could_extract_minus_sign() and not value.is_Add
     body: Any = printer._print(-value if negative else value)

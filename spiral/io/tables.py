@@ -12,7 +12,7 @@ from spiral.types.errors import ConfigError, InputError, did_you_mean
 if TYPE_CHECKING:
     import pandas as pd
 
-    from spiral.inference.reconstruction.estimate import Reconstructed
+    from spiral.inference.reconstruction.estimate import RecordReconstruction
     from spiral.types.record import Record
     from spiral.types.system import System
 
@@ -20,7 +20,7 @@ _SUFFIXES = (".csv", ".parquet")
 
 
 @dataclass(frozen=True)
-class Written:
+class WrittenTable:
     """A file that was written: its units by column, and the overrides that read it back."""
 
     file: str
@@ -33,7 +33,9 @@ class Written:
         return {"file": self.file, "rows": self.rows, "units": self.units}
 
 
-def write_record(record: Record, system: System, file: str, number: int | None = None) -> Written:
+def write_record(
+    record: Record, system: System, file: str, number: int | None = None
+) -> WrittenTable:
     """Time, channels and inputs of a record as columns, in the system's units.
 
     Parameters
@@ -51,12 +53,14 @@ def write_record(record: Record, system: System, file: str, number: int | None =
     frame = pd.DataFrame({"time": record.time, **record.channels, **measured})
     _write_frame(frame, path)
     units = {"time": "s", **{k: system.unit_of(k) for k in (*record.channels, *measured)}}
-    return Written(
+    return WrittenTable(
         str(path), len(frame), units, _read_back_overrides(record, system, str(path), measured)
     )
 
 
-def write_states(part: Reconstructed, file: str, number: int | None = None) -> tuple[Written, ...]:
+def write_states(
+    part: RecordReconstruction, file: str, number: int | None = None
+) -> tuple[WrittenTable, ...]:
     """Time, and of every state the estimate with its 95 % band: NAME, NAME_low, NAME_high.
 
     A file without an ending is written twice, as CSV and as Parquet. Samples after a divergence are
@@ -85,7 +89,7 @@ def write_states(part: Reconstructed, file: str, number: int | None = None) -> t
     for target in targets:
         path = _output_path(target, number)
         _write_frame(frame, path)
-        written.append(Written(str(path), len(frame), units, ()))
+        written.append(WrittenTable(str(path), len(frame), units, ()))
     return tuple(written)
 
 

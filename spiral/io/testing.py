@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from spiral.engine.filter.observer import Observer
 from spiral.engine.gate import Gate
 from spiral.inference.strategies.base import Strategy
-from spiral.io.conformance import derivatives, observers, physics, rehearsal
+from spiral.io.conformance import derivatives, observers, physics, regression
 from spiral.io.registry import error_summary
 from spiral.types.derivative import Derivative
 from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, SensorEffect
@@ -180,7 +180,7 @@ def check_derivative(derivative: Derivative) -> list[Check]:
 
 def check_observer(observer: Observer, systems: Sequence[System]) -> list[Check]:
     """An observer over short records of systems with nominal values; it may refuse some."""
-    watched = observers.Watched(observer, systems)
+    watched = observers.ObserverRuns(observer, systems)
     return _run_checks(
         observer.plugin_name(),
         [
@@ -223,22 +223,24 @@ def check_evidence(plugin: Plugin, registry: Registry) -> list[Check]:
     ]
     if isinstance(plugin, Learner):
         steps.append(
-            ("learns", lambda: rehearsal.check_learning(plugin), "scaled inputs and outputs")
+            ("learns", lambda: regression.check_learning(plugin), "scaled inputs and outputs")
         )
         steps.append(
             (
                 "repeatable",
-                lambda: rehearsal.check_repeatable_learning(plugin),
+                lambda: regression.check_repeatable_learning(plugin),
                 "use the seed given",
             )
         )
     elif isinstance(plugin, Library):
         systems = [registry.make("system", name) for name in registry.names("system")]
-        steps.append(("terms", lambda: rehearsal.check_library_terms(plugin, systems), _UNITS))
+        steps.append(("terms", lambda: regression.check_library_terms(plugin, systems), _UNITS))
     elif isinstance(plugin, Gate):
-        steps.append(("judges", lambda: rehearsal.check_judgement(plugin), "indices of trial.kept"))
         steps.append(
-            ("log", lambda: rehearsal.check_gate_log(plugin), "float(...) of NumPy numbers")
+            ("judges", lambda: regression.check_judgement(plugin), "indices of trial.kept")
+        )
+        steps.append(
+            ("log", lambda: regression.check_gate_log(plugin), "float(...) of NumPy numbers")
         )
     return _run_checks(plugin.plugin_name(), steps)
 
@@ -247,7 +249,7 @@ def check_strategy(strategy: Strategy, registry: Registry) -> list[Check]:
     """A strategy in its first round on a small study of which a spring is missing."""
     from spiral.io.conformance import strategies
 
-    at = strategies.Rehearsed(strategy, registry)
+    at = strategies.FirstRound(strategy, registry)
     return _run_checks(
         strategy.plugin_name(),
         [

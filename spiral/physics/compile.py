@@ -25,7 +25,7 @@ from numba.core.registry import cpu_target
 from numba.extending import typeof_impl
 
 from spiral.physics.emit import INDEX, Emitter
-from spiral.physics.trace import Traced
+from spiral.physics.trace import TracedModel
 from spiral.types.cache import kept
 
 _VECTOR, _MATRIX = types.float64[::1], types.float64[:, ::1]
@@ -36,10 +36,10 @@ VALUE_FUNCTION = types.FunctionType(types.void(_VECTOR, _VECTOR, _VECTOR, _VECTO
 
 
 @dataclass(frozen=True)
-class Compiled:
+class CompiledModel:
     """The compiled functions of one traced model."""
 
-    traced: Traced
+    traced: TracedModel
     rate: Any
     output: Any
     rate_value: Any
@@ -111,7 +111,7 @@ def _call_value(function, x, u, p, f):
 
 
 @kept(128)
-def compile_model(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled:
+def compile_model(traced: TracedModel, by: tuple[str, ...] | None = None) -> CompiledModel:
     """The model's functions; those of the last models are kept for this process.
 
     ``by`` names the parameters that derivatives are wanted for; all where left out. The columns of
@@ -129,7 +129,7 @@ def compile_model(traced: Traced, by: tuple[str, ...] | None = None) -> Compiled
         )
         write_function(module, f"{name}_value", traced, values, None)
     engine = engine_of(module)
-    return Compiled(
+    return CompiledModel(
         traced,
         *(ModelFunction(MODEL_FUNCTION, engine, name) for name in ("rate", "output")),
         *(ModelFunction(VALUE_FUNCTION, engine, f"{name}_value") for name in ("rate", "output")),
@@ -169,7 +169,7 @@ def element_address(builder: ir.IRBuilder, data: Any, place: int) -> Any:
 def write_function(
     module: ir.Module,
     name: str,
-    traced: Traced,
+    traced: TracedModel,
     values: Sequence[sp.Expr],
     columns: Sequence[int] | None,
 ) -> None:

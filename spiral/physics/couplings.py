@@ -13,7 +13,7 @@ from typing import Any
 
 import sympy as sp
 
-from spiral.physics.trace import Traced, trace
+from spiral.physics.trace import TracedModel, trace
 from spiral.types.effect import Effect, FlowEffect, InputEffect, SensorEffect, StateFlow
 from spiral.types.model import Model
 from spiral.types.placement import TIME
@@ -59,7 +59,7 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Acting:
+class EffectNode:
     """An effect: whether it was added to what the system begins with, inputs read, own states."""
 
     label: str
@@ -78,7 +78,7 @@ class EffectPlace:
     name: str
     kind: str
     touches: tuple[str, ...]
-    effects: tuple[Acting, ...]
+    effects: tuple[EffectNode, ...]
     channels: tuple[str, ...] = ()
 
 
@@ -120,7 +120,7 @@ def couplings_of(model: Model) -> Couplings:
 
 
 def _nodes_of_channel(
-    system: System, traced: Traced, channel: str, known: Sequence[str]
+    system: System, traced: TracedModel, channel: str, known: Sequence[str]
 ) -> tuple[str, ...]:
     """The nodes that a channel is, or that a reading is made of."""
     told = [state for name, state, _ in traced.told if name == channel]
@@ -139,7 +139,7 @@ def _state_nodes(system: System) -> tuple[StateNode, ...]:
     )
 
 
-def _names_in_row(system: System, traced: Traced, name: str) -> set[str]:
+def _names_in_row(system: System, traced: TracedModel, name: str) -> set[str]:
     """Names of nodes and inputs in a node's own balance of forces, or in its rate."""
     own = [c.name for c in system.coordinates] if has_coordinates(system) else []
     row = traced.forces[own.index(name)] if name in own else _rate_expression(traced, name)
@@ -151,7 +151,7 @@ def _names_in_row(system: System, traced: Traced, name: str) -> set[str]:
     return {base.get(names[s], names[s]) for s in used if s in names}
 
 
-def _rate_expression(traced: Traced, name: str) -> Any:
+def _rate_expression(traced: TracedModel, name: str) -> Any:
     return traced.rate[traced.states.index(name)]
 
 
@@ -166,7 +166,7 @@ def _effect_places(model: Model, known: Sequence[str]) -> tuple[EffectPlace, ...
         kind, name, touched = _place_of_effect(system, effect, known)
         if kind == "sensor":
             channels[name] = system.place(effect).axes
-        acting = Acting(
+        acting = EffectNode(
             effect.label, effect.label not in seed, tuple(i for i in effect.inputs if i != TIME),
             tuple(s.name for s in effect.states),
         )  # fmt: skip

@@ -38,7 +38,7 @@ from spiral.physics.lanes import (
     load_lanes,
     store_lanes,
 )
-from spiral.physics.trace import Traced
+from spiral.physics.trace import TracedModel
 from spiral.types.cache import kept
 
 _V, _M, _T = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
@@ -63,7 +63,7 @@ class Flow:
 
 
 @kept(128)
-def compile_flow(traced: Traced, by: tuple[str, ...]) -> Flow:
+def compile_flow(traced: TracedModel, by: tuple[str, ...]) -> Flow:
     """The flow with slopes by all states, then by the parameters ``by``, and the output.
 
     Raises
@@ -84,7 +84,7 @@ def compile_flow(traced: Traced, by: tuple[str, ...]) -> Flow:
 class _FlowWriter:
     """Writes ``advance``: over steps, their four stages, and the columns of S by fours."""
 
-    def __init__(self, module: ir.Module, traced: Traced, columns: Sequence[int]) -> None:
+    def __init__(self, module: ir.Module, traced: TracedModel, columns: Sequence[int]) -> None:
         self.traced, self.columns, self.n = traced, columns, len(traced.x)
         self.builder, args = begin_function(module, "advance", FLOW_FUNCTION)
         b = self.builder

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import sympy as sp
 from sympy.polys.rings import ring
 
-from spiral.physics.trace import Traced, trace
+from spiral.physics.trace import TracedModel, trace
 from spiral.types.errors import ConfigError
 from spiral.types.system import MechanicalSystem
 
@@ -25,7 +25,7 @@ Poly: TypeAlias = Any
 
 
 @dataclass(frozen=True)
-class Rows:
+class BalanceRows:
     """The balance of a full system as polynomials in one ring.
 
     ``symbols`` are the ring's generators by name; ``known`` the values of the parameters that are
@@ -50,7 +50,9 @@ class Rows:
         return [f"{n}{suffix}" for n, h in self.pairs if h is hidden]
 
 
-def rows_of(full: MechanicalSystem, values: Mapping[str, float], observed: list[str]) -> Rows:
+def rows_of(
+    full: MechanicalSystem, values: Mapping[str, float], observed: list[str]
+) -> BalanceRows:
     """The balance of a full system with its seed, at these values, split by what is observed."""
     balance, symbolic = _named_balance(full, values)
     names = [c.name for c in full.coordinates]
@@ -66,7 +68,7 @@ def rows_of(full: MechanicalSystem, values: Mapping[str, float], observed: list[
     chosen = sorted(gens)
     ring_, *elements = ring(chosen, sp.QQ)
     single = own[0, 0].name if own[0, 0].is_Symbol and own == own[0, 0] * sp.eye(len(seen)) else ""
-    return Rows(
+    return BalanceRows(
         ring_,
         dict(zip(chosen, elements, strict=True)),
         tuple(ring_.from_expr(sp.expand(balance[i])) for i in seen),
@@ -105,7 +107,7 @@ def _named_balance(
     return [plain_trig(e.xreplace(swap)) for e in traced.balance], {k: exact[k] for k in kept}
 
 
-def _dynamic_parameters(traced: Traced, full: MechanicalSystem) -> list[str]:
+def _dynamic_parameters(traced: TracedModel, full: MechanicalSystem) -> list[str]:
     """The system's own parameters that do not move the static equilibrium."""
     still = dict.fromkeys((*traced.acceleration, *traced.u), sp.Integer(0))
     still.update(dict.fromkeys(traced.x[len(full.coordinates) :], sp.Integer(0)))
@@ -123,7 +125,7 @@ def plain_trig(value: Any) -> Any:
     return value.xreplace(swap)
 
 
-def eliminate_hidden(rows: Rows, order: int) -> tuple[Poly, ...]:
+def eliminate_hidden(rows: BalanceRows, order: int) -> tuple[Poly, ...]:
     """Observed accelerations; ``order`` -1 leaves the hidden states at rest."""
     series = _hidden_series(rows, order) if order >= 0 else [rows.ring.zero] * len(rows.hidden)
     keep = max(order, 1)
@@ -149,11 +151,11 @@ def eliminate_hidden(rows: Rows, order: int) -> tuple[Poly, ...]:
     return tuple(f.compose(one) for f in reduced)
 
 
-def _pair_with_names(rows: Rows, values: list[Poly]) -> list[tuple[str, Poly]]:
+def _pair_with_names(rows: BalanceRows, values: list[Poly]) -> list[tuple[str, Poly]]:
     return list(zip(rows.names(False), values, strict=True))
 
 
-def _acceleration_rate(rows: Rows, f: Poly) -> Poly:
+def _acceleration_rate(rows: BalanceRows, f: Poly) -> Poly:
     """d/dt of an acceleration that depends on o, speed and phase, without a mark of order."""
     total = rows.ring.zero
     for n in rows.names(False):
@@ -165,7 +167,7 @@ def _acceleration_rate(rows: Rows, f: Poly) -> Poly:
     return total
 
 
-def multiply_matrix(rows: Rows, matrix: Any, values: list[Poly]) -> list[Poly]:
+def multiply_matrix(rows: BalanceRows, matrix: Any, values: list[Poly]) -> list[Poly]:
     """A matrix of numbers times a vector of polynomials."""
     products = []
     for i in range(matrix.rows):
@@ -176,7 +178,7 @@ def multiply_matrix(rows: Rows, matrix: Any, values: list[Poly]) -> list[Poly]:
     return products
 
 
-def _remove_size_marks(rows: Rows, f: Poly) -> Poly:
+def _remove_size_marks(rows: BalanceRows, f: Poly) -> Poly:
     """Higher derivatives without their mark of size: what replaces them brings its own."""
     names = [str(g) for g in rows.ring.symbols]
     size = names.index(_SIZE.name)
@@ -188,7 +190,7 @@ def _remove_size_marks(rows: Rows, f: Poly) -> Poly:
     return rows.ring.from_dict(terms)
 
 
-def _hidden_series(rows: Rows, order: int) -> list[Poly]:
+def _hidden_series(rows: BalanceRows, order: int) -> list[Poly]:
     """Hidden coordinates in terms of the observed motion."""
     names = rows.names(True)
     zero = {n: 0 for n in rows.symbols if n not in names}
@@ -219,7 +221,7 @@ def _hidden_series(rows: Rows, order: int) -> list[Poly]:
     return series
 
 
-def _hidden_motion(rows: Rows, series: list[Poly], order: int) -> list[tuple[Poly, Poly]]:
+def _hidden_motion(rows: BalanceRows, series: list[Poly], order: int) -> list[tuple[Poly, Poly]]:
     """Hidden coordinates, rates and accelerations as functions of the observed motion."""
     first = [_truncate_order(rows, _motion_derivative(rows, f), order) for f in series]
     second = [_truncate_order(rows, _motion_derivative(rows, f), order) for f in first]
@@ -232,7 +234,7 @@ def _hidden_motion(rows: Rows, series: list[Poly], order: int) -> list[tuple[Pol
 
 
 def _substitute_motion(
-    rows: Rows, row: Poly, hidden: list[tuple[Poly, Poly]], with_acceleration: bool
+    rows: BalanceRows, row: Poly, hidden: list[tuple[Poly, Poly]], with_acceleration: bool
 ) -> Poly:
     """A row with the hidden motion put in and the observed one marked by size and order.
 
@@ -249,7 +251,7 @@ def _substitute_motion(
     return linear.compose([*hidden, *swap]) + rest.compose([*slow, *swap])
 
 
-def _split_linear(rows: Rows, row: Poly) -> tuple[Poly, Poly]:
+def _split_linear(rows: BalanceRows, row: Poly) -> tuple[Poly, Poly]:
     """Terms linear in the motion (or free of it), and the others."""
     names = [str(g) for g in rows.ring.symbols]
     moving = {f"{n}{suffix}" for n, _ in rows.pairs for suffix in ("", "_rate", "_a")}
@@ -259,7 +261,7 @@ def _split_linear(rows: Rows, row: Poly) -> tuple[Poly, Poly]:
     return rows.ring.from_dict(linear), rows.ring.from_dict(rest)
 
 
-def _motion_derivative(rows: Rows, f: Poly) -> Poly:
+def _motion_derivative(rows: BalanceRows, f: Poly) -> Poly:
     """d/dt of a function of the observed motion and speed; one order more.
 
     ``f`` carries its marks already: o' as size order o'.
@@ -273,7 +275,7 @@ def _motion_derivative(rows: Rows, f: Poly) -> Poly:
     return total * rows.at(_ORDER.name)
 
 
-def _truncate_order(rows: Rows, value: Poly, order: int, degree: int = _DEGREE) -> Poly:
+def _truncate_order(rows: BalanceRows, value: Poly, order: int, degree: int = _DEGREE) -> Poly:
     """Terms up to an order in time derivatives and a degree in amplitude."""
     names = [str(g) for g in rows.ring.symbols]
     i, j = names.index(_ORDER.name), names.index(_SIZE.name)

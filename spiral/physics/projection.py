@@ -21,7 +21,14 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.physics.hidden import Poly, Rows, eliminate_hidden, multiply_matrix, plain_trig, rows_of
+from spiral.physics.hidden import (
+    BalanceRows,
+    Poly,
+    eliminate_hidden,
+    multiply_matrix,
+    plain_trig,
+    rows_of,
+)
 from spiral.physics.trace import trace
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
@@ -29,7 +36,7 @@ from spiral.types.system import MechanicalSystem
 
 
 @dataclass(frozen=True)
-class Projected:
+class ProjectedCoefficient:
     """One coefficient of the observable equations.
 
     ``value`` in the study's units; ``direct`` what it would be if the hidden states stood still;
@@ -48,7 +55,7 @@ def project(
     order: int,
     study: MechanicalSystem,
     effects: tuple[Effect, ...],
-) -> tuple[Projected, ...]:
+) -> tuple[ProjectedCoefficient, ...]:
     """Coefficients of a full system's motion in the effects of the study's system.
 
     Parameters
@@ -79,7 +86,7 @@ def project(
     coefficients = _solve_coefficients(eliminate_hidden(rows, order), columns, rows)
     direct = _solve_coefficients(eliminate_hidden(rows, -1), columns, rows)
     return tuple(
-        Projected(
+        ProjectedCoefficient(
             key,
             _numeric_value(value, rows),
             _numeric_value(alone, rows),
@@ -91,7 +98,7 @@ def project(
 
 
 def _unit_accelerations(
-    study: MechanicalSystem, effects: tuple[Effect, ...], rows: Rows
+    study: MechanicalSystem, effects: tuple[Effect, ...], rows: BalanceRows
 ) -> tuple[list[str], list[tuple[Poly, ...]]]:
     """Accelerations of the study's system for every amplitude set to one, in the same ring."""
     traced = trace(study, effects)
@@ -116,7 +123,7 @@ def _unit_accelerations(
 
 
 def _solve_coefficients(
-    accelerations: tuple[Poly, ...], columns: list[tuple[Poly, ...]], rows: Rows
+    accelerations: tuple[Poly, ...], columns: list[tuple[Poly, ...]], rows: BalanceRows
 ) -> list[Poly]:
     """Coefficients c with sum_k c_k column_k = acceleration, monomial by monomial."""
     wanted = _monomials(accelerations, rows)
@@ -134,7 +141,7 @@ def _solve_coefficients(
     return coefficients
 
 
-def _monomials(values: tuple[Poly, ...], rows: Rows) -> dict[tuple[int, ...], Poly]:
+def _monomials(values: tuple[Poly, ...], rows: BalanceRows) -> dict[tuple[int, ...], Poly]:
     """(equation, exponents of the motion) -> coefficient, a polynomial in the parameters."""
     names = [str(g) for g in rows.ring.symbols]
     parameters = [i for i, n in enumerate(names) if n in rows.known]
@@ -158,11 +165,11 @@ def _column_groups(tables: list[dict[tuple[int, ...], Any]]) -> list[list[int]]:
     return [[k for k in range(len(tables)) if labels[k] == g] for g in range(count)]
 
 
-def _numeric_value(value: Poly, rows: Rows) -> float:
+def _numeric_value(value: Poly, rows: BalanceRows) -> float:
     return float(value.as_expr().subs({sp.Symbol(k): v for k, v in rows.known.items()}))
 
 
-def _coefficient_text(value: Poly, rows: Rows) -> str:
+def _coefficient_text(value: Poly, rows: BalanceRows) -> str:
     """The formula with four digits: a polynomial over the mass, parameters by short names."""
     expression = value.as_expr()
     if rows.mass_name:

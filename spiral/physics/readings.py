@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.physics.asking import call_equation
+from spiral.physics.plugin_calls import call_equation
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, PluginError, did_you_mean
 from spiral.types.placement import input_columns

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from spiral.physics.compile import Compiled
-from spiral.physics.trace import Traced, trace
+from spiral.physics.compile import CompiledModel
+from spiral.physics.trace import TracedModel, trace
 from spiral.types.effect import Effect
 from spiral.types.errors import PluginError
 from spiral.types.parameter import Parameter
@@ -23,7 +23,7 @@ from spiral.types.system import System
 Array = np.ndarray
 
 
-def check_rest(compiled: Compiled, system: System, effects: Sequence[Effect]) -> None:
+def check_rest(compiled: CompiledModel, system: System, effects: Sequence[Effect]) -> None:
     """Evaluate a compiled model at rest; where it is not finite, find the effect that makes it so.
 
     Parameters
@@ -50,7 +50,7 @@ def check_rest(compiled: Compiled, system: System, effects: Sequence[Effect]) ->
             raise _not_finite_error(f"effect {effect.label!r}", effect.plugin_name(), at)
 
 
-def is_finite_along(compiled: Compiled, row: Array, states: Array, inputs: Array) -> bool:
+def is_finite_along(compiled: CompiledModel, row: Array, states: Array, inputs: Array) -> bool:
     """Whether a compiled model and its slopes are numbers at some states and inputs.
 
     Parameters
@@ -113,7 +113,7 @@ def _trial_value(parameter: Parameter) -> float:
     return 1.0 if high is None or high > 1 else (high + (low or 0.0)) / 2
 
 
-def _evaluate_compiled_at_rest(compiled: Compiled) -> list[Array]:
+def _evaluate_compiled_at_rest(compiled: CompiledModel) -> list[Array]:
     """f, h, then their slopes."""
     traced = compiled.traced
     x, u = np.zeros(len(traced.states)), np.zeros(len(traced.inputs))
@@ -122,7 +122,7 @@ def _evaluate_compiled_at_rest(compiled: Compiled) -> list[Array]:
     )
 
 
-def _evaluate_compiled(compiled: Compiled, x: Array, u: Array, p: Array) -> list[Array]:
+def _evaluate_compiled(compiled: CompiledModel, x: Array, u: Array, p: Array) -> list[Array]:
     traced = compiled.traced
     x, u = np.ascontiguousarray(x), np.ascontiguousarray(u)
     values, slopes = [], []
@@ -138,14 +138,14 @@ def _evaluate_compiled(compiled: Compiled, x: Array, u: Array, p: Array) -> list
     return [np.concatenate(values), *slopes]
 
 
-def _evaluate_traced_at_rest(traced: Traced, at: float = 0.0) -> list[Array]:
+def _evaluate_traced_at_rest(traced: TracedModel, at: float = 0.0) -> list[Array]:
     """The same from expressions, without compiling; ``at`` in place of zero states and inputs."""
     states = np.full(len(traced.x) + len(traced.u), at)
     given = [*states, *(_trial_value(q) for q in traced.parameters)]
     return _evaluate_traced(traced, [np.float64(v) for v in given])
 
 
-def _evaluate_traced(traced: Traced, given: Sequence[Any]) -> list[Array]:
+def _evaluate_traced(traced: TracedModel, given: Sequence[Any]) -> list[Array]:
     """Values of f and h, then their slopes, each (entries, points) where points are given."""
     import sympy as sp
 

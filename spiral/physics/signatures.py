@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.physics.asking import call_equation
+from spiral.physics.plugin_calls import call_equation
 from spiral.physics.readings import reading_slopes
 from spiral.physics.trace import trace
 from spiral.types.cache import kept
@@ -43,7 +43,7 @@ Own = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Along:
+class SystemMotion:
     """A motion of a system.
 
     ``states`` (samples, n) of the system alone, ``inputs`` (samples, input columns), ``rates``
@@ -63,7 +63,7 @@ class Along:
     reading_rates: Array | None = None
     known: dict[str, Any] = field(default_factory=dict, compare=False)
 
-    def part(self, where: slice) -> Along:
+    def part(self, where: slice) -> SystemMotion:
         """The motion over a range of samples."""
         return replace(
             self, states=self.states[where], inputs=self.inputs[where], rates=self.rates[where],
@@ -91,7 +91,7 @@ def amplitude_names(effect: Effect, port: Port) -> tuple[str, ...]:
 
 
 def signatures(
-    along: Along,
+    along: SystemMotion,
     effect: Effect,
     shapes: Mapping[str, float],
     shift: float = 0.0,
@@ -138,7 +138,7 @@ def signatures(
 
 
 def _readings_with_effect(
-    along: Along,
+    along: SystemMotion,
     effect: SensorEffect,
     u: SimpleNamespace,
     p: SimpleNamespace,
@@ -164,7 +164,7 @@ def _apply_matrix(matrix: Array, vectors: Array) -> Array:
     return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
 
 
-def port_motion_along(along: Along, effect: Effect) -> tuple[Array, Array]:
+def port_motion_along(along: SystemMotion, effect: Effect) -> tuple[Array, Array]:
     """(samples, axes) positions and velocities where an effect acts.
 
     Velocities of an input and of a flow's place are differences per sample; those of a sensor's
@@ -185,7 +185,7 @@ def port_motion_along(along: Along, effect: Effect) -> tuple[Array, Array]:
     return position, np.gradient(position, axis=0)
 
 
-def _channel_motion(along: Along, port: Port) -> tuple[Array, Array]:
+def _channel_motion(along: SystemMotion, port: Port) -> tuple[Array, Array]:
     """(samples, axes) what sensors see and its rates: of states, or of readings that are none."""
     system, names = along.system, [s.name for s in along.system.states]
     pairs = []
@@ -200,7 +200,7 @@ def _channel_motion(along: Along, port: Port) -> tuple[Array, Array]:
     return np.stack([a for a, _ in pairs], axis=1), np.stack([b for _, b in pairs], axis=1)
 
 
-def _port_levels(along: Along, port: Port) -> Array:
+def _port_levels(along: SystemMotion, port: Port) -> Array:
     """(samples, axes) states that a port is made of, from the input that they count against."""
     levels = along.states[:, [_state_index(along.system, name) for name in port.axes]]
     if not port.against:
@@ -209,13 +209,13 @@ def _port_levels(along: Along, port: Port) -> Array:
     return levels - along.inputs[:, outside : outside + 1]
 
 
-def _recorded_input(along: Along, port: Port) -> Array:
+def _recorded_input(along: SystemMotion, port: Port) -> Array:
     """(samples,) what was recorded of an input."""
     return along.inputs[:, input_columns(along.system).index(port.axes[0])]
 
 
 def _injected_values(
-    along: Along,
+    along: SystemMotion,
     effect: Effect,
     port: Port,
     u: SimpleNamespace,
@@ -251,7 +251,7 @@ def _injected_values(
     return injected
 
 
-def _port_kinematics(along: Along, port: Port) -> tuple[Array, Array, Array]:
+def _port_kinematics(along: SystemMotion, port: Port) -> tuple[Array, Array, Array]:
     """(samples, axes) positions and velocities of a port, and its Jacobian's transpose."""
     count = len(along.states)
     position, velocity, jacobian = _port_geometry(along.system, port.name)(
@@ -287,7 +287,7 @@ def _unit_amplitudes(
     return parameter_sets
 
 
-def effect_inputs(along: Along, shift: float) -> SimpleNamespace:
+def effect_inputs(along: SystemMotion, shift: float) -> SimpleNamespace:
     """The inputs as effects see them, each (samples,)."""
     system = along.system
     u = SimpleNamespace(**dict(zip(input_columns(system), along.inputs.T, strict=True)))

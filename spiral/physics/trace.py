@@ -3,7 +3,7 @@
     x' = f(x, u, p),    y = h(x, u, p)
 
 with exact Jacobians f_x, f_p, h_x, h_p. Everything else (compiled functions, LaTeX, regression
-columns, exported code) is made from a ``Traced``.
+columns, exported code) is made from a ``TracedModel``.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any
 
 import sympy as sp
 
-from spiral.physics.asking import call_equation
 from spiral.physics.effect_states import axis_suffixes, own_states, states_like_port
+from spiral.physics.plugin_calls import call_equation
 from spiral.physics.readings import own_readings
 from spiral.types.cache import kept
 from spiral.types.effect import (
@@ -39,7 +39,7 @@ _IN_LINE = 3  # at most so many effects on one input act one after the other
 
 
 @dataclass(frozen=True)
-class Traced:
+class TracedModel:
     """Symbols and expressions of one model; order of all tuples is the order of arrays."""
 
     states: tuple[str, ...]
@@ -122,7 +122,7 @@ def _jacobian(values: tuple[sp.Expr, ...], symbols: tuple[sp.Symbol, ...]) -> sp
 
 
 @dataclass(frozen=True)
-class _Placed:
+class _PlacedEffect:
     """An effect at its port with the symbols it sees."""
 
     effect: Effect
@@ -135,7 +135,7 @@ class _Placed:
 @kept(128)
 def trace(
     system: System, effects: tuple[Effect, ...], phase_shift: tuple[float, ...] = ()
-) -> Traced:
+) -> TracedModel:
     """Trace a system with effects.
 
     Parameters
@@ -168,7 +168,7 @@ def trace(
         rates.update(_own_rates(item, view))
     output = _apply_sensors(system, placed, seen, shown)
     acceleration, forces = _force_balance(system, x, u, p, injected, rates)
-    return Traced(
+    return TracedModel(
         states=names,
         channels=system.observed,
         inputs=tuple(inputs),
@@ -206,7 +206,7 @@ def _place_effect(
     p: SimpleNamespace,
     states: dict[str, sp.Symbol],
     symbols: dict[str, sp.Symbol],
-) -> _Placed:
+) -> _PlacedEffect:
     port = check_effect(system, effect)
     jacobian = None
     position: tuple[Any, ...] = ()
@@ -235,12 +235,12 @@ def _place_effect(
     for parameter in effect.parameters:
         axes = tuple(symbols[k] for k, _ in expand(effect.label, (parameter,), port.axes))
         setattr(values, parameter.name, axes if parameter.per_axis else axes[0])
-    return _Placed(effect, port, At(position, velocity, own), values, jacobian)
+    return _PlacedEffect(effect, port, At(position, velocity, own), values, jacobian)
 
 
 def _apply_actuators(
-    placed: list[_Placed], inputs: dict[str, sp.Symbol]
-) -> tuple[SimpleNamespace, list[_Placed]]:
+    placed: list[_PlacedEffect], inputs: dict[str, sp.Symbol]
+) -> tuple[SimpleNamespace, list[_PlacedEffect]]:
     """The inputs as the effects of actuators change them, one effect after the other.
 
     More than ``_IN_LINE`` effects on one input (candidates), and those after a piecewise one, act
@@ -260,8 +260,8 @@ def _apply_actuators(
 
 
 def _with_sensor_motion(
-    item: _Placed, shown: dict[str, Any], rates: dict[str, Any], states: dict[str, sp.Symbol]
-) -> _Placed:
+    item: _PlacedEffect, shown: dict[str, Any], rates: dict[str, Any], states: dict[str, sp.Symbol]
+) -> _PlacedEffect:
     """A sensor sees its channels and their rates, in a system of any order.
 
     The rate of a reading that is no state is that of its formula, with the inputs held.
@@ -289,7 +289,7 @@ def _shift_phase(u: SimpleNamespace, shift: float) -> SimpleNamespace:
 
 
 def _sum_injections(
-    system: System, placed: list[_Placed], seen: list[SimpleNamespace], x: SimpleNamespace
+    system: System, placed: list[_PlacedEffect], seen: list[SimpleNamespace], x: SimpleNamespace
 ) -> dict[str, Any]:
     total: dict[str, Any] = {i.name: sp.Integer(0) for i in system.injections}
     for item, u in zip(placed, seen, strict=True):
@@ -335,7 +335,7 @@ def _check_length(effect: Effect, what: str, values: list[Any], port: Port) -> N
         )
 
 
-def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
+def _own_rates(item: _PlacedEffect, u: SimpleNamespace) -> dict[str, Any]:
     effect = item.effect
     if not effect.states:
         return {}
@@ -355,7 +355,7 @@ def _own_rates(item: _Placed, u: SimpleNamespace) -> dict[str, Any]:
 
 
 def _apply_sensors(
-    system: System, placed: list[_Placed], seen: list[SimpleNamespace], shown: dict[str, Any]
+    system: System, placed: list[_PlacedEffect], seen: list[SimpleNamespace], shown: dict[str, Any]
 ) -> list[sp.Expr]:
     """Expressions of the channels behind the effects of sensors, applied one after the other.
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from spiral.types.errors import InputError, did_you_mean
+from spiral.types.invalid import InvalidReadings, bridged, clipping, spoilt_readings
 from spiral.types.noise import estimate_noise
 from spiral.types.parameter import Input, Interpolation
-from spiral.types.spoilt import Spoilt, bridged, clipping, spoilt_readings
 
 if TYPE_CHECKING:
     from spiral.types.system import System
@@ -55,7 +55,7 @@ class Record:
     truth: Mapping[str, Array] = field(default_factory=dict)
     measured: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    spoilt: Mapping[str, tuple[Spoilt, ...]] = field(default_factory=dict)
+    spoilt: Mapping[str, tuple[InvalidReadings, ...]] = field(default_factory=dict)
     hold: Mapping[str, Interpolation] = field(default_factory=dict)
     growth: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
@@ -201,7 +201,7 @@ def make_record(
 def _find_spoilt_readings(
     system: System, given: Mapping[str, Array], known: Mapping[str, Array],
     missing: Mapping[str, Array | None],
-) -> dict[str, tuple[Spoilt, ...]]:  # fmt: skip
+) -> dict[str, tuple[InvalidReadings, ...]]:  # fmt: skip
     """Invalid readings of each channel; readings that may jump are not searched for spikes."""
     jumps = {r.name for r in system.readings}
     return {

@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from spiral.types.display import Readable, Summary
 from spiral.types.formatting import number, percent, probability
 from spiral.types.horizon import Change, Horizon
 from spiral.types.model import Model, estimates_dict
 from spiral.types.parameter import Interpolation
 from spiral.types.record import Array
-from spiral.types.showing import Readable, Summary
 
 Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unknown_structure"]
 """What a study says of its seed: an effect is missing and named; nothing is missing; the record
 cannot tell the model's effects apart; something is missing that no candidate explains."""
 
-Stopped = Literal["whiteness", "no_candidate", "not_identifiable", "diverged", "max_rounds"]
+StopReason = Literal["whiteness", "no_candidate", "not_identifiable", "diverged", "max_rounds"]
 """How a study ended: what is left is white; no candidate passed; the record cannot tell; a fit did
 not converge; as many rounds as ``settings.max_rounds`` were made."""
 
@@ -308,7 +308,7 @@ class Run:
     """
 
     verdict: Verdict
-    stopped: Stopped
+    stopped: StopReason
     rounds: tuple[Round, ...]
     model: Model
     advice: str

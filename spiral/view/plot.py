@@ -90,8 +90,8 @@ def figures(run: Run) -> dict[str, go.Figure]:
 
 @lru_cache(maxsize=8)
 def _cached_curves(key: _Key) -> Curves:
+    from spiral.io.compute_curves import gather_curves
     from spiral.io.curves import FINAL, SEED
-    from spiral.io.gather import gather_curves
 
     run = key.run
     done = [r.comparison for r in run.rounds]

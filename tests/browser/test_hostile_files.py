@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from spiral.app import study as kept
-from spiral.app.study import Turn
+from spiral.app.study import StudyState
 
 SCRIPT = "window.ran = (window.ran || 0) + 1"
 PROP = f'm" :autofocus="{SCRIPT}" :label="{SCRIPT}'
@@ -95,7 +95,7 @@ def test_a_folder_of_studies_shows_its_texts_and_runs_none(watched, served, fore
     result = {"test_error": 0.5, "fit_error": 0.5, "chi2_per_dof": 1.0, "whiteness_p": 0.5,
               "horizon": 64, "channels": {evil: {"rmse": 1.0, "relative": 0.1}},
               "model": {"effects": {evil: {}}, "system": {}}}  # fmt: skip
-    turn = Turn(
+    turn = StudyState(
         0, evil, result, (found,), (evil,), {evil: evil}, evil, evil, evil, {}, evil,
         ({"left": evil, "terms": [{"owner": evil, "math": evil}]},),
         (("free_run", evil, evil),), True, "20200101-000000-abc", "", evil,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spiral.app.study import Turn, new_study, save_study, turn_folder
+from spiral.app.study import StudyState, new_study, save_study, turn_folder
 from spiral.view.report.style import add_hover_text
 from spiral.view.report.unknown import force_loops
 from tests.browser.steps import SECOND, add, error, filled, judged, legend, ready, shows
@@ -96,7 +96,7 @@ def test_every_branch_is_kept_and_caveats_stand_beside_the_verdict(tab, served, 
     ranked = {"candidates": (), "verdict": "whiteness", "run_id": "20260101-000000-abc"}
 
     def turn(serial, parent, added, error, **more):
-        return Turn(serial, added, {"test_error": error}, parent=parent, **ranked, **more)
+        return StudyState(serial, added, {"test_error": error}, parent=parent, **ranked, **more)
 
     made = new_study(served.out, "branches", ("experiment=rotor_coastdown",))
     turns = (turn(0, None, "", 0.5), turn(1, 0, "clearance", 0.2), turn(2, 1, "rub", 0.15),
@@ -140,8 +140,10 @@ def test_memory_of_what_is_missing_is_told_and_drawn(tab, served, picture):
     folder.mkdir(parents=True)
     (folder / "memory.json").write_text(figure.to_json())
     drawn = (("memory", "A force with memory", "There and back."),)
-    turn = Turn(0, "", {"test_error": 0.2}, (), verdict="no_candidate", memory=told, figures=drawn,
-                run_id="20260101-000000-abc")  # fmt: skip
+    turn = StudyState(
+        0, "", {"test_error": 0.2}, (), verdict="no_candidate", memory=told, figures=drawn,
+        run_id="20260101-000000-abc",
+    )  # fmt: skip
     save_study(served.out, replace(made, turns=(turn,), serials=1))
     tab.goto(f"{served.address}/study/{made.ident}")
     tab.wait_for_selector("#ending:has-text('What is missing has memory')")
@@ -159,7 +161,7 @@ def test_an_effect_that_was_let_go_is_no_part_of_the_model(tab, served, picture)
         model = {"effects": {name: {} for name in ("linear_stiffness", *names)}, "system": {}}
         errors = {"test_error": error, "fit_error": error}
         more = {"admitted": names, "retired": list(retired), "model": model}
-        return Turn(serial, added, {**errors, **more})
+        return StudyState(serial, added, {**errors, **more})
 
     made = new_study(served.out, "let go", ("experiment=rotor_coastdown",))
     turns = (turn(0, "", 0.5), turn(1, "cross_damping", 0.2),

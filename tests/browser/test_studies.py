@@ -7,15 +7,17 @@ from dataclasses import replace
 
 import pytest
 
-from spiral.app.study import Turn, new_study, save_study
+from spiral.app.study import StudyState, new_study, save_study
 from tests.browser.steps import faults
 
 
 @pytest.fixture
 def three(served):
     """Two studies with a step each, and one that failed, with names that no other test has."""
-    turn = Turn(0, "", {"test_error": 0.5}, (), run_id="20260101-000000-abc")
-    step = Turn(1, "gyroscopic", {"test_error": 0.02}, (), parent=0, run_id="20260101-000000-abd")
+    turn = StudyState(0, "", {"test_error": 0.5}, (), run_id="20260101-000000-abc")
+    step = StudyState(
+        1, "gyroscopic", {"test_error": 0.02}, (), parent=0, run_id="20260101-000000-abd"
+    )
     found = []
     for title, turns in (("zebra plain", (turn,)), ("zebra striped", (turn, step)), ("zebra", ())):
         made = new_study(served.out, title, ("experiment=rotor_coastdown",))

@@ -8,7 +8,7 @@ from spiral.io.tracking import track
 
 @pytest.fixture(autouse=True)
 def untracked(monkeypatch):
-    monkeypatch.setattr(track, "track", lambda *given, **more: track.Tracked({}))
+    monkeypatch.setattr(track, "track", lambda *given, **more: track.TrackingResult({}))
 
 
 @pytest.fixture(autouse=True)

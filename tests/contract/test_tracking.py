@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from spiral.cli import main
-from spiral.commands import telling
+from spiral.commands import tracking
 from spiral.io.storage import FILE, load_run, read_run, run_ids
 from spiral.io.tracking import background
 from spiral.io.tracking.content import flat_parameters, metric_name
@@ -23,7 +23,7 @@ from spiral.io.tracking.store import (
     open_store,
     use_store,
 )
-from spiral.io.tracking.track import MARK, Failed, track
+from spiral.io.tracking.track import MARK, FailedJob, track
 from tests.sweep_jobs import RECORD
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
@@ -230,7 +230,7 @@ def test_a_process_of_its_own_tells_mlflow_and_the_next_command_what_it_could_no
     """A server that is down: said by the next command, whose process tells both runs."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(background.WAIT_VARIABLE)
-    monkeypatch.setattr(telling, "_log_in_foreground", None)
+    monkeypatch.setattr(tracking, "_log_in_foreground", None)
     # A file of the folder that a command is called in is no module of the process.
     (tmp_path / "mlflow.py").write_text("raise RuntimeError('it ran')")
     words = ["compare", *RECORD, "strategy=shooting", "tracking.model=false"]
@@ -273,7 +273,7 @@ def test_runs_saved_after_an_order_are_left_to_their_own_commands(place, result,
 
 
 def test_a_failed_job_is_a_failed_run_and_told_again_is_still_one(tmp_path):
-    job = Failed("s1", 3, ("holdout=2",), {"given": "holdout=2", "expected": "a share"})
+    job = FailedJob("s1", 3, ("holdout=2",), {"given": "holdout=2", "expected": "a share"})
     for _ in range(2):
         assert track(Tracking(), tmp_path, failed=(job,)).failure is None
     import_mlflow()

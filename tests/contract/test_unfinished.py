@@ -14,7 +14,7 @@ import pytest
 from spiral.cli import main
 from spiral.inference.discover import Checkpoint, discover
 from spiral.io import checkpoint, storage
-from spiral.io.checkpoint import FILE, FOLDER, Keeper, checkpoint_keeper, study_fingerprint
+from spiral.io.checkpoint import FILE, FOLDER, CheckpointStore, checkpoint_keeper, study_fingerprint
 from spiral.io.config import build_problem, compose
 from spiral.io.registry import load_registry
 from spiral.io.writing import to_json
@@ -51,7 +51,7 @@ def test_a_study_taken_up_ends_as_if_it_had_never_stopped(study, tmp_path):
     _, problem, run, kept = study
     assert [len(c.rounds) for c in kept] == [1, 2, 3, 4]
     for number in (1, 2):
-        other = Keeper(tmp_path / str(number), REGISTRY)
+        other = CheckpointStore(tmp_path / str(number), REGISTRY)
         other.write(kept[number])
         taken_up = other.read_last()
         assert taken_up is not None
@@ -69,7 +69,7 @@ def test_only_the_same_study_is_taken_up(study):
 
 
 def test_a_damaged_checkpoint_is_no_checkpoint(study, tmp_path):
-    other = Keeper(tmp_path, REGISTRY)
+    other = CheckpointStore(tmp_path, REGISTRY)
     other.write(study[3][0])
     text = (tmp_path / FILE).read_text()
     (tmp_path / FILE).write_text(text[: len(text) // 2])
@@ -92,7 +92,7 @@ def test_a_full_disk_is_said_and_what_was_written_stays(study, tmp_path, monkeyp
     def full(file, text):
         raise OSError(28, "No space left on device")
 
-    other = Keeper(tmp_path, REGISTRY)
+    other = CheckpointStore(tmp_path, REGISTRY)
     other.write(study[3][0])
     monkeypatch.setattr(checkpoint, "write_whole", full)
     with pytest.raises(InputError, match="No space left"):

@@ -7,21 +7,21 @@ from html.parser import HTMLParser
 
 import pytest
 
-from spiral.app import panels, unseen
+from spiral.app import horizon_errors, panels
 from spiral.app import record_setup as drafts
 from spiral.app import session as sessions
 from spiral.app import study as kept
 from spiral.app.downloads import add_download_routes, write_download
 from spiral.app.run_writer import RunWriter
 from spiral.app.session import Session
-from spiral.app.study import Turn
+from spiral.app.study import StudyState
 from spiral.io.mathml import mathml
 from spiral.io.storage import run_folder, save_result
-from spiral.io.tracking.track import Tracked
+from spiral.io.tracking.track import TrackingResult
 from spiral.types.errors import ConfigError, InputError
 from spiral.view.report import evidence, text
 from spiral.view.report.markup import safe_mathml
-from spiral.view.report.page import Shown, single_figure_page
+from spiral.view.report.page import ReportFigure, single_figure_page
 from tests.exported import REGISTRY, machine_of
 from tests.unit.test_session import Idle
 
@@ -68,7 +68,7 @@ def rewritten(session, ident, /, **values):
 
 
 def plain_turn(**values):
-    turn = Turn(0, result={"test_error": 0.5}, candidates=(), verdict="no_candidate")
+    turn = StudyState(0, result={"test_error": 0.5}, candidates=(), verdict="no_candidate")
     return asdict(replace(turn, **values))
 
 
@@ -189,7 +189,7 @@ def test_runs_of_a_study_are_told_to_the_pages_own_store(tmp_path, monkeypatch):
     told = []
     monkeypatch.setattr(
         "spiral.io.tracking.track.track",
-        lambda how, *given, **more: told.append(how) or Tracked({}),
+        lambda how, *given, **more: told.append(how) or TrackingResult({}),
     )
     writer = RunWriter(tmp_path, lambda kind, data: None)
     writer.config = {"tracking": {"uri": "http://evil.example", "experiment": "mine"}}
@@ -258,7 +258,7 @@ CHANGES = [{"horizon": "free_run", "before": 0.1, "after": 0.2, "judged": "worse
 
 def shown():
     """Every piece of page and report that is made of texts, by what it is."""
-    turn = Turn(
+    turn = StudyState(
         0, EVIL, RESULT, tuple(RESULT["suggestions"]), (EVIL,), {EVIL: EVIL}, EVIL, EVIL, EVIL,
         {}, EVIL, tuple(EQUATION), ((EVIL, EVIL, EVIL),), True, EVIL, EVIL, EVIL,
     )  # fmt: skip
@@ -286,7 +286,7 @@ def shown():
             replace(turn, proposed=("b",), candidates=(candidate, {**candidate, "effect": "b"}))
         ),
         "proposal": panels.proposal_message(turn)[0],
-        "step": unseen.worse_step_note(replace(turn, result={"changes": CHANGES})),
+        "step": horizon_errors.worse_step_note(replace(turn, result={"changes": CHANGES})),
         "records": panels.records_table(records),
         "meaning": panels.effect_meaning(f"{EVIL}: a = {EVIL}"),
         "header": text.report_header(SAVED, Told),
@@ -320,7 +320,7 @@ def test_the_texts_are_shown_at_all():
 @pytest.mark.hostile("study folders")
 def test_a_text_inside_a_figure_ends_no_script():
     figure = evidence.error_falling(RESULT)
-    html = single_figure_page(Shown(EVIL[:3], EVIL, EVIL, figure))
+    html = single_figure_page(ReportFigure(EVIL[:3], EVIL, EVIL, figure))
     inside = html.rpartition("<body>")[2]
     assert "alert(2)" in inside
     assert "<script>alert(2)" not in inside

@@ -11,7 +11,7 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
 from spiral.physics.compile import compile_model
-from spiral.physics.trace import Traced, trace
+from spiral.physics.trace import TracedModel, trace
 from spiral.types.errors import PluginError
 from tests.scenes import registry
 
@@ -78,7 +78,7 @@ def test_slopes_along_a_motion_are_those_of_its_samples():
 
 def alone(*rates):
     """A model of two states and one parameter with these rates."""
-    return Traced(("x", "y"), (), (), ("p",), (), (X, Y), (), (K,), rates, (), (), ())
+    return TracedModel(("x", "y"), (), (), ("p",), (), (X, Y), (), (K,), rates, (), (), ())
 
 
 def test_code_of_many_models_takes_little_memory_and_lives_as_long_as_it_is_kept():

@@ -14,10 +14,10 @@ import spiral
 from experiments.studies.signals import band_limited
 from spiral.engine.filter.noise import sampled_covariance
 from spiral.engine.filter.task import prepare_task, state_jacobian
-from spiral.engine.likelihood.free_doubt import free_doubt
+from spiral.engine.likelihood.free_uncertainty import free_doubt
 from spiral.engine.likelihood.noise import first_noise
 from spiral.inference.compare import compare
-from spiral.inference.evidence.horizons import Disturbed, forecast_misses
+from spiral.inference.evidence.horizons import FilterNoise, forecast_misses
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate
 from spiral.types.horizon import Horizon, changes
@@ -52,7 +52,7 @@ def free():
     quiet = {"force": np.zeros(600)}
     record = simulate(model, time, quiet, 0.05, np.random.default_rng(0), {"x": 1.0})
     task = prepare_task(model, replace(record, noise=record.sigma()), substeps=24)
-    return task, Disturbed(np.array([0.0, 4.0]), np.diag(task.spread**2), ())
+    return task, FilterNoise(np.array([0.0, 4.0]), np.diag(task.spread**2), ())
 
 
 def test_on_a_linear_model_they_are_kalmans_predictions(free):

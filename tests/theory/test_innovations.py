@@ -21,7 +21,7 @@ from spiral.engine.gate import Trial
 from spiral.inference.discover import discover
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate
-from spiral.io.conformance.rehearsal import trial
+from spiral.io.conformance.regression import trial
 from spiral.types.errors import ConfigError
 from spiral.types.model import seed_model
 

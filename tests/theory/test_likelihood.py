@@ -27,7 +27,7 @@ from spiral.inference.likelihood.scores import predicted_motion, rank_candidates
 from spiral.inference.problem import silent
 from spiral.io.question import pose_problem
 from spiral.io.registry import load_registry
-from spiral.physics.signatures import Along, signatures
+from spiral.physics.signatures import SystemMotion, signatures
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
 from tests.swept_oscillator import KEYS, TRUTH, record_of, shaken, states_alone, task_of
@@ -227,7 +227,9 @@ def test_own_states_follow_the_motion_as_the_compiled_effect_has_them():
     turn, natural, ratio = 2 * np.pi * 2.0, 2 * np.pi * 5.0, 0.1
     states = np.column_stack([np.sin(turn * time), turn * np.cos(turn * time)])
     inputs = np.column_stack([np.zeros(count), time])
-    along = Along(Oscillator(), states, inputs, np.zeros((count, 2)), states[:, :1], {"mass": 1.0})
+    along = SystemMotion(
+        Oscillator(), states, inputs, np.zeros((count, 2)), states[:, :1], {"mass": 1.0}
+    )
     effect = HiddenMode()
     shapes = {"natural_frequency": np.array([5.0, 7.0]), "damping_ratio": np.full(2, ratio)}
     found = arrange_own_states(effect, 1, own_states_along(along, dt, effect, shapes)[0])
@@ -251,7 +253,7 @@ def test_own_states_that_forget_within_a_sample_are_followed_in_parts_of_it():
         turn = 2 * np.pi
         states = np.column_stack([np.sin(turn * time), turn * np.cos(turn * time)])
         inputs = np.column_stack([0.0 * time, time])
-        along = Along(Oscillator(), states, inputs, 0 * states, states[:, :1], {"mass": 1.0})
+        along = SystemMotion(Oscillator(), states, inputs, 0 * states, states[:, :1], {"mass": 1.0})
         return own_states_along(along, dt, effect, shapes)[:, :, 0]
 
     coarse, exact = slips(0.1), slips(0.1 / fine)[:, ::fine]

@@ -10,7 +10,7 @@ import spiral
 from spiral.engine.filter.noise import noise_intensity
 from spiral.engine.filter.setup import choose_levels, prepare_filter
 from spiral.engine.filter.task import prepare_task
-from spiral.inference.acting import random_forces
+from spiral.inference.disturbances import random_forces
 from spiral.inference.strategies.admission import _force_replacement_size
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import Horizon

@@ -11,7 +11,7 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 from spiral.cli import main
 from spiral.inference.compare import compare
 from spiral.inference.discover import discover
-from spiral.inference.plan import Wanted, plan
+from spiral.inference.plan import PlanQuestion, plan
 from spiral.inference.plan_options import PlanOptions
 from spiral.inference.planned_tests import planned_tests, simulator
 from spiral.inference.problem import Problem
@@ -55,7 +55,7 @@ def steady():
 @pytest.fixture(scope="module")
 def planned(steady):
     made = simulator(steady, registry().simulation)
-    return plan(steady, Wanted((GYROSCOPIC, DAMPING)), planned_tests(steady, SPEEDS), made)
+    return plan(steady, PlanQuestion((GYROSCOPIC, DAMPING)), planned_tests(steady, SPEEDS), made)
 
 
 def test_what_the_record_cannot_tell_a_plan_says_it_cannot(steady, planned):
@@ -89,7 +89,7 @@ def test_a_promised_standard_error_is_the_one_of_the_fit(steady):
     problem = replace(steady, model=model)
     wishes = replace(SPEEDS, parameter=key)
     made = simulator(problem, registry().simulation)
-    found = plan(problem, Wanted(parameter=key), planned_tests(problem, wishes), made)
+    found = plan(problem, PlanQuestion(parameter=key), planned_tests(problem, wishes), made)
     assert [o.error for o in found.tests] == sorted(o.error for o in found.tests)
     for outlook in found.tests[:2]:
         record = run_once(model, outlook.test, problem)

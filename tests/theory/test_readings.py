@@ -26,7 +26,7 @@ from spiral.io.readers.dialect import is_unit
 from spiral.io.registry import NO_FOLDER, load_registry
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
-from spiral.physics.signatures import Along, port_motion_along, signatures
+from spiral.physics.signatures import SystemMotion, port_motion_along, signatures
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError, SpiralError
 from spiral.types.model import seed_model
@@ -293,7 +293,7 @@ def test_a_reading_s_rate_is_there_for_a_stretch_of_one_sample():
     """Scores go through a record in pieces, the last of which may be one sample long."""
     readings = np.linspace(0.0, 1.0, 5)[:, None] ** 2
     none, rates = np.zeros((5, 2)), np.gradient(readings, 0.1, axis=0)
-    along = Along(equations(ONE), none, none, none, readings, {}, reading_rates=rates)
+    along = SystemMotion(equations(ONE), none, none, none, readings, {}, reading_rates=rates)
     position, velocity = port_motion_along(along.part(slice(4, 5)), Delay())
     assert position.shape == velocity.shape == (1, 1)
     assert velocity[0, 0] == rates[4, 0]

@@ -10,7 +10,7 @@ from spiral.io.registry import NO_FOLDER, load_registry
 from spiral.io.storage import model_data, rebuild_model
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
-from spiral.physics.robots.motion import Sizes, equations_of_motion
+from spiral.physics.robots.motion import BaseUnits, equations_of_motion
 from spiral.physics.trace import trace
 from spiral.types.errors import SpiralError
 from spiral.types.model import seed_model
@@ -69,7 +69,7 @@ def test_mass_matrix_and_forces_are_those_of_mujoco(links, tmp_path):
         mujoco.mj_fullM(model, data, mass)
         own, bias = equations_of_motion(
             form, list(data.qpos), list(data.qvel), [b.mass for b in form.bodies],
-            [1] * len(form.bodies), Sizes(),
+            [1] * len(form.bodies), BaseUnits(),
         )  # fmt: skip
         own = np.array(own, float) + np.diag([j.armature for j in form.joints])
         assert own == pytest.approx(mass, abs=1e-9 * np.abs(mass).max())

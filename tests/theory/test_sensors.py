@@ -14,9 +14,9 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 import spiral
 from spiral.engine.score import ScoreTable
 from spiral.inference.discover import discover
-from spiral.inference.evidence.gridnull import effective_tests
+from spiral.inference.evidence.effective_tests import effective_tests
 from spiral.inference.evidence.inseparable import inseparable_part
-from spiral.inference.evidence.lines import strongest_line
+from spiral.inference.evidence.spectral_lines import strongest_line
 from spiral.inference.simulate import integrate
 from spiral.math import ramp
 from spiral.physics.trace import trace

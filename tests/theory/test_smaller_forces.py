@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 import spiral
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
-from spiral.inference.acting import random_forces
+from spiral.inference.disturbances import random_forces
 from spiral.inference.likelihood.fitting import fit_by_likelihood, largest_force
 from spiral.inference.likelihood.smaller_forces import replace_large_forces
 from spiral.inference.problem import silent

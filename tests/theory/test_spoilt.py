@@ -8,9 +8,9 @@ from spiral_plugins.systems.oscillator import Oscillator
 import spiral
 from spiral.inference.simulate import simulate
 from spiral.types.errors import InputError
+from spiral.types.invalid import bridged, spoilt_readings
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
-from spiral.types.spoilt import bridged, spoilt_readings
 
 N = 4000
 TIME = 0.01 * np.arange(N)

@@ -8,8 +8,8 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral.engine.windows import fair_block, halves
 from spiral.inference.evidence.admission import admit_candidate, drop_effects
 from spiral.inference.evidence.comparison import prepare_study
-from spiral.inference.evidence.farstart import rescore_from_far_starts
 from spiral.inference.evidence.fit_state import all_samples, fit_growing_windows
+from spiral.inference.evidence.refit_scores import rescore_from_far_starts
 from spiral.inference.evidence.scoring import score_stage
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import integrate, simulate

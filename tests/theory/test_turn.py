@@ -17,11 +17,11 @@ from spiral.inference.rounds import (
     start_study,
     strategy_for,
 )
-from spiral.inference.strategies.base import Begun
+from spiral.inference.strategies.base import StartedStudy
 from spiral.inference.suggest import suggestions_by_evidence, top_suggestions
+from spiral.io.compute_curves import free_curves
 from spiral.io.config import build_problem, compose
 from spiral.io.curves import FINAL
-from spiral.io.gather import free_curves
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError
 
@@ -100,7 +100,7 @@ def test_candidates_side_by_side_are_judged_on_windows_of_one_length(study, tmp_
     bench = FitWorker(
         tmp_path, lambda kind, data: told.append((kind, data)), "a", strategy=strategy
     )
-    bench.begun = Begun(assembly, at.fit_state, at.rounds[0].comparison)
+    bench.begun = StartedStudy(assembly, at.fit_state, at.rounds[0].comparison)
     bench.ranked[0] = (at, step)
     other = admit_step(
         strategy, assembly, at, choose_candidate(strategy, assembly, at, step, "gyroscopic"), silent

@@ -11,7 +11,7 @@ from spiral_plugins.observers.static import Static
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
-from spiral.engine.filter.bent import build_expansion, draw_samples
+from spiral.engine.filter.curved_posterior import build_expansion, draw_samples
 from spiral.engine.filter.prior import Prior, covariance_root
 from spiral.engine.filter.rounding import rounding_level
 from spiral.engine.filter.task import prepare_task

@@ -19,7 +19,7 @@ import spiral
 from spiral.cli import main
 from spiral.io.export.kinds import KINDS
 from spiral.io.export.names import sanitise_text
-from spiral.io.export.program import Item, identifiers
+from spiral.io.export.program import ProgramVariable, identifiers
 from spiral.io.storage import save_result
 from spiral.types.errors import ConfigError
 from spiral.types.model import seed_model
@@ -131,7 +131,7 @@ def test_a_unit_that_is_none_is_refused():
 
 def test_identifiers_are_ascii_words_that_differ():
     names = ("a.b", "a@b", "for", "2nd", "*/ x", "température", "part_1")
-    items = [Item(n, "", sp.Symbol(f"s{i}")) for i, n in enumerate(names)]
+    items = [ProgramVariable(n, "", sp.Symbol(f"s{i}")) for i, n in enumerate(names)]
     found = list(identifiers(items, ("for",)).values())
     assert found == ["a_b", "a_b_", "for_", "n2nd", "x", "temp_rature", "the_part_1"]
 

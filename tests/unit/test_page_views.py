@@ -6,7 +6,7 @@ import pytest
 from spiral.app.address import Address, format_address, parse_address
 from spiral.app.record_setup import advised_lines, replace_line
 from spiral.app.side_by_side import comparison_errors, comparison_parameters
-from spiral.app.study import Turn, add_turn, new_study
+from spiral.app.study import StudyState, add_turn, new_study
 from spiral.io.curves import FINAL, Curves
 from spiral.io.readers.own_units import conversion_to_system, unit_field
 from spiral.types.errors import InputError
@@ -123,7 +123,7 @@ def test_steps_side_by_side_have_a_column_each(tmp_path):
             "test_error": error, "fit_error": error, "unseen": unseen, "chi2_per_dof": 1.0,
             "channels": {"x": {"relative": error}}, "model": {"effects": effects},
         }  # fmt: skip
-        study = add_turn(study, Turn(study.serials + len(study.turns), name, result))
+        study = add_turn(study, StudyState(study.serials + len(study.turns), name, result))
     told = comparison_errors(study, study.turns)
     assert "the model as it was" in told
     assert "<b>10.0 %</b>" in told

@@ -7,7 +7,7 @@ import pytest
 
 import spiral
 from spiral.app.python_text import non_default_options, program_text
-from spiral.app.study import Study, Turn
+from spiral.app.study import Study, StudyState
 from spiral.inference.compare import compare
 from spiral.io.config import build_problem, compose
 from tests.scenes import registry
@@ -23,7 +23,9 @@ observed: [x]
 
 
 def study(*overrides, added=()):
-    turns = tuple(Turn(i, name, parent=i - 1 if i else None) for i, name in enumerate(("", *added)))
+    turns = tuple(
+        StudyState(i, name, parent=i - 1 if i else None) for i, name in enumerate(("", *added))
+    )
     told = non_default_options(compose(overrides, KNOWN), KNOWN)
     return Study("20260101-000000-abc", "bench", overrides, "", turns, len(added), program=told)
 
@@ -79,5 +81,5 @@ def test_an_embedded_record_is_read_by_its_name():
 def test_a_formula_of_ones_own_has_the_saved_model_instead(bench):
     given = study("experiment=rotor_coastdown", "effect.soft.expression=-k3*q**3")
     assert program_text(given, bench) == ""  # before it is saved
-    saved = replace(given, turns=(Turn(0, run_id="20260101-000000-abc"),))
+    saved = replace(given, turns=(StudyState(0, run_id="20260101-000000-abc"),))
     assert "spiral.load('20260101-000000-abc', " in program_text(saved, bench)

@@ -42,7 +42,7 @@ Settings = FilterSettings
 
 
 @dataclass(frozen=True)
-class Pass:
+class FilterPass:
     """Raw arrays of one run; those for a smoother are empty unless asked for."""
 
     means: Array
@@ -74,7 +74,7 @@ def tracked_indices(task: Task, names: tuple[str, ...]) -> Array:
 
 def filter_record(
     task: Task, settings: FilterSettings, keep: bool = False, samples: int | None = None
-) -> Pass:
+) -> FilterPass:
     """Filter the record, or its first ``samples``; ``keep`` what a smoother needs."""
     from spiral.engine.filter.kernel import EXACT, SECOND_ORDER, extended_filter
 
@@ -101,10 +101,10 @@ def filter_record(
         SECOND_ORDER if second else EXACT, np.ascontiguousarray(y),
         settings.noise, block_diagonal(settings.process, settings.wander), *arrays,
     )  # fmt: skip
-    return Pass(*arrays, float(likelihood), int(done))
+    return FilterPass(*arrays, float(likelihood), int(done))
 
 
-def smooth_run(run: Pass) -> Pass:
+def smooth_run(run: FilterPass) -> FilterPass:
     """Smooth a run kept whole: x_s = x - P l, P_s = P - P L P; innovations stay the filter's."""
     from spiral.engine.filter.smoother import smooth_record
 
@@ -127,7 +127,7 @@ def block_diagonal(matrix: Array, tail: Array) -> Array:
 def as_reconstruction(
     task: Task,
     settings: FilterSettings,
-    run: Pass,
+    run: FilterPass,
     levels: Mapping[str, float],
     seconds: float,
     tuning_seconds: float,

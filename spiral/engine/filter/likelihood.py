@@ -21,7 +21,7 @@ from spiral.engine.filter.prior import Prior
 from spiral.engine.filter.setup import with_level
 from spiral.engine.filter.task import Task
 from spiral.engine.filter.tuning import LOWEST, Likelihood, most_likely_levels
-from spiral.engine.filter.whitened import Whitened, whiten_innovations
+from spiral.engine.filter.whitened import WhitenedRecord, whiten_innovations
 from spiral.engine.leastsquares import least_squares
 from spiral.types.record import Array
 
@@ -36,7 +36,7 @@ _RUNAWAY = -1e300
 
 
 @dataclass(frozen=True)
-class Climbed:
+class TunedTasks:
     """Where the likelihood is highest: the records' tasks with their values, and the levels.
 
     ``errors`` are standard errors of the parameters that moved, by the outer product of slopes, and
@@ -60,7 +60,7 @@ class Climbed:
         """Whether the filter stayed with every record."""
         return bool(np.isfinite(self.log_likelihood))
 
-    def regression(self, keys: tuple[str, ...]) -> tuple[Whitened, ...] | None:
+    def regression(self, keys: tuple[str, ...]) -> tuple[WhitenedRecord, ...] | None:
         """Whitened innovations of every record with their slopes; nothing where one ran away."""
         return _whitened_regression(self.prepared, self.levels, keys)
 
@@ -72,7 +72,7 @@ def climb_likelihood(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     near: Mapping[str, float] | None = None,
     prior: Prior | None = None,
-) -> Climbed:
+) -> TunedTasks:
     """The most likely values of parameters that all records share, and of the process noise.
 
     With a ``prior`` the most probable ones: log L + log p climbs.
@@ -100,7 +100,7 @@ def climb_likelihood(
         height = log_likelihood(prepared, present, prior)
         prepared, height = _climb_at_levels(prepared, keys, present, height, bounds or {}, prior)
     height = height if height > _RUNAWAY else -np.inf
-    return Climbed(prepared, present, height, *_standard_errors(prepared, present, keys, prior))
+    return TunedTasks(prepared, present, height, *_standard_errors(prepared, present, keys, prior))
 
 
 def log_likelihood(
@@ -145,7 +145,7 @@ def _lower_noise_levels(
 
 def _whitened_regression(
     prepared: Prepared, levels: Mapping[str, float], keys: tuple[str, ...]
-) -> tuple[Whitened, ...] | None:
+) -> tuple[WhitenedRecord, ...] | None:
     parts = []
     for task, settings in prepared:
         part = whiten_innovations(task, with_level(task, settings, levels), keys)
@@ -155,7 +155,7 @@ def _whitened_regression(
     return tuple(parts)
 
 
-def _stack_rows(parts: tuple[Whitened, ...]) -> tuple[Array, Array]:
+def _stack_rows(parts: tuple[WhitenedRecord, ...]) -> tuple[Array, Array]:
     """X (n, q) and e (n,) of all records."""
     x = np.concatenate([p.columns.reshape(-1, p.columns.shape[2]) for p in parts])
     return x, np.concatenate([p.innovations.reshape(-1) for p in parts])

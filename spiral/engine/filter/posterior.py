@@ -2,7 +2,7 @@
 
 1. the most probable values, log L(innovations) + log p(theta) (``engine.filter.likelihood``), with
    the process noise lowered as they are found, to zero where that is as likely;
-2. the innovations to second order around them (``spiral.engine.filter.bent``);
+2. the innovations to second order around them (``spiral.engine.filter.curved_posterior``);
 3. steps of one standard deviation along each axis where the posterior is a Gaussian, else draws
    from the second order, weighed with the likelihood of the run itself.
 """
@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.filter.bent import Expansion, build_expansion, draw_samples
+from spiral.engine.filter.curved_posterior import Expansion, build_expansion, draw_samples
 from spiral.engine.filter.extended import FilterSettings
-from spiral.engine.filter.likelihood import Climbed, climb_likelihood
+from spiral.engine.filter.likelihood import TunedTasks, climb_likelihood
 from spiral.engine.filter.prior import Prior, covariance_root
 from spiral.engine.filter.setup import choose_levels, with_level, zero_unneeded_levels
 from spiral.engine.filter.task import Task
@@ -82,7 +82,7 @@ def posterior(
     return Posterior(task, levels, covariance, draws, bend.log_density(w))
 
 
-def _mirror_starts(estimate: Climbed, prior: Prior) -> list[Task]:
+def _mirror_starts(estimate: TunedTasks, prior: Prior) -> list[Task]:
     """Other starts: the estimate, mirrored in the directions that the record determines least.
 
     Where two parameters can share what the record tells in two ways, such as the stiffness of two
@@ -100,7 +100,7 @@ def _mirror_starts(estimate: Climbed, prior: Prior) -> list[Task]:
 
 def _climb_posterior(
     task: Task, settings: FilterSettings, prior: Prior, known: Mapping[str, float] | None
-) -> Climbed:
+) -> TunedTasks:
     """The most probable values, then once more with the process noise that is needed there."""
     bounds = {
         k: (-np.inf if p.lower is None else p.lower, np.inf if p.upper is None else p.upper)

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.engine.filter.extended import FilterSettings, Pass, block_diagonal, tracked_indices
+from spiral.engine.filter.extended import (
+    FilterPass,
+    FilterSettings,
+    block_diagonal,
+    tracked_indices,
+)
 from spiral.engine.filter.task import Task
 from spiral.types.record import Array
 
@@ -20,7 +25,7 @@ def sigma_weights(size: int, alpha: float, beta: float, kappa: float) -> tuple[f
 
 def filter_sigma_points(
     task: Task, settings: FilterSettings, shape: tuple[float, float, float], keep: bool = False
-) -> Pass:
+) -> FilterPass:
     """Filter the record; ``shape`` is (alpha, beta, kappa); ``keep`` the covariances."""
     from spiral.engine.filter.unscented import unscented_filter
 
@@ -43,4 +48,4 @@ def filter_sigma_points(
         *arrays,
     )  # fmt: skip
     none = np.empty((0, size, size))
-    return Pass(*arrays, none, none, none, float(likelihood), int(done))
+    return FilterPass(*arrays, none, none, none, float(likelihood), int(done))

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.physics.trace import Traced
+from spiral.physics.trace import TracedModel
 from spiral.types.record import Array
 
 _RANK = 1e-10
@@ -34,7 +34,7 @@ class StaticMap:
     matrix: Array
 
 
-def static_map(traced: Traced, values: Array) -> StaticMap | None:
+def static_map(traced: TracedModel, values: Array) -> StaticMap | None:
     """The map at given parameter values.
 
     Returns nothing where there is none: a first-order system, no hidden coordinate, or a hidden
@@ -54,7 +54,7 @@ def static_map(traced: Traced, values: Array) -> StaticMap | None:
     return StaticMap(hidden, observed, -np.linalg.solve(own, other))
 
 
-def _stiffness(traced: Traced, names: tuple[str, ...], values: Array) -> Array:
+def _stiffness(traced: TracedModel, names: tuple[str, ...], values: Array) -> Array:
     """d balance / d q at rest, with all rates, accelerations and inputs at zero."""
     with np.errstate(all="ignore"):
         at_rest = _stiffness_function(traced, names)(*np.zeros(len(traced.x)), *values)
@@ -62,7 +62,7 @@ def _stiffness(traced: Traced, names: tuple[str, ...], values: Array) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _stiffness_function(traced: Traced, names: tuple[str, ...]) -> Callable[..., Any]:
+def _stiffness_function(traced: TracedModel, names: tuple[str, ...]) -> Callable[..., Any]:
     coordinates = [traced.x[traced.states.index(n)] for n in names]
     moving = [x for x in traced.x if x not in coordinates]
     still = dict.fromkeys((*traced.u, *traced.acceleration, *moving), sp.Integer(0))

@@ -20,7 +20,7 @@ from spiral.engine.kernel import trajectories
 from spiral.engine.series import Series, prepare_series
 from spiral.engine.start import fill_like_states, smoothed_motion
 from spiral.engine.study import CompiledStudy
-from spiral.physics.compile import Compiled, compile_model
+from spiral.physics.compile import CompiledModel, compile_model
 from spiral.physics.readings import reading_slopes
 from spiral.physics.trace import trace
 from spiral.types.model import Model
@@ -45,7 +45,7 @@ class Task:
     """
 
     model: Model
-    compiled: Compiled
+    compiled: CompiledModel
     series: Series
     values: Array
     inputs: Array
@@ -144,7 +144,7 @@ def with_record(task: Task, record: Record, start: Array | None = None) -> Task:
 
 def build_task(
     model: Model,
-    compiled: Compiled,
+    compiled: CompiledModel,
     values: Array,
     record: Record,
     start: Array | None = None,
@@ -221,7 +221,7 @@ def resting_first_state(task: Task) -> Array | None:
 
 
 def _find_rest_state(
-    compiled: Compiled, values: Array, start: Array, inputs: Array, moving: list[int]
+    compiled: CompiledModel, values: Array, start: Array, inputs: Array, moving: list[int]
 ) -> Array | None:
     """Where the rates of these states are zero, by Newton's steps from a state; or nothing."""
     n, u = len(start), np.ascontiguousarray(inputs)
@@ -239,7 +239,7 @@ def _find_rest_state(
     return None
 
 
-def _finite_state(compiled: Compiled, values: Array, x: Array, inputs: Array) -> Array:
+def _finite_state(compiled: CompiledModel, values: Array, x: Array, inputs: Array) -> Array:
     """A state where the model is finite: x, or with its zeros moved to where their rates vanish.
 
     A pressure under a logarithm, or a concentration that divides, has no zero.
@@ -254,7 +254,7 @@ def _finite_state(compiled: Compiled, values: Array, x: Array, inputs: Array) ->
     return still if still is not None and _is_finite_at(compiled, values, still, u) else ones
 
 
-def _is_finite_at(compiled: Compiled, values: Array, x: Array, u: Array) -> bool:
+def _is_finite_at(compiled: CompiledModel, values: Array, x: Array, u: Array) -> bool:
     rate, reading = np.empty(len(x)), np.empty(len(compiled.traced.channels))
     with np.errstate(all="ignore"):
         compiled.rate_value(x, u, values, rate)
@@ -262,7 +262,7 @@ def _is_finite_at(compiled: Compiled, values: Array, x: Array, u: Array) -> bool
     return bool(np.isfinite(rate).all() and np.isfinite(reading).all())
 
 
-def enough_substeps(compiled: Compiled, values: Array, series: Series) -> int:
+def enough_substeps(compiled: CompiledModel, values: Array, series: Series) -> int:
     """Steps per sample that keep |eigenvalue| dt below 0.7 at rest, at the largest inputs."""
     matrix = state_jacobian(compiled, values, np.abs(series.inputs).max(axis=0, initial=0.0))
     fastest = float(np.abs(np.linalg.eigvals(matrix)).max()) * series.dt
@@ -270,7 +270,7 @@ def enough_substeps(compiled: Compiled, values: Array, series: Series) -> int:
 
 
 def state_jacobian(
-    compiled: Compiled, values: Array, inputs: Array, at: Array | None = None
+    compiled: CompiledModel, values: Array, inputs: Array, at: Array | None = None
 ) -> Array:
     """f_x (n, n) at a state, by default rest; zero where it is not finite."""
     n = len(compiled.traced.states)
@@ -293,7 +293,7 @@ def reading_jacobian(task: Task) -> Array:
 
 
 def _settled_scales(
-    compiled: Compiled, series: Series, grid: Array, values: Array, mapping: StaticMap | None
+    compiled: CompiledModel, series: Series, grid: Array, values: Array, mapping: StaticMap | None
 ) -> tuple[Array, Array, Array]:
     """Mean and standard deviation of states, and that of their rates.
 
@@ -314,7 +314,9 @@ def _settled_scales(
     return np.where(mean == 0, _REST, mean), scales, rates
 
 
-def run_from_rest(compiled: Compiled, series: Series, grid: Array, values: Array) -> Array | None:
+def run_from_rest(
+    compiled: CompiledModel, series: Series, grid: Array, values: Array
+) -> Array | None:
     """States (samples, n) from rest under the record's inputs; nothing where it diverges."""
     n = len(compiled.traced.states)
     states, readings = np.empty((series.samples, n)), np.empty_like(series.y)
@@ -327,7 +329,7 @@ def run_from_rest(compiled: Compiled, series: Series, grid: Array, values: Array
     return states if ok and np.all(np.isfinite(states)) else None
 
 
-def _guess_states(compiled: Compiled, series: Series, mapping: StaticMap | None) -> Array:
+def _guess_states(compiled: CompiledModel, series: Series, mapping: StaticMap | None) -> Array:
     """Smoothed measurements and their rates; hidden coordinates by the static map."""
     study = CompiledStudy(compiled, (series,))
     states = smoothed_motion(study, series, min(41, series.samples // 2 * 2 - 1)).states
@@ -341,7 +343,7 @@ def _guess_states(compiled: Compiled, series: Series, mapping: StaticMap | None)
     return states
 
 
-def _first_state(compiled: Compiled, series: Series, mapping: StaticMap | None) -> Array:
+def _first_state(compiled: CompiledModel, series: Series, mapping: StaticMap | None) -> Array:
     names = compiled.traced.states
     start = np.zeros(len(names))
     for channel, j in compiled.traced.shown.items():

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.engine.filter.extended import FilterSettings, Pass, filter_record, tracked_indices
+from spiral.engine.filter.extended import FilterPass, FilterSettings, filter_record, tracked_indices
 from spiral.engine.filter.task import Task
 from spiral.physics.flow import compile_flow
 from spiral.types.record import Array
 
 
 @dataclass(frozen=True)
-class Whitened:
+class WhitenedRecord:
     """One record: e (samples, channels) and columns (samples, channels, parameters).
 
     Rows of a sample that was not measured are zero. ``found`` is the filter's run.
@@ -30,12 +30,12 @@ class Whitened:
 
     innovations: Array
     columns: Array
-    filter_pass: Pass
+    filter_pass: FilterPass
 
 
 def whiten_innovations(
     task: Task, settings: FilterSettings, keys: tuple[str, ...]
-) -> Whitened | None:
+) -> WhitenedRecord | None:
     """The record filtered and its innovations whitened; nothing where the filter runs away.
 
     Parameters
@@ -65,4 +65,4 @@ def whiten_innovations(
     whole = np.concatenate([run.innovations[seen][..., None], slopes[seen]], axis=2)
     rows = np.zeros((len(seen), *whole.shape[1:]))
     rows[seen] = np.linalg.solve(root, whole)
-    return Whitened(rows[..., 0], rows[..., 1:], run)
+    return WhitenedRecord(rows[..., 0], rows[..., 1:], run)

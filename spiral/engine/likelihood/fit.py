@@ -10,7 +10,7 @@ whose normal equations are the likelihood's slope and its expected information. 
 (Levenberg and Marquardt) until the likelihood rises. A pass of the filter has X with its gains
 held. What is missing there is by differences, one pass each; the slopes by sizes are those of a
 filter that is linear along the motion (``vary_noise``). Both change slowly and are kept from
-step to step (``Kept``), until a step promises more than it keeps.
+step to step (``SlopeCache``), until a step promises more than it keeps.
 
 A model that lacks something starts with much process noise, and with it the filter follows the
 record however wrong the model is; as parameters find their values the noise falls, and predictions
@@ -61,7 +61,7 @@ Beside = Mapping[str, tuple[tuple[Array, Array], ...]]
 
 
 @dataclass(frozen=True)
-class Kept:
+class SlopeCache:
     """Slopes by differences that are used again.
 
     ``beyond`` by parameter and record: slopes of the whitened misses less those with held gains;
@@ -104,7 +104,7 @@ class Maximum:
     converged: bool
     steps: int
     sizes: tuple[str, ...] = ()
-    kept: Kept = field(default_factory=Kept)
+    kept: SlopeCache = field(default_factory=SlopeCache)
     widened: tuple[float, ...] = ()
 
     @property
@@ -159,7 +159,7 @@ def maximise_likelihood(
     steps: int = 40,
     tune: bool = True,
     rough: bool = False,
-    kept: Kept | None = None,
+    kept: SlopeCache | None = None,
     differences: bool = True,
     least: float = -np.inf,
 ) -> Maximum:
@@ -184,7 +184,7 @@ def maximise_likelihood(
     search = _Search(keys, bounds or {}, masks, tune, enough, rough, still)
     parts = predict_cases([(prepared, noise)], keys, keep=tune)[0]
     height = log_likelihood(parts, masks)
-    kept = kept if kept is not None and kept.match_records(parts) else Kept()
+    kept = kept if kept is not None and kept.match_records(parts) else SlopeCache()
     at = Maximum(prepared, noise, keys, height, parts, None, False, 0, kept=kept)
     damping, fresh = _DAMPING, still
     for left in reversed(range(steps)):
@@ -217,7 +217,7 @@ def add_standard_errors(at: Maximum) -> Maximum:
 
 
 @dataclass(frozen=True)
-class _Step:
+class _DampedStep:
     """A damped step: where it leads, if it rises, and the damping to go on with.
 
     ``promised`` its gain by the regression, ``best`` that of the step without damping.
@@ -329,7 +329,7 @@ class _Search:
             blocks.append(regression_rows(part, columns[r], beside, mask))
         return blocks
 
-    def find_rising_step(self, at: Maximum, damping: float) -> _Step:
+    def find_rising_step(self, at: Maximum, damping: float) -> _DampedStep:
         """The first damped step that rises."""
         names = (*self.keys, *self.sizes(at))
         upper, count = triangle(itertools.chain(*self.rows(at)))
@@ -350,9 +350,9 @@ class _Search:
             if height > at.log_likelihood:
                 better = Maximum(*trial, self.keys, height, parts, None, False, 0, kept=at.kept)
                 easier = _EASE if height - at.log_likelihood < _WELL * promised else _EASE**2
-                return _Step(better, max(damping * easier, 1e-9), solved, promised, best)
+                return _DampedStep(better, max(damping * easier, 1e-9), solved, promised, best)
             damping = max(damping, 1e-6) * _STRAIN
-        return _Step(None, damping, solved, promised, best)
+        return _DampedStep(None, damping, solved, promised, best)
 
     def _apply_step(
         self, at: Maximum, names: tuple[str, ...], step: Array, kept: Array

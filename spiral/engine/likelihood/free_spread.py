@@ -17,7 +17,7 @@ import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.task import Task
-from spiral.engine.likelihood.noise import Matrices, NoiseModel, noise_matrices
+from spiral.engine.likelihood.noise import NoiseMatrices, NoiseModel, noise_matrices
 from spiral.types.noise import COLOURED
 from spiral.types.record import Array
 
@@ -68,7 +68,7 @@ def _disturbed_readings(task: Task, start: Array, kicks: Array) -> Array:
 
 
 def _draw_coloured_forces(
-    parts: Matrices, samples: int, count: int, rng: np.random.Generator
+    parts: NoiseMatrices, samples: int, count: int, rng: np.random.Generator
 ) -> Array:
     """(count, samples, k) forces with a memory, of so many motions."""
     k = len(parts.phi)

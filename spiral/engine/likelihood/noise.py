@@ -176,7 +176,7 @@ def drop_inapplicable_forces(task: Task, noise: NoiseModel) -> NoiseModel:
 
 
 @dataclass(frozen=True)
-class Matrices:
+class NoiseMatrices:
     """Noise of one record for ``kernel.predict_record``; ``p`` is before the first sample."""
 
     r: Array
@@ -187,7 +187,7 @@ class Matrices:
     driven: Array
 
 
-def noise_matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> Matrices:
+def noise_matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> NoiseMatrices:
     """The noise of one record as matrices."""
     n, channels = len(task.states), task.compiled.traced.channels
     white = [noise.values.get(f"white.{c}", 0.0) for c in channels]
@@ -212,7 +212,7 @@ def noise_matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> M
     whole, start = np.zeros((size, size)), np.zeros((size, size))
     whole[: len(q), : len(q)], whole[len(q) :, len(q) :] = q, added
     start[: len(q), : len(q)], start[len(q) :, len(q) :] = p, first
-    return Matrices(np.array(white) ** 2, whole, start, phi, seen, driven)
+    return NoiseMatrices(np.array(white) ** 2, whole, start, phi, seen, driven)
 
 
 def state_offsets(task: Task, noise: NoiseModel) -> dict[str, int]:

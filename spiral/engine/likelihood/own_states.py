@@ -19,9 +19,9 @@ from types import SimpleNamespace
 import numpy as np
 import sympy as sp
 
-from spiral.physics.compile import Compiled, compile_model
-from spiral.physics.signatures import Along, Own, effect_inputs, port_motion_along
-from spiral.physics.trace import Traced
+from spiral.physics.compile import CompiledModel, compile_model
+from spiral.physics.signatures import Own, SystemMotion, effect_inputs, port_motion_along
+from spiral.physics.trace import TracedModel
 from spiral.types.cache import kept
 from spiral.types.effect import Effect, expand
 from spiral.types.label import parameter_of
@@ -31,7 +31,7 @@ from spiral.types.record import Array
 
 
 def own_states_along(
-    along: Along, dt: float, effect: Effect, shapes: Mapping[str, Array], shift: float = 0.0
+    along: SystemMotion, dt: float, effect: Effect, shapes: Mapping[str, Array], shift: float = 0.0
 ) -> Array:
     """Own states (copies, samples, states), amplitudes at zero, along a motion.
 
@@ -90,7 +90,7 @@ def arrange_own_states(effect: Effect, axes: int, states: Array) -> Own:
 
 
 @kept(64)
-def compile_own_rates(kind: type[Effect], axes: int, inputs: tuple[str, ...]) -> Compiled:
+def compile_own_rates(kind: type[Effect], axes: int, inputs: tuple[str, ...]) -> CompiledModel:
     """The rates of an effect's own states, by (own states, positions, velocities)."""
     effect = kind()
     counts = [axes if s.per_axis else 1 for s in effect.states]
@@ -115,7 +115,7 @@ def compile_own_rates(kind: type[Effect], axes: int, inputs: tuple[str, ...]) ->
     for state in effect.states:
         rates += list(given[state.name]) if state.per_axis else [given[state.name]]
     return compile_model(
-        Traced(
+        TracedModel(
             states=tuple(map(str, x)), channels=(), inputs=inputs, keys=tuple(symbols),
             parameters=tuple(q for _, q in pairs), x=x, u=u, p=tuple(symbols.values()),
             rate=(*map(sp.sympify, rates), *(sp.Integer(0),) * (2 * axes)), output=x[:1],

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.fit import Fitted, fit, standard_deviations
+from spiral.engine.fit import WindowFit, fit, standard_deviations
 from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import reduce_windows
 from spiral.engine.study import Point
@@ -24,7 +24,7 @@ from spiral.inference.evidence.fit_state import (
     has_two_sided_bounds,
     stage_lengths,
 )
-from spiral.inference.evidence.scoring import Ranked, amplitude_keys, score_stage
+from spiral.inference.evidence.scoring import RankedCandidate, amplitude_keys, score_stage
 from spiral.inference.problem import Progress
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
@@ -37,7 +37,7 @@ TOLD = 0.5  # relative standard error up to which a record tells a parameter
 
 
 @dataclass(frozen=True)
-class Admitted:
+class AdmittedEffect:
     """A candidate admitted and refitted at one window length."""
 
     fit_state: FitState
@@ -53,8 +53,8 @@ class Admitted:
 
 
 def admit_candidate(
-    assembly: Assembly, fit_state: FitState, stage: Stage, ranked: Ranked
-) -> Admitted:
+    assembly: Assembly, fit_state: FitState, stage: Stage, ranked: RankedCandidate
+) -> AdmittedEffect:
     """Add a candidate, refit, and set its shapes free where that pays or the record tells them.
 
     A shape that the record determines, held at its grid's value, makes others' errors too small.
@@ -71,8 +71,8 @@ def admit_candidate(
 
 
 def _refit_from_zero(
-    assembly: Assembly, fit_state: FitState, stage: Stage, ranked: Ranked
-) -> Admitted:
+    assembly: Assembly, fit_state: FitState, stage: Stage, ranked: RankedCandidate
+) -> AdmittedEffect:
     """A candidate refitted from zero amplitude."""
     variant = ranked.variant
     values = refit_start_values(assembly, stage.fitted.point.values, variant, ranked.score.step)
@@ -94,11 +94,11 @@ def _refit_from_zero(
         ):
             fitted = trial
             wider = replace(freer, values=trial.point.values)
-    return Admitted(wider, Stage(stage.length, stage.layouts, fitted), variant)
+    return AdmittedEffect(wider, Stage(stage.length, stage.layouts, fitted), variant)
 
 
 def _is_determined(
-    assembly: Assembly, fit_state: FitState, fitted: Fitted, keys: tuple[str, ...]
+    assembly: Assembly, fit_state: FitState, fitted: WindowFit, keys: tuple[str, ...]
 ) -> bool:
     """Whether a fit that converged leaves these parameters a relative error of ``TOLD`` at most."""
     moving, _ = columns_with_bounds(assembly, fit_state.keys(assembly))
@@ -126,7 +126,7 @@ def far_start_variants(
 
 def _refits_from_far_starts(
     assembly: Assembly, fit_state: FitState, stage: Stage, label: str
-) -> list[Admitted]:
+) -> list[AdmittedEffect]:
     """Refits from a tenth of the bounds, from the shapes whose first step promises most."""
     study = assembly.study
     starts: list[tuple[float, FitState, Variant]] = []
@@ -151,7 +151,7 @@ def _refits_from_far_starts(
     for _, wider, variant in sorted(starts, key=lambda f: f[0])[:_STARTS]:
         fitted = refit(assembly, wider, stage)
         wider = replace(wider, values=fitted.point.values)
-        refits.append(Admitted(wider, Stage(stage.length, stage.layouts, fitted), variant))
+        refits.append(AdmittedEffect(wider, Stage(stage.length, stage.layouts, fitted), variant))
     return refits
 
 
@@ -196,7 +196,7 @@ def refit_start_values(assembly: Assembly, values: Array, variant: Variant, step
     return new
 
 
-def refit(assembly: Assembly, fit_state: FitState, stage: Stage) -> Fitted:
+def refit(assembly: Assembly, fit_state: FitState, stage: Stage) -> WindowFit:
     """Fit what a fit state moves on a stage's windows, from the window states of that stage."""
     moving, bounds = columns_with_bounds(assembly, fit_state.keys(assembly))
     point = Point(fit_state.values, stage.fitted.point.starts)

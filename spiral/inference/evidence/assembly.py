@@ -15,7 +15,6 @@ import numpy as np
 
 from spiral.engine.series import prepare_series
 from spiral.engine.study import ORIGIN, CompiledStudy, ParameterColumns, columns_for
-from spiral.inference.evidence.lines import strongest_line
 from spiral.inference.evidence.scales import (
     covering_samples,
     is_usable_scale,
@@ -23,8 +22,9 @@ from spiral.inference.evidence.scales import (
     shape_scale,
     states_along_records,
 )
+from spiral.inference.evidence.spectral_lines import strongest_line
 from spiral.inference.problem import Problem
-from spiral.physics.compile import Compiled, compile_model
+from spiral.physics.compile import CompiledModel, compile_model
 from spiral.physics.rest import check_rest, is_finite_along, undefined_effects_along
 from spiral.physics.trace import trace
 from spiral.types.effect import Effect
@@ -95,7 +95,7 @@ def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()
     """Trace and compile the model with all variants of all candidates, and prepare the records.
 
     Candidates with states of their own wait for their round; ``more`` are variants of such, with
-    their shapes (``spiral.inference.strategies.resolved``). Candidates that are no numbers along
+    their shapes (``spiral.inference.strategies.resonances``). Candidates that are no numbers along
     the records are left out, by name: compiled in with the others they would make no numbers of
     all.
     """
@@ -147,7 +147,7 @@ def compile_assembly(problem: Problem, variants: Sequence[Variant], substeps: in
     return Assembly(problem, CompiledStudy(compiled, series), tuple(variants))
 
 
-def compile_with_variants(problem: Problem, variants: Sequence[Variant]) -> Compiled:
+def compile_with_variants(problem: Problem, variants: Sequence[Variant]) -> CompiledModel:
     """The problem's model and these variants, compiled."""
     model = problem.model
     effects = [*model.effects]

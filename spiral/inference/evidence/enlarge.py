@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.inference.evidence.admission import Admitted
+from spiral.inference.evidence.admission import AdmittedEffect
 from spiral.inference.evidence.assembly import (
     Assembly,
     Variant,
@@ -143,7 +143,7 @@ def _reorder_states(
     return reordered
 
 
-def transfer_admission(admitted: Admitted, old: Assembly, new: Assembly) -> Admitted:
+def transfer_admission(admitted: AdmittedEffect, old: Assembly, new: Assembly) -> AdmittedEffect:
     """An admission in another study's order of parameters and states, its windows as they were."""
     fit_state = transfer_fit_state(admitted.fit_state, old, new)
     stage = admitted.stage
@@ -152,4 +152,4 @@ def transfer_admission(admitted: Admitted, old: Assembly, new: Assembly) -> Admi
     starts = tuple(x[:, kept] for x in stage.fitted.point.starts)
     point = replace(stage.fitted.point, values=fit_state.values, starts=starts)
     stage = replace(stage, fitted=replace(stage.fitted, point=point, reduction=None))
-    return Admitted(fit_state, stage, new.variant(admitted.variant.label))
+    return AdmittedEffect(fit_state, stage, new.variant(admitted.variant.label))

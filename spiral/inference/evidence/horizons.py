@@ -45,7 +45,7 @@ _DOUBT = np.pi / 8  # rad, of a phase origin that the settling part has told
 
 
 @dataclass(frozen=True)
-class Disturbed:
+class FilterNoise:
     """What a filter is told beside the model, all of it from the fitted records.
 
     ``intensity`` (n,) of the white process noise, state^2 / s; ``covariance`` (n, n) of the states
@@ -121,7 +121,7 @@ def _scored_misses(misses: Array, series: Series, first: int) -> Array:
 
 def process_noise(
     fitted: Assembly, model: Model, labels: tuple[str, ...], values: Array
-) -> Disturbed:
+) -> FilterNoise:
     """The most likely process noise of a model on the part of its records that moves most."""
     known = dict(model.pairs)
     tracked = tuple(k for k in nuisance_keys(fitted, labels) if k in known)
@@ -132,7 +132,7 @@ def process_noise(
     task = filter_task(fitted, model, values[r], record, series.substeps)
     task, settings = prepare_filter(task, tracked, tracked_deviations(tracked))
     levels = choose_levels(task, settings, None)
-    return Disturbed(noise_intensity(task, levels), settings.covariance, tracked)
+    return FilterNoise(noise_intensity(task, levels), settings.covariance, tracked)
 
 
 def filter_task(
@@ -146,7 +146,7 @@ def filter_task(
 
 
 def forecast_misses(
-    task: Task, disturbed: Disturbed, first: int, steps: int
+    task: Task, disturbed: FilterNoise, first: int, steps: int
 ) -> tuple[Array, Array]:
     """What predictions miss, from sample ``first`` on.
 

@@ -17,7 +17,7 @@ _SHARE = 0.1  # of the largest part in a combination, from which a parameter tak
 
 
 @dataclass(frozen=True)
-class Inseparable:
+class InseparableDirections:
     """What of a group of columns lies in the span of the active ones.
 
     ``with_`` are the active columns (indices) that take it over; ``held`` those of the group's own
@@ -30,7 +30,7 @@ class Inseparable:
     whole: bool = False
 
 
-def inseparable_part(triangle: Array, active: int, group: tuple[int, ...]) -> Inseparable:
+def inseparable_part(triangle: Array, active: int, group: tuple[int, ...]) -> InseparableDirections:
     """The part of a candidate's columns that the model's active columns can imitate.
 
     Parameters
@@ -41,12 +41,12 @@ def inseparable_part(triangle: Array, active: int, group: tuple[int, ...]) -> In
     at = active + np.array(group, dtype=np.int64)
     norms = np.linalg.norm(triangle, axis=0)
     if not len(at) or np.all(norms[at] == 0):
-        return Inseparable()
+        return InseparableDirections()
     unit = triangle / np.where(norms == 0, 1.0, norms)
     left = unit[active:, at]
     free = _independent_columns(left)
     if len(free) == len(at):
-        return Inseparable()
+        return InseparableDirections()
     held = tuple(i for i in range(len(at)) if i not in free)
     _, sizes, right = np.linalg.svd(left, full_matrices=True)
     null = right[int(np.sum(sizes > _ALIKE)) :]
@@ -57,7 +57,7 @@ def inseparable_part(triangle: Array, active: int, group: tuple[int, ...]) -> In
         size = np.abs(parts)
         if len(size) and size.max() > _ALIKE:
             taking.update(int(i) for i in np.flatnonzero(size > _SHARE * size.max()))
-    return Inseparable(tuple(sorted(taking)), held, not free)
+    return InseparableDirections(tuple(sorted(taking)), held, not free)
 
 
 def _independent_columns(columns: Array) -> list[int]:

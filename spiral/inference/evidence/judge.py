@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.fit import Fitted, fit
+from spiral.engine.fit import WindowFit, fit
 from spiral.engine.growth import (
     Stage,
     first_starts,
@@ -74,7 +74,7 @@ class FreeRun:
 
 def fit_held_out(
     assembly: Assembly, labels: tuple[str, ...], stage: Stage, masks: tuple[Array | None, ...]
-) -> tuple[Fitted, tuple[Array, ...]]:
+) -> tuple[WindowFit, tuple[Array, ...]]:
     """Residuals on other samples of the fitted records, at the stage's window length."""
     study = assembly.study
     layouts = layouts_for(study, stage.length, masks)

@@ -34,7 +34,7 @@ from spiral.engine.start import smoothed_motion
 from spiral.engine.study import CompiledStudy
 from spiral.inference.evidence.spectrum import frequency_band, frequency_shapes
 from spiral.physics.compile import compile_model
-from spiral.physics.trace import Traced, trace
+from spiral.physics.trace import TracedModel, trace
 from spiral.types.effect import Effect
 from spiral.types.label import parameter_of
 from spiral.types.model import Model
@@ -170,7 +170,7 @@ def states_along_records(model: Model, records: tuple[Record, ...]) -> tuple[Arr
     return tuple(seen)
 
 
-def _states_from_channels(traced: Traced) -> set[str]:
+def _states_from_channels(traced: TracedModel) -> set[str]:
     """States that ``motion`` takes from channels: measured, rates of such, and those like one."""
     known = {*traced.shown, *traced.accelerated}
     return known | {traced.rate_name(c) for c in known} | {name for name, _ in traced.like}
@@ -194,7 +194,7 @@ def _infer_states(model: Model, series: Series) -> Array:
 
 
 def port_motion_expressions(
-    system: System, port: Port, traced: Traced
+    system: System, port: Port, traced: TracedModel
 ) -> list[tuple[str, list[Any]]]:
     """A port's position, and in a mechanical system its velocity, as expressions of the states."""
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))

@@ -17,8 +17,8 @@ from spiral.inference.evidence.assembly import (
     Variant,
     columns_with_bounds,
 )
+from spiral.inference.evidence.effective_tests import effective_tests
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.gridnull import effective_tests
 from spiral.inference.evidence.inseparable import inseparable_part
 from spiral.types.label import owner_of
 
@@ -26,7 +26,7 @@ _NEAR = 0.8  # share of the best variant's gain from which another scores nearly
 
 
 @dataclass(frozen=True)
-class Ranked:
+class RankedCandidate:
     """A candidate's best variant with its evidence; the smallest ``rank`` (BIC) is best.
 
     ``tests`` is the number of independent tests that its shapes amount to (``gridnull``);
@@ -43,7 +43,7 @@ class Ranked:
     tied: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     whole: bool = False
-    others: tuple[Ranked, ...] = ()
+    others: tuple[RankedCandidate, ...] = ()
 
     @property
     def log_p(self) -> tuple[float, float]:
@@ -56,7 +56,7 @@ class Ranked:
 class Ranking:
     """Candidates, best first, with the table that they were scored in; ``block`` in samples."""
 
-    ranked: tuple[Ranked, ...]
+    ranked: tuple[RankedCandidate, ...]
     table: ScoreTable
     block: int
 
@@ -69,7 +69,7 @@ class Evidence(Ranking):
 
 
 @dataclass(frozen=True)
-class Group:
+class CandidateColumns:
     """A candidate's columns in a pass, one for each key (each record's own where it has one).
 
     ``sides`` say which of them can only be positive.
@@ -100,12 +100,12 @@ def inactive_variants(assembly: Assembly, fit_state: FitState) -> list[Variant]:
     return [v for v in assembly.variants if v.original.label not in present]
 
 
-def column_group(assembly: Assembly, variant: Variant) -> Group:
+def column_group(assembly: Assembly, variant: Variant) -> CandidateColumns:
     """The columns of a compiled variant's amplitudes."""
     parameters = assembly.study.compiled.traced.parameters
     index = columns_with_bounds(assembly, amplitude_keys(assembly, variant))[0].index
     sides = tuple(parameters[i].lower == 0.0 and variant.companion is None for i in index)
-    return Group(variant, tuple(assembly.study.keys[i] for i in index), sides)
+    return CandidateColumns(variant, tuple(assembly.study.keys[i] for i in index), sides)
 
 
 def column_owners(assembly: Assembly, active: ParameterColumns) -> list[str]:
@@ -113,12 +113,12 @@ def column_owners(assembly: Assembly, active: ParameterColumns) -> list[str]:
     return [_column_owner(assembly, int(i)) for i in active.index]
 
 
-Parts = Callable[[Group], Sequence[tuple[int, ...]]]
+Parts = Callable[[CandidateColumns], Sequence[tuple[int, ...]]]
 """Subsets of a candidate's columns (positions), each of which may be taken by itself."""
 
 
 def rank_groups(
-    reduction: Reduction, owners: Sequence[str], groups: Sequence[Group], block: int,
+    reduction: Reduction, owners: Sequence[str], groups: Sequence[CandidateColumns], block: int,
     parts: Parts | None = None,
 ) -> Ranking:  # fmt: skip
     """Candidates, best first, by their evidence in a pass over [active | candidates | residual].
@@ -129,14 +129,14 @@ def rank_groups(
     active = len(owners)
     table = build_score_table(reduction, active)
     keys = [k for g in groups for k in g.keys]
-    ranks: dict[str, list[Ranked]] = {}
+    ranks: dict[str, list[RankedCandidate]] = {}
     for group, candidate_score in score_groups(table, groups, parts):
         variant = group.variant
         tied = inseparable_part(reduction.triangle, active, candidate_score.columns)
         names = dict.fromkeys(owners[i] for i in tied.with_)
         inside = tuple(keys[i] for i in candidate_score.columns)
         held = [inside[i] for i in tied.held] + [k for k in group.keys if k not in inside]
-        ranked = Ranked(
+        ranked = RankedCandidate(
             variant,
             candidate_score.columns,
             candidate_score,
@@ -152,8 +152,8 @@ def rank_groups(
 
 
 def score_groups(
-    table: ScoreTable, groups: Sequence[Group], parts: Parts | None = None
-) -> Iterator[tuple[Group, Score]]:
+    table: ScoreTable, groups: Sequence[CandidateColumns], parts: Parts | None = None
+) -> Iterator[tuple[CandidateColumns, Score]]:
     """Each candidate's columns with their score, or each of its parts that the records show."""
     first = 0
     for group in groups:
@@ -175,7 +175,7 @@ def _column_owner(assembly: Assembly, index: int) -> str:
     return known.get(owner, owner)
 
 
-def _best_variant(table: ScoreTable, variants: list[Ranked]) -> Ranked:
+def _best_variant(table: ScoreTable, variants: list[RankedCandidate]) -> RankedCandidate:
     """The best value of a candidate's shapes, and how many tests choosing it amounts to."""
     best = min(range(len(variants)), key=lambda i: variants[i].rank)
     groups = [r.columns for r in variants]

@@ -25,11 +25,11 @@ from spiral.inference.identifiability.richness import (
 from spiral.inference.identifiability.signatures import Signatures, equation_rows, signatures
 from spiral.inference.problem import Problem, Progress, Settings, silent
 from spiral.types.derivative import Derivative, Derivatives, differentiate
+from spiral.types.display import Readable, Summary
 from spiral.types.errors import ConfigError
 from spiral.types.formatting import number
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
-from spiral.types.showing import Readable, Summary
 
 _STANDS_OUT = 3.0  # noise standard deviations by which an unseen direction would have to show
 _STEADY = 0.02  # relative variation of speed under which it counts as constant

@@ -35,7 +35,7 @@ _RANK = 1e-7  # relative size under which a signature is called zero
 
 
 @dataclass(frozen=True)
-class Pair:
+class Distinguishability:
     """Whether a test tells one effect, when it is the true one, from another.
 
     ``noncentrality`` lambda; ``alone`` the same without the other; ``angle`` in degrees.
@@ -62,7 +62,7 @@ class Pair:
         }
 
 
-def separation_probability(pairs: Sequence[Pair], level: float) -> float | None:
+def separation_probability(pairs: Sequence[Distinguishability], level: float) -> float | None:
     """Probability that all pairs come apart at a level: product of Phi(sqrt(lambda / 8) - z)."""
     from scipy.stats import norm
 
@@ -73,7 +73,7 @@ def separation_probability(pairs: Sequence[Pair], level: float) -> float | None:
 
 
 @dataclass(frozen=True)
-class View:
+class RecordInformation:
     """The signatures of one record in units of its noise, initial states projected out.
 
     ``triangle`` is R of their QR decomposition; ``moving`` names its columns, ``fitted`` of which
@@ -86,7 +86,7 @@ class View:
     triangle: Array
 
     @classmethod
-    def of(cls, assembly: Assembly, layouts: Layouts, point: Point) -> View:
+    def of(cls, assembly: Assembly, layouts: Layouts, point: Point) -> RecordInformation:
         """At a point of a study, the effects of its model being fitted.
 
         Raises
@@ -111,7 +111,7 @@ class View:
             _squared_distance_to_span(self._response(own), self.triangle[:, rest]) if own else 0.0
         )
 
-    def pairs(self, label: str, others: tuple[Effect, ...]) -> list[Pair]:
+    def pairs(self, label: str, others: tuple[Effect, ...]) -> list[Distinguishability]:
         """An effect of the model against others; of a shape the value that is nearest counts."""
         own = self._amplitude_columns(label)
         if not own:
@@ -127,7 +127,7 @@ class View:
                 )
                 for x in (labels or [other.label])
             )
-            pairs.append(Pair(label, other.label, left, alone))
+            pairs.append(Distinguishability(label, other.label, left, alone))
         return pairs
 
     def _response(self, own: list[int]) -> Array:

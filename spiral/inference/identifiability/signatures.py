@@ -15,7 +15,7 @@ import numpy as np
 
 from spiral.engine.series import half_step_inputs
 from spiral.engine.study import column_owner
-from spiral.physics.trace import Traced, trace
+from spiral.physics.trace import TracedModel, trace
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.model import Model
@@ -128,7 +128,9 @@ def _missing_states(system: System, effect: Effect, states: Mapping[str, Array])
     return ", ".join(sorted(needed - set(states)))
 
 
-def _middle_shapes(traced: Traced, system: System, states: Mapping[str, Array]) -> dict[str, float]:
+def _middle_shapes(
+    traced: TracedModel, system: System, states: Mapping[str, Array]
+) -> dict[str, float]:
     """Shapes with a grid, at its middle: shares of the largest displacement or velocity."""
     shapes = {}
     rates = [r for r in equation_rows(system) if r not in system.observed]
@@ -160,7 +162,7 @@ def _input_samples(system: System, record: Record) -> Array:
 
 
 def _nonzero_columns(
-    traced: Traced,
+    traced: TracedModel,
     rows: tuple[str, ...],
     given: Mapping[str, float],
     states: Mapping[str, Array],
@@ -197,7 +199,7 @@ def _value_or_one(key: str, parameter, given: Mapping[str, float]) -> float:
     return 1.0 if value is None else float(value)
 
 
-def _jacobian(traced: Traced, rows: tuple[str, ...], moving: list[int]):
+def _jacobian(traced: TracedModel, rows: tuple[str, ...], moving: list[int]):
     """(x, u, p) -> list of columns for each row, made by SymPy for arrays."""
     import sympy as sp
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from spiral.engine.likelihood.fit import Kept
+from spiral.engine.likelihood.fit import SlopeCache
 from spiral.engine.likelihood.noise import EXTRA, NoiseModel, first_noise
 from spiral.engine.likelihood.predict import Masks
 from spiral.engine.score import Score
@@ -23,7 +23,7 @@ from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.enlarge import transfer_fit_state as carried_to
 from spiral.inference.evidence.enlarge import with_variants
 from spiral.inference.evidence.fit_state import FitState, has_two_sided_bounds
-from spiral.inference.evidence.scoring import Ranked, active_labels, amplitude_keys
+from spiral.inference.evidence.scoring import RankedCandidate, active_labels, amplitude_keys
 from spiral.inference.likelihood.beginnings import narrow_initial_states
 from spiral.inference.likelihood.fitting import (
     LEVEL,
@@ -58,7 +58,7 @@ class Rival:
     """
 
     assembly: Assembly
-    ranked: Ranked
+    ranked: RankedCandidate
     fit: LikelihoodFit
     gain: float
     worth: float
@@ -161,8 +161,8 @@ def _keep_threshold(share: float, worth: float) -> float:
 
 
 def start_race(
-    assembly: Assembly, base: LikelihoodFit, scored: list[Ranked], masks: Masks, progress: Progress,
-    most: int,
+    assembly: Assembly, base: LikelihoodFit, scored: list[RankedCandidate], masks: Masks,
+    progress: Progress, most: int,
 ) -> Race:  # fmt: skip
     """A race of the promising candidates, each already fitted briefly.
 
@@ -185,7 +185,7 @@ def _sort_by_worth(runners: Sequence[Rival]) -> list[Rival]:
     return sorted(finite, key=lambda r: -r.worth)
 
 
-def select_promising(scored: list[Ranked], most: int) -> list[Ranked]:
+def select_promising(scored: list[RankedCandidate], most: int) -> list[RankedCandidate]:
     """Candidates to refit: the best, what scores like the best, special cases and twins.
 
     What needs more numbers for the same score (an offset of each of several sensors, beside a load)
@@ -206,7 +206,7 @@ def select_promising(scored: list[Ranked], most: int) -> list[Ranked]:
     return chosen + [known[x] for x in also if known[x] not in chosen]
 
 
-def refit_candidate(assembly: Assembly, base: LikelihoodFit, ranked: Ranked) -> Rival:
+def refit_candidate(assembly: Assembly, base: LikelihoodFit, ranked: RankedCandidate) -> Rival:
     """A candidate refitted alone to all samples, with its shapes free where data identify them."""
     runner = fit_candidate_briefly(assembly, base, ranked, None)
     if not runner.fit.estimate.finite:
@@ -215,8 +215,8 @@ def refit_candidate(assembly: Assembly, base: LikelihoodFit, ranked: Ranked) -> 
 
 
 def second_basin_candidates(
-    assembly: Assembly, state: FitState, scored: list[Ranked]
-) -> list[Ranked]:
+    assembly: Assembly, state: FitState, scored: list[RankedCandidate]
+) -> list[RankedCandidate]:
     """Candidates bounded on both sides, whose likelihood may have a basin far from zero amplitude.
 
     What a rim lets over, or a limit cuts off, is unseen from there. Of each effect a few shapes
@@ -236,15 +236,15 @@ def second_basin_candidates(
     return [known.get(v.label) or unscored_candidate(v) for v in chosen]
 
 
-def unscored_candidate(variant: Variant) -> Ranked:
+def unscored_candidate(variant: Variant) -> RankedCandidate:
     """A variant as a candidate with a score of zero."""
     none = Score((0,), np.zeros(1), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return Ranked(variant, (0,), none, 0.0, variant.searched)
+    return RankedCandidate(variant, (0,), none, 0.0, variant.searched)
 
 
 def fit_candidate_briefly(
-    assembly: Assembly, base: LikelihoodFit, ranked: Ranked, masks: Masks, far: bool = False,
-    start: LikelihoodFit | None = None,
+    assembly: Assembly, base: LikelihoodFit, ranked: RankedCandidate, masks: Masks,
+    far: bool = False, start: LikelihoodFit | None = None,
 ) -> Rival:  # fmt: skip
     """A candidate added to the model and fitted for a few scoring steps.
 
@@ -261,7 +261,7 @@ def fit_candidate_briefly(
     at = begun.estimate
 
     def fit_rival(
-        state: FitState, noise: NoiseModel, steps: int, kept: Kept | None = None
+        state: FitState, noise: NoiseModel, steps: int, kept: SlopeCache | None = None
     ) -> Rival:
         fit = fit_by_likelihood(
             own, state, noise, masks, steps, True, kept, differences=False, like=at.prepared
@@ -299,7 +299,7 @@ def _with_effect_at_full_size(assembly: Assembly, state: FitState, variant: Vari
 
 
 def add_candidate(
-    assembly: Assembly, state: FitState, ranked: Ranked, far: bool = False
+    assembly: Assembly, state: FitState, ranked: RankedCandidate, far: bool = False
 ) -> FitState:
     """A state with a candidate added, its amplitudes one step from zero, or ``far`` from there."""
     variant = ranked.variant
@@ -404,7 +404,11 @@ def _try_other_shapes(assembly: Assembly, base: LikelihoodFit, rival: Rival, mas
 
 
 def make_rival(
-    assembly: Assembly, base: LikelihoodFit, ranked: Ranked, fit: LikelihoodFit, shapes: int = 0
+    assembly: Assembly,
+    base: LikelihoodFit,
+    ranked: RankedCandidate,
+    fit: LikelihoodFit,
+    shapes: int = 0,
 ) -> Rival:
     """A fit with a candidate, compared with the model as it is; ``shapes`` of it were searched."""
     gain = fit.height - base.height

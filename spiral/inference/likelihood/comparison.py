@@ -16,12 +16,12 @@ import numpy as np
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import Task, state_jacobian
 from spiral.engine.likelihood.fit import Maximum
-from spiral.engine.likelihood.free_doubt import free_doubt
 from spiral.engine.likelihood.free_spread import free_spread
+from spiral.engine.likelihood.free_uncertainty import free_doubt
 from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
 from spiral.engine.likelihood.noise import NoiseModel, state_offsets
 from spiral.engine.likelihood.predict import predict_readings
-from spiral.inference.acting import input_sentences
+from spiral.inference.disturbances import input_sentences
 from spiral.inference.evidence.assembly import Assembly, to_model
 from spiral.inference.evidence.comparison import settling_seconds, with_test_records
 from spiral.inference.evidence.fit_state import FitState
@@ -106,7 +106,7 @@ def compare_by_likelihood(
 
 
 def _noise_and_residual_fields(
-    assembly: Assembly, fit: LikelihoodFit, model: Model, carried: _Carried
+    assembly: Assembly, fit: LikelihoodFit, model: Model, carried: _FreeRunTolerance
 ) -> dict[str, Any]:
     """Fields of the comparison: noise sizes, residual statistics, departures from the model."""
     sizes, times = reportable_noise(fit.estimate, carried.forces)
@@ -146,7 +146,7 @@ def _note_fields(problem: Problem, state: FitState, free: bool) -> dict[str, Any
 
 
 @dataclass(frozen=True)
-class _Carried:
+class _FreeRunTolerance:
     """Error that a free run may have, over the deviations of its readings, mean over channels.
 
     ``forces`` that act at random; ``doubts`` of values, starts, and forces too small to be seen.
@@ -159,13 +159,13 @@ class _Carried:
 def _free_run_uncertainty(
     other: Assembly, model: Model, run: FreeRun, starts: tuple[Array, ...], estimate: Maximum,
     noise: NoiseModel,
-) -> _Carried:  # fmt: skip
+) -> _FreeRunTolerance:  # fmt: skip
     """The uncertainty of the free runs ``run``, one for each record of a study, from ``starts``.
 
     Random forces are those of ``noise``; the uncertainty of values is that of ``estimate``.
     """
     if not estimate.finite:
-        return _Carried()
+        return _FreeRunTolerance()
     fitted, forces, doubts = estimate.prepared[0][0], [], []
     larger = larger_forces(estimate)
     for r, series in enumerate(other.study.series):
@@ -183,7 +183,7 @@ def _free_run_uncertainty(
             float(np.mean(np.sqrt(np.mean(np.concatenate(parts), axis=0)) / run.deviations()))
             for parts in (forces, doubts)
         )
-    return _Carried(*shares)
+    return _FreeRunTolerance(*shares)
 
 
 def _residual_statistics(assembly: Assembly, fit: LikelihoodFit) -> tuple[dict[str, float], bool]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import build_task, state_jacobian, with_start_spread
-from spiral.engine.likelihood.fit import Kept, Maximum, maximise_likelihood
+from spiral.engine.likelihood.fit import Maximum, SlopeCache, maximise_likelihood
 from spiral.engine.likelihood.noise import (
     NoiseModel,
     drop_inapplicable_forces,
@@ -166,7 +166,7 @@ def fit_by_likelihood(
     masks: Masks = None,
     steps: int = 40,
     rough: bool = False,
-    kept: Kept | None = None,
+    kept: SlopeCache | None = None,
     differences: bool = True,
     like: Prepared | None = None,
     least: float = -np.inf,

@@ -23,7 +23,7 @@ _FLATTEST = 1e-24  # information that a combination is taken to have at least
 
 
 @dataclass(frozen=True)
-class Ties:
+class InseparableGroups:
     """``groups`` of effects, or of parameters of one effect, that records do not identify apart.
 
     ``parts`` are parameters, those with the largest part in the flat combinations first. Holding
@@ -38,7 +38,7 @@ class Ties:
         return bool(self.groups)
 
 
-def find_parameter_ties(fit: LikelihoodFit) -> Ties:
+def find_parameter_ties(fit: LikelihoodFit) -> InseparableGroups:
     """Parameters that the records do not identify apart; empty ties where they do.
 
     A combination may be flat beside the noise as it is, or only where the sizes of the noise move
@@ -46,7 +46,7 @@ def find_parameter_ties(fit: LikelihoodFit) -> Ties:
     """
     estimate = fit.estimate
     if not estimate.finite or not estimate.keys:
-        return Ties()
+        return InseparableGroups()
     sizes = np.array([abs(estimate.values[k]) for k in estimate.keys])
     rows = [p.columns.reshape(-1, len(sizes)) for p in estimate.parts]
     gram = np.sum([r.T @ r for r in rows], axis=0)
@@ -63,10 +63,10 @@ def find_parameter_ties(fit: LikelihoodFit) -> Ties:
             groups.append(owners if len(owners) > 1 else set(np.array(keys)[part].tolist()))
             flat.append(np.where(part, vector, 0.0) / np.linalg.norm(vector[part]))
     if not flat:
-        return Ties()
+        return InseparableGroups()
     parts = np.sum(np.square(flat), axis=0)
     order = [i for i in np.argsort(-parts, kind="stable") if parts[i] > 0.0]
-    return Ties(merge_overlapping_groups(groups), tuple(keys[i] for i in order))
+    return InseparableGroups(merge_overlapping_groups(groups), tuple(keys[i] for i in order))
 
 
 def _flat_directions(gram: Array, covariance: Array, sizes: Array, told: Array) -> list[Array]:

@@ -20,9 +20,9 @@ from spiral.engine.filter.task import Task
 from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.predict import Prediction
 from spiral.inference.likelihood.fitting import LikelihoodFit
+from spiral.types.invalid import bridged
 from spiral.types.placement import TIME
 from spiral.types.record import Array
-from spiral.types.spoilt import bridged
 
 _PAST = 20  # samples of the misses' own past
 _LAGS = (0, 1, 2, 4, 8)

@@ -22,7 +22,7 @@ _STEPS = 12  # scoring steps, at most
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedWinner:
     """The winner on the blocks that did not select, in log-likelihood.
 
     ``predicted`` its gain where both models have their values from the blocks that did, the noise
@@ -48,7 +48,7 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Unselected:
+class JudgingFits:
     """A model on the judging blocks: with values from the selecting ones, and refitted.
 
     The noise is as these blocks have it.
@@ -58,14 +58,16 @@ class Unselected:
     refitted: Maximum
 
 
-def fit_on_judging_blocks(fit: LikelihoodFit, assembly: Assembly, masks: Masks) -> Unselected:
+def fit_on_judging_blocks(fit: LikelihoodFit, assembly: Assembly, masks: Masks) -> JudgingFits:
     """A fit evaluated and refitted on other blocks; ``assembly`` is its own study."""
     carried = maximise_on_blocks(fit.estimate, masks, {})
     bounds = parameter_bounds(assembly, fit.estimate.keys, fit.state.substeps)
-    return Unselected(carried, maximise_on_blocks(carried, masks, bounds))
+    return JudgingFits(carried, maximise_on_blocks(carried, masks, bounds))
 
 
-def judge_winner(base: LikelihoodFit, ours: Unselected, rival: Rival, masks: Masks) -> Judged:
+def judge_winner(
+    base: LikelihoodFit, ours: JudgingFits, rival: Rival, masks: Masks
+) -> JudgedWinner:
     """The winner compared with the model as it is on the blocks that did not select it.
 
     Parameters
@@ -80,7 +82,7 @@ def judge_winner(base: LikelihoodFit, ours: Unselected, rival: Rival, masks: Mas
         b.log_likelihood - a.log_likelihood
         for a, b in ((ours.carried, theirs.carried), (ours.refitted, theirs.refitted))
     )
-    return Judged(predicted, refitted_, terms, searched)
+    return JudgedWinner(predicted, refitted_, terms, searched)
 
 
 def maximise_on_blocks(

@@ -23,7 +23,6 @@ from spiral.engine.filter.task import Task, build_task
 from spiral.engine.likelihood.fit import Maximum, maximise_likelihood
 from spiral.engine.likelihood.noise import STEEPEST, NoiseModel, NoiseTerm, size_limits
 from spiral.engine.likelihood.predict import Prepared
-from spiral.engine.statistics import DECISIVE_ODDS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import liveliest_stretch, tracked_deviations
 from spiral.inference.likelihood.fitting import (
@@ -33,9 +32,9 @@ from spiral.inference.likelihood.fitting import (
     is_white,
     schwarz_penalty,
 )
-from spiral.inference.problem import Progress
+from spiral.inference.problem import DECISIVE_ODDS, Progress
+from spiral.types.invalid import bridged
 from spiral.types.noise import COLOURED, Kind
-from spiral.types.spoilt import bridged
 
 _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those that keep up
 _KEEP = 0.7  # share of the best gain at first look that keeps up
@@ -59,7 +58,7 @@ class Rung:
     values: dict[str, float]
 
 
-class _Look(NamedTuple):
+class _TermTrial(NamedTuple):
     """A term fitted briefly: its gain less its penalty, the noise model with it, its kind."""
 
     gain: float
@@ -179,7 +178,7 @@ def _best_additional_term(at: Maximum) -> Maximum | None:
         noise = now.noise.with_terms(rung.terms, rung.values)
         look = maximise_likelihood(part, (), noise, steps=_LOOK)
         gain = look.log_likelihood - _noise_penalty(noise, at.noise, part) - now.log_likelihood
-        looks.append(_Look(gain, look.noise, rung.terms[0].kind))
+        looks.append(_TermTrial(gain, look.noise, rung.terms[0].kind))
     best = max(looks, key=lambda x: x.gain, default=None)
     if best is None:
         return None

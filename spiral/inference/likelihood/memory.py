@@ -53,7 +53,7 @@ from spiral.physics.history import (
     PresentForce,
     RememberedForce,
 )
-from spiral.physics.signatures import Along, effect_inputs, port_motion_along
+from spiral.physics.signatures import SystemMotion, effect_inputs, port_motion_along
 from spiral.types.effect import Effect, values_for
 from spiral.types.label import parameter_of
 from spiral.types.placement import at_every_place
@@ -76,7 +76,7 @@ class _Trial:
     fit: LikelihoodFit
 
 
-class Remembered(NamedTuple):
+class MemoryResult(NamedTuple):
     """The memory of a missing force as reported, and the ``force`` that modelled it in the fits."""
 
     memory: Memory
@@ -89,7 +89,7 @@ def detect_memory(
     masks: tuple[Masks, Masks],
     progress: Progress,
     rival: LikelihoodFit | None = None,
-) -> Remembered | None:
+) -> MemoryResult | None:
     """The memory of the missing force; nothing where none is significant, or without forces.
 
     Parameters
@@ -124,7 +124,7 @@ def detect_memory(
     if size < assembly.problem.settings.smallest:
         return None
     memory = _describe_memory(wide, past, p_value, told)
-    return Remembered(memory, past) if memory.share >= _LEAST else None
+    return MemoryResult(memory, past) if memory.share >= _LEAST else None
 
 
 def effects_replaced_by_memory(
@@ -255,7 +255,7 @@ def _describe_memory(trial: _Trial, past: Variant, p_value: float, told: float) 
 
 
 @dataclass(frozen=True)
-class _Forces:
+class _MissingForces:
     """What is missing beside a spring and a damper along one record, (samples, axes) each.
 
     ``remembered`` is what of it no function of the present explains; ``period`` of the motion in
@@ -268,7 +268,7 @@ class _Forces:
     period: float
 
 
-def _forces_along(trial: _Trial, past: Variant, record: int) -> _Forces:
+def _forces_along(trial: _Trial, past: Variant, record: int) -> _MissingForces:
     task, settings = trial.fit.estimate.prepared[record]
     part = predict_readings(task, settings, trial.fit.estimate.noise, keep=True)
     along = predicted_motion(trial.assembly, task, part)
@@ -283,10 +283,10 @@ def _forces_along(trial: _Trial, past: Variant, record: int) -> _Forces:
         missing[:, i] = _regress_out(own, missing[:, i])
         remembered[:, i] = _regress_out([*own, *terms], remembered[:, i])
     time = float(np.sqrt(np.var(position) / np.var(velocity)))
-    return _Forces(position, missing, remembered, 2 * np.pi * time / task.series.dt)
+    return _MissingForces(position, missing, remembered, 2 * np.pi * time / task.series.dt)
 
 
-def _memory_force_along(task: Task, along: Along, past: Variant) -> Array:
+def _memory_force_along(task: Task, along: SystemMotion, past: Variant) -> Array:
     """(samples, axes) the force with memory along a motion."""
     effect, values = past.effect, _values_by_key(task)
     axes = along.system.place(effect).axes

@@ -27,7 +27,7 @@ from spiral.engine.sensitivities import Reduction
 from spiral.inference.evidence.assembly import Assembly, Variant, columns_with_bounds
 from spiral.inference.evidence.enlarge import make_variant
 from spiral.inference.evidence.scoring import (
-    Group,
+    CandidateColumns,
     Parts,
     Ranking,
     active_labels,
@@ -43,7 +43,7 @@ from spiral.inference.evidence.spectrum import (
     trial_frequencies,
 )
 from spiral.inference.likelihood.fitting import LikelihoodFit, free_parameters
-from spiral.physics.signatures import Along, Own, amplitude_names, signatures
+from spiral.physics.signatures import Own, SystemMotion, amplitude_names, signatures
 from spiral.types.effect import Effect
 from spiral.types.label import parameter_of
 from spiral.types.placement import input_columns
@@ -64,7 +64,7 @@ class Passage:
     active: tuple[str, ...]
     tasks: tuple[Task, ...]
     parts: tuple[Prediction, ...]
-    motions: tuple[Along, ...]
+    motions: tuple[SystemMotion, ...]
     masks: Masks
     block: int
 
@@ -120,7 +120,7 @@ def _run_filter_passage(
 
 def _regress_variants(
     passage: Passage, offered: Sequence[Variant], robust: bool = True
-) -> tuple[Reduction, list[Group]]:
+) -> tuple[Reduction, list[CandidateColumns]]:
     """The regression of the innovations on all variants with finite slopes, and their groups.
 
     ``robust`` : with the sums over blocks that Wald's test asks for.
@@ -180,7 +180,9 @@ def _explained_shares(
     return np.array(list(shares.values()))
 
 
-def _own_states_by_label(along: Along, dt: float, groups: Sequence[Group]) -> dict[str, Own]:
+def _own_states_by_label(
+    along: SystemMotion, dt: float, groups: Sequence[CandidateColumns]
+) -> dict[str, Own]:
     """Own states of every variant that has any, by its label; computed together for one effect."""
     by_label: dict[str, Own] = {}
     keyed = sorted(
@@ -200,7 +202,7 @@ def _own_states_by_label(along: Along, dt: float, groups: Sequence[Group]) -> di
 # --- slopes --------------------------------------------------------------------------------------
 
 
-def _column_group(assembly: Assembly, variant: Variant, records: int) -> Group:
+def _column_group(assembly: Assembly, variant: Variant, records: int) -> CandidateColumns:
     """The columns of a candidate's amplitudes, for each record its own where they have one."""
     port = assembly.problem.model.system.place(variant.effect)
     known = dict(variant.effect.keys(port))
@@ -213,12 +215,12 @@ def _column_group(assembly: Assembly, variant: Variant, records: int) -> Group:
             count = records if q.scope == "record" else 1
             keys += [f"{owner.label}.{name}"] * count
             sides += [q.lower == 0.0 and variant.companion is None] * count
-    return Group(variant, tuple(keys), tuple(sides))
+    return CandidateColumns(variant, tuple(keys), tuple(sides))
 
 
 def _drop_nonfinite_groups(
-    groups: list[Group], carried: list[Array], finite: Array
-) -> tuple[list[Group], list[Array]]:
+    groups: list[CandidateColumns], carried: list[Array], finite: Array
+) -> tuple[list[CandidateColumns], list[Array]]:
     """The groups and columns without candidates whose slopes overflow."""
     kept, at, first = [], [], 0
     for group in groups:
@@ -229,7 +231,7 @@ def _drop_nonfinite_groups(
     return kept, [c[:, :, at] for c in carried]
 
 
-def _prediction_slopes(passage: Passage, record: int, groups: Sequence[Group]) -> Array:
+def _prediction_slopes(passage: Passage, record: int, groups: Sequence[CandidateColumns]) -> Array:
     """Slopes of predictions by the candidates' amplitudes at zero, (samples, channels, columns)."""
     from spiral.engine.likelihood.signatures_kernel import propagate_signatures
 
@@ -252,7 +254,7 @@ def _prediction_slopes(passage: Passage, record: int, groups: Sequence[Group]) -
     return by_amplitude
 
 
-def predicted_motion(assembly: Assembly, task: Task, part: Prediction) -> Along:
+def predicted_motion(assembly: Assembly, task: Task, part: Prediction) -> SystemMotion:
     """The motion that the filter predicts: states of the system, rates and readings of the model.
 
     It is that before each sample's readings: the updated one contains their noise, which scores
@@ -285,12 +287,12 @@ def predicted_motion(assembly: Assembly, task: Task, part: Prediction) -> Along:
     known = dict(zip(task.keys, map(float, task.values), strict=True))
     values = {p.name: known[f"system.{p.name}"] for p in system.parameters}
     moved = np.gradient(readings, task.series.dt, axis=0) if system.readings else None
-    return Along(system, rows[:, :n], inputs, rates, readings, values, by_input, moved)
+    return SystemMotion(system, rows[:, :n], inputs, rates, readings, values, by_input, moved)
 
 
 def _signature_columns(
-    along: Along,
-    groups: Sequence[Group],
+    along: SystemMotion,
+    groups: Sequence[CandidateColumns],
     owns: Mapping[str, Own],
     where: slice,
     record: int,

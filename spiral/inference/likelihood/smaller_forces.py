@@ -15,7 +15,6 @@ import numpy as np
 from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.task import Task
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
-from spiral.engine.statistics import DECISIVE_ODDS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
@@ -25,7 +24,7 @@ from spiral.inference.likelihood.fitting import (
     schwarz_penalty,
 )
 from spiral.inference.likelihood.ladder import initial_gust_sizes, shared_groups, tune_noise
-from spiral.inference.problem import Progress
+from spiral.inference.problem import DECISIVE_ODDS, Progress
 
 _FITTED = 2  # models of the noise that are fitted together with the parameters
 

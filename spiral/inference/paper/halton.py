@@ -18,7 +18,7 @@ import numpy as np
 from spiral.engine.gate import Surface
 from spiral.engine.leastsquares import solve_triangle, triangle
 from spiral.inference.paper.regression import Equations, Samples
-from spiral.physics.trace import Traced
+from spiral.physics.trace import TracedModel
 from spiral.types.learner import Learned
 from spiral.types.record import Array
 from spiral.types.system import System
@@ -40,7 +40,7 @@ class Regressor:
         return np.concatenate([states[:, self.states], inputs[:, self.inputs]], axis=1)
 
 
-def regressor(system: System, traced: Traced) -> Regressor:
+def regressor(system: System, traced: TracedModel) -> Regressor:
     """Measured coordinates, their rates, and the inputs that are not derived from others."""
     moving = [*traced.channels, *(traced.rate_name(n) for n in traced.channels)]
     scheduling = [i.name for i in system.inputs if i.derived_from is None]

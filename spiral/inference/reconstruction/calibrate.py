@@ -26,12 +26,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.descent import Mix, descend
+from spiral.engine.descent import ColumnMix, descend
 from spiral.engine.filter.extended import filter_record
 from spiral.engine.filter.setup import choose_levels, smoothed_states, with_level
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import Task, prepare_task, with_record
-from spiral.engine.fit import Fitted, covariance
+from spiral.engine.fit import WindowFit, covariance
 from spiral.engine.growth import Stage, layouts_for, transfer_window_starts
 from spiral.engine.sensitivities import reduce_windows
 from spiral.engine.study import ParameterColumns, Point
@@ -74,7 +74,7 @@ class Calibration:
     horizon: int
     chi2_per_dof: float
     untold: tuple[str, ...] = ()
-    fitted: Fitted | None = None
+    fitted: WindowFit | None = None
     keys: tuple[str, ...] = ()
     columns: ParameterColumns | None = None
 
@@ -224,7 +224,7 @@ def _with_own_origin(task: Task, levels: Mapping[str, float]) -> Task:
 
 def _common_factor_mix(
     assembly: Assembly, moving: ParameterColumns, values: Array, together: tuple[str, ...]
-) -> Mix | None:
+) -> ColumnMix | None:
     """One common factor for some columns; the others move alone."""
     if not together:
         return None
@@ -232,7 +232,7 @@ def _common_factor_mix(
     names = [study.keys[i] if i < len(study.keys) else "" for i in moving.index]
     tied = np.array([n in together for n in names])
     common = np.where(tied, moving.current(values), 0.0)
-    return Mix(np.column_stack([common, np.eye(len(names))[:, ~tied]]))
+    return ColumnMix(np.column_stack([common, np.eye(len(names))[:, ~tied]]))
 
 
 @one_blas_thread
@@ -257,7 +257,7 @@ def cramer_rao(problem: Problem) -> dict[str, float]:
     moving, _ = columns_with_bounds(assembly, fit_state.keys(assembly))
     point = Point(fit_state.values, starts)
     reduction = reduce_windows(study, layouts, point, moving)
-    spread = np.sqrt(np.diag(covariance(Fitted.from_reduction(point, reduction, True, 0))))
+    spread = np.sqrt(np.diag(covariance(WindowFit.from_reduction(point, reduction, True, 0))))
     return {
         study.keys[i]: float(error)
         for i, error in zip(moving.index, spread, strict=True)

@@ -27,7 +27,7 @@ _MARGIN = 3.0  # noise standard deviations allowed beside the signal itself
 
 
 @dataclass(frozen=True)
-class Bounded:
+class BoundedMean:
     """A mean of chi2 values with the 95 % bounds that a consistent filter keeps."""
 
     mean: float
@@ -51,7 +51,7 @@ class Band:
     of: str
     low: float
     high: float
-    nis: Bounded
+    nis: BoundedMean
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON."""
@@ -66,7 +66,7 @@ class Consistency:
     error of predicting, never of the filtered value, which may echo the measurement).
     """
 
-    nis: Bounded
+    nis: BoundedMean
     bands: tuple[Band, ...]
     prediction: Mapping[str, float]
     whiteness_p: float
@@ -83,12 +83,12 @@ class Consistency:
         }
 
 
-def mean_with_bounds(values: Array, dof: int) -> Bounded:
+def mean_with_bounds(values: Array, dof: int) -> BoundedMean:
     """Mean of chi2(dof) values with 95 % bounds of that mean."""
     count = max(len(values), 1)
     low, high = special.chdtri(count * dof, [0.975, 0.025]) / count
     mean = float(np.mean(values)) if len(values) else np.nan
-    return Bounded(mean, float(low), float(high))
+    return BoundedMean(mean, float(low), float(high))
 
 
 def normalised_squares(errors: Array, covariances: Array) -> Array:

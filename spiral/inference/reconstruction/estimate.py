@@ -19,7 +19,7 @@ from spiral.engine.filter.task import Task, prepare_task
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.problem import Progress, silent
 from spiral.inference.reconstruction.consistency import (
-    Bounded,
+    BoundedMean,
     Consistency,
     consistency,
     mean_with_bounds,
@@ -29,11 +29,11 @@ from spiral.inference.reconstruction.consistency import stable_samples as stable
 from spiral.inference.reconstruction.observability import Observability, observability
 from spiral.inference.reconstruction.uncertain import declared_prior
 from spiral.physics.effect_states import own_states
+from spiral.types.display import Readable, Summary
 from spiral.types.errors import ConfigError
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model, pretty_unit
 from spiral.types.record import Array, Record
-from spiral.types.showing import Readable, Summary
 
 SKIPPED = 1.0  # s at the start that are not scored
 BAND = 1.959964  # half a 95 % band, in standard deviations
@@ -73,14 +73,14 @@ class StateScore:
 
 
 @dataclass(frozen=True)
-class Reconstructed:
+class RecordReconstruction:
     """One record with what the observer made of it."""
 
     record: Record
     task: Task
     reconstruction: Reconstruction
     consistency: Consistency | None
-    nees: Bounded | None
+    nees: BoundedMean | None
     stable: int
 
     @property
@@ -115,7 +115,7 @@ class Estimation(Readable):
 
     observer: str
     model: Model
-    parts: tuple[Reconstructed, ...]
+    parts: tuple[RecordReconstruction, ...]
     states: Mapping[str, StateScore]
     baseline: Mapping[str, float | None]
     observability: Observability
@@ -161,7 +161,7 @@ class Estimation(Readable):
         }
 
 
-def _record_as_dict(part: Reconstructed) -> dict[str, Any]:
+def _record_as_dict(part: RecordReconstruction) -> dict[str, Any]:
     statistics = part.consistency.as_dict() if part.consistency else {}
     return {
         "name": part.record.name,
@@ -174,7 +174,7 @@ def _record_as_dict(part: Reconstructed) -> dict[str, Any]:
     }
 
 
-def _last_estimate(part: Reconstructed, name: str) -> dict[str, float]:
+def _last_estimate(part: RecordReconstruction, name: str) -> dict[str, float]:
     means, deviations = part.reconstruction.state(name)
     at = max(part.reconstruction.done - 1, 0)
     return {"estimate": float(means[at]), "se": float(deviations[at])}
@@ -224,12 +224,12 @@ def estimate(
     return combine_reconstructions(observer.plugin_name(), parts)
 
 
-def reconstruct_record(task: Task, observer: Observer) -> Reconstructed:
+def reconstruct_record(task: Task, observer: Observer) -> RecordReconstruction:
     """One record through an observer, with its statistics."""
     record = task.series.record
     reconstruction = observer.reconstruct(task)
     first = skipped_samples(record)
-    return Reconstructed(
+    return RecordReconstruction(
         record,
         task,
         reconstruction,
@@ -244,7 +244,7 @@ def skipped_samples(record: Record) -> int:
     return min(round(SKIPPED / record.dt), record.samples // 2)
 
 
-def combine_reconstructions(observer: str, parts: Sequence[Reconstructed]) -> Estimation:
+def combine_reconstructions(observer: str, parts: Sequence[RecordReconstruction]) -> Estimation:
     """All records of a machine scored together, with the static map on the same samples."""
     first = parts[0]
     names = first.task.states
@@ -260,7 +260,7 @@ def combine_reconstructions(observer: str, parts: Sequence[Reconstructed]) -> Es
     )
 
 
-def _score_state(parts: Sequence[Reconstructed], name: str) -> StateScore:
+def _score_state(parts: Sequence[RecordReconstruction], name: str) -> StateScore:
     means, deviations, truth = [], [], []
     for part in parts:
         cut = slice(skipped_samples(part.record), part.stable)
@@ -286,7 +286,7 @@ def _score_state(parts: Sequence[Reconstructed], name: str) -> StateScore:
     )  # fmt: skip
 
 
-def _static_baseline(parts: Sequence[Reconstructed], name: str) -> float | None:
+def _static_baseline(parts: Sequence[RecordReconstruction], name: str) -> float | None:
     """Relative error of the static map for one hidden state, where the truth is known."""
     errors, reference = [], []
     for part in parts:
@@ -302,7 +302,7 @@ def _static_baseline(parts: Sequence[Reconstructed], name: str) -> float | None:
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) / spread if spread else None
 
 
-def _time_to_two_percent(part: Reconstructed, name: str) -> float | None:
+def _time_to_two_percent(part: RecordReconstruction, name: str) -> float | None:
     """Seconds until the rms error over the last tenth of a second first falls under 2 %."""
     truth, dt = part.record.truth[name], part.record.dt
     width = max(1, round(_WINDOW / dt))
@@ -316,7 +316,7 @@ def _time_to_two_percent(part: Reconstructed, name: str) -> float | None:
     return float((below[0] + width) * dt) if len(below) else None
 
 
-def _nees(task: Task, reconstruction: Reconstruction, first: int) -> Bounded | None:
+def _nees(task: Task, reconstruction: Reconstruction, first: int) -> BoundedMean | None:
     truth = task.series.record.truth
     if not len(reconstruction.covariances) or any(n not in truth for n in task.states):
         return None

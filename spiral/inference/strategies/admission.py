@@ -20,13 +20,17 @@ import numpy as np
 from spiral.engine.likelihood.fit import add_standard_errors
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import Masks, Prepared
-from spiral.inference.acting import random_forces
+from spiral.inference.disturbances import random_forces
 from spiral.inference.evidence.assembly import Assembly, build_variants
 from spiral.inference.evidence.enlarge import transfer_fit_state, with_variants, without_variants
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Parts, Ranking, active_labels
+from spiral.inference.likelihood.alias_groups import (
+    indistinguishable_rivals,
+    simplest_rival,
+    twin_rivals,
+)
 from spiral.inference.likelihood.beginnings import refit_initial_states
-from spiral.inference.likelihood.between import restore_declared_interpolation
 from spiral.inference.likelihood.candidates import Race, Rival, start_race
 from spiral.inference.likelihood.comparison import compare_by_likelihood
 from spiral.inference.likelihood.fitting import (
@@ -38,9 +42,9 @@ from spiral.inference.likelihood.fitting import (
     largest_force,
     restart_vanished_noise,
 )
-from spiral.inference.likelihood.groups import indistinguishable_rivals, simplest_rival, twin_rivals
 from spiral.inference.likelihood.identify import find_parameter_ties
-from spiral.inference.likelihood.judging import Unselected, fit_on_judging_blocks, judge_winner
+from spiral.inference.likelihood.interpolation import restore_declared_interpolation
+from spiral.inference.likelihood.judging import JudgingFits, fit_on_judging_blocks, judge_winner
 from spiral.inference.likelihood.ladder import (
     drop_needless_forces,
     drop_needless_noise,
@@ -57,8 +61,8 @@ from spiral.inference.likelihood.starts import (
 )
 from spiral.inference.nearness import is_drowned_in_noise, unexplained_error_growth
 from spiral.inference.problem import Progress, Settings
-from spiral.inference.strategies.base import Settled
-from spiral.inference.strategies.needed import (
+from spiral.inference.strategies.base import RefittedModel
+from spiral.inference.strategies.superfluous import (
     admitted_variants,
     drop_superfluous_effects,
     likelihood_ratio_t,
@@ -80,7 +84,7 @@ _BOUND = 0.99  # share of the largest random force from which one stands at its 
 def settle_fit(
     assembly: Assembly, fit: LikelihoodFit, progress: Progress, retired: tuple[str, ...] = (),
     halves_agree: bool = True,
-) -> Settled:  # fmt: skip
+) -> RefittedModel:  # fmt: skip
     """A fit on all samples as the state of the study, compared with the test records."""
     fit = replace(fit, estimate=add_standard_errors(fit.estimate))
     state, comparison = compare_by_likelihood(assembly, fit, progress, halves_agree)
@@ -91,25 +95,25 @@ def settle_fit(
         details["log_likelihood"] = fit.height
     if ties := find_parameter_ties(fit):
         details["untold"] = {"groups": list(ties.groups), "parameters": list(ties.parts)}
-    return Settled(state, comparison, retired, details)
+    return RefittedModel(state, comparison, retired, details)
 
 
 @dataclass(frozen=True)
-class Whole:
+class WholeRecordFit:
     """A model fitted to all samples: the study it is compiled in, its fit, and its comparison."""
 
     assembly: Assembly
     fit: LikelihoodFit
-    settled: Settled
+    settled: RefittedModel
 
 
 @dataclass(frozen=True)
-class Passed:
+class AcceptedCandidate:
     """A candidate that passed, those that the records do not tell from it, the model with it."""
 
     rival: Rival
     aliases: tuple[str, ...]
-    whole: Whole
+    whole: WholeRecordFit
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,7 @@ class Refusal:
     alone: bool = False
 
 
-Objection = Callable[[Whole], Refusal | None]
+Objection = Callable[[WholeRecordFit], Refusal | None]
 """Why a model with a candidate is not taken; nothing where it is."""
 
 
@@ -135,12 +139,12 @@ class RaceOutcome:
     refused for what it does alone.
     """
 
-    passed: Passed | None
+    passed: AcceptedCandidate | None
     rejected: dict[str, str]
-    likely: Passed | None = None
+    likely: AcceptedCandidate | None = None
 
     @property
-    def admitted(self) -> tuple[Passed, ...]:
+    def admitted(self) -> tuple[AcceptedCandidate, ...]:
         """What passed: one, or nothing."""
         return () if self.passed is None else (self.passed,)
 
@@ -173,7 +177,7 @@ def first_to_pass(
 ) -> RaceOutcome:  # fmt: skip
     """The first winner that holds on other blocks and meets no ``objection``."""
     rejected: dict[str, str] = {}
-    likely: Passed | None = None
+    likely: AcceptedCandidate | None = None
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
     for rival, rivals in itertools.islice(run.winners(), options.judged):
         if reason := _unconfirmed_reason(base, ours, rival, judge, level):
@@ -182,7 +186,7 @@ def first_to_pass(
         chosen, near = simplest_rival(rival, indistinguishable_rivals(rivals, options.odds), rivals)
         aliases = tuple(dict.fromkeys((*near, *twin_rivals(chosen, rivals))))
         progress(f"most likely values with {chosen.label}")
-        passed = Passed(chosen, aliases, fit_with_rival(chosen, progress))
+        passed = AcceptedCandidate(chosen, aliases, fit_with_rival(chosen, progress))
         refusal = _refuse_senseless(passed.whole, chosen) or objection(passed.whole)
         if refusal is not None and refusal.alone:
             freely = _with_free_run_values(passed, progress)
@@ -195,7 +199,9 @@ def first_to_pass(
     return RaceOutcome(None, rejected, likely)
 
 
-def _with_free_run_values(passed: Passed, progress: Progress) -> Passed | None:
+def _with_free_run_values(
+    passed: AcceptedCandidate, progress: Progress
+) -> AcceptedCandidate | None:
     """The same candidate with values that minimise the error of free runs, or nothing.
 
     Only beside a random force above ``settings.random_limit``: then one-step predictions are
@@ -209,7 +215,7 @@ def _with_free_run_values(passed: Passed, progress: Progress) -> Passed | None:
     return replace(passed, whole=freely)
 
 
-def _refuse_senseless(whole: Whole, rival: Rival) -> Refusal | None:
+def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
     """Refuse values that make no sense for the effect; nothing where they do.
 
     A shape that runs to an end of its range, or far beyond the motion that it was scaled by, no
@@ -234,7 +240,7 @@ def _refuse_senseless(whole: Whole, rival: Rival) -> Refusal | None:
     return None
 
 
-def _has_vanished(whole: Whole, label: str) -> bool:
+def _has_vanished(whole: WholeRecordFit, label: str) -> bool:
     """Whether no amplitude of an effect is told from zero, by its error or by the likelihood."""
     model, settled = whole.settled.comparison.model, whole.settled
     told = settled.details.get(FROM_NONE, {}).get(label, 0.0)
@@ -274,7 +280,7 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
 
 
 def _unconfirmed_reason(
-    base: LikelihoodFit, ours: Callable[[], Unselected], rival: Rival, judge: Masks, level: float
+    base: LikelihoodFit, ours: Callable[[], JudgingFits], rival: Rival, judge: Masks, level: float
 ) -> str:
     """Why a candidate does not hold on the blocks that did not select; empty where it does."""
     if not rival.worth > 0:
@@ -353,7 +359,7 @@ def _force_replacement_size(before: Comparison, after: Comparison) -> float:
 
 def fit_with_effect(
     own: Assembly, state: FitState, label: str, progress: Progress, like: Prepared | None = None
-) -> Whole:
+) -> WholeRecordFit:
     """The model with a candidate, fitted to all samples; noise and effects not wanted any more go.
 
     Parameters
@@ -374,14 +380,14 @@ def fit_with_effect(
     return settle_whole(own, fit, (*gone, *needless), progress)
 
 
-def fit_with_rival(rival: Rival, progress: Progress) -> Whole:
+def fit_with_rival(rival: Rival, progress: Progress) -> WholeRecordFit:
     """The model with a candidate that was raced, fitted to all samples; as ``fit_with_effect``."""
     own, state = _drop_unused_variants(rival.assembly, rival.fit.state)
     like = rival.fit.estimate.prepared
     return fit_with_effect(own, state, rival.ranked.variant.label, progress, like)
 
 
-def fit_beside_noise(rival: Rival, noise: NoiseModel, progress: Progress) -> Whole:
+def fit_beside_noise(rival: Rival, noise: NoiseModel, progress: Progress) -> WholeRecordFit:
     """The model with a candidate, fitted to all samples beside noise whose terms are known."""
     own, state = _drop_unused_variants(rival.assembly, rival.fit.state)
     fit = fit_by_likelihood(own, state, noise, rough=True)
@@ -407,8 +413,8 @@ def _fit_shapes(own: Assembly, fit: LikelihoodFit, label: str) -> LikelihoodFit:
 def settle_whole(
     own: Assembly, fit: LikelihoodFit, gone: tuple[str, ...], progress: Progress,
     halves_agree: bool = True,
-) -> Whole:  # fmt: skip
+) -> WholeRecordFit:  # fmt: skip
     """A fit to all samples, compared, its state in a study of nothing but its own effects."""
     settled = settle_fit(own, fit, progress, gone, halves_agree)
     _, fit_state = _drop_unused_variants(own, settled.fit_state)
-    return Whole(own, fit, replace(settled, fit_state=fit_state))
+    return WholeRecordFit(own, fit, replace(settled, fit_state=fit_state))

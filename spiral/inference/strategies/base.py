@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from spiral.inference.problem import Problem, Progress
     from spiral.types.effect import Effect
     from spiral.types.model import Model
-    from spiral.types.run import Comparison, Diagnosis, Stopped, Suggestion
+    from spiral.types.run import Comparison, Diagnosis, StopReason, Suggestion
 
 Result = TypeVar("Result", covariant=True)
 """What a strategy hands from its proposal to its refit, of a type of its own."""
 
 
 @dataclass(frozen=True)
-class Begun:
+class StartedStudy:
     """A study ready for its first round: compiled, its seed fitted and compared.
 
     ``groups`` are effects of the seed that the record cannot tell apart. Where that is ``refused``
@@ -61,10 +61,10 @@ class Step(Generic[Result]):
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     second_order: bool = False
     meaning: str = ""
-    stopped: Stopped = "no_candidate"
+    stopped: StopReason = "no_candidate"
     details: Mapping[str, Any] = field(default_factory=dict)
     result: Result | None = None
-    again: Settled | None = None
+    again: RefittedModel | None = None
 
     def required_result(self) -> Result:
         """What the strategy itself needs to settle; an error of a step that has nothing."""
@@ -73,7 +73,7 @@ class Step(Generic[Result]):
 
 
 @dataclass(frozen=True)
-class Settled:
+class RefittedModel:
     """The model after an admission, refitted and compared; effects let go again."""
 
     fit_state: FitState
@@ -83,7 +83,7 @@ class Settled:
 
 
 @dataclass(frozen=True)
-class AskedAgain:
+class RemainingLookAlikes:
     """Look-alikes by admitted effect that the final model does not tell from it.
 
     ``step`` puts a likelier one in an effect's place, where there is one.
@@ -94,7 +94,7 @@ class AskedAgain:
 
 
 @dataclass(frozen=True)
-class Added:
+class AddedEffects:
     """A model before and after effects added by hand, and the seconds that the first fit took."""
 
     before: Comparison
@@ -127,7 +127,7 @@ class Strategy(Plugin):
     # --- what every strategy has ---
 
     @abstractmethod
-    def begin(self, problem: Problem, progress: Progress) -> Begun:
+    def begin(self, problem: Problem, progress: Progress) -> StartedStudy:
         """Compile the study, fit and compare its seed."""
 
     @abstractmethod
@@ -142,7 +142,7 @@ class Strategy(Plugin):
         """What round ``number`` (from 1) admits, or why it admits nothing."""
 
     @abstractmethod
-    def settle(self, assembly: Assembly, step: Step[Any], progress: Progress) -> Settled:
+    def settle(self, assembly: Assembly, step: Step[Any], progress: Progress) -> RefittedModel:
         """The model with what a step admits, refitted and compared."""
 
     # --- what it may have ---
@@ -166,7 +166,7 @@ class Strategy(Plugin):
 
     def admit(
         self, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
-    ) -> Settled:
+    ) -> RefittedModel:
         """The model with another candidate, refitted and compared; asked where ``by_name`` is."""
         raise NotImplementedError
 
@@ -174,13 +174,13 @@ class Strategy(Plugin):
         self, assembly: Assembly, fit_state: FitState, comparison: Comparison,
         aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
         progress: Progress,
-    ) -> AskedAgain:  # fmt: skip
+    ) -> RemainingLookAlikes:  # fmt: skip
         """Which look-alikes of effects the model with all others tells from them.
 
         ``aliases`` by admitted effect as they were when it was admitted, ``promising`` what else
         was worth its price then, the best first.
         """
-        return AskedAgain(aliases)
+        return RemainingLookAlikes(aliases)
 
     def compare(self, problem: Problem, progress: Progress) -> Comparison:
         """The model as it is, fitted and compared: that of the beginning, without candidates."""
@@ -188,7 +188,7 @@ class Strategy(Plugin):
 
     def add(
         self, problem: Problem, effects: tuple[Effect, ...], progress: Progress
-    ) -> Added | None:
+    ) -> AddedEffects | None:
         """Effects added by hand, all in one fit; ``None``: one after the other by ``admit``."""
         return None
 

@@ -13,26 +13,26 @@ from spiral.inference.evidence.assembly import (
 )
 from spiral.inference.evidence.comparison import refine_substeps
 from spiral.inference.evidence.fit_state import initial_fit_state
-from spiral.inference.identifiability.held import describe_held_parameters
 from spiral.inference.identifiability.parameters import merge_overlapping_groups
-from spiral.inference.likelihood.between import select_input_interpolation
+from spiral.inference.identifiability.undetermined import describe_held_parameters
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     is_random_force_small,
     predicted_states,
 )
 from spiral.inference.likelihood.identify import find_parameter_ties
+from spiral.inference.likelihood.interpolation import select_input_interpolation
 from spiral.inference.likelihood.ladder import drop_needless_noise
 from spiral.inference.likelihood.shapes import refit_effect_shapes, refit_from_other_shapes
 from spiral.inference.likelihood.starts import best_fit
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.admission import finish_fit, settle_fit
-from spiral.inference.strategies.base import Begun
+from spiral.inference.strategies.base import StartedStudy
 from spiral.inference.strategies.other_noise import fit_with_noise_growth
 from spiral.types.label import owner_of
 
 
-def begin_study(problem: Problem, progress: Progress) -> Begun:
+def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
     """The model as it is, most likely with the noise that its record wants.
 
     Parameters that the record cannot tell from others are held at their given values: along a flat
@@ -91,7 +91,7 @@ def _fit_seed(problem: Problem, progress: Progress) -> tuple[Assembly, Likelihoo
     return bare, replace(fit, estimate=add_standard_errors(fit.estimate))
 
 
-def _lay_out_candidates(bare: Assembly, fit: LikelihoodFit, progress: Progress) -> Begun:
+def _lay_out_candidates(bare: Assembly, fit: LikelihoodFit, progress: Progress) -> StartedStudy:
     """A fit compared with the test records, its candidates listed but not compiled."""
     settled = settle_fit(bare, fit, progress)
     fitted = replace(bare.problem, model=settled.comparison.model)
@@ -100,4 +100,4 @@ def _lay_out_candidates(bare: Assembly, fit: LikelihoodFit, progress: Progress) 
     assembly = replace(
         bare, offered=tuple(variants), left_out=left_out, bare=True, expected=expected
     )
-    return Begun(assembly, settled.fit_state, settled.comparison, settled.details)
+    return StartedStudy(assembly, settled.fit_state, settled.comparison, settled.details)

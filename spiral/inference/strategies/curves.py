@@ -20,7 +20,7 @@ from spiral.engine.likelihood.predict import Masks, Prediction, predict_cases
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import Group, Ranking
+from spiral.inference.evidence.scoring import CandidateColumns, Ranking
 from spiral.inference.likelihood.candidates import Race
 from spiral.inference.likelihood.fitting import (
     LEVEL,
@@ -34,15 +34,15 @@ from spiral.inference.likelihood.starts import with_given_values
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import (
-    Passed,
-    Whole,
+    AcceptedCandidate,
+    WholeRecordFit,
     benefit_objection,
     first_to_pass,
     offer_effects,
     race_offered,
     settle_whole,
 )
-from spiral.inference.strategies.base import Settled
+from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.forcecurve import CurveFit, Unknown, describe_curve
 from spiral.physics.learned import LEVELS, Learned
@@ -58,7 +58,7 @@ class MissingCurve:
     """A curve that passed: its shape, the model with it, and effects in whose place it stands."""
 
     shape: Unknown
-    settled: Settled
+    settled: RefittedModel
     replaces: tuple[str, ...] = ()
 
 
@@ -113,7 +113,7 @@ def find_missing_curve(
 def _find_passing_curve(
     options: LikelihoodOptions, assembly: Assembly, start: LikelihoodFit,
     masks: tuple[Masks, Masks], level: float, comparison: Comparison, progress: Progress,
-) -> tuple[Passed, tuple[Race, Ranking]] | None:  # fmt: skip
+) -> tuple[AcceptedCandidate, tuple[Race, Ranking]] | None:  # fmt: skip
     """The curve that comes first beside a model and passes, with its race."""
     parts = functools.partial(_coefficient_columns, assembly)
     if not start.estimate.finite:
@@ -126,7 +126,9 @@ def _find_passing_curve(
     return None if outcome.passed is None else (outcome.passed, contest)
 
 
-def _is_more_likely(one: tuple[Passed, Any], other: tuple[Passed, Any] | None) -> bool:
+def _is_more_likely(
+    one: tuple[AcceptedCandidate, Any], other: tuple[AcceptedCandidate, Any] | None
+) -> bool:
     return other is None or one[0].whole.fit.height > other[0].whole.fit.height
 
 
@@ -150,7 +152,7 @@ def _net_log_likelihood(fit: LikelihoodFit) -> float:
     return fit.height - schwarz_penalty(len(fit.estimate.keys), fit.estimate.prepared)
 
 
-def _is_likelier_alone(passed: Passed, base: LikelihoodFit, odds: float) -> bool:
+def _is_likelier_alone(passed: AcceptedCandidate, base: LikelihoodFit, odds: float) -> bool:
     """Whether a curve alone makes the blocks that select more likely than the model as it is."""
     return _net_log_likelihood(passed.rival.fit) > _net_log_likelihood(base) + np.log(odds)
 
@@ -170,7 +172,7 @@ def _fit_seed_alone(assembly: Assembly, state: FitState, masks: Masks) -> Likeli
     )
 
 
-def _coefficient_columns(assembly: Assembly, group: Group) -> list[tuple[int, ...]]:
+def _coefficient_columns(assembly: Assembly, group: CandidateColumns) -> list[tuple[int, ...]]:
     """The columns of a curve's coefficients, on few knots and on more."""
     levels = _knot_levels(assembly, group.variant)
     finest = max(levels.values())
@@ -187,7 +189,7 @@ def _knot_levels(assembly: Assembly, variant: Variant) -> dict[str, int]:
     return {key: LEVELS[p.name] for key, p in pairs if p.name in LEVELS}
 
 
-def _refine_knots(whole: Whole, label: str, progress: Progress) -> Whole:
+def _refine_knots(whole: WholeRecordFit, label: str, progress: Progress) -> WholeRecordFit:
     """The model with its curve on more knots, while these are worth their price."""
     levels = _knot_levels(whole.assembly, whole.assembly.variant(label))
     best = whole.fit
@@ -206,7 +208,7 @@ def _refine_knots(whole: Whole, label: str, progress: Progress) -> Whole:
     return settle_whole(whole.assembly, best, whole.settled.retired, progress)
 
 
-def _as_curve_fit(whole: Whole, label: str) -> CurveFit:
+def _as_curve_fit(whole: WholeRecordFit, label: str) -> CurveFit:
     """The fit of a model in the form from which the shape of its learned effect is read."""
     own, at = whole.assembly, whole.fit.estimate
     learned, count = own.variant(label).effect, len(at.prepared[0][0].states)

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.likelihood import Climbed, Prepared, climb_likelihood
+from spiral.engine.filter.likelihood import Prepared, TunedTasks, climb_likelihood
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import build_task
-from spiral.engine.filter.whitened import Whitened
+from spiral.engine.filter.whitened import WhitenedRecord
 from spiral.engine.gate import Judgement, Trial, run_gates
 from spiral.engine.statistics import whiteness
 from spiral.inference.evidence.admission import refit_start_values, untestable_effect_error
@@ -31,7 +31,7 @@ from spiral.inference.evidence.comparison import (
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import amplitude_keys
 from spiral.inference.problem import Problem, Progress
-from spiral.inference.strategies.base import Begun, Settled, Step
+from spiral.inference.strategies.base import RefittedModel, StartedStudy, Step
 from spiral.inference.strategy_options import InnovationOptions
 from spiral.physics.compile import compile_model
 from spiral.types.record import Array
@@ -39,7 +39,7 @@ from spiral.types.run import Comparison, Suggestion
 
 
 @dataclass(frozen=True)
-class Offered:
+class OfferedCandidates:
     """Candidates of one round: their variants, one group of columns each, and what they score."""
 
     variants: tuple[Variant, ...]
@@ -53,17 +53,17 @@ class Admission:
     """What a round admits: the state with it, and the refit that its gate asked for, if any."""
 
     state: FitState
-    refit: Climbed | None
+    refit: TunedTasks | None
 
 
-def begin(problem: Problem, progress: Progress) -> Begun:
+def begin(problem: Problem, progress: Progress) -> StartedStudy:
     """The seed at its most likely values and process noise."""
     progress("compiling the model and all candidates")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
     assembly, fit_state = prepare_study(replace(problem, settings=settings))
     fit_state = replace(fit_state, corrected=False)
     settled = _settle_refit(assembly, fit_state, None, progress)
-    return Begun(assembly, settled.fit_state, settled.comparison, settled.details)
+    return StartedStudy(assembly, settled.fit_state, settled.comparison, settled.details)
 
 
 def propose(
@@ -84,7 +84,7 @@ def propose(
     parts = base.regression((*moving, *keys)) if base.finite else None
     if parts is None:
         return Step((), {}, stopped="diverged", details={"ended": {"reason": "diverged"}})
-    refits: dict[tuple[int, ...], Climbed] = {}
+    refits: dict[tuple[int, ...], TunedTasks] = {}
 
     def refit_gain(group: tuple[int, ...]) -> float:
         chosen = tuple(keys[k] for k in group)
@@ -109,7 +109,7 @@ def propose(
 
 def _step_without_admission(
     options: InnovationOptions,
-    offered: Offered,
+    offered: OfferedCandidates,
     gains: Mapping[tuple[int, ...], float],
     judgement: Judgement,
     white: bool,
@@ -130,9 +130,9 @@ def _step_with_admission(
     assembly: Assembly,
     fit_state: FitState,
     trial: Trial,
-    offered: Offered,
+    offered: OfferedCandidates,
     gains: Mapping[tuple[int, ...], float],
-    refits: Mapping[tuple[int, ...], Climbed],
+    refits: Mapping[tuple[int, ...], TunedTasks],
     log: dict[str, Any],
 ) -> Step[Admission]:
     """The effects whose columns were let through, at the values of their refit."""
@@ -166,13 +166,13 @@ def _step_with_admission(
     )
 
 
-def settle(assembly: Assembly, step: Step[Admission], progress: Progress) -> Settled:
+def settle(assembly: Assembly, step: Step[Admission], progress: Progress) -> RefittedModel:
     """Most likely values and process noise with what was admitted."""
     admission = step.required_result()
     return _settle_refit(assembly, admission.state, admission.refit, progress)
 
 
-def admit(assembly: Assembly, fit_state: FitState, label: str, progress: Progress) -> Settled:
+def admit(assembly: Assembly, fit_state: FitState, label: str, progress: Progress) -> RefittedModel:
     """The same with an effect that a person names, in the shape whose refit is most likely."""
     variants = [v for v in _absent_variants(assembly, fit_state) if v.original.label == label]
     if not variants:
@@ -187,8 +187,8 @@ def admit(assembly: Assembly, fit_state: FitState, label: str, progress: Progres
 
 
 def _settle_refit(
-    assembly: Assembly, fit_state: FitState, fit: Climbed | None, progress: Progress
-) -> Settled:
+    assembly: Assembly, fit_state: FitState, fit: TunedTasks | None, progress: Progress
+) -> RefittedModel:
     """The most likely model with these effects, compared; whiteness is of its innovations."""
     progress("most likely values and process noise")
     if fit is None:
@@ -205,17 +205,19 @@ def _settle_refit(
         refine_substeps(assembly, wider), wider, model, None, finite, progress
     )
     if parts is None:
-        return Settled(wider, comparison)
+        return RefittedModel(wider, comparison)
     left = tuple(p.innovations for p in parts)
     white = whiteness(left, assembly.problem.settings.lags)
     comparison = replace(comparison, whiteness_p=white.p, whiteness_effect=white.effect)
     nis = float(np.mean([np.mean(np.sum(e**2, axis=1)) for e in left]))
     comparison = replace(comparison, innovation_chi2=nis / left[0].shape[1])
     details = {"log_likelihood": fit.log_likelihood, "nis_mean": nis}
-    return Settled(wider, comparison, details={**details, "process_noise": dict(fit.levels)})
+    return RefittedModel(wider, comparison, details={**details, "process_noise": dict(fit.levels)})
 
 
-def _filtered_values(fit_state: FitState, fit: Climbed, parts: tuple[Whitened, ...]) -> Array:
+def _filtered_values(
+    fit_state: FitState, fit: TunedTasks, parts: tuple[WhitenedRecord, ...]
+) -> Array:
     """(records, parameters) with a record's own parameters as the filter tracked them last."""
     rows = fit_state.values.copy()
     for row, (task, settings), part in zip(rows, fit.prepared, parts, strict=True):
@@ -262,12 +264,12 @@ def _absent_variants(assembly: Assembly, fit_state: FitState) -> tuple[Variant, 
 def _make_trial(
     options: InnovationOptions,
     assembly: Assembly,
-    parts: tuple[Whitened, ...],
+    parts: tuple[WhitenedRecord, ...],
     active: int,
     absent: tuple[Variant, ...],
     keys: tuple[str, ...],
     gain: Callable[[tuple[int, ...]], float],
-) -> tuple[Trial, Offered]:
+) -> tuple[Trial, OfferedCandidates]:
     """The whitened innovations as a regression; of each effect's variants the best is offered."""
     e = np.concatenate([p.innovations for p in parts])
     slopes = np.concatenate([p.columns for p in parts])
@@ -293,12 +295,12 @@ def _make_trial(
     picked = tuple(groups[v.label] for v in chosen)
     kept = tuple(sorted(k for g in picked for k in g))
     scores = tuple(falls[g] for g in picked)
-    offered = Offered(chosen, picked, scores, float(np.sum(e**2)))
+    offered = OfferedCandidates(chosen, picked, scores, float(np.sum(e**2)))
     return replace(bare, kept=kept, groups=picked), offered
 
 
 def _make_suggestions(
-    offered: Offered,
+    offered: OfferedCandidates,
     gains: Mapping[tuple[int, ...], float],
     admitted: tuple[str, ...],
     alike: tuple[str, ...],

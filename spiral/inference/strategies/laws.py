@@ -39,16 +39,16 @@ from spiral.inference.likelihood.ladder import select_noise_model
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import (
-    Passed,
+    AcceptedCandidate,
     Refusal,
-    Whole,
+    WholeRecordFit,
     first_to_pass,
     fit_beside_noise,
     offer_effects,
     race_offered,
     refuse_unhelpful,
 )
-from spiral.inference.strategies.base import Settled
+from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.physics.formulas.laws import laws_of
 from spiral.types.effect import Effect, ForceEffect, StateFlow
@@ -65,11 +65,11 @@ class NamedLaw:
     aliases: tuple[str, ...]
     ranking: Ranking
     tried: tuple[Rival, ...]
-    settled: Settled
+    settled: RefittedModel
 
 
 @dataclass(frozen=True)
-class _Start:
+class _LawStart:
     """A model from which laws are tried.
 
     ``gone`` are the effects that it lets go, ``height`` the log-likelihood of the model with them,
@@ -125,7 +125,7 @@ def _has_coupling_force(assembly: Assembly, labels: tuple[str, ...]) -> bool:
 def _law_starts(
     assembly: Assembly, state: FitState, base: LikelihoodFit, gone: tuple[str, ...],
     white: bool, select: Masks, progress: Progress,
-) -> Iterator[_Start]:  # fmt: skip
+) -> Iterator[_LawStart]:  # fmt: skip
     if gone:
         before = fit_by_likelihood(
             assembly, replace(drop_effects(assembly, base.state, gone), noise=None), rough=True
@@ -133,9 +133,9 @@ def _law_starts(
         before = select_noise_model(assembly, before, progress)
         if before.estimate.finite:
             before = fit_by_likelihood(assembly, before.state, masks=select, steps=WARM, rough=True)
-            yield _Start(before, gone, _full_log_likelihood(assembly, state), state)
+            yield _LawStart(before, gone, _full_log_likelihood(assembly, state), state)
     if not white:
-        yield _Start(base)
+        yield _LawStart(base)
 
 
 def _full_log_likelihood(assembly: Assembly, state: FitState) -> float:
@@ -145,7 +145,7 @@ def _full_log_likelihood(assembly: Assembly, state: FitState) -> float:
 
 
 def _find_law_from(
-    options: LikelihoodOptions, assembly: Assembly, start: _Start, comparison: Comparison,
+    options: LikelihoodOptions, assembly: Assembly, start: _LawStart, comparison: Comparison,
     masks: tuple[Masks, Masks], level: float, progress: Progress,
 ) -> NamedLaw | None:  # fmt: skip
     """The law that is admitted from one start; nothing where none passes."""
@@ -153,7 +153,7 @@ def _find_law_from(
     if contest is None:
         return None
 
-    def objection(whole: Whole) -> Refusal | None:
+    def objection(whole: WholeRecordFit) -> Refusal | None:
         if _explains_all(options, assembly, start, whole.settled, comparison):
             return None
         return Refusal("it does not explain all, or not for less than what it stands for")
@@ -178,9 +178,9 @@ def _find_law_from(
 
 
 def _find_equal_candidate(
-    options: LikelihoodOptions, assembly: Assembly, without: _Start, law: Passed,
+    options: LikelihoodOptions, assembly: Assembly, without: _LawStart, law: AcceptedCandidate,
     masks: tuple[Masks, Masks], progress: Progress,
-) -> Passed | None:  # fmt: skip
+) -> AcceptedCandidate | None:  # fmt: skip
     """A candidate at a law's place that does as well beside the values found with the law."""
     own, effect = law.whole.assembly, law.rival.ranked.variant.original
     settled, noise = law.whole.settled, law.whole.fit.estimate.noise
@@ -206,12 +206,12 @@ def _find_equal_candidate(
         whole = fit_beside_noise(rival, noise, progress)
         white = is_near_noise(whole.settled.comparison, assembly.problem.settings)
         if white and whole.settled.details.get("log_likelihood", -np.inf) >= least:
-            return Passed(rival, (), whole)
+            return AcceptedCandidate(rival, (), whole)
     return None
 
 
 def _explains_all(
-    options: LikelihoodOptions, assembly: Assembly, start: _Start, settled: Settled,
+    options: LikelihoodOptions, assembly: Assembly, start: _LawStart, settled: RefittedModel,
     comparison: Comparison,
 ) -> bool:  # fmt: skip
     """Whether a law leaves only noise and is likelier, at its price, than what it replaces."""
@@ -227,7 +227,7 @@ def _explains_all(
     return height > _height_beside_law_noise(assembly, start, settled.fit_state) + least
 
 
-def _height_beside_law_noise(assembly: Assembly, start: _Start, law: FitState) -> float:
+def _height_beside_law_noise(assembly: Assembly, start: _LawStart, law: FitState) -> float:
     """Log-likelihood of the model that a law replaces, beside the noise of the law's own fit.
 
     A term of noise that came in with the law (a drift, say) is no merit of the law.
@@ -240,6 +240,6 @@ def _height_beside_law_noise(assembly: Assembly, start: _Start, law: FitState) -
     return fit_by_likelihood(assembly, known, law.noise, rough=True).height
 
 
-def _fitted_price(start: _Start, of: Comparison) -> float:
+def _fitted_price(start: _LawStart, of: Comparison) -> float:
     """Schwarz's price of the fitted numbers of a model."""
     return schwarz_penalty(len(of.model.errors), start.base.estimate.prepared)

@@ -17,9 +17,10 @@ from spiral.inference.evidence.admission import is_second_order_remainder, untes
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.enlarge import enlarge
 from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
-from spiral.inference.evidence.scoring import Ranked, Ranking
-from spiral.inference.likelihood.between import (
-    likelier_interpolation_fit,
+from spiral.inference.evidence.scoring import RankedCandidate, Ranking
+from spiral.inference.likelihood.alternative_fits import (
+    rivals_beside_less_noise,
+    rivals_from_given_values,
 )
 from spiral.inference.likelihood.candidates import (
     Race,
@@ -27,12 +28,14 @@ from spiral.inference.likelihood.candidates import (
     refit_candidate,
     start_race,
 )
-from spiral.inference.likelihood.elsewhere import rivals_beside_less_noise, rivals_from_given_values
 from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
     LikelihoodFit,
     fit_by_likelihood,
+)
+from spiral.inference.likelihood.interpolation import (
+    likelier_interpolation_fit,
 )
 from spiral.inference.likelihood.ladder import drop_needless_noise
 from spiral.inference.likelihood.scores import rank_candidates
@@ -40,8 +43,8 @@ from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress, silent
 from spiral.inference.strategies.admission import (
+    AcceptedCandidate,
     Objection,
-    Passed,
     RaceOutcome,
     benefit_objection,
     finish_fit,
@@ -49,22 +52,22 @@ from spiral.inference.strategies.admission import (
     fit_with_effect,
     settle_fit,
 )
-from spiral.inference.strategies.base import AskedAgain, Settled, Step
+from spiral.inference.strategies.base import RefittedModel, RemainingLookAlikes, Step
 from spiral.inference.strategies.curves import find_missing_curve
 from spiral.inference.strategies.laws import find_named_law
 from spiral.inference.strategies.look_alikes import prefer_special_case, recheck_admitted
+from spiral.inference.strategies.memory_rounds import find_missing_memory
 from spiral.inference.strategies.other_noise import (
     settle_with_noise_growth,
     settle_with_smaller_forces,
 )
-from spiral.inference.strategies.remembered import find_missing_memory
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.errors import ConfigError
-from spiral.types.run import Comparison, Stopped, Suggestion
+from spiral.types.run import Comparison, StopReason, Suggestion
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredRound:
     """What a round works out: candidates by their score, and those refitted.
 
     ``settled`` is the study with what is admitted, if anything is.
@@ -72,13 +75,13 @@ class Scored:
 
     ranking: Ranking
     rivals: tuple[Rival, ...]
-    settled: Settled | None = None
+    settled: RefittedModel | None = None
 
 
 def propose(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
     number: int, progress: Progress,
-) -> Step[Scored]:  # fmt: skip
+) -> Step[ScoredRound]:  # fmt: skip
     """The candidate that makes the record most likely, if it passes on other blocks.
 
     Or two at once, where none is of use alone.
@@ -106,11 +109,11 @@ def propose(
         outcome = replace(outcome, rejected={**again.rejected, **outcome.rejected})
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
+    scored = ScoredRound(ranked, tried)
     if passed:
-        return _admitting_step(options, assembly, state, passed, Scored(ranked, tried), outcome)
-    listed = suggestions(tried, ranked, "", ())[: options.listed]
-    ending = _ending(comparison, assembly)
-    step = Step(listed, outcome.rejected, stopped=ending, result=Scored(ranked, tried))
+        return _admitting_step(options, assembly, state, passed, scored, outcome)
+    listed, ending = suggestions(tried, ranked, "", ()), _ending(comparison, assembly)
+    step = Step(listed[: options.listed], outcome.rejected, stopped=ending, result=scored)
     if (calmer := settle_with_smaller_forces(assembly, state, progress)) is not None:
         return _propose_after_refit(options, assembly, calmer, number, progress)
     if (grown := settle_with_noise_growth(assembly, state, base, progress)) is not None:
@@ -138,9 +141,9 @@ def _race_candidates(
 
 
 def _find_second_effect(
-    options: LikelihoodOptions, assembly: Assembly, first: Passed, masks: tuple[Masks, Masks],
-    level: float, helps: Objection, progress: Progress,
-) -> tuple[Passed, ...]:  # fmt: skip
+    options: LikelihoodOptions, assembly: Assembly, first: AcceptedCandidate,
+    masks: tuple[Masks, Masks], level: float, helps: Objection, progress: Progress,
+) -> tuple[AcceptedCandidate, ...]:  # fmt: skip
     """A candidate that is likely but of no use alone, and another that passes beside it.
 
     A softening spring whose sensor is off by a constant is wrong without either. Together they must
@@ -168,9 +171,9 @@ def _find_second_effect(
 
 
 def _admitting_step(
-    options: LikelihoodOptions, assembly: Assembly, state: FitState, passed: tuple[Passed, ...],
-    scored: Scored, outcome: RaceOutcome,
-) -> Step[Scored]:  # fmt: skip
+    options: LikelihoodOptions, assembly: Assembly, state: FitState,
+    passed: tuple[AcceptedCandidate, ...], scored: ScoredRound, outcome: RaceOutcome,
+) -> Step[ScoredRound]:  # fmt: skip
     """The step that admits what passed."""
     labels = tuple(p.rival.label for p in passed)
     effects = [p.rival.ranked.variant.original for p in passed]
@@ -187,9 +190,9 @@ def _admitting_step(
 
 def _step_for_unexplained(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
-    step: Step[Scored], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
+    step: Step[ScoredRound], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
     progress: Progress,
-) -> Step[Scored]:  # fmt: skip
+) -> Step[ScoredRound]:  # fmt: skip
     """The step where no candidate passes: with the memory of what is left, a law, or a curve."""
     memory = find_missing_memory(assembly, base, comparison, masks, progress)
     if memory is not None:  # a curve over the present state would only stand in for it
@@ -201,12 +204,12 @@ def _step_for_unexplained(
         return replace(
             step, suggestions=suggestions(law.tried, law.ranking, label, aliases)[: options.listed],
             admitted=(label,), aliases={label: aliases}, meaning=law.effect.meaning(),
-            stopped="no_candidate", result=Scored(law.ranking, law.tried, law.settled),
+            stopped="no_candidate", result=ScoredRound(law.ranking, law.tried, law.settled),
         )  # fmt: skip
     return _add_missing_curve(options, assembly, base, step, comparison, masks, level, progress)
 
 
-def _ending(comparison: Comparison, assembly: Assembly) -> Stopped:
+def _ending(comparison: Comparison, assembly: Assembly) -> StopReason:
     """Why the loop ends at a model beside which no candidate passes."""
     near = is_near_noise(comparison, assembly.problem.settings)
     return "whiteness" if near else "no_candidate"
@@ -215,7 +218,7 @@ def _ending(comparison: Comparison, assembly: Assembly) -> Stopped:
 def _propose_with_other_inputs(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, number: int,
     progress: Progress,
-) -> Step[Scored]:  # fmt: skip
+) -> Step[ScoredRound]:  # fmt: skip
     """Propose once more, with inputs that run otherwise between their samples."""
     fit = drop_needless_noise(assembly, fit_by_likelihood(assembly, state, rough=True), progress)
     fit = finish_fit(assembly, fit, progress)
@@ -225,17 +228,21 @@ def _propose_with_other_inputs(
 
 
 def _propose_after_refit(
-    options: LikelihoodOptions, assembly: Assembly, again: Settled, number: int, progress: Progress
-) -> Step[Scored]:
+    options: LikelihoodOptions,
+    assembly: Assembly,
+    again: RefittedModel,
+    number: int,
+    progress: Progress,
+) -> Step[ScoredRound]:
     """Propose once more, from a model that was settled anew."""
     step = propose(options, assembly, again.fit_state, again.comparison, number, progress)
     return replace(step, again=step.again or again)
 
 
 def _add_missing_curve(
-    options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, step: Step[Scored],
+    options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, step: Step[ScoredRound],
     comparison: Comparison, masks: tuple[Masks, Masks], level: float, progress: Progress,
-) -> Step[Scored]:  # fmt: skip
+) -> Step[ScoredRound]:  # fmt: skip
     """The step with the curve of what no candidate explains, where there is one.
 
     It is looked for where the model is not near its noise, or where much would have to act at
@@ -261,14 +268,14 @@ def _add_missing_curve(
     )  # fmt: skip
 
 
-def settle(step: Step[Scored]) -> Settled:
+def settle(step: Step[ScoredRound]) -> RefittedModel:
     """What was refitted and compared when it was proposed."""
     settled = step.required_result().settled
     assert settled is not None
     return settled
 
 
-def suggestions_by_worth(step: Step[Scored]) -> tuple[Suggestion, ...]:
+def suggestions_by_worth(step: Step[ScoredRound]) -> tuple[Suggestion, ...]:
     """All candidates in one order, whatever is proposed; none where the fit has diverged."""
     if step.result is None:
         return ()
@@ -279,8 +286,12 @@ def suggestions_by_worth(step: Step[Scored]) -> tuple[Suggestion, ...]:
 
 
 def choose(
-    options: LikelihoodOptions, assembly: Assembly, state: FitState, step: Step[Scored], label: str
-) -> Step[Scored]:
+    options: LikelihoodOptions,
+    assembly: Assembly,
+    state: FitState,
+    step: Step[ScoredRound],
+    label: str,
+) -> Step[ScoredRound]:
     """Another candidate in place of the proposal; no gate is asked."""
     scored = step.required_result()
     assembly = enlarge(assembly, state.labels)
@@ -304,22 +315,22 @@ def ask_again(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
     aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
     progress: Progress,
-) -> AskedAgain:  # fmt: skip
+) -> RemainingLookAlikes:  # fmt: skip
     """Look-alikes that stay, and the step to one that is likelier than the effect it looks like."""
     assembly = enlarge(assembly, state.labels)
     left, likelier = recheck_admitted(
         options, assembly, state, comparison, aliases, promising, progress
     )
     if likelier is None:
-        return AskedAgain(left)
-    scored = Scored(likelier.ranking, likelier.tried)
+        return RemainingLookAlikes(left)
+    scored = ScoredRound(likelier.ranking, likelier.tried)
     step = _admitting_step(
         options, assembly, state, (likelier.passed,), scored, RaceOutcome(None, {})
     )
-    return AskedAgain(left, step)
+    return RemainingLookAlikes(left, step)
 
 
-def admit(assembly: Assembly, state: FitState, label: str, progress: Progress) -> Settled:
+def admit(assembly: Assembly, state: FitState, label: str, progress: Progress) -> RefittedModel:
     """An effect admitted by its name, with the shapes that the record prefers."""
     assembly = enlarge(assembly, state.labels)
     base = fit_by_likelihood(assembly, state, steps=WARM, rough=True)
@@ -333,7 +344,7 @@ def admit(assembly: Assembly, state: FitState, label: str, progress: Progress) -
     return fit_with_effect(rival.assembly, rival.fit.state, label, progress).settled
 
 
-def _best_ranked(assembly: Assembly, scores: Ranking, label: str) -> Ranked:
+def _best_ranked(assembly: Assembly, scores: Ranking, label: str) -> RankedCandidate:
     """The best variant of an effect among those ranked."""
     for ranked in scores.ranked:
         if ranked.variant.original.label == label:

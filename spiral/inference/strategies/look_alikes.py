@@ -24,7 +24,12 @@ from spiral.engine.likelihood.noise import first_noise
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import Ranked, Ranking, amplitude_keys
+from spiral.inference.evidence.scoring import RankedCandidate, Ranking, amplitude_keys
+from spiral.inference.likelihood.alias_groups import (
+    indistinguishable_rivals,
+    log_likelihood_lead,
+    twin_rivals,
+)
 from spiral.inference.likelihood.candidates import Rival, start_race, unscored_candidate
 from spiral.inference.likelihood.fitting import (
     LEVEL,
@@ -35,16 +40,11 @@ from spiral.inference.likelihood.fitting import (
     schwarz_penalty,
     with_estimate,
 )
-from spiral.inference.likelihood.groups import (
-    indistinguishable_rivals,
-    log_likelihood_lead,
-    twin_rivals,
-)
 from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.nearness import unexplained_error_growth
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.admission import Passed, fit_with_rival, offer_effects
-from spiral.inference.strategies.needed import admitted_variants
+from spiral.inference.strategies.admission import AcceptedCandidate, fit_with_rival, offer_effects
+from spiral.inference.strategies.superfluous import admitted_variants
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.label import make_label, owner_of
 from spiral.types.run import Comparison
@@ -53,10 +53,10 @@ _PROMISING = 3  # candidates that are asked in place of two effects
 
 
 @dataclass(frozen=True)
-class Likelier:
+class LikelierLookAlike:
     """A look-alike that takes the place of an effect, and how it was found."""
 
-    passed: Passed
+    passed: AcceptedCandidate
     ranking: Ranking
     tried: tuple[Rival, ...]
 
@@ -65,7 +65,7 @@ def recheck_admitted(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
     aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
     progress: Progress,
-) -> tuple[dict[str, tuple[str, ...]], Likelier | None]:  # fmt: skip
+) -> tuple[dict[str, tuple[str, ...]], LikelierLookAlike | None]:  # fmt: skip
     """What still looks like the effects of a final model, and one that is likelier than its own.
 
     Parameters
@@ -95,7 +95,9 @@ def recheck_admitted(
     return left, None
 
 
-def prefer_special_case(options: LikelihoodOptions, passed: Passed, progress: Progress) -> Passed:
+def prefer_special_case(
+    options: LikelihoodOptions, passed: AcceptedCandidate, progress: Progress
+) -> AcceptedCandidate:
     """A winner, or the special case of it that explains the records as well.
 
     The special case may have dropped out of the race early, while it still had to find the width
@@ -117,7 +119,9 @@ def prefer_special_case(options: LikelihoodOptions, passed: Passed, progress: Pr
     told = log_likelihood_lead(likelier.passed.rival, again.ours) >= np.log(options.odds)
     others = (*passed.aliases, *(() if told else (held.original.label,)))
     aliases = tuple(x for x in others if x != likelier.passed.rival.label)
-    return Passed(likelier.passed.rival, aliases, replace(likelier.passed.whole, settled=settled))
+    return AcceptedCandidate(
+        likelier.passed.rival, aliases, replace(likelier.passed.whole, settled=settled)
+    )
 
 
 def _special_case_labels(held: Variant) -> tuple[str, ...]:
@@ -141,7 +145,7 @@ class _Contest:
 
     def find_likelier(
         self, options: LikelihoodOptions, comparison: Comparison, progress: Progress
-    ) -> Likelier | None:
+    ) -> LikelierLookAlike | None:
         """The look-alike that is likelier by the odds and predicts no worse, if there is one.
 
         Of a special case it is enough that it is as likely, of one for several that it is likelier
@@ -161,7 +165,9 @@ class _Contest:
             ):
                 gone = tuple(dict.fromkeys((*self.labels, *whole.settled.retired)))
                 whole = replace(whole, settled=replace(whole.settled, retired=gone))
-                return Likelier(Passed(rival, (), whole), self.ranking, self.others)
+                return LikelierLookAlike(
+                    AcceptedCandidate(rival, (), whole), self.ranking, self.others
+                )
         return None
 
 
@@ -195,7 +201,7 @@ def _contest_effects(
     )
 
 
-def _is_variant_of(one: Ranked, held: tuple[Variant, ...]) -> bool:
+def _is_variant_of(one: RankedCandidate, held: tuple[Variant, ...]) -> bool:
     return one.variant.original.label in {v.original.label for v in held}
 
 

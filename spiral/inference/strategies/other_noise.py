@@ -23,7 +23,7 @@ from spiral.inference.likelihood.smaller_forces import replace_large_forces
 from spiral.inference.likelihood.starts import best_fit
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import finish_fit, settle_fit
-from spiral.inference.strategies.base import Settled
+from spiral.inference.strategies.base import RefittedModel
 
 
 def fit_with_noise_growth(
@@ -53,7 +53,7 @@ def fit_with_noise_growth(
 
 def settle_with_noise_growth(
     assembly: Assembly, state: FitState, base: LikelihoodFit, progress: Progress
-) -> Settled | None:
+) -> RefittedModel | None:
     """The model as it is with noise that grows with its reading, fitted to all samples.
 
     ``base`` is its fit to a part of them; nothing where such noise is not likelier.
@@ -71,7 +71,7 @@ def settle_with_noise_growth(
 
 def settle_with_smaller_forces(
     assembly: Assembly, state: FitState, progress: Progress
-) -> Settled | None:
+) -> RefittedModel | None:
     """The model as it is, beside forces with a memory where those it has are too large to explain.
 
     Nothing where they are not, or where the record does not have it so.

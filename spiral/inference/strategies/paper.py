@@ -36,13 +36,13 @@ from spiral.inference.paper.regression import (
     with_coefficients,
 )
 from spiral.inference.problem import Problem, Progress
-from spiral.inference.strategies.base import Begun, Settled, Step
+from spiral.inference.strategies.base import RefittedModel, StartedStudy, Step
 from spiral.inference.strategy_options import PaperOptions
 from spiral.types.label import owner_of
 from spiral.types.learner import Learned, learned
 from spiral.types.library import Term, terms_of
 from spiral.types.record import Array
-from spiral.types.run import Stopped
+from spiral.types.run import StopReason
 
 ENDED = {
     "white": "the residual is white (guard)",
@@ -71,7 +71,7 @@ class Regression:
     regressor: Regressor
 
 
-def begin(options: PaperOptions, problem: Problem, progress: Progress) -> Begun:
+def begin(options: PaperOptions, problem: Problem, progress: Progress) -> StartedStudy:
     """Derivatives, equations and columns of the study; the seed by joint least squares."""
     progress("compiling the model and the library")
     assembly = assemble(problem)
@@ -93,7 +93,7 @@ def begin(options: PaperOptions, problem: Problem, progress: Progress) -> Begun:
     assembly = replace(assembly, kept=kept)
     settled = _refit_jointly(options, assembly, known, progress)
     assembly = refine_substeps(assembly, settled.fit_state)
-    return Begun(assembly, settled.fit_state, settled.comparison, settled.details)
+    return StartedStudy(assembly, settled.fit_state, settled.comparison, settled.details)
 
 
 def _kept_regression(assembly: Assembly) -> Regression:
@@ -154,7 +154,7 @@ def _make_trial(options: PaperOptions, assembly: Assembly, fit_state: FitState) 
 
 def _refit_jointly(
     options: PaperOptions, assembly: Assembly, fit_state: FitState, progress: Progress
-) -> Settled:
+) -> RefittedModel:
     """Joint least squares on the training samples (paper, eq. joint_ols), and the comparison."""
     kept = _kept_regression(assembly)
     progress("joint least squares on the training samples")
@@ -171,7 +171,7 @@ def _refit_jointly(
     comparison = compare_fitted_model(
         refine_substeps(assembly, wider), wider, model, None, finite, progress
     )
-    return Settled(wider, comparison, details=log)
+    return RefittedModel(wider, comparison, details=log)
 
 
 # --- one round -----------------------------------------------------------------------------------
@@ -250,7 +250,7 @@ def _step_without_admission(
         "reason": judgement.reason or "library_exhausted",
         "text": ENDED[judgement.reason],
     }
-    stopped: Stopped = "whiteness" if judgement.reason == "white" else "no_candidate"
+    stopped: StopReason = "whiteness" if judgement.reason == "white" else "no_candidate"
     shown = dict(list(judgement.refused.items())[: options.listed])
     return Step((), shown, stopped=stopped, details=log)
 
@@ -302,14 +302,14 @@ def _key_owner(key: str) -> str:
 
 def settle(
     options: PaperOptions, assembly: Assembly, step: Step[FitState], progress: Progress
-) -> Settled:
+) -> RefittedModel:
     """Joint least squares with the admitted terms."""
     return _refit_jointly(options, assembly, step.required_result(), progress)
 
 
 def admit(
     options: PaperOptions, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
-) -> Settled:
+) -> RefittedModel:
     """The same with the terms of an effect that a person names; its other amplitudes are held."""
     kept = _kept_regression(assembly)
     free = {t.key for t in kept.terms if t.effect.label == label}

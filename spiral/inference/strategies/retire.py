@@ -13,7 +13,7 @@ from scipy import special
 
 from spiral.engine.growth import Stage
 from spiral.engine.statistics import paired_errors
-from spiral.inference.evidence.admission import Admitted, admit_candidate, drop_effect, refit
+from spiral.inference.evidence.admission import AdmittedEffect, admit_candidate, drop_effect, refit
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import fitted_model
 from spiral.inference.evidence.fit_state import FitState, Masks
@@ -24,7 +24,7 @@ from spiral.types.model import Model
 
 
 def superfluous_labels(
-    assembly: Assembly, latest: Admitted, model: Model, mask: Masks, block: int
+    assembly: Assembly, latest: AdmittedEffect, model: Model, mask: Masks, block: int
 ) -> tuple[str, ...]:
     """Compiled labels of admitted effects whose absence does not cost held-out accuracy.
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from spiral.engine.growth import Stage
 from spiral.inference.evidence.admission import (
-    Admitted,
+    AdmittedEffect,
     admit_candidate,
     drop_effects,
     is_second_order_remainder,
@@ -32,24 +32,24 @@ from spiral.inference.evidence.fit_state import FitState, Masks, all_samples, ha
 from spiral.inference.evidence.scoring import amplitude_keys
 from spiral.inference.identifiability.parameters import find_entanglement
 from spiral.inference.problem import Problem, Progress
-from spiral.inference.strategies.base import Added, Begun, Settled, Step
-from spiral.inference.strategies.resolved import propose_with_own_states, widen_study
+from spiral.inference.strategies.base import AddedEffects, RefittedModel, StartedStudy, Step
+from spiral.inference.strategies.resonances import propose_with_own_states, widen_study
 from spiral.inference.strategies.retire import prefer_simplest_alias, superfluous_labels
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose_on_windows, suggestions_by_evidence
-from spiral.inference.unknown.shape import Found, find_unknown_shape, has_curves_to_try
+from spiral.inference.unknown.shape import LearnedEffect, find_unknown_shape, has_curves_to_try
 from spiral.types.effect import Effect
-from spiral.types.run import Comparison, Stopped, Suggestion
+from spiral.types.run import Comparison, StopReason, Suggestion
 
 
-def begin(problem: Problem, progress: Progress) -> Begun:
+def begin(problem: Problem, progress: Progress) -> StartedStudy:
     """The seed fitted on growing windows of the half that judges."""
     progress("compiling the model and all candidates")
     assembly, fit_state = prepare_study(problem)
     tangle = find_entanglement(assembly, fit_state)
     comparison = _refit_and_compare(assembly, fit_state, half_masks(assembly)[1], progress)
     groups = () if tangle is None else tangle.groups
-    return Begun(assembly, fit_state, comparison, refused=tangle is not None, groups=groups)
+    return StartedStudy(assembly, fit_state, comparison, refused=tangle is not None, groups=groups)
 
 
 def propose_candidate(
@@ -97,7 +97,7 @@ def find_unknown_curve(
     comparison: Comparison,
     number: int,
     progress: Progress,
-) -> Found | None:
+) -> LearnedEffect | None:
     """The shape of what no candidate explains; nothing where what is left is white.
 
     Where effects admitted before have led astray (the fit diverges, or the free run does), it
@@ -179,7 +179,7 @@ def choose(
     return _admitting_step(fit_state, study, _transfer_to_study(begun, study, chosen))
 
 
-def settle(assembly: Assembly, step: Step[Proposal], progress: Progress) -> Settled:
+def settle(assembly: Assembly, step: Step[Proposal], progress: Progress) -> RefittedModel:
     """Refit and compare after an admission, letting go of effects it has made superfluous."""
     proposal = step.required_result()
     latest = proposal.admitted
@@ -193,15 +193,15 @@ def settle(assembly: Assembly, step: Step[Proposal], progress: Progress) -> Sett
         comparison = _refit_and_compare(assembly, latest.fit_state, mask, progress)
     gone = superfluous_labels(assembly, latest, comparison.model, mask, proposal.evidence.block)
     if not gone:
-        return Settled(latest.fit_state, comparison, proposal.dropped)
+        return RefittedModel(latest.fit_state, comparison, proposal.dropped)
     fit_state = drop_effects(assembly, latest.fit_state, gone)
     comparison = _refit_and_compare(assembly, fit_state, mask, progress)
     retired = tuple(assembly.variant(x).original.label for x in gone)
     fit_state = transfer_fit_state(fit_state, assembly, enlarge(begun, fit_state.labels))
-    return Settled(fit_state, comparison, (*proposal.dropped, *retired))
+    return RefittedModel(fit_state, comparison, (*proposal.dropped, *retired))
 
 
-def _with_zero_amplitudes(assembly: Assembly, latest: Admitted) -> FitState:
+def _with_zero_amplitudes(assembly: Assembly, latest: AdmittedEffect) -> FitState:
     """The fit state with the new effect's amplitudes at zero, so that short windows converge.
 
     Fitted to long windows of a model that is far off, a softening spring may let the short windows
@@ -226,7 +226,7 @@ def _refit_and_compare(
     return compare_fit(assembly, refitted, stage, progress)
 
 
-def _stop_reason(proposal: Proposal, comparison: Comparison, level: float) -> Stopped:
+def _stop_reason(proposal: Proposal, comparison: Comparison, level: float) -> StopReason:
     if proposal.diverged:
         return "diverged"
     return "whiteness" if comparison.whiteness_p >= level else "no_candidate"
@@ -234,7 +234,7 @@ def _stop_reason(proposal: Proposal, comparison: Comparison, level: float) -> St
 
 def fit_before_and_after(
     problem: Problem, effects: tuple[Effect, ...], progress: Progress
-) -> Added:
+) -> AddedEffects:
     """The model before and after effects added by hand, each fitted to all samples."""
     clock = time.perf_counter()
     assembly, fit_state_before = prepare_study(problem, effects)
@@ -248,7 +248,7 @@ def fit_before_and_after(
     progress("fitting after")
     stage = last_stage(assembly, fit_state, masks)
     fit_state = replace(fit_state, values=stage.fitted.point.values)
-    return Added(before, compare_fit(assembly, fit_state, stage, progress), spent)
+    return AddedEffects(before, compare_fit(assembly, fit_state, stage, progress), spent)
 
 
 def _admit_without_gates(

@@ -23,7 +23,7 @@ _STEP = 1e-4
 
 
 @dataclass(frozen=True)
-class Course:
+class CurveAxis:
     """One curve of a learned effect: ``axis`` the direction or channel that it acts in.
 
     ``state`` in words what it follows; ``seen`` (samples,) the values visited; ``typical`` the rms
@@ -46,16 +46,16 @@ def window_states(assembly: Assembly, stage: Stage) -> Array:
     return np.concatenate([p[np.isfinite(p).all(axis=1)] for p in parts])
 
 
-def courses(assembly: Assembly, states: Array, learned: Learned) -> tuple[Course, ...]:
+def courses(assembly: Assembly, states: Array, learned: Learned) -> tuple[CurveAxis, ...]:
     """The curves of an effect with the values of what they follow; ``states`` (samples, all)."""
     traced, system = assembly.study.compiled.traced, assembly.problem.model.system
     if isinstance(learned, LearnedStateFlow):
         axes = system.place(learned).axes
         levels = [states[:, traced.states.index(name)] for name in axes]
-        return (Course(0, axes[0], " - ".join(axes), levels[0] - sum(levels[1:]), 0.0),)
+        return (CurveAxis(0, axes[0], " - ".join(axes), levels[0] - sum(levels[1:]), 0.0),)
     if isinstance(learned, LearnedFlow):
         level = states[:, traced.states.index(learned.state)]
-        return (Course(0, learned.into, learned.state, level, 0.0),)
+        return (CurveAxis(0, learned.into, learned.state, level, 0.0),)
     port = system.place(learned)
     at: dict[str, list[Array]] = {}
     for kind, expressions in port_motion_expressions(system, port, traced):
@@ -63,15 +63,17 @@ def courses(assembly: Assembly, states: Array, learned: Learned) -> tuple[Course
         at[kind] = [np.broadcast_to(v, (len(states),)) for v in values]
     if learned.follows == "radius":
         radius = np.sqrt(sum(v**2 for v in at["position"]))
-        return (Course(0, port.axes[0], f"the radius of {' and '.join(port.axes)}", radius, 0.0),)
+        return (
+            CurveAxis(0, port.axes[0], f"the radius of {' and '.join(port.axes)}", radius, 0.0),
+        )
     rate = "'" if learned.follows == "velocity" else ""
     speeds = [float(np.sqrt(np.mean(v**2))) for v in at["velocity"]]
     rows = zip(port.axes, at[learned.follows], speeds, strict=True)
-    return tuple(Course(i, a, a + rate, seen, v) for i, (a, seen, v) in enumerate(rows))
+    return tuple(CurveAxis(i, a, a + rate, seen, v) for i, (a, seen, v) in enumerate(rows))
 
 
 @dataclass(frozen=True)
-class Path:
+class StatePath:
     """A state that takes the values ``at``, all others at rest.
 
     Of a curve that is multiplied by a velocity it is the part of the force that turns with the
@@ -80,7 +82,7 @@ class Path:
 
     assembly: Assembly
     learned: Learned
-    course: Course
+    course: CurveAxis
     at: Array
 
     def force(self, row: Array, labels: list[str]) -> Array:

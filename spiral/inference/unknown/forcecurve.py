@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.fit import covariance
-from spiral.inference.evidence.admission import Admitted
+from spiral.inference.evidence.admission import AdmittedEffect
 from spiral.inference.evidence.assembly import Assembly, columns_with_bounds
 from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import Masks
-from spiral.inference.unknown.curvepath import Course, Path, courses, window_states
+from spiral.inference.unknown.curvepath import CurveAxis, StatePath, courses, window_states
 from spiral.physics.learned import Learned, LearnedForce, spacing
 from spiral.types.label import owner_of
 from spiral.types.record import Array
@@ -119,7 +119,7 @@ class CurveFit:
     states: Array
 
 
-def curve_fit_on_windows(assembly: Assembly, admitted: Admitted, mask: Masks) -> CurveFit:
+def curve_fit_on_windows(assembly: Assembly, admitted: AdmittedEffect, mask: Masks) -> CurveFit:
     """A learned effect that was admitted on windows, refitted on some samples."""
     stage, state = last_stage(assembly, admitted.fit_state, mask), admitted.fit_state
     learned, seed = admitted.variant.effect, assembly.problem.model.labels
@@ -164,7 +164,7 @@ def _quantity_word(learned: Learned) -> str:
     return "radial force" if learned.follows == "radius" else "force"
 
 
-def _curve_with_band(fit: CurveFit, course: Course) -> Curve:
+def _curve_with_band(fit: CurveFit, course: CurveAxis) -> Curve:
     low, high = np.percentile(course.seen, [_TAILS, 100 - _TAILS])
     at = np.linspace(low, high, _POINTS)
     edges = np.concatenate([at - (at[1] - at[0]) / 2, [at[-1] + (at[1] - at[0]) / 2]])
@@ -172,7 +172,7 @@ def _curve_with_band(fit: CurveFit, course: Course) -> Curve:
     visited /= visited.sum()
     assembly, added, row = fit.assembly, list(fit.added), fit.row
     seed = list(assembly.problem.model.labels)
-    path = Path(assembly, fit.learned, course, at)
+    path = StatePath(assembly, fit.learned, course, at)
     slopes = np.array([path.slope(row, added, i) for i in fit.moving]).T
     seeds = [i for i, k in enumerate(assembly.study.keys) if owner_of(k) in seed]
     basis = np.array([path.slope(row, seed, i) for i in seeds]).T

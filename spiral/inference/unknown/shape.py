@@ -27,7 +27,7 @@ from spiral.types.label import owner_of
 
 
 @dataclass(frozen=True)
-class Found:
+class LearnedEffect:
     """A learned effect that passed the gates: on ``assembly``, which holds it, by ``proposal``."""
 
     assembly: Assembly
@@ -43,7 +43,7 @@ def find_unknown_shape(
     round_number: int,
     progress: Progress,
     astray: bool = False,
-) -> Found | None:
+) -> LearnedEffect | None:
     """The curve that explains what is left, or nothing where none passes the gates.
 
     Effects admitted before may only have stood in for the curve, so it is tried from the seed
@@ -100,7 +100,7 @@ def _find_curve_from(
     masks: tuple[Masks, Masks],
     round_number: int,
     progress: Progress,
-) -> Found | None:
+) -> LearnedEffect | None:
     """The curve that comes first from ``start``, against what ``fit_state`` has beyond it."""
     present = {v.original.label for v in assembly.variants if v.label in fit_state.labels}
     taken = {*present, *assembly.problem.model.labels}
@@ -131,7 +131,7 @@ def _find_curve_from(
     )
     fit = curve_fit_on_windows(wide, first.admitted, masks[1])
     shape = describe_curve(fit, chosen.label, first.suggestions)
-    return Found(final, proposal, shape)
+    return LearnedEffect(final, proposal, shape)
 
 
 def has_curves_to_try(assembly: Assembly) -> bool:

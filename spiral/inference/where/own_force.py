@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.inference.where.latent import MissingForce, latent_keys
-from spiral.physics.compile import Compiled, compile_model
-from spiral.physics.trace import Traced, trace
+from spiral.physics.compile import CompiledModel, compile_model
+from spiral.physics.trace import TracedModel, trace
 from spiral.types.model import Model
 from spiral.types.record import Array
 
@@ -65,7 +65,7 @@ def effect_own_force(missing: MissingForce, after: Model, label: str) -> OwnForc
     return OwnForce(rows, alone, refitted)
 
 
-def _values_in_order(traced: Traced, model: Model) -> Array:
+def _values_in_order(traced: TracedModel, model: Model) -> Array:
     known = dict(zip(traced.keys, traced.parameters, strict=True))
     return np.array([model.values.get(k, known[k].start or 0.0) for k in traced.keys])
 
@@ -86,7 +86,7 @@ def _force_gains(missing: MissingForce, x: Array, u: Array) -> Array:
     )
 
 
-def _rates_along(compiled: Compiled, x: Array, u: Array, p: Array) -> Array:
+def _rates_along(compiled: CompiledModel, x: Array, u: Array, p: Array) -> Array:
     """Rates (samples, states) at every row of x and u."""
     from spiral.engine.likelihood.signatures_kernel import evaluate_along
 
@@ -95,7 +95,7 @@ def _rates_along(compiled: Compiled, x: Array, u: Array, p: Array) -> Array:
     return rates
 
 
-def _reorder_rates(rates: Array, traced: Traced, known: list[str]) -> Array:
+def _reorder_rates(rates: Array, traced: TracedModel, known: list[str]) -> Array:
     """Rates in the order of the model before; those of states that are no more are zero."""
     ordered = np.zeros((len(rates), len(known)))
     ordered[:, [known.index(n) for n in traced.states]] = rates

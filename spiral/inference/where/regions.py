@@ -17,7 +17,7 @@ from spiral.inference.evidence.assembly import Assembly, active_keys, to_model
 from spiral.inference.evidence.judge import free_run_from_stage
 from spiral.inference.where.latent import MissingForce, missing_force
 from spiral.inference.where.orders import order_map, time_map
-from spiral.inference.where.surface import Shape, best_shape, rank_force_shapes
+from spiral.inference.where.surface import ForceShape, best_shape, rank_force_shapes
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
 from spiral.types.run import Where
@@ -35,7 +35,7 @@ _SLICE = 1024  # samples of a slice in which a frequency is looked for
 
 
 @dataclass(frozen=True)
-class Seen:
+class WorstRecord:
     """What a model misses on its worst record.
 
     ``number`` is that record's; ``error`` (samples, channels) measured minus free run;
@@ -51,7 +51,7 @@ class Seen:
     missing: MissingForce | None
 
 
-def locate_failure(assembly: Assembly, stage: Stage, what: Seen | None = None) -> Where:
+def locate_failure(assembly: Assembly, stage: Stage, what: WorstRecord | None = None) -> Where:
     """The smallest ranges that hold 80 % of the error's energy in excess of noise, in one sentence.
 
     Errors are those of the free run with the stage's values on the worst record; where that run is
@@ -69,7 +69,9 @@ def locate_failure(assembly: Assembly, stage: Stage, what: Seen | None = None) -
     )
 
 
-def worst_record_failure(assembly: Assembly, stage: Stage, wide: Model | None = None) -> Seen:
+def worst_record_failure(
+    assembly: Assembly, stage: Stage, wide: Model | None = None
+) -> WorstRecord:
     """The free-run error and the missing force on the worst record.
 
     ``wide``: a model that holds the stage's effects and an unknown force, zero where the stage has
@@ -89,7 +91,7 @@ def worst_record_failure(assembly: Assembly, stage: Stage, wide: Model | None = 
     energy = np.sum(noises**2, axis=0)
     channels = tuple(n for n, e in zip(names, energy, strict=True) if e > _BOTH * energy.max())
     missing = _missing_force_of_stage(assembly, stage, number, int(np.argmax(excess)), wide)
-    return Seen(number, series.record, error, excess, channels, missing)
+    return WorstRecord(number, series.record, error, excess, channels, missing)
 
 
 def _missing_force_of_stage(
@@ -106,7 +108,7 @@ def _missing_force_of_stage(
     return missing_force(model, series.record, grid, series.substeps, first)
 
 
-def describe_failure(assembly: Assembly, seen: Seen) -> Where:
+def describe_failure(assembly: Assembly, seen: WorstRecord) -> Where:
     """The ranges in which the model fails, and the sentence that describes them."""
     record, system = seen.record, assembly.problem.model.system
     time = _range_of_excess(record.time, seen.excess)
@@ -128,7 +130,9 @@ def describe_failure(assembly: Assembly, seen: Seen) -> Where:
     return Where(**{**vars(ranges), "sentence": _failure_sentence(ranges, state, seen, system)})
 
 
-def _state_of_missing_force(assembly: Assembly, seen: Seen) -> tuple[Shape | None, float | None]:
+def _state_of_missing_force(
+    assembly: Assembly, seen: WorstRecord
+) -> tuple[ForceShape | None, float | None]:
     """The state that the missing force follows, and the share that this explains."""
     if seen.missing is None:
         return None, None
@@ -201,7 +205,7 @@ def _failure_frequency(error: Array, dt: float) -> tuple[float, float] | None:
     return _spectral_band(spectrogram.axis, spectrogram.power.sum(axis=0))
 
 
-def _failure_order(seen: Seen) -> tuple[float, float] | None:
+def _failure_order(seen: WorstRecord) -> tuple[float, float] | None:
     """The order of the missing force (of the error where there is none), if it is one line."""
     record = seen.record
     if "phase" not in record.inputs or "speed" not in record.inputs:
@@ -231,7 +235,7 @@ def _nearest_order(order: tuple[float, float]) -> int:
     return round(float(np.mean(order)))
 
 
-def _failure_sentence(ranges: Where, state: Shape | None, seen: Seen, system) -> str:
+def _failure_sentence(ranges: Where, state: ForceShape | None, seen: WorstRecord, system) -> str:
     parts = []
     turning = np.ptp(seen.record.inputs["speed"]) > 0 if "speed" in seen.record.inputs else False
     if ranges.speed_rad_s is not None:
@@ -277,7 +281,7 @@ def _format_frequency(frequency: tuple[float, float]) -> str:
 _GROWTH = {1: "in proportion to {}", 2: "growing with {} squared", 3: "growing with {} cubed"}
 
 
-def _describe_state(state: Shape) -> str:
+def _describe_state(state: ForceShape) -> str:
     """In words, how the missing force depends on a state."""
     if state.kind == "angle":
         often = {1: "once", 2: "twice"}.get(state.power, f"{state.power} times")

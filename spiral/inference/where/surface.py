@@ -30,7 +30,7 @@ _TINY = 1e-9
 
 
 @dataclass(frozen=True)
-class Shape:
+class ForceShape:
     """One shape of the missing force on one axis.
 
     ``power`` is n, or k for an angle; ``even`` where the sign of the state does not matter;
@@ -45,7 +45,7 @@ class Shape:
     even: bool = False
 
 
-def rank_force_shapes(missing: MissingForce, active: tuple[str, ...]) -> tuple[Shape, ...]:
+def rank_force_shapes(missing: MissingForce, active: tuple[str, ...]) -> tuple[ForceShape, ...]:
     """All shapes on all axes, by the share of the missing force that they explain, best first.
 
     Parameters
@@ -66,13 +66,13 @@ def rank_force_shapes(missing: MissingForce, active: tuple[str, ...]) -> tuple[S
             )
             share = float(np.sum((seen.T @ left) ** 2)) / energy if energy > 0 else 0.0
             kind, state, power, even = shape
-            ranked.append(Shape(axis, kind, state, power, share, even))
+            ranked.append(ForceShape(axis, kind, state, power, share, even))
     return tuple(sorted(ranked, key=lambda s: -s.share))
 
 
-def best_shape(candidates: tuple[Shape, ...], axes: tuple[str, ...]) -> Shape | None:
+def best_shape(candidates: tuple[ForceShape, ...], axes: tuple[str, ...]) -> ForceShape | None:
     """The shape with the largest mean share over these axes, named on the axis it explains best."""
-    groups: dict[tuple, list[Shape]] = {}
+    groups: dict[tuple, list[ForceShape]] = {}
     for shape in (s for s in candidates if s.axis in axes):
         groups.setdefault((shape.kind, shape.power, shape.even), []).append(shape)
     if not groups:
@@ -80,7 +80,7 @@ def best_shape(candidates: tuple[Shape, ...], axes: tuple[str, ...]) -> Shape | 
     means = {key: float(np.mean([s.share for s in group])) for key, group in groups.items()}
     best = max(means, key=lambda key: means[key])
     first = max(groups[best], key=lambda s: s.share)
-    return Shape(first.axis, first.kind, first.state, first.power, means[best], first.even)
+    return ForceShape(first.axis, first.kind, first.state, first.power, means[best], first.even)
 
 
 def _model_force_columns(missing: MissingForce, active: tuple[str, ...], at: Array) -> Array:

@@ -37,7 +37,7 @@ def tasks(systems: Sequence[System]) -> tuple[Task, ...]:
     return tuple(prepared)
 
 
-class Watched:
+class ObserverRuns:
     """An observer over the short records; each is reconstructed once, when first asked for."""
 
     def __init__(self, observer: Observer, systems: Sequence[System]) -> None:
@@ -71,7 +71,7 @@ class Watched:
         return ", ".join(names) + (f"; refused: {len(self._refused)}" if self._refused else "")
 
 
-def check_reconstruction(watched: Watched) -> str:
+def check_reconstruction(watched: ObserverRuns) -> str:
     """Means and deviations (samples, N): the model's states first, finite down to the last."""
     for task, reconstruction in watched.reconstructions():
         count = len(task.states)
@@ -94,7 +94,7 @@ def check_reconstruction(watched: Watched) -> str:
     return watched.told
 
 
-def check_covariances(watched: Watched) -> str:
+def check_covariances(watched: ObserverRuns) -> str:
     """P = P^T, no eigenvalue below zero, its diagonal the squared deviations; or none at all."""
     seen = False
     for task, reconstruction in watched.reconstructions():
@@ -116,7 +116,7 @@ def check_covariances(watched: Watched) -> str:
     return "symmetric, none below zero" if seen else "none given"
 
 
-def check_innovations(watched: Watched) -> str:
+def check_innovations(watched: ObserverRuns) -> str:
     """v (samples, channels) and S = S^T > 0 with a finite likelihood; or none at all."""
     seen = False
     for task, reconstruction in watched.reconstructions():
@@ -140,7 +140,7 @@ def check_innovations(watched: Watched) -> str:
     return "finite, with positive spreads" if seen else "none given"
 
 
-def check_tracking_error(watched: Watched) -> str:
+def check_tracking_error(watched: ObserverRuns) -> str:
     """Measured states are followed: off by less than half their own motion."""
     worst = 0.0
     for task, reconstruction in watched.reconstructions():
@@ -159,7 +159,7 @@ def check_tracking_error(watched: Watched) -> str:
     return f"at most {worst:.2g} of the motion"
 
 
-def check_repeatable_reconstruction(watched: Watched) -> str:
+def check_repeatable_reconstruction(watched: ObserverRuns) -> str:
     """The same record gives the same numbers, and the record stays as it is."""
     task, once = watched.reconstructions()[0]
     before = task.series.y.copy(), task.inputs.copy(), task.values.copy(), task.start.copy()

@@ -25,7 +25,7 @@ from spiral.types.record import Array
 from spiral.types.system import System, has_coordinates
 
 if TYPE_CHECKING:
-    from spiral.physics.compile import Compiled
+    from spiral.physics.compile import CompiledModel
     from spiral.types.model import Model
 
 _STEP, _TOLERANCE, _EXACT = 1e-5, 1e-5, 1e-12
@@ -45,7 +45,7 @@ class Physics:
     effects: tuple[Effect, ...] | None = None
 
     @cached_property
-    def compiled(self) -> Compiled:
+    def compiled(self) -> CompiledModel:
         """Its functions."""
         from spiral.physics.compile import compile_model
         from spiral.physics.trace import trace

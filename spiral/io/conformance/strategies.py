@@ -58,7 +58,7 @@ def _simulate_shaken(truth: Model, seed: int) -> Record:
 
 
 @dataclass(frozen=True)
-class Rehearsed:
+class FirstRound:
     """A strategy in its first round on that study."""
 
     strategy: Strategy
@@ -75,7 +75,7 @@ class Rehearsed:
         return discover(self.problem)
 
 
-def check_first_round(at: Rehearsed) -> str:
+def check_first_round(at: FirstRound) -> str:
     """The loop comes to its end, with a model whose values are numbers."""
     values = at.run.model.values
     if not all(np.isfinite(v) for v in values.values()):
@@ -83,7 +83,7 @@ def check_first_round(at: Rehearsed) -> str:
     return f"{at.run.verdict}, {len(at.run.rounds) - 1} admitted"
 
 
-def check_admissions(at: Rehearsed) -> str:
+def check_admissions(at: FirstRound) -> str:
     """What it admits was offered and is then in the model; what it suggests was offered."""
     known = {e.label for e in at.problem.candidates}
     told = {s.effect for r in at.run.rounds for s in r.suggestions}
@@ -96,6 +96,6 @@ def check_admissions(at: Rehearsed) -> str:
     return f"{len(told)} suggested"
 
 
-def check_run_log(at: Rehearsed) -> str:
+def check_run_log(at: FirstRound) -> str:
     """Its details are plain data that JSON takes."""
     return f"{len(json.loads(to_json(at.run.as_dict())))} keys"

@@ -36,7 +36,7 @@ _RESERVED = (
 )  # fmt: skip
 
 
-class _Printer(C99CodePrinter):
+class _CPrinter(C99CodePrinter):
     """C99 with cases as conditional expressions."""
 
     def _print_Piecewise(self, expr: Any) -> str:
@@ -114,7 +114,7 @@ def _function_body(
     free = set().union(*(v.free_symbols for v in values))
     unused = [*unused, *(["p"] if free.isdisjoint(fields) else [])]
     unused = [*unused, *([] if program.time in free else ["t"])]
-    parts, texts = assignments(values, _Printer({"strict": True}).doprint, names)
+    parts, texts = assignments(values, _CPrinter({"strict": True}).doprint, names)
     lines = [*given, *(f"const double {name} = {text};" for name, text, _ in parts)]
     lines += [f"{place} = {text};" for place, text in zip(places, texts, strict=True)]
     return "\n".join(f"    {line}" for line in [*(f"(void){name};" for name in unused), *lines])

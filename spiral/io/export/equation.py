@@ -11,7 +11,7 @@ from sympy.printing.str import StrPrinter
 
 from spiral.io.export.names import latex_text, sanitise_text
 from spiral.physics.outside.program import ProgramValue
-from spiral.physics.trace import Traced, trace
+from spiral.physics.trace import TracedModel, trace
 from spiral.types.effect import SensorEffect
 from spiral.types.label import parameter_of
 from spiral.types.model import Model
@@ -38,7 +38,7 @@ class Equation:
     terms: tuple[EquationTerm, ...]
 
 
-def model_equations(model: Model) -> tuple[tuple[Equation, ...], Traced]:
+def model_equations(model: Model) -> tuple[tuple[Equation, ...], TracedModel]:
     """One equation for each state that is not merely the rate of another, and each changed reading.
 
     Contributions are differences of the traced right-hand side with and without an effect, so the
@@ -130,7 +130,7 @@ def _reading_equations(model: Model) -> list[Equation]:
     return listed
 
 
-def _substitute_values(traced: Traced, model: Model) -> Traced:
+def _substitute_values(traced: TracedModel, model: Model) -> TracedModel:
     """Symbols renamed after states and inputs, parameters replaced by their values."""
     swap: dict[Any, Any] = {}
     for names, symbols in ((traced.states, traced.x), (traced.inputs, traced.u)):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from xml.etree import ElementTree as Xml
 
 from spiral.io.export.names import sanitise_text
-from spiral.io.export.program import Item, Program, header_lines
+from spiral.io.export.program import Program, ProgramVariable, header_lines
 from spiral.types.units import base_form, short_form
 
 
@@ -161,5 +161,5 @@ def _add_unit_definitions(root: Xml.Element, program: Program) -> None:
             Xml.SubElement(written, "BaseUnit", powers | {"factor": repr(factor)})
 
 
-def _rate_unit(state: Item) -> str:
+def _rate_unit(state: ProgramVariable) -> str:
     return short_form(f"({state.unit})/s") if state.unit else "1/s"

@@ -33,7 +33,7 @@ _RESERVED = (*_WORDS, "t", "x", "u", "p", "f", "y", "by_x", "by_p", "pick")
 _FUNCTIONS = ("model", "rhs", "readings", "jacobian", "readings_jacobian", "step")
 
 
-class _Printer(OctaveCodePrinter):
+class _MatlabPrinter(OctaveCodePrinter):
     """Cases by a function of two values: a product with the condition makes NaN of 0 times Inf."""
 
     def _print_Float(self, expr: sp.Float) -> str:
@@ -111,5 +111,5 @@ def _printed_expressions(
     ]
     names |= {s: f"p.{name}" for s, name in identifiers(program.parameters, _RESERVED).items()}
     names[program.time] = "t"
-    parts, texts = assignments(values, _Printer({"strict": True}).doprint, names)
+    parts, texts = assignments(values, _MatlabPrinter({"strict": True}).doprint, names)
     return [*lines, *(f"{name} = {text};" for name, text, _ in parts)], texts

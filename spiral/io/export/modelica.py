@@ -12,7 +12,13 @@ from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.str import StrPrinter
 
 from spiral.io.export.names import sanitise_text
-from spiral.io.export.program import Item, Program, assignments, header_lines, identifiers
+from spiral.io.export.program import (
+    Program,
+    ProgramVariable,
+    assignments,
+    header_lines,
+    identifiers,
+)
 from spiral.io.writing import fill_template
 
 _FUNCTIONS = {
@@ -32,7 +38,7 @@ _RESERVED = (
 )  # fmt: skip
 
 
-class _Printer(StrPrinter):
+class _ModelicaPrinter(StrPrinter):
     """Modelica's operators; cases without events, as the motion was fitted."""
 
     def _print_Float(self, expr: sp.Float) -> str:
@@ -78,11 +84,11 @@ _paired = functools.partial(zip, strict=True)
 
 def modelica(program: Program) -> str:
     """The file's text."""
-    readings = [Item(f"reading_{o.name}", o.unit, o.symbol, "reading") for o in program.outputs]
+    readings = _readings(program)
     items = (*program.states, *program.inputs, *readings, *program.parameters)
     names = identifiers(items, (*_RESERVED, _class_name(program)))
     values = [*program.rate, *program.output]
-    parts, texts = assignments(values, _Printer().doprint, {**names, program.time: "time"})
+    parts, texts = assignments(values, _ModelicaPrinter().doprint, {**names, program.time: "time"})
     rates, outputs = texts[: len(program.rate)], texts[len(program.rate) :]
     return fill_template(
         "export_modelica",
@@ -117,6 +123,13 @@ def modelica(program: Program) -> str:
     )
 
 
+def _readings(program: Program) -> list[ProgramVariable]:
+    """The outputs, under names that no state has."""
+    return [
+        ProgramVariable(f"reading_{o.name}", o.unit, o.symbol, "reading") for o in program.outputs
+    ]
+
+
 def _class_name(program: Program) -> str:
     return "".join(part.capitalize() for part in program.name.split("_"))
 
@@ -125,15 +138,15 @@ def _declaration_lines(texts: Any) -> str:
     return "\n".join(f"  {text}" for text in texts)
 
 
-def _item_comment(item: Item) -> str:
+def _item_comment(item: ProgramVariable) -> str:
     return f'"{sanitise_text(", ".join(filter(None, (item.name, item.about))))}"'
 
 
-def _unit_modifier(item: Item) -> str:
+def _unit_modifier(item: ProgramVariable) -> str:
     return f"({_modifier_list(item)})" if _modifier_list(item) else ""
 
 
-def _modifier_list(item: Item, more: str = "") -> str:
+def _modifier_list(item: ProgramVariable, more: str = "") -> str:
     """The unit in Modelica's notation, ``kg*m^2`` as ``kg.m2``, where it can be written so."""
     text = item.unit.replace("*", ".").replace("^", "")
     known = re.fullmatch(r"[A-Za-z0-9./()-]+", text) and text.count("/") < 2

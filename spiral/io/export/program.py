@@ -20,7 +20,7 @@ from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from spiral.io.export.names import ascii_identifier, sanitise_text
 from spiral.physics.effect_states import own_states
 from spiral.physics.outside.program import ProgramValue
-from spiral.physics.trace import Traced, trace
+from spiral.physics.trace import TracedModel, trace
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model
 from spiral.types.parameter import BETWEEN
@@ -29,7 +29,7 @@ from spiral.types.units import short_form
 
 
 @dataclass(frozen=True)
-class Item:
+class ProgramVariable:
     """A state, input, reading or parameter; ``symbol`` stands for it in the expressions."""
 
     name: str
@@ -39,7 +39,7 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Constant(Item):
+class Constant(ProgramVariable):
     """A parameter with its value and standard error (nothing where it was not fitted)."""
 
     value: float = math.nan
@@ -57,9 +57,9 @@ class Program:
     title: str
     origin: str
     name: str
-    states: tuple[Item, ...]
-    inputs: tuple[Item, ...]
-    outputs: tuple[Item, ...]
+    states: tuple[ProgramVariable, ...]
+    inputs: tuple[ProgramVariable, ...]
+    outputs: tuple[ProgramVariable, ...]
     parameters: tuple[Constant, ...]
     time: sp.Symbol
     rates: Mapping[str, str]
@@ -121,7 +121,7 @@ def build_program(model: Model, origin: str = "") -> Program:
         states=_state_items(model, traced),
         inputs=_input_items(model, traced, rates),
         outputs=tuple(
-            Item(
+            ProgramVariable(
                 name,
                 _read_unit(lambda n=name: short_form(system.unit_of(n)), name),
                 sp.Symbol(f"y{i}", real=True),
@@ -141,7 +141,7 @@ def build_program(model: Model, origin: str = "") -> Program:
     )
 
 
-def _state_items(model: Model, traced: Traced) -> tuple[Item, ...]:
+def _state_items(model: Model, traced: TracedModel) -> tuple[ProgramVariable, ...]:
     system = model.system
     units = {s.name: s.unit for s in system.states} | own_states(system, model.effects)
     items = []
@@ -149,22 +149,26 @@ def _state_items(model: Model, traced: Traced) -> tuple[Item, ...]:
         own = "of an effect" if "." in name else "hidden"
         about = "measured" if name in system.observed else own
         items.append(
-            Item(name, _read_unit(lambda n=name: short_form(units[n]), name), symbol, about)
+            ProgramVariable(
+                name, _read_unit(lambda n=name: short_form(units[n]), name), symbol, about
+            )
         )
     return tuple(items)
 
 
-def _input_items(model: Model, traced: Traced, rates: Mapping[str, str]) -> tuple[Item, ...]:
+def _input_items(
+    model: Model, traced: TracedModel, rates: Mapping[str, str]
+) -> tuple[ProgramVariable, ...]:
     known = {i.name: i for i in model.system.inputs}
     items = []
     for name, symbol in zip(traced.inputs, traced.u, strict=True):
         if name in rates:
             unit = _read_unit(lambda n=name: short_form(f"({known[rates[n]].unit})/s"), name)
-            items.append(Item(name, unit, symbol, f"time derivative of {rates[name]}"))
+            items.append(ProgramVariable(name, unit, symbol, f"time derivative of {rates[name]}"))
         elif name != TIME:
             how = BETWEEN[known[name].interpolation]
             items.append(
-                Item(
+                ProgramVariable(
                     name,
                     _read_unit(lambda n=name: short_form(known[n].unit), name),
                     symbol,
@@ -216,7 +220,7 @@ class _Direction(sp.Function):
         return sp.Integer(0)
 
 
-class _Step(sp.Function):
+class _RoundedValue(sp.Function):
     """A rounded value (``floor``, ``ceiling``), whose slope is zero."""
 
     def fdiff(self, argindex: int = 1) -> Any:
@@ -232,7 +236,9 @@ def symbolic_jacobian(
     for value in given:
         smooth: Any = value.replace(sp.Abs, _Magnitude).replace(sp.sign, _Direction)
         for kind in (sp.floor, sp.ceiling):
-            smooth = smooth.replace(kind, lambda a, kind=kind: _Step(a, sp.Dummy(kind.__name__)))
+            smooth = smooth.replace(
+                kind, lambda a, kind=kind: _RoundedValue(a, sp.Dummy(kind.__name__))
+            )
         free = smooth.free_symbols
         row = [smooth.diff(s) if s in free else sp.Integer(0) for s in symbols]
         rows.append([_restore_sympy_functions(entry) for entry in row])
@@ -242,7 +248,7 @@ def symbolic_jacobian(
 def _restore_sympy_functions(value: Any) -> sp.Expr:
     """Replace the stand-ins for abs, sign, floor and ceiling by SymPy's own functions."""
     rounded = {"floor": sp.floor, "ceiling": sp.ceiling}
-    value = value.replace(_Step, lambda a, kind: rounded[kind.name](a))
+    value = value.replace(_RoundedValue, lambda a, kind: rounded[kind.name](a))
     return value.replace(_Magnitude, sp.Abs).replace(_Direction, sp.sign)
 
 
@@ -253,7 +259,7 @@ def _extrema_as_piecewise(value: Any) -> sp.Expr:
     )
 
 
-class Part(NamedTuple):
+class Subexpression(NamedTuple):
     """A common subexpression, computed once: its name, its text, and whether it is Boolean."""
 
     name: str
@@ -263,7 +269,7 @@ class Part(NamedTuple):
 
 def assignments(
     values: Sequence[sp.Expr], write: Callable[[Any], Any], names: Mapping[sp.Symbol, str]
-) -> tuple[list[Part], list[str]]:
+) -> tuple[list[Subexpression], list[str]]:
     """Common subexpressions in order of evaluation, and the texts of the values.
 
     Raises
@@ -274,7 +280,7 @@ def assignments(
     parts, left = sp.cse(named, symbols=sp.numbered_symbols("part_"), list=True, order="none")
     try:
         return (
-            [Part(s.name, write(e), isinstance(e, Boolean)) for s, e in parts],
+            [Subexpression(s.name, write(e), isinstance(e, Boolean)) for s, e in parts],
             [write(e) for e in left],
         )
     except PrintMethodNotImplementedError as error:
@@ -303,7 +309,9 @@ def jacobian_entries(
     }
 
 
-def items_in_expressions(values: Iterable[sp.Expr], items: Iterable[Item]) -> list[Item]:
+def items_in_expressions(
+    values: Iterable[sp.Expr], items: Iterable[ProgramVariable]
+) -> list[ProgramVariable]:
     """Those items that occur in expressions."""
     free: set[Any] = set().union(*(v.free_symbols for v in values))
     return [item for item in items if item.symbol in free]
@@ -312,7 +320,9 @@ def items_in_expressions(values: Iterable[sp.Expr], items: Iterable[Item]) -> li
 # --- names and texts -----------------------------------------------------------------------------
 
 
-def identifiers(items: Iterable[Item], reserved: Iterable[str] = ()) -> dict[sp.Symbol, str]:
+def identifiers(
+    items: Iterable[ProgramVariable], reserved: Iterable[str] = ()
+) -> dict[sp.Symbol, str]:
     """A name of ASCII letters, digits and underscores for each item, different from all others.
 
     ``linear_stiffness@bearing_1.stiffness_x`` becomes ``linear_stiffness_bearing_1_stiffness_x``;

@@ -217,7 +217,7 @@ def _known_unit(told: str, units: Mapping[str, Any]) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class OpenFmu:
     """An FMU with instances in continuous-time mode.
 
     ``start`` are the arguments at the beginning; ``readings`` tell the output (as the FMU names it)
@@ -230,7 +230,7 @@ class Opened:
 
 
 @kept(8)
-def open_fmu(path: str, sha256: str) -> Opened:
+def open_fmu(path: str, sha256: str) -> OpenFmu:
     """Run an FMU: its binary is loaded, its instances are made and set.
 
     Raises
@@ -253,7 +253,7 @@ def open_fmu(path: str, sha256: str) -> Opened:
         ) from error  # fmt: skip
     program = _make_called_program(about, models, handles, folder)
     _choose_slopes(about, program, start)
-    return Opened(program, start, _state_outputs(about, models[0], program, start))
+    return OpenFmu(program, start, _state_outputs(about, models[0], program, start))
 
 
 def _make_instances(about: Description) -> tuple[list[Any], str]:

@@ -7,9 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from spiral.io.readers.fmu import Description, Opened, Variable, open_fmu, read_description
+from spiral.io.readers.fmu import Description, OpenFmu, Variable, open_fmu, read_description
 from spiral.physics.formulas.function import dump_sections
-from spiral.physics.outside.wrapped import Wrapped, kinematic_rates, rate_equations, rate_inputs
+from spiral.physics.outside.wrapped import (
+    WrappedProgram,
+    kinematic_rates,
+    rate_equations,
+    rate_inputs,
+)
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, did_you_mean
 
@@ -22,7 +27,7 @@ def wrap_fmu(
     inputs: tuple[str, ...],
     observed: tuple[str, ...],
     free: tuple[str, ...],
-) -> Wrapped:
+) -> WrappedProgram:
     """An FMU with equations around it.
 
     Parameters
@@ -53,12 +58,14 @@ def wrap_fmu(
     text = dump_sections(_equation_sections(about, opened, rates, recorded, observed, free))
     sizes = (len(about.states), len(about.inputs), len(about.parameters))
     units = {v.name: v.unit for v in about.inputs}
-    return Wrapped(program, sizes, text, recorded, tuple((c, e, units[e]) for c, e in pushed))
+    return WrappedProgram(
+        program, sizes, text, recorded, tuple((c, e, units[e]) for c, e in pushed)
+    )
 
 
 def _equation_sections(
     about: Description,
-    opened: Opened,
+    opened: OpenFmu,
     rates: Mapping[str, str],
     recorded: Sequence[str],
     observed: Sequence[str],
@@ -84,7 +91,7 @@ def _parameter_section(variable: Variable) -> dict[str, Any]:
     return {k: v for k, v in given.items() if v is not None}
 
 
-def _measured_states(about: Description, opened: Opened, observed: Sequence[str]) -> list[str]:
+def _measured_states(about: Description, opened: OpenFmu, observed: Sequence[str]) -> list[str]:
     """What sensors report: states, named as such or by outputs that are them, and formulas."""
     states, readings = [v.name for v in about.states], dict(opened.readings)
     told = {v.told: v.name for v in about.states} | {n: n for n in states} | readings
@@ -125,7 +132,7 @@ def _variable_name(what: str, name: str, variables: Iterable[Variable]) -> str:
 
 
 def _check_input_pushes(
-    opened: Opened, about: Description, rates: Mapping[str, str], coordinate: str, entry: str
+    opened: OpenFmu, about: Description, rates: Mapping[str, str], coordinate: str, entry: str
 ) -> None:
     """Refuse an input that does not push the coordinate along.
 

@@ -15,8 +15,8 @@ import numpy as np
 from spiral.io.readers.pulses import Edge, phase_from_pulses
 from spiral.io.readers.sampling import FileSeries
 from spiral.types.errors import ConfigError, InputError, did_you_mean
+from spiral.types.invalid import clipping
 from spiral.types.record import check_values
-from spiral.types.spoilt import clipping
 from spiral.types.system import System
 
 Array = np.ndarray

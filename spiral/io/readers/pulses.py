@@ -27,7 +27,7 @@ _MOSTLY_HIGH = 0.6  # a channel above the threshold for a larger share of time p
 
 
 @dataclass(frozen=True)
-class Turning:
+class ShaftMotion:
     """Phase in rad and speed in rad/s, (samples,) each, and in words what they were taken from."""
 
     phase: Array
@@ -41,7 +41,7 @@ def phase_from_pulses(
     values: Array,
     level: float | None = None,
     edge: Edge | None = None,
-) -> Turning:
+) -> ShaftMotion:
     """Phase and speed of a shaft that gives one pulse per turn; 2 pi n at the pulses.
 
     Parameters
@@ -68,7 +68,7 @@ def phase_from_pulses(
         f"phase from {len(marks)} pulses of {column!r} ({edge} edge at {threshold:.4g}), "
         f"{rates[0]:.4g} to {rates[-1]:.4g} turns/s; their scatter of {scatter:.2g} rad smoothed"
     )
-    return Turning(phase, speed, words)
+    return ShaftMotion(phase, speed, words)
 
 
 def _threshold(column: str, values: Array, level: float | None) -> tuple[float, float]:

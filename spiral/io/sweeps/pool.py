@@ -51,7 +51,7 @@ class Backend:
 
 
 @dataclass(frozen=True)
-class Call:
+class JobCall:
     """A job as it is sent to a worker: verb, names, overrides, and the caller's surroundings."""
 
     verb: str
@@ -63,7 +63,7 @@ class Call:
 
 
 @dataclass(frozen=True)
-class Answer:
+class JobResult:
     """What came of a job: exit code, result, seconds."""
 
     exit: int
@@ -75,13 +75,13 @@ class ClusterError(SpiralError):
     """The scheduler went away while jobs were under way."""
 
 
-def make_call(verb: str, names: tuple[str, ...], overrides: Job, plugins: str | None) -> Call:
+def make_call(verb: str, names: tuple[str, ...], overrides: Job, plugins: str | None) -> JobCall:
     """A job with the caller's folder and variables, so that paths mean the same to a worker."""
     variables = {k: os.environ[k] for k in _VARIABLES if k in os.environ}
-    return Call(verb, names, overrides, plugins, os.getcwd(), variables)
+    return JobCall(verb, names, overrides, plugins, os.getcwd(), variables)
 
 
-def run_call(execute: Execute, call: Call) -> Answer:
+def run_call(execute: Execute, call: JobCall) -> JobResult:
     """Carry out one job; a defect in it is its answer, not the end of the sweep."""
     clock = time.perf_counter()
     try:
@@ -90,7 +90,7 @@ def run_call(execute: Execute, call: Call) -> Answer:
             code, result = execute(call.verb, call.names, call.overrides, call.plugins)
     except (Exception, SystemExit) as error:
         code, result = DEFECT, error_result(f"{type(error).__name__}: {error}", "a run")
-    return Answer(code, result, time.perf_counter() - clock)
+    return JobResult(code, result, time.perf_counter() - clock)
 
 
 def error_result(given: str, expected: str, try_: str = "") -> dict[str, Any]:
@@ -99,8 +99,11 @@ def error_result(given: str, expected: str, try_: str = "") -> dict[str, Any]:
 
 
 def run_calls(
-    execute: Execute, calls: Mapping[int, Call], backend: Backend, started: Started = lambda _: None
-) -> Generator[tuple[int, Answer], None, None]:
+    execute: Execute,
+    calls: Mapping[int, JobCall],
+    backend: Backend,
+    started: Started = lambda _: None,
+) -> Generator[tuple[int, JobResult], None, None]:
     """Every job's number and answer, in the order in which they end.
 
     Closing the iterator ends the processes that are under way. ``started`` is told each number.
@@ -130,26 +133,26 @@ def process_count(n_jobs: int) -> int:
 
 
 def _run_with_workers(
-    calls: Mapping[int, Call], workers: _Loky | _Dask
-) -> Iterator[tuple[int, Answer]]:
+    calls: Mapping[int, JobCall], workers: _Loky | _Dask
+) -> Iterator[tuple[int, JobResult]]:
     """Run all jobs; those that were under way when a process died are suspects.
 
     Suspects run alone, after the others; one whose process dies again gets an error as its answer.
     """
-    waiting, suspects = dict(calls), dict[int, Call]()
+    waiting, suspects = dict(calls), dict[int, JobCall]()
     while waiting:
         yield from workers.run(waiting, suspects, alone=False)
     for index, call in suspects.items():
-        again: dict[int, Call] = {}
+        again: dict[int, JobCall] = {}
         yield from workers.run({index: call}, again, alone=True)
         if again:
             yield index, _killed_job_answer()
 
 
-def _killed_job_answer() -> Answer:
+def _killed_job_answer() -> JobResult:
     given = "a job whose process was ended from outside (kill -9, or out of memory)"
     try_ = "fewer jobs at a time (n_jobs=1), a shorter record, or more memory"
-    return Answer(DEFECT, error_result(given, "a process that runs to its end", try_), 0.0)
+    return JobResult(DEFECT, error_result(given, "a process that runs to its end", try_), 0.0)
 
 
 @dataclass(frozen=True)
@@ -161,8 +164,8 @@ class _Loky:
     width: int
 
     def run(
-        self, waiting: dict[int, Call], suspects: dict[int, Call], alone: bool
-    ) -> Iterator[tuple[int, Answer]]:
+        self, waiting: dict[int, JobCall], suspects: dict[int, JobCall], alone: bool
+    ) -> Iterator[tuple[int, JobResult]]:
         """Take jobs from ``waiting`` until none is left or a process dies."""
         from joblib.externals.loky import get_reusable_executor
 
@@ -196,8 +199,8 @@ class _Dask:
     backend: Backend
 
     def run(
-        self, waiting: dict[int, Call], suspects: dict[int, Call], alone: bool
-    ) -> Iterator[tuple[int, Answer]]:
+        self, waiting: dict[int, JobCall], suspects: dict[int, JobCall], alone: bool
+    ) -> Iterator[tuple[int, JobResult]]:
         """Take all jobs from ``waiting``."""
         from distributed.scheduler import KilledWorker
 
@@ -220,7 +223,7 @@ class _Dask:
         except OSError as error:
             raise self._lost_scheduler_error() from error
 
-    def _collect_answer(self, future: Future[Answer]) -> Answer:
+    def _collect_answer(self, future: Future[JobResult]) -> JobResult:
         from distributed.scheduler import KilledWorker
 
         try:
@@ -232,7 +235,7 @@ class _Dask:
         except Exception as error:  # the job did not reach the worker, or its answer not us
             text = f"{type(error).__name__}: {error}"
             try_ = "the same versions of Python and of this program on every worker"
-            return Answer(DEFECT, error_result(text, "a worker that can run the job", try_), 0.0)
+            return JobResult(DEFECT, error_result(text, "a worker that can run the job", try_), 0.0)
 
     def _lost_scheduler_error(self) -> ClusterError:
         return ClusterError(
@@ -245,12 +248,12 @@ class _Dask:
 def _completed_futures(
     executor: Executor,
     execute: Execute,
-    waiting: dict[int, Call],
+    waiting: dict[int, JobCall],
     width: Callable[[], int],
     started: Started,
-) -> Iterator[tuple[int, Call, Future[Answer]]]:
+) -> Iterator[tuple[int, JobCall, Future[JobResult]]]:
     """Submit at most ``width()`` jobs at a time, and yield each future as it completes."""
-    under_way: dict[Future[Answer], tuple[int, Call]] = {}
+    under_way: dict[Future[JobResult], tuple[int, JobCall]] = {}
 
     def fill() -> bool:
         room = (width() if waiting else 0) - len(under_way)
@@ -273,7 +276,7 @@ def _completed_futures(
         yield from completed
 
 
-def _is_broken(future: Future[Answer]) -> bool:
+def _is_broken(future: Future[JobResult]) -> bool:
     return not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
 
 
@@ -328,7 +331,7 @@ def _connect_client(backend: Backend) -> Iterator[Any]:
 
 
 @contextlib.contextmanager
-def _caller_environment(call: Call) -> Iterator[None]:
+def _caller_environment(call: JobCall) -> Iterator[None]:
     """Run the body in the caller's folder, with those of its variables that are not set here."""
     here = os.getcwd()
     added = {k: v for k, v in call.variables.items() if k not in os.environ}

@@ -12,15 +12,15 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from spiral.engine.signals import Signals, Stopped
+from spiral.engine.signals import Interrupted, Signals
 from spiral.inference.problem import Progress, silent
 from spiral.io.sweeps.jobs import SweepPlan
 from spiral.io.sweeps.ledger import Ledger, open_ledger
 from spiral.io.sweeps.pool import (
-    Answer,
     ClusterError,
     Execute,
     Job,
+    JobResult,
     make_call,
     process_count,
     run_calls,
@@ -32,7 +32,7 @@ _AS_BEFORE = (0, 3)  # exit codes of a job that would come out the same
 
 
 @dataclass(frozen=True)
-class Row:
+class SweepRow:
     """One job of a sweep, as it ended; ``seconds`` of its own, in its process."""
 
     overrides: Job
@@ -55,7 +55,7 @@ class Row:
         }
 
 
-OnRow = Callable[[str, int, Row], None]
+OnRow = Callable[[str, int, SweepRow], None]
 """(sweep's id, job's number from zero, row): told once for each job as it ends, in this process.
 
 Told again where a failed job is tried again, or where the process ended before the call came back;
@@ -85,7 +85,7 @@ class Sweep:
     sweep_id: str
     folder: str
     jobs: tuple[Job, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[SweepRow, ...]
     taken_up: int
     seconds: float
     exit: int
@@ -123,14 +123,14 @@ def run_sweep(
     ledger = open_ledger(plan.out, asked, plan.fingerprint, plan.options.resume)
     try:
         with Signals() as signals:
-            desk = _Desk(plan, ledger, signals, tell, on_status or (lambda _: None), on_row)
+            desk = _RunningSweep(plan, ledger, signals, tell, on_status or (lambda _: None), on_row)
             return desk.run(execute)
     finally:
         ledger.close()
 
 
 @dataclass
-class _Desk:
+class _RunningSweep:
     """A running sweep in the parent process: its rows, jobs under way, ledger and callbacks."""
 
     plan: SweepPlan
@@ -139,7 +139,7 @@ class _Desk:
     tell: Progress
     on_status: Callable[[Status], None]
     on_row: OnRow | None
-    rows: dict[int, Row] = field(default_factory=dict)
+    rows: dict[int, SweepRow] = field(default_factory=dict)
     under_way: set[int] = field(default_factory=set)
     taken_up: int = 0
     clock: float = field(default_factory=time.perf_counter)
@@ -150,7 +150,7 @@ class _Desk:
         try:
             self._load_earlier_rows()
             self._run_jobs(execute)
-        except Stopped as stop:
+        except Interrupted as stop:
             code = stop.exit
             self.tell(self._stop_message())
         except (ClusterError, OSError) as lost:
@@ -171,7 +171,7 @@ class _Desk:
         earlier = self.ledger.rows()
         kept = {i: r for i, r in earlier.items() if i < len(self.plan.jobs)}
         self.rows = {
-            i: Row(self.plan.jobs[i], r["exit"], r["result"], r.get("seconds", 0.0))
+            i: SweepRow(self.plan.jobs[i], r["exit"], r["result"], r.get("seconds", 0.0))
             for i, r in kept.items()
             if r["exit"] in _AS_BEFORE
         }
@@ -197,12 +197,12 @@ class _Desk:
             for index, answer in ended:
                 self._keep_row(index, answer)
 
-    def _keep_row(self, index: int, answer: Answer) -> None:
+    def _keep_row(self, index: int, answer: JobResult) -> None:
         """One job has ended: its row is written whole before anything else is done."""
         from spiral.io.writing import replace_nonfinite
 
         with self.signals.defer_signals():
-            row = Row(
+            row = SweepRow(
                 self.plan.jobs[index],
                 answer.exit,
                 replace_nonfinite(answer.result),
@@ -214,7 +214,7 @@ class _Desk:
         self._report_status()
         self._call_row_hook(index, row)
 
-    def _call_row_hook(self, index: int, row: Row) -> None:
+    def _call_row_hook(self, index: int, row: SweepRow) -> None:
         """Call ``on_row`` for a row; an exception in it is reported, and the row is kept."""
         if self.on_row is None:
             return

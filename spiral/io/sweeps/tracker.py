@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from spiral.io.tracking import track as studies
 from spiral.io.tracking.store import Draw, Tracking
-from spiral.io.tracking.track import Failed, Tracked
+from spiral.io.tracking.track import FailedJob, TrackingResult
 
 if TYPE_CHECKING:
     from spiral.io.registry import Registry
-    from spiral.io.sweeps.sweep import Row
+    from spiral.io.sweeps.sweep import SweepRow
 
 _WAITS = 3  # rows that may fail before the rest is left to the end
 
@@ -27,13 +27,13 @@ class SweepTracker:
     tell: Callable[[str], None]
     draw: Draw | None = None
     registry: Registry | None = None
-    left: list[Failed] = field(default_factory=list)
+    left: list[FailedJob] = field(default_factory=list)
     failures: int = 0
 
-    def on_row(self, sweep_id: str, number: int, row: Row) -> None:
+    def on_row(self, sweep_id: str, number: int, row: SweepRow) -> None:
         """Log one row; where the store fails, the sweep goes on without it."""
         wanted = (row.run_id,) if row.run_id else ()
-        failed = Failed(sweep_id, number, row.overrides, row.result.get("error") or {})
+        failed = FailedJob(sweep_id, number, row.overrides, row.result.get("error") or {})
         jobs = (failed,) if row.exit and not wanted else ()
         if self.failures < _WAITS:
             tracked = studies.track(
@@ -51,7 +51,7 @@ class SweepTracker:
             self.tell(f"job {number + 1} is kept, but MLflow did not take it: {tracked.failure}")
         self.left += jobs
 
-    def finish(self) -> Tracked:
+    def finish(self) -> TrackingResult:
         """Log what is left: once more, at the end."""
         left = tuple(self.left)
         return studies.track(

@@ -19,7 +19,7 @@ from typing import Any
 
 from spiral.io.storage import FILE, resolve_inside_folder
 from spiral.io.tracking.store import Draw, tracking_options
-from spiral.io.tracking.track import Tracked, track
+from spiral.io.tracking.track import TrackingResult, track
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import InputError
 from spiral.types.masking import without_passwords
@@ -30,7 +30,7 @@ _LONGEST = 500  # characters of a reason that are shown
 
 
 @dataclass(frozen=True)
-class Order:
+class LogRequest:
     """The runs that a background process is to log to MLflow, and how.
 
     Parameters
@@ -51,7 +51,7 @@ def is_foreground() -> bool:
     return os.environ.get(WAIT_VARIABLE, "") not in ("", "0")
 
 
-def start_process(order: Order, module: str) -> Tracked:
+def start_process(order: LogRequest, module: str) -> TrackingResult:
     """Hand an order to a new process, which runs ``module``, and do not wait for it.
 
     Returns where the run will be shown, or why no process could be started.
@@ -68,11 +68,11 @@ def start_process(order: Order, module: str) -> Tracked:
         with process.stdin as pipe:
             pipe.write(json.dumps(asdict(order)).encode())
     except OSError as error:
-        return Tracked({}, uri, page, f"no process can be started: {error}")
-    return Tracked({}, uri, page)
+        return TrackingResult({}, uri, page, f"no process can be started: {error}")
+    return TrackingResult({}, uri, page)
 
 
-def execute_order(order: Order, draw: Draw) -> None:
+def execute_order(order: LogRequest, draw: Draw) -> None:
     """Log an order to MLflow; where that fails, leave the reason for the next command."""
     from spiral.io.registry import error_summary, load_registry
 

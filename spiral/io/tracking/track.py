@@ -39,7 +39,7 @@ _CAUGHT_UP = 50  # saved runs that one start logs after the fact, at most
 
 
 @dataclass(frozen=True)
-class Tracked:
+class TrackingResult:
     """The result of logging: MLflow's ids of the experiment and of every run, or why it failed."""
 
     runs: Mapping[str, str]
@@ -50,7 +50,7 @@ class Tracked:
 
 
 @dataclass(frozen=True)
-class Failed:
+class FailedJob:
     """A job of a sweep that left no saved run: which, with what, and why."""
 
     sweep: str
@@ -63,11 +63,11 @@ def track(
     tracking: Tracking,
     out: str | os.PathLike[str],
     wanted: Sequence[str] = (),
-    failed: Sequence[Failed] = (),
+    failed: Sequence[FailedJob] = (),
     catch_up: bool = True,
     draw: Draw | None = None,
     registry: Registry | None = None,
-) -> Tracked:
+) -> TrackingResult:
     """Log saved runs, and those that an earlier start could not log.
 
     Parameters
@@ -82,7 +82,7 @@ def track(
     A failure of the store never raises: the saved runs stay, and the next start catches up.
     """
     if not tracking.enabled:
-        return Tracked({})
+        return TrackingResult({})
     uri, page = without_passwords(tracking.resolve_uri(out)), tracking.page(out)
     folder, registry = Path(out).expanduser(), registry or load_registry(local=False)
     runs: dict[str, str] = {}
@@ -97,8 +97,8 @@ def track(
             if catch_up:
                 _log_earlier_runs(store, tracking, folder, registry, max(wanted, default=""))
     except Exception as error:  # of whatever store: the result is saved and must not be lost
-        return Tracked(runs, uri, page, without_passwords(error_summary(error)))
-    return Tracked(runs, uri, page, experiment=experiment)
+        return TrackingResult(runs, uri, page, without_passwords(error_summary(error)))
+    return TrackingResult(runs, uri, page, experiment=experiment)
 
 
 def _log_earlier_runs(
@@ -163,7 +163,7 @@ def _log_study(store: Store, saved: SavedRun, registry: Registry | None) -> str:
     return number
 
 
-def _log_failure(store: Store, job: Failed) -> None:
+def _log_failure(store: Store, job: FailedJob) -> None:
     """A job as a failed run that says why; one logged before by the same sweep is replaced."""
     where = {"spiral.sweep": job.sweep, "spiral.job": str(job.number)}
     query = " and ".join(f"tags.`{k}` = '{v}'" for k, v in where.items())

@@ -66,7 +66,7 @@ def dimension(unit: str) -> Dimension:
     return Dimension({k: v for k, v in exponents.items() if v})
 
 
-class Demands:
+class UnitEquations:
     """Linear equations in unknown exponents, each kept only while all can hold together."""
 
     def __init__(self, free: tuple[str, ...]) -> None:
@@ -129,7 +129,9 @@ def infer_dimensions(
     ------
     ConfigError : units that do not fit, or a parameter whose unit nothing fixes.
     """
-    walk = Walk(Demands(free), {**{k: dimension(v) for k, v in known.items()}}, known)
+    walk = DimensionWalk(
+        UnitEquations(free), {**{k: dimension(v) for k, v in known.items()}}, known
+    )
     for what, (text, unit) in formulas.items():
         if syntax.is_zero(syntax.read(text)):
             continue
@@ -152,13 +154,13 @@ def infer_dimensions(
 
 
 @dataclass(frozen=True)
-class Walk:
+class DimensionWalk:
     """Dimensions of a formula's nodes, and the demands that they make of each other.
 
     ``known`` are dimensions by name, ``units`` the same as they are written.
     """
 
-    demands: Demands
+    demands: UnitEquations
     known: Mapping[str, Dimension]
     units: Mapping[str, str]
 
@@ -269,7 +271,7 @@ def _exponent_solutions(
     """Exponents, none zero, whose product has the dimension wanted."""
     unknown = tuple(str(i) for i in range(len(given)))
     bases = dict.fromkeys([*wanted.known, *(k for g in given for k in g.known)])
-    demands = Demands(unknown)
+    demands = UnitEquations(unknown)
     for base in bases:
         left = {u: g.known[base] for u, g in zip(unknown, given, strict=True) if base in g.known}
         right = wanted.known.get(base, Fraction(0))

@@ -18,7 +18,7 @@ import sympy as sp
 
 from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import SystemDefinition, definition_of
-from spiral.physics.formulas.dimensions import Demands, Walk, dimension
+from spiral.physics.formulas.dimensions import DimensionWalk, UnitEquations, dimension
 from spiral.physics.formulas.inertia import inertia_of
 from spiral.physics.formulas.measured import readings_of
 from spiral.physics.formulas.rows import (
@@ -248,7 +248,7 @@ def port_unit(equations: StandardForm, texts: Iterable[str], name: str) -> tuple
     ConfigError : a position that is no formula of coordinates, or axes of several units.
     """
     units, known = equations.units, {c.name: i for i, c in enumerate(equations.coordinates)}
-    walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
+    walk = DimensionWalk(UnitEquations(()), {n: dimension(u) for n, u in units.items()}, units)
     axis_units, given = set(), equations.definition
     driven = {name for i in given.inputs for name in (i.name, i.rate.name)}
     for text in texts:

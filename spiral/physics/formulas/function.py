@@ -15,7 +15,14 @@ import numpy as np
 
 from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import definition_of
-from spiral.physics.formulas.dimensions import BASE, NONE, Demands, Dimension, Walk, dimension
+from spiral.physics.formulas.dimensions import (
+    BASE,
+    NONE,
+    Dimension,
+    DimensionWalk,
+    UnitEquations,
+    dimension,
+)
 from spiral.physics.formulas.rows import symbol
 from spiral.physics.formulas.symbolic import (
     CannotFollowError,
@@ -197,8 +204,8 @@ def _name_constants(
         named[state].prefix = f"number_{i}"
         trees[state] = named[state].visit(ast.parse(text, mode="eval").body)
     numbers = {n: v for one in named.values() for n, v in one.values.items()}
-    demands = Demands(tuple(numbers))
-    walk = Walk(demands, {n: dimension(u) for n, u in units.items()}, units)
+    demands = UnitEquations(tuple(numbers))
+    walk = DimensionWalk(demands, {n: dimension(u) for n, u in units.items()}, units)
     for state, tree in trees.items():
         _demand_rate_unit(walk, demands, state, tree, formulas[state], due[state])
     for name in numbers:
@@ -218,7 +225,7 @@ _HINT = (
 
 
 def _demand_rate_unit(
-    walk: Walk, demands: Demands, state: str, tree: ast.expr, text: str, unit: str
+    walk: DimensionWalk, demands: UnitEquations, state: str, tree: ast.expr, text: str, unit: str
 ) -> None:
     if syntax.is_zero(tree):
         return

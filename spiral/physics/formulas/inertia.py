@@ -11,7 +11,7 @@ from sympy.core.function import AppliedUndef
 
 from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import SystemDefinition
-from spiral.physics.formulas.dimensions import Demands, Dimension, Walk, dimension
+from spiral.physics.formulas.dimensions import Dimension, DimensionWalk, UnitEquations, dimension
 from spiral.physics.formulas.rows import TIME, formula_expression, is_negative, size_of, symbol
 from spiral.physics.formulas.symbolic import formula_text
 from spiral.types.errors import ConfigError
@@ -118,7 +118,7 @@ def _own_inertia(
 
 
 def _dimension_of(value: Any, units: Mapping[str, str]) -> Dimension | None:
-    walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
+    walk = DimensionWalk(UnitEquations(()), {n: dimension(u) for n, u in units.items()}, units)
     try:
         text = formula_text(value)
         return walk.of(syntax.read(text), text)

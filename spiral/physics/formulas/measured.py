@@ -8,7 +8,7 @@ import sympy as sp
 
 from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import SystemDefinition
-from spiral.physics.formulas.dimensions import Demands, Walk, dimension
+from spiral.physics.formulas.dimensions import DimensionWalk, UnitEquations, dimension
 from spiral.physics.formulas.rows import (
     SECOND,
     formula_expression,
@@ -58,7 +58,7 @@ def _formula_unit(
     given: SystemDefinition, value: sp.Expr, units: Mapping[str, str], text: str
 ) -> str:
     """The unit of a formula: one that is used already where it is of its size, else a product."""
-    walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
+    walk = DimensionWalk(UnitEquations(()), {n: dimension(u) for n, u in units.items()}, units)
     wanted = walk.of(syntax.read(text), text)
     if not wanted.known:
         return ""

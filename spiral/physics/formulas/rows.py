@@ -13,7 +13,7 @@ import sympy as sp
 
 from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import SystemDefinition
-from spiral.physics.formulas.dimensions import Demands, Walk, dimension
+from spiral.physics.formulas.dimensions import DimensionWalk, UnitEquations, dimension
 from spiral.physics.formulas.symbolic import CannotFollowError, Expression, expression_of
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.rates import per_second
@@ -125,7 +125,7 @@ def check_row_units(
         if rate in states:
             _check_rate_unit(rate, states[rate], per_second(states[name]))
     units = row_units(given)
-    walk = Walk(Demands(()), {n: dimension(u) for n, u in units.items()}, units)
+    walk = DimensionWalk(UnitEquations(()), {n: dimension(u) for n, u in units.items()}, units)
     sizes = {n: size_of(u) for n, u in units.items()}
     coherent = all(size == 1.0 for size in sizes.values())
     for row in rows:

@@ -18,7 +18,12 @@ import numpy as np
 from spiral.physics.formulas.definition import definition_of, parse_sections
 from spiral.physics.formulas.function import dump_sections
 from spiral.physics.outside.program import CalledProgram
-from spiral.physics.outside.wrapped import Wrapped, kinematic_rates, rate_equations, rate_inputs
+from spiral.physics.outside.wrapped import (
+    WrappedProgram,
+    kinematic_rates,
+    rate_equations,
+    rate_inputs,
+)
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError
 
@@ -27,7 +32,7 @@ _GROUPS = ("x", "u", "p")
 
 
 @kept(16)
-def wrap_function(rhs: Callable[..., Any], text: str) -> Wrapped:
+def wrap_function(rhs: Callable[..., Any], text: str) -> WrappedProgram:
     """A compiled right-hand side and equations around it; ``text`` has all other sections.
 
     Raises
@@ -53,7 +58,7 @@ def wrap_function(rhs: Callable[..., Any], text: str) -> Wrapped:
         "inputs": {**(sections.get("inputs") or {}), **rate_inputs(program, rates, units)},
     }
     sizes = (len(states), len(inputs), len(parameters))
-    return Wrapped(program, sizes, dump_sections(around), inputs)
+    return WrappedProgram(program, sizes, dump_sections(around), inputs)
 
 
 def program_of(

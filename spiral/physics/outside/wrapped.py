@@ -19,7 +19,7 @@ _POINTS = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Wrapped:
+class WrappedProgram:
     """A program, and equations around it.
 
     Parameters

@@ -23,7 +23,7 @@ _ROUNDING = 1e-14  # what a direction is off by where it should be along an axis
 
 
 @dataclass(frozen=True)
-class Sizes:
+class BaseUnits:
     """A metre, a second and a kg m^2: 1, or quantities where states have units."""
 
     metre: Any = 1
@@ -51,7 +51,7 @@ class _Frame:
 
 
 def equations_of_motion(
-    robot: Robot, q: Values, v: Values, masses: Values, factors: Values, sizes: Sizes
+    robot: Robot, q: Values, v: Values, masses: Values, factors: Values, sizes: BaseUnits
 ) -> tuple[list[list[Any]], list[Any]]:
     """M (n, n) and b (n,) without armature.
 
@@ -91,7 +91,7 @@ def equations_of_motion(
     return mass, bias
 
 
-def _body_frames(robot: Robot, q: Values, v: Values, sizes: Sizes) -> list[_Frame]:
+def _body_frames(robot: Robot, q: Values, v: Values, sizes: BaseUnits) -> list[_Frame]:
     """The frame of each body."""
     unit = [[int(i == j) for j in range(3)] for i in range(3)]
     still = (sizes.zero(0, -1), sizes.zero(0, -2), sizes.zero(1, -2))
@@ -106,7 +106,7 @@ def _body_frames(robot: Robot, q: Values, v: Values, sizes: Sizes) -> list[_Fram
     return frames
 
 
-def _fixed_body_frame(parent: _Frame, body: Body, sizes: Sizes) -> _Frame:
+def _fixed_body_frame(parent: _Frame, body: Body, sizes: BaseUnits) -> _Frame:
     """The frame of a body that does not move in its parent's."""
     arm = _multiply_vector(parent.turned, _in_metres(body.at, sizes))
     turned = [[_round_to_whole(x) for x in body.turned[3 * i : 3 * i + 3]] for i in range(3)]
@@ -119,7 +119,7 @@ def _fixed_body_frame(parent: _Frame, body: Body, sizes: Sizes) -> _Frame:
 
 
 def _frame_after_joint(
-    frame: _Frame, number: int, joint: Joint, q: Any, v: Any, sizes: Sizes
+    frame: _Frame, number: int, joint: Joint, q: Any, v: Any, sizes: BaseUnits
 ) -> _Frame:
     """The frame after a joint."""
     own = [_round_to_whole(x) for x in joint.axis]
@@ -187,7 +187,7 @@ def _inertia_tensor(body: Body, frame: _Frame, factor: Any) -> list[list[Any]]:
     return [[x * factor for x in row] for row in turned]
 
 
-def _in_metres(vector: Values, sizes: Sizes) -> list[Any]:
+def _in_metres(vector: Values, sizes: BaseUnits) -> list[Any]:
     return [_round_to_whole(x, 0.0) * sizes.metre for x in vector]
 
 

@@ -38,7 +38,7 @@ _LOSS = 0.02  # loss factor of the comparison where no damping matrix is given
 
 
 @dataclass(frozen=True)
-class Reduced:
+class ReducedStructure:
     """Matrices of the kept nodes, then of the modes; and how far they are from the full ones.
 
     ``response_error`` : rms over the band of |H_reduced - H|, over that of |H|, H the response of
@@ -63,7 +63,7 @@ def reduce_structure(
     sensors: Sequence[int],
     forces: Sequence[int],
     highest: float | None = None,
-) -> Reduced:
+) -> ReducedStructure:
     """The structure with ``size`` coordinates.
 
     Parameters
@@ -94,7 +94,7 @@ def reduce_structure(
     response, frequency, top = _reduction_errors(
         matrices, small, np.asarray(kept), band, sensors, forces
     )
-    return Reduced(small, band, response, frequency, top, lowered)
+    return ReducedStructure(small, band, response, frequency, top, lowered)
 
 
 def whole_stiffness(matrices: Mapping[str, Any]) -> Any:

@@ -20,7 +20,7 @@ ATTRIBUTES = {
 _LONGEST = 200_000  # characters; a term of the largest model here has some 2000
 
 
-class _Kept(HTMLParser):
+class _Sanitiser(HTMLParser):
     """Copies allowed elements and attributes, all text escaped; remembers which are open."""
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ def safe_mathml(fragment: object) -> str:
     """A piece of MathML without anything but layout; nothing where it is no text, or too long."""
     if not isinstance(fragment, str) or len(fragment) > _LONGEST:
         return ""
-    reader = _Kept()
+    reader = _Sanitiser()
     reader.feed(fragment)
     reader.close()
     closing = "".join(f"</{tag}>" for tag in reversed(reader.open))

@@ -22,7 +22,7 @@ FREE_RUN = "free_run"
 
 
 @dataclass(frozen=True)
-class Shown:
+class ReportFigure:
     """A figure with its name, its heading and its caption."""
 
     name: str
@@ -33,7 +33,7 @@ class Shown:
 
 def figures(
     saved: Mapping[str, Any], curves: Curves | None, wanted: Container[str] | None = None
-) -> list[Shown]:
+) -> list[ReportFigure]:
     """All figures that the data of a saved run allow, in the order of the report.
 
     ``wanted`` names those to draw; left out, all.
@@ -56,7 +56,7 @@ def figures(
     for name, heading, caption, make in makers:
         figure = make() if wanted is None or name in wanted else None
         if figure is not None:
-            report_figures.append(Shown(name, heading, caption, add_hover_text(figure)))
+            report_figures.append(ReportFigure(name, heading, caption, add_hover_text(figure)))
     return report_figures
 
 
@@ -145,7 +145,7 @@ def page(saved: Mapping[str, Any], curves: Curves | None) -> tuple[str, list[str
     return html, [s.name for s in shown]
 
 
-def single_figure_page(shown: Shown) -> str:
+def single_figure_page(shown: ReportFigure) -> str:
     """A page with one figure alone, for a picture of it."""
     from plotly.offline import get_plotlyjs
 
@@ -160,14 +160,14 @@ def _chapter(title: str, words: str, parts: Sequence[str]) -> str:
     return f"<h2>{escape(title)}</h2>{words}{''.join(parts)}" if words or parts else ""
 
 
-def _section(shown: Shown) -> str:
+def _section(shown: ReportFigure) -> str:
     return (
         f'<section id="{shown.name}"><h3>{escape(shown.heading)}</h3>{_plot(shown)}'
         f"<p class='caption'>{escape(shown.caption)}</p></section>"
     )
 
 
-def _plot(shown: Shown, bar: bool = True) -> str:
+def _plot(shown: ReportFigure, bar: bool = True) -> str:
     config = {"displaylogo": False, "responsive": True, "displayModeBar": "hover" if bar else False,
               "modeBarButtonsToRemove": ["lasso2d", "select2d"]}  # fmt: skip
     return shown.figure.to_html(

@@ -19,7 +19,7 @@ from spiral.view.terminal.parts import (
 )
 
 if TYPE_CHECKING:
-    from spiral.inference.reconstruction.estimate import Estimation, Reconstructed
+    from spiral.inference.reconstruction.estimate import Estimation, RecordReconstruction
     from spiral.io.request import Outcome
 
 VERBS = ("estimate",)
@@ -105,7 +105,7 @@ def _uncertain_parameters(estimation: Estimation) -> list[str]:
     ]
 
 
-def _print_innovation_checks(console: Console, part: Reconstructed, named: bool) -> None:
+def _print_innovation_checks(console: Console, part: RecordReconstruction, named: bool) -> None:
     """Print checks of the innovations: prediction error, NIS and its bands, whiteness."""
     seen = part.consistency
     console.print()

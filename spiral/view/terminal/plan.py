@@ -12,7 +12,7 @@ from spiral.view.terminal.parts import Screen, print_heading, print_next_steps, 
 from spiral.view.terminal.shell import join_command
 
 if TYPE_CHECKING:
-    from spiral.inference.plan import Outlook, Plan
+    from spiral.inference.plan import Plan, TestForecast
     from spiral.io.request import Outcome, Request
 
 VERBS = ("plan",)
@@ -56,7 +56,7 @@ def _test_table(test_plan: Plan, shown: int) -> Table:
     return table
 
 
-def _outlook_cells(outlook: Outlook, apart: bool) -> list[str]:
+def _outlook_cells(outlook: TestForecast, apart: bool) -> list[str]:
     if outlook.failure:
         return ["-"] * (3 if apart else 1)
     if not apart:

@@ -13,7 +13,7 @@ from spiral.types.formatting import number, percent
 from spiral.view.terminal.parts import Screen, Tell, print_heading, ruled_table
 
 if TYPE_CHECKING:
-    from spiral.io.sweeps.sweep import Row, Status, Sweep
+    from spiral.io.sweeps.sweep import Status, Sweep, SweepRow
 
 _WIDE = 100
 _HEADINGS = {"verdict": "outcome", "hidden states": "hidden states (static map)"}
@@ -98,7 +98,7 @@ def _split_override(text: str) -> tuple[str, str]:
     return key, value
 
 
-def _run_table(rows: Sequence[Row], swept: Sequence[str], width: int) -> Any:
+def _run_table(rows: Sequence[SweepRow], swept: Sequence[str], width: int) -> Any:
     kept = ["verdict", "effects", "test error", "hidden states", "s", "exit"]
     cells = [_row_cells(row) for row in rows]
     shown = [name for name in kept if any(cell[name] for cell in cells)]
@@ -121,13 +121,13 @@ def _shorten(value: str, longest: int = _LONGEST) -> str:
     return value if len(value) <= longest else f"{value[: longest - 3]}..."
 
 
-def _cell_style(row: Row, name: str) -> str:
+def _cell_style(row: SweepRow, name: str) -> str:
     if name == "exit" and row.exit:
         return "yellow" if row.exit == 3 else "bold red"
     return "bold green" if name == "effects" and row.exit == 0 else ""
 
 
-def _row_cells(row: Row) -> dict[str, str]:
+def _row_cells(row: SweepRow) -> dict[str, str]:
     result = row.result
     seconds = number(row.seconds, 3) if row.seconds < 1000 else f"{row.seconds:.0f}"
     cells = {"verdict": "", "effects": "", "test error": "", "hidden states": ""}

@@ -6,8 +6,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from spiral.app.data_desk import foresight_message
-from spiral.app.foresight import identifiability_forecast
+from spiral.app.data_setup import foresight_message
+from spiral.app.identifiability import identifiability_forecast
 from spiral.app.record_setup import (
     FIT,
     TEST,

@@ -34,7 +34,7 @@ _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are n
 
 
 @dataclass(frozen=True)
-class Spoilt:
+class InvalidReadings:
     """Invalid readings of one channel, of one kind; ``where`` (samples,) is True there."""
 
     kind: Literal["missing", "spike", "held", "clipped"]
@@ -52,14 +52,14 @@ class Spoilt:
         }[self.kind]
         return f"sensor {channel}: {many} {what}; they are left out"
 
-    def part(self, cut: slice) -> Spoilt:
+    def part(self, cut: slice) -> InvalidReadings:
         """The same for a slice of the samples."""
-        return Spoilt(self.kind, self.where[cut])
+        return InvalidReadings(self.kind, self.where[cut])
 
 
 def spoilt_readings(
     values: Array, inputs: Iterable[Array] = (), missing: Array | None = None, smooth: bool = True
-) -> tuple[Spoilt, ...]:
+) -> tuple[InvalidReadings, ...]:
     """Invalid readings of a channel, by kind.
 
     Parameters
@@ -70,15 +70,15 @@ def spoilt_readings(
         searched for spikes.
     """
     if missing is not None and missing.any():
-        return (Spoilt("missing", missing),)
-    spoilt: list[Spoilt] = []
+        return (InvalidReadings("missing", missing),)
+    spoilt: list[InvalidReadings] = []
     same = np.diff(values) == 0
     runs = _long_run_mask(same)
     clipped = _clipped_mask(values)  # which repeats its extreme, and nothing else
     repeats = same & ~runs & ~clipped[1:]
     if float(np.mean(repeats)) <= _REPEATS and _is_noise_like(values[1:][~same]):
         held = np.concatenate([[False], runs]) & ~clipped
-        spoilt = [s for s in (Spoilt("clipped", clipped), Spoilt("held", held))
+        spoilt = [s for s in (InvalidReadings("clipped", clipped), InvalidReadings("held", held))
                  if s.where.mean() <= _MOST_STILL]  # fmt: skip
     gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in spoilt)])
     spikes = _spike_mask(bridged(values, gone)) if smooth else np.zeros(len(values), dtype=bool)
@@ -86,7 +86,7 @@ def spoilt_readings(
         moved = _jump_mask(given)
         spikes &= ~np.convolve(moved, np.ones(5), "same").astype(bool)
     if 0 < spikes.sum() <= _MOST * len(values):
-        spoilt.append(Spoilt("spike", spikes))
+        spoilt.append(InvalidReadings("spike", spikes))
     return tuple(s for s in spoilt if s.where.any())
 
 

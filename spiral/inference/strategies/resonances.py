@@ -26,7 +26,7 @@ from spiral.engine.score import build_score_table
 from spiral.engine.sensitivities import reduce_windows, residuals
 from spiral.engine.statistics import paired_errors, whiteness
 from spiral.engine.study import Point
-from spiral.inference.evidence.admission import Admitted
+from spiral.inference.evidence.admission import AdmittedEffect
 from spiral.inference.evidence.assembly import Assembly, Variant, columns_with_bounds
 from spiral.inference.evidence.enlarge import (
     make_variant,
@@ -148,7 +148,7 @@ def effects_called_for(
     return waiting if lead.score.gain < options.memory_share * (table.rest - table.dof) else ()
 
 
-def _leaves_white_noise(assembly: Assembly, admitted: Admitted) -> bool:
+def _leaves_white_noise(assembly: Assembly, admitted: AdmittedEffect) -> bool:
     """Whether the refit of an admission leaves white noise on the samples that selected it."""
     settings = assembly.problem.settings
     stage = admitted.stage
@@ -157,7 +157,7 @@ def _leaves_white_noise(assembly: Assembly, admitted: Admitted) -> bool:
 
 
 @dataclass(frozen=True)
-class Scanned:
+class SpectrumScan:
     """The spectrum of what is left as one effect resolves it: Hz, and the shares explained."""
 
     effect: Effect
@@ -168,7 +168,7 @@ class Scanned:
 
 def widen_study(
     assembly: Assembly, fit_state: FitState, stage: Stage, effects: Sequence[Effect]
-) -> tuple[Assembly, tuple[Scanned, ...]]:
+) -> tuple[Assembly, tuple[SpectrumScan, ...]]:
     """The study with variants of effects that have states of their own, beside its candidates."""
     scans = scan_effects(assembly, fit_state, stage, effects)
     more = tuple(v for s in scans for v in s.variants)
@@ -179,19 +179,20 @@ def widen_study(
 
 def scan_effects(
     assembly: Assembly, fit_state: FitState, stage: Stage, effects: Sequence[Effect]
-) -> tuple[Scanned, ...]:
+) -> tuple[SpectrumScan, ...]:
     """Spectra of what a fit leaves, with variants of each effect at the largest peaks."""
     longest = max(assembly.study.series, key=lambda s: s.samples)
     return tuple(
         _scan_effect(
-            _Scan.compile_copies(assembly, fit_state, stage, e), trial_frequencies(e, longest)
+            _EffectCopies.compile_copies(assembly, fit_state, stage, e),
+            trial_frequencies(e, longest),
         )
         for e in effects
     )
 
 
 @dataclass(frozen=True)
-class _Scan:
+class _EffectCopies:
     """One effect's copies compiled beside the present model, to be scored along its fit."""
 
     effect: Effect
@@ -204,7 +205,7 @@ class _Scan:
     @classmethod
     def compile_copies(
         cls, assembly: Assembly, fit_state: FitState, stage: Stage, effect: Effect
-    ) -> _Scan:
+    ) -> _EffectCopies:
         """Compile without the other candidates."""
         copies = tuple(make_variant(effect, str(i + 1), {}) for i in range(VALUES))
         active = {split_variant(label)[0] for label in fit_state.labels}
@@ -252,7 +253,7 @@ class _Scan:
         return starts
 
 
-def _scan_effect(scan: _Scan, band: Array) -> Scanned:
+def _scan_effect(scan: _EffectCopies, band: Array) -> SpectrumScan:
     """The spectrum, and variants at its refined peaks: first the frequency, then the others."""
     effect = scan.effect
     usual, others = other_shapes(effect)
@@ -267,4 +268,4 @@ def _scan_effect(scan: _Scan, band: Array) -> Scanned:
         chosen.append(trials[int(np.argmax(scan.shares(trials)))])
     searched = max(len(band) // len(chosen), 1)
     variants = tuple(make_variant(effect, str(i + 1), c, searched) for i, c in enumerate(chosen))
-    return Scanned(effect, band, share, variants)
+    return SpectrumScan(effect, band, share, variants)

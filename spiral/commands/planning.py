@@ -8,7 +8,7 @@ from spiral.commands.study import Command
 from spiral.io.request import OK, REFUSED, Outcome
 
 if TYPE_CHECKING:
-    from spiral.inference.plan import Outlook, Plan, Wanted
+    from spiral.inference.plan import Plan, PlanQuestion, TestForecast
     from spiral.inference.plan_options import PlanOptions
 
 
@@ -59,14 +59,14 @@ def plan(study: Command) -> Outcome:
     return Outcome(REFUSED if refused else OK, result, parts)
 
 
-def _is_ranking_only(wanted: Wanted) -> bool:
+def _is_ranking_only(wanted: PlanQuestion) -> bool:
     """Whether tests are only ranked: a parameter without an error that it should have."""
     return not wanted.effects and wanted.standard_error is None
 
 
-def _planning_question(study: Command, wishes: PlanOptions) -> Wanted:
+def _planning_question(study: Command, wishes: PlanOptions) -> PlanQuestion:
     """The question, from names after the verb or the section ``plan``."""
-    from spiral.inference.plan import Wanted
+    from spiral.inference.plan import PlanQuestion
     from spiral.types.errors import ConfigError
 
     labels = tuple(dict.fromkeys((*study.request.names, *wishes.effects)))
@@ -85,7 +85,7 @@ def _planning_question(study: Command, wishes: PlanOptions) -> Wanted:
     if len(labels) == 1:
         raise ConfigError(f"plan {labels[0]} alone", "two effects or more", "its alias beside it")
     effects = tuple(study.registry.effect_from_label(label) for label in labels)
-    return Wanted(effects, wishes.parameter or "", wishes.standard_error)
+    return PlanQuestion(effects, wishes.parameter or "", wishes.standard_error)
 
 
 def _plan_dict(test_plan: Plan, shown: int) -> dict[str, Any]:
@@ -108,7 +108,7 @@ def _plan_dict(test_plan: Plan, shown: int) -> dict[str, Any]:
     }
 
 
-def _outlook_dict(outlook: Outlook, test_plan: Plan) -> dict[str, Any]:
+def _outlook_dict(outlook: TestForecast, test_plan: Plan) -> dict[str, Any]:
     from spiral.inference.planned_tests import record_overrides
 
     test = outlook.test

@@ -13,24 +13,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.filter.extended import Pass
+from spiral.engine.filter.extended import FilterPass
 from spiral.engine.filter.posterior import Posterior
 from spiral.types.record import Array
 
 _SHARES = (1.0, 0.1, 0.01)
 
-Runs = Callable[[Array], Pass]
+Runs = Callable[[Array], FilterPass]
 """The observer's run at values (q,) of the uncertain parameters."""
 
 
 @dataclass(frozen=True)
-class Doubted:
+class MarginalPass:
     """A run whose bands hold the parameters' doubt; their ``mean`` (q,) and ``covariance`` (q, q).
 
     ``effective`` is the number of draws that the weights amount to; none for a Gaussian.
     """
 
-    filter_pass: Pass
+    filter_pass: FilterPass
     mean: Array
     covariance: Array
     effective: float | None = None
@@ -42,7 +42,7 @@ class Doubted:
         return {k: (float(m), float(s)) for k, (m, s) in zip(keys, rows, strict=True)}
 
 
-def add_parameter_doubt(runs: Runs, known: Posterior, at_top: Pass) -> Doubted:
+def add_parameter_doubt(runs: Runs, known: Posterior, at_top: FilterPass) -> MarginalPass:
     """The run at the most probable values, its variances widened by the parameters' covariance.
 
     Parameters
@@ -54,7 +54,7 @@ def add_parameter_doubt(runs: Runs, known: Posterior, at_top: Pass) -> Doubted:
     here = known.task.parameter_values(prior.keys)
     if not len(known.draws):
         spread = _linear_spread(runs, here, known.root, at_top)
-        return Doubted(_add_spread(at_top, at_top.means, spread), here, known.covariance)
+        return MarginalPass(_add_spread(at_top, at_top.means, spread), here, known.covariance)
     top = at_top.log_likelihood + prior.log_density(here)
     sums = _Sums(at_top)
     kept, weights = [], []
@@ -69,12 +69,12 @@ def add_parameter_doubt(runs: Runs, known: Posterior, at_top: Pass) -> Doubted:
         weights.append(weight)
     if sum(w > 0 for w in weights) < 2:
         spread = _linear_spread(runs, here, known.root, at_top)
-        return Doubted(_add_spread(at_top, at_top.means, spread), here, known.covariance)
+        return MarginalPass(_add_spread(at_top, at_top.means, spread), here, known.covariance)
     mean, covariance, effective = _weighted_moments(np.array(kept), np.array(weights))
-    return Doubted(sums.pooled_run(effective), mean, covariance, effective)
+    return MarginalPass(sums.pooled_run(effective), mean, covariance, effective)
 
 
-def _linear_spread(runs: Runs, here: Array, root: Array, top: Pass) -> Array:
+def _linear_spread(runs: Runs, here: Array, root: Array, top: FilterPass) -> Array:
     """S C S^T: (samples, N, N), or its diagonal (samples, N) where no covariances were kept."""
     total = np.zeros_like(top.covariances if len(top.covariances) else top.variances)
     for step in root.T:
@@ -90,7 +90,7 @@ def _square_rows(rows: Array, dimensions: int) -> Array:
     return rows[:, :, None] * rows[:, None, :] if dimensions == 3 else rows**2
 
 
-def _add_spread(top: Pass, means: Array, spread: Array) -> Pass:
+def _add_spread(top: FilterPass, means: Array, spread: Array) -> FilterPass:
     if spread.ndim == 3:
         covariances = top.covariances + spread
         variances = np.diagonal(covariances, axis1=1, axis2=2).copy()
@@ -115,7 +115,7 @@ def _bias_correction(effective: float) -> float:
 class _Sums:
     """Weighted sums over runs, of means as differences from one of them."""
 
-    def __init__(self, top: Pass) -> None:
+    def __init__(self, top: FilterPass) -> None:
         self.top, self.weight = top, 0.0
         self.full = bool(len(top.covariances))
         own = top.covariances if self.full else top.variances
@@ -123,7 +123,7 @@ class _Sums:
             np.zeros_like(top.means), np.zeros_like(own), np.zeros_like(own),
         )  # fmt: skip
 
-    def add(self, run: Pass, weight: float) -> None:
+    def add(self, run: FilterPass, weight: float) -> None:
         """One run with its weight."""
         shift = run.means - self.top.means
         self.weight += weight
@@ -131,7 +131,7 @@ class _Sums:
         self.squares += weight * _square_rows(shift, self.squares.ndim)
         self.own += weight * (run.covariances if self.full else run.variances)
 
-    def pooled_run(self, effective: float) -> Pass:
+    def pooled_run(self, effective: float) -> FilterPass:
         """The mean of means; the mean of variances and the variance of means."""
         shift, over = self.shift / self.weight, self.squares / self.weight
         spread = _bias_correction(effective) * (over - _square_rows(shift, over.ndim))

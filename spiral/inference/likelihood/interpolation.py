@@ -14,7 +14,6 @@ from typing import get_args
 import numpy as np
 
 from spiral.engine.likelihood.predict import Masks, predict_cases
-from spiral.engine.statistics import DECISIVE_ODDS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.likelihood.fitting import (
@@ -23,7 +22,7 @@ from spiral.inference.likelihood.fitting import (
     is_random_force_small,
     prepare_filter_tasks,
 )
-from spiral.inference.problem import Problem, Progress
+from spiral.inference.problem import DECISIVE_ODDS, Problem, Progress
 from spiral.types.parameter import Input, Interpolation
 
 Ways = Mapping[str, Interpolation]

@@ -25,7 +25,7 @@ from spiral.engine.statistics import paired_errors
 from spiral.inference.evidence.admission import admit_candidate, far_start_variants
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.scoring import Evidence, Ranked, bic
+from spiral.inference.evidence.scoring import Evidence, RankedCandidate, bic
 from spiral.types.record import Array
 
 
@@ -45,9 +45,9 @@ def _rescore_candidate(
     assembly: Assembly,
     fit_state: FitState,
     evidence: Evidence,
-    ranked: Ranked,
+    ranked: RankedCandidate,
     before: tuple[Array, ...],
-) -> Ranked:
+) -> RankedCandidate:
     variants = far_start_variants(
         assembly, fit_state, evidence.stage, ranked.variant.original.label
     )

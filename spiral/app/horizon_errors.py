@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from spiral.app.study import Turn
+from spiral.app.study import StudyState
 from spiral.view.report.style import label_words
 from spiral.view.terminal.parts import percent
 
@@ -41,7 +41,7 @@ def join_words(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
-def horizon_error_table(turn: Turn) -> str:
+def horizon_error_table(turn: StudyState) -> str:
     """Table of a turn's errors at every horizon; of an added effect before, after, and judged."""
     changes = turn.result.get("changes") or ()
     if changes:
@@ -72,7 +72,7 @@ def horizon_error_table(turn: Turn) -> str:
     return f'<table class="plain" id="horizons" title="{_HINT}"><tr>{names}</tr>{cells}</table>'
 
 
-def worse_step_note(turn: Turn) -> str:
+def worse_step_note(turn: StudyState) -> str:
     """One sentence where a step made predictions worse; nothing where it did not."""
     where = worse_horizons(turn.result.get("changes") or ())
     if not where:

@@ -24,7 +24,7 @@ from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.judge import fit_whole_records, free_run_from_stage
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.where.latent import LatentForce, add_latent_force, smoothed_states
-from spiral.inference.where.regions import Seen, locate_failure, worst_record_failure
+from spiral.inference.where.regions import WorstRecord, locate_failure, worst_record_failure
 from spiral.inference.where.surface import rank_force_shapes
 from spiral.io.curves import FINAL, Curves
 from spiral.physics.couplings import couplings_of
@@ -192,7 +192,7 @@ def _state_curves(
 
 
 def _force_curves(
-    kept: dict[str, Array], assembly: Assembly, region: Seen, name: str
+    kept: dict[str, Array], assembly: Assembly, region: WorstRecord, name: str
 ) -> dict[str, Any]:
     missing = region.missing
     assert missing is not None

@@ -94,12 +94,12 @@ def rank_discriminating_tests(
     problem: Problem, model: Model, effects: Sequence[str], registry: Registry, progress: Progress
 ) -> Mapping[str, Any]:
     """The tests that tell effects apart best, the record at hand first, in plain data."""
-    from spiral.inference.plan import Wanted, plan
+    from spiral.inference.plan import PlanQuestion, plan
     from spiral.inference.plan_options import plan_options
     from spiral.inference.planned_tests import planned_tests, simulator
 
     chosen, question = plan_options({}), replace(problem, model=model)
-    wanted = Wanted(tuple(registry.effect_from_label(e) for e in effects), "", None)
+    wanted = PlanQuestion(tuple(registry.effect_from_label(e) for e in effects), "", None)
     tests = planned_tests(question, chosen)
     ranking = plan(question, wanted, tests, simulator(question, registry.simulation), progress)
     names = ("the record at hand", *(o.test.words for o in ranking.tests))

@@ -14,8 +14,8 @@ from typing import Any
 
 from nicegui import ui
 
-from spiral.app import frame, panels, unseen
-from spiral.app import record_setup as kept
+from spiral.app import frame, horizon_errors, panels
+from spiral.app import record_setup as setups
 from spiral.app.drop_zone import drop_zone
 from spiral.app.record_setup import FIT, TEST, Choice, RecordSetup
 from spiral.app.session import Session
@@ -32,7 +32,7 @@ _MOST = 6  # effects of a group that are named
 
 
 @dataclass
-class Desk:
+class DataSetup:
     """The records in one tab; ``change`` takes over other fields of the choice."""
 
     session: Session
@@ -100,7 +100,7 @@ class Desk:
             ui.notify(_HAS_TEST, type="warning", position="top", close_button="Close")
             self.show_stretches()
             return
-        choice = kept.mark_stretch(setup.choice, use, first, stop, setup.rows)
+        choice = setups.mark_stretch(setup.choice, use, first, stop, setup.rows)
         self.change(fit_rows=choice.fit_rows, test_rows=choice.test_rows)
 
     def _rows_input(self, use: str, end: int, label: str) -> ui.input:
@@ -253,7 +253,7 @@ def _effect_names(labels: Sequence[str], own: Sequence[str]) -> str:
     names = [f"{panels.label_words(e)} (in the model)" for e in labels if e in own]
     names += [panels.label_words(e) for e in labels if e not in own]
     left = len(names) - _MOST
-    return unseen.join_words([*names[:_MOST], *([f"{left} more"] if left > 0 else [])])
+    return horizon_errors.join_words([*names[:_MOST], *([f"{left} more"] if left > 0 else [])])
 
 
 def _excitation_advice(advice: str) -> str:

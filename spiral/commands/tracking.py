@@ -1,6 +1,6 @@
 """Log the run that a command saved to MLflow, in a process that the command does not wait for.
 
-``python -m spiral.commands.telling`` is that process; its order is JSON on standard input.
+``python -m spiral.commands.tracking`` is that process; its order is JSON on standard input.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from spiral.io.request import Outcome
     from spiral.io.tracking.store import Tracking
-    from spiral.io.tracking.track import Tracked
+    from spiral.io.tracking.track import TrackingResult
 
 
-def log_run_to_mlflow(outcome: Outcome) -> Tracked | None:
+def log_run_to_mlflow(outcome: Outcome) -> TrackingResult | None:
     """Log the saved run, if any, to MLflow: in the background unless the environment says wait."""
     if "run_id" not in outcome.result:
         return None
@@ -36,11 +36,11 @@ def log_run_to_mlflow(outcome: Outcome) -> Tracked | None:
               "it is told now; tracking.enabled=false does without", file=sys.stderr)  # fmt: skip
     out = str(Path(config["out"]).expanduser().resolve())
     plugins = outcome.parts["request"].plugins
-    order = background.Order(config.get("tracking") or {}, out, run_id, plugins)
-    return background.start_process(order, "spiral.commands.telling")
+    order = background.LogRequest(config.get("tracking") or {}, out, run_id, plugins)
+    return background.start_process(order, "spiral.commands.tracking")
 
 
-def _log_in_foreground(outcome: Outcome, tracking: Tracking) -> Tracked:
+def _log_in_foreground(outcome: Outcome, tracking: Tracking) -> TrackingResult:
     from spiral.io.tracking.track import track
     from spiral.view.report.page import report_html
     from spiral.view.terminal.parts import progress_line
@@ -52,7 +52,7 @@ def _log_in_foreground(outcome: Outcome, tracking: Tracking) -> Tracked:
         return track(tracking, config["out"], wanted, draw=report_html, registry=known)
 
 
-def print_tracking_outcome(tracked: Tracked | None, target: str | None) -> None:
+def print_tracking_outcome(tracked: TrackingResult | None, target: str | None) -> None:
     """Print where MLflow shows the run, or why it could not be logged."""
     if tracked is None:
         return
@@ -68,10 +68,10 @@ def print_tracking_outcome(tracked: Tracked | None, target: str | None) -> None:
 
 def main() -> None:
     """Log the run that the order on standard input names."""
-    from spiral.io.tracking.background import Order, execute_order
+    from spiral.io.tracking.background import LogRequest, execute_order
     from spiral.view.report.page import report_html
 
-    execute_order(Order(**json.load(sys.stdin)), report_html)
+    execute_order(LogRequest(**json.load(sys.stdin)), report_html)
 
 
 if __name__ == "__main__":
