@@ -10,7 +10,7 @@ from nicegui import ui
 from spiral.app import panels
 from spiral.app.session import LiveStudy
 from spiral.app.study import Study, StudyState
-from spiral.types.formatting import percent
+from spiral.types.formatting import error_percent
 
 Move = Callable[[int | None], None]
 """Look at the turn with this serial."""
@@ -59,7 +59,7 @@ def _draw_branch_entry(scene: LiveStudy, turn: StudyState, move: Move) -> None:
     here = study.turn is not None and study.turn.serial == turn.serial
     error = turn.result.get("test_error")
     said = f"+ {panels.label_words(turn.added)}" if turn.added else "the model as it was"
-    shown = f"{said}: {'not finite' if error is None else percent(error)}"
+    shown = f"{said}: {error_percent(error)}"
     with ui.element("li"):
         entry = ui.button(shown, on_click=lambda: move(turn.serial)).props("flat dense align=left")
         entry.set_enabled(scene.busy is None and not here)

@@ -11,8 +11,8 @@ from html import escape
 from typing import Any
 
 from spiral.app.study import StudyState
+from spiral.types.formatting import error_percent, percent
 from spiral.view.report.style import label_words
-from spiral.view.terminal.parts import percent
 
 Rows = Sequence[Mapping[str, Any]]
 """Changes at each horizon, or errors alone, as a round of the JSON contract has them."""
@@ -49,8 +49,8 @@ def horizon_error_table(turn: StudyState) -> str:
         rows = [
             (
                 horizon_label(c),
-                _error_percent(c["before"]),
-                _error_percent(c["after"]),
+                error_percent(c["before"]),
+                error_percent(c["after"]),
                 _judgement_label(c),
             )
             for c in changes
@@ -58,7 +58,7 @@ def horizon_error_table(turn: StudyState) -> str:
     else:
         head = ("on unseen data", "error")
         rows = [
-            (horizon_label(h), _error_percent(h["error"])) for h in turn.result.get("unseen") or ()
+            (horizon_label(h), error_percent(h["error"])) for h in turn.result.get("unseen") or ()
         ]
     if not rows:
         return ""
@@ -87,7 +87,7 @@ def trial_changes(changes: Rows) -> str:
     """What a candidate would do, tried on the test record, on one line for each horizon."""
     lines = [
         f"<span>{escape(horizon_label(c))}</span>"
-        f"<span>{_error_percent(c['before'])} → {_error_percent(c['after'])}</span>"
+        f"<span>{error_percent(c['before'])} → {error_percent(c['after'])}</span>"
         f"{_judgement_label(c)}"
         for c in changes
     ]
@@ -98,7 +98,3 @@ def _judgement_label(row: Mapping[str, Any]) -> str:
     said, spread = row["judged"], row["standard_error"]
     about = "" if spread is None else f' title="± {percent(spread)}"'
     return f'<span class="judged {said}"{about}>{_ARROWS[said]} {said}</span>'
-
-
-def _error_percent(value: float | None) -> str:
-    return "not finite" if value is None else percent(value)

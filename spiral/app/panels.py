@@ -8,7 +8,7 @@ from typing import Any
 
 from spiral.app import horizon_errors
 from spiral.app.study import LEARNED, Study, StudyState
-from spiral.types.formatting import digits, number, percent, probability
+from spiral.types.formatting import digits, error_percent, number, percent, probability
 from spiral.view.report import text
 from spiral.view.report.style import label_words, typeset_formula
 from spiral.view.terminal.preview import is_test_held_out
@@ -82,9 +82,9 @@ def headline(study: Study) -> str:
         return '<p class="label">Free-run error on the test record</p><div class="number">…</div>'
     now, first = (line[i].result.get("test_error") for i in (-1, 0))
     value = (
-        _error_percent(now)
+        error_percent(now)
         if now is not None
-        else f'<span class="words">{_error_percent(now)}</span>'
+        else f'<span class="words">{error_percent(now)}</span>'
     )
     before = f"<small> from {percent(first)}</small>" if len(line) > 1 else ""
     floor = study.noise_floor
@@ -99,17 +99,13 @@ def headline(study: Study) -> str:
 
 def error_announcement(turn: StudyState) -> str:
     """The free-run error as a sentence for screen readers."""
-    return f"Free-run error on the test record: {_error_percent(turn.result.get('test_error'))}"
+    return f"Free-run error on the test record: {error_percent(turn.result.get('test_error'))}"
 
 
 def quiet_test_warning(records: Sequence[Mapping[str, Any]]) -> str:
     """A warning where the test record hardly moves what the fitted one moves; else empty."""
     said = quiet_test_words(records)
     return f'<p class="note quiet">{escape(said)}</p>' if said else ""
-
-
-def _error_percent(error: float | None) -> str:
-    return "not finite" if error is None else percent(error)
 
 
 def effect_chips(study: Study) -> str:
@@ -129,7 +125,7 @@ def effect_chips(study: Study) -> str:
 def channel_error_table(turn: StudyState, units: Mapping[str, str]) -> str:
     """Errors of each channel in its unit, chi2 and whiteness of the fit."""
     rows = [
-        (name, text.format_with_unit(v["rmse"], units.get(name, "")), _error_percent(v["relative"]))
+        (name, text.format_with_unit(v["rmse"], units.get(name, "")), error_percent(v["relative"]))
         for name, v in (turn.result.get("channels") or {}).items()
     ]
     table = text.html_table(("channel", "rms error", "of its deviation"), rows,
@@ -269,11 +265,11 @@ def error_message(error: Mapping[str, str]) -> str:
 def contrast_table(rows: Sequence[Mapping[str, Any]], windows: int) -> str:
     """Effects side by side, each refitted alone: one row for each figure, all on the same data."""
     figures = [
-        (horizon_errors.horizon_label(h), [_error_percent(r["unseen"][i]["error"]) for r in rows])
+        (horizon_errors.horizon_label(h), [error_percent(r["unseen"][i]["error"]) for r in rows])
         for i, h in enumerate(rows[0]["unseen"])
     ]
     figures += [
-        ("fitted record, free run", [_error_percent(r["fit_error"]) for r in rows]),
+        ("fitted record, free run", [error_percent(r["fit_error"]) for r in rows]),
         (f"χ²/dof, over {windows} samples", [digits(r["chi2_per_dof"]) for r in rows]),
     ]
     columns = ("error on", *(label_words(r["effect"]) for r in rows))

@@ -44,7 +44,6 @@ class Activity:
     began: float = field(default_factory=time.monotonic)
     said: int = 0
     expected: int = _FIRST
-    landed: bool = False
 
     @property
     def share(self) -> float:
@@ -341,8 +340,7 @@ class Session:
         if kind == "turn":
             turn = StudyState(serial, data["added"], data["result"])
             study = replace(study_files.add_turn(study, turn), noise_floor=data["noise_floor"])
-            busy = replace(scene.busy, landed=True) if scene.busy else None
-            return replace(scene, study=study, busy=busy)
+            return replace(scene, study=study)
         if kind == "contrast":
             return replace(scene, contrast=tuple(data["rows"]), windows=data["horizon"])
         if kind == "plan":

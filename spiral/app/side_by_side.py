@@ -18,7 +18,7 @@ from spiral.app.figures import Figures, Span
 from spiral.app.session import LiveStudy
 from spiral.app.study import Study, StudyState, turn_folder
 from spiral.types.errors import SpiralError
-from spiral.types.formatting import digits, percent, plus_minus
+from spiral.types.formatting import digits, error_percent, plus_minus
 from spiral.types.run import estimate_rows
 from spiral.view.report.style import add_hover_text, label_words, typeset_unit
 
@@ -144,7 +144,7 @@ def _step_path(study: Study, turn: StudyState) -> str:
         said.insert(0, step_name(study, above))
         before = above
     path = " ".join(said[1:]) or said[0]
-    return f"{path}: {_error_percent(turn.result.get('test_error'))}"
+    return f"{path}: {error_percent(turn.result.get('test_error'))}"
 
 
 def comparison_errors(study: Study, turns: Sequence[StudyState]) -> str:
@@ -161,7 +161,7 @@ def comparison_errors(study: Study, turns: Sequence[StudyState]) -> str:
         rows.append((f"free run, {channel}", share))
     rows.append(("fitted record, free run", [t.result.get("fit_error") for t in turns]))
     shown = [
-        (label, [_error_percent(v) for v in values], _index_of_least(values))
+        (label, [error_percent(v) for v in values], _index_of_least(values))
         for label, values in rows
     ]
     chi2 = [digits(t.result.get("chi2_per_dof")) for t in turns]
@@ -210,7 +210,3 @@ def _comparison_table(study: Study, turns: Sequence[StudyState], what: str, rows
 def _index_of_least(values: Sequence[float | None]) -> int | None:
     known = [v for v in values if v is not None]
     return values.index(min(known)) if len(set(known)) > 1 else None
-
-
-def _error_percent(error: float | None) -> str:
-    return "not finite" if error is None else percent(error)

@@ -10,7 +10,7 @@ from nicegui import ui
 from spiral.app import panels
 from spiral.app.session import LiveStudy, Session
 from spiral.app.study import Study, StudyState
-from spiral.types.formatting import percent
+from spiral.types.formatting import error_percent, percent
 
 PRESET = "rotor_coastdown"
 _BEGIN = (
@@ -92,5 +92,4 @@ def _error_change_text(study: Study) -> str:
 
 
 def _error_percent(turn: StudyState) -> str:
-    value = turn.result.get("test_error")
-    return "not finite" if value is None else percent(value)
+    return error_percent(turn.result.get("test_error"))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def reconstruct_states(study: Command) -> Outcome:
     """Reconstruct all states of the configured records; exit 3 where the observer diverged."""
     from spiral.inference.reconstruction.estimate import estimate
-    from spiral.inference.reconstruction.uncertain import fitted_prior as fitted_prior
+    from spiral.inference.reconstruction.uncertain import fitted_prior
     from spiral.io.config import build_model, build_observer, build_sources, top_level_options
 
     config, registry = study.config, study.registry

@@ -18,6 +18,11 @@ def percent(value: float | None) -> str:
     return f"{share:.0f} %" if abs(share) >= 1000 else f"{share:#.3g} %".replace(". ", " ")
 
 
+def error_percent(value: float | None) -> str:
+    """A prediction error as a share; ``not finite`` where the free run diverges."""
+    return "not finite" if value is None else percent(value)
+
+
 def number(value: float | None, digits: int = 4) -> str:
     """A few significant digits, ``-`` where there is no number."""
     return "-" if not _is_finite_number(value) else f"{float(value):.{digits}g}"  # type: ignore[arg-type]

@@ -281,17 +281,6 @@ def state_jacobian(
     return a if np.all(np.isfinite(a)) else np.zeros((n, n))
 
 
-def reading_jacobian(task: Task) -> Array:
-    """h_x (channels, n) at the mean of the settled states and inputs."""
-    m, n = len(task.compiled.traced.channels), len(task.states)
-    rows, by_values = np.zeros((m, n)), np.zeros((m, len(task.values)))
-    u = np.ascontiguousarray(task.mean_inputs)
-    task.compiled.output(
-        task.centre.copy(), u, np.ascontiguousarray(task.values), np.empty(m), rows, by_values
-    )
-    return rows
-
-
 def _settled_scales(
     compiled: CompiledModel, series: Series, grid: Array, values: Array, mapping: StaticMap | None
 ) -> tuple[Array, Array, Array]:

@@ -12,6 +12,7 @@ from spiral.engine.study import ParameterColumns, column_owner
 from spiral.inference.evidence.assembly import Assembly, columns_with_bounds
 from spiral.inference.evidence.fit_state import FitState, all_samples, fit_growing_windows
 from spiral.inference.evidence.scoring import amplitude_keys
+from spiral.inference.identifiability.richness import merge_overlapping_groups
 from spiral.types.record import Array
 
 _COLLINEAR = 0.1  # singular value of unit signatures under which a combination is looked at
@@ -140,14 +141,4 @@ def _entangled_groups(
             column_owner(owners[i]) for i in np.flatnonzero(np.max(np.abs(shares), axis=1) > 0.1)
         }
         links.append({variant.original.label, *tied})
-    return merge_overlapping_groups(links)
-
-
-def merge_overlapping_groups(links: list[set[str]]) -> tuple[tuple[str, ...], ...]:
-    """Connected components of overlapping sets."""
-    merged: list[set[str]] = []
-    for link in links:
-        touching = [m for m in merged if m & link]
-        merged = [m for m in merged if not m & link]
-        merged.append(link.union(*touching))
-    return tuple(tuple(sorted(m)) for m in merged if len(m) > 1)
+    return tuple(g for g in merge_overlapping_groups(links) if len(g) > 1)

@@ -112,15 +112,17 @@ def alias_groups(excitation: Richness, owners: Sequence[str]) -> tuple[tuple[str
     large entry in it are tied, effects with tied columns form one group.
     """
     tied = np.abs(excitation.unseen @ excitation.unseen.T) > _TIED
-    groups: list[set[str]] = []
-    for i in range(len(owners)):
-        together = {owners[j] for j, tie in enumerate(tied[i]) if tie}
-        if not together:
-            continue
-        touching = [g for g in groups if g & together]
-        apart = [g for g in groups if not g & together]
-        groups = [*apart, together.union(*touching)]
-    return tuple(tuple(sorted(g)) for g in groups)
+    links = [{owners[int(j)] for j in np.flatnonzero(row)} for row in tied]
+    return merge_overlapping_groups([link for link in links if link])
+
+
+def merge_overlapping_groups(links: Sequence[set[str]]) -> tuple[tuple[str, ...], ...]:
+    """Connected components of overlapping sets, each sorted."""
+    merged: list[set[str]] = []
+    for link in links:
+        touching = [m for m in merged if m & link]
+        merged = [*(m for m in merged if not m & link), link.union(*touching)]
+    return tuple(tuple(sorted(m)) for m in merged)
 
 
 def snr_min(

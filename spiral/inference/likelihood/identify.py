@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.inference.identifiability.parameters import merge_overlapping_groups
+from spiral.inference.identifiability.richness import merge_overlapping_groups
 from spiral.inference.likelihood.fitting import LikelihoodFit
 from spiral.types.label import owner_of
 from spiral.types.record import Array

@@ -323,8 +323,3 @@ def _nees(task: Task, reconstruction: Reconstruction, first: int) -> BoundedMean
     n, cut = len(task.states), slice(first, reconstruction.done)
     error = reconstruction.means[cut, :n] - np.column_stack([truth[s][cut] for s in task.states])
     return mean_with_bounds(normalised_squares(error, reconstruction.covariances[cut, :n, :n]), n)
-
-
-def with_start(task: Task, start: Array) -> Task:
-    """The task begun from another mean."""
-    return replace(task, start=np.asarray(start, dtype=float))

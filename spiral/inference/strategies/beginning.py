@@ -13,7 +13,7 @@ from spiral.inference.evidence.assembly import (
 )
 from spiral.inference.evidence.comparison import refine_substeps
 from spiral.inference.evidence.fit_state import initial_fit_state
-from spiral.inference.identifiability.parameters import merge_overlapping_groups
+from spiral.inference.identifiability.richness import merge_overlapping_groups
 from spiral.inference.identifiability.undetermined import describe_held_parameters
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
@@ -51,9 +51,8 @@ def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
         progress(f"holding {given}, which the record cannot tell from others")
         held = (*held, given)
         problem = replace(problem, model=replace(model, fixed=(*model.fixed, given)))
-    sure = is_random_force_small(
-        fit
-    )  # what is tied in a fit gone astray need not be tied in the record
+    # what is tied in a fit gone astray need not be tied in the record
+    sure = is_random_force_small(fit)
     begun = replace(
         _lay_out_candidates(bare, fit, progress), refused=bool(ties) and sure,
         doubtful=bool(ties) and not sure, groups=groups,

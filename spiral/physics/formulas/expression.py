@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -60,10 +60,6 @@ class Definition:
         return {k: v for k, v in asdict(self).items() if v}
 
 
-DEFINED = tuple(f.name for f in fields(Definition))
-"""Fields of a definition."""
-
-
 def effect_from_expression(
     name: str, expression: Any, system: System, port: str = "", **options: Any
 ) -> Effect:
@@ -107,11 +103,6 @@ def class_of(name: str, given: Mapping[str, Any], system: System) -> type[Effect
         raise ConfigError(f"{where} without an expression", f"{where}.expression=FORMULA")
     text = json.dumps(definition.as_dict(), sort_keys=True)
     return _build_class(name, text, place_of(system, definition.port))
-
-
-def formulas_of(effect: Effect) -> dict[str, str]:
-    """Axis or channel -> formula of an effect by expression; nothing for others."""
-    return dict(getattr(effect, "formulas", ()))
 
 
 def definitions_of(effects: tuple[Effect, ...]) -> dict[str, dict[str, Any]]:

@@ -35,7 +35,6 @@ _BINS = 24
 _LAGS = 60
 _LOUD = 20.0  # dB over the noise, least top of the colour scale: noise alone stays dark
 _OVER = "dB above the noise"
-_SHOWN = 1e-5  # share of a spectrum's power above which frequencies are shown
 
 
 def first_model(curves: Curves) -> str:
