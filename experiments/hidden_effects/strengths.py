@@ -12,7 +12,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from experiments.hidden_effects.cases import ROTOR, SWING, Case, LiveStudy, record_of, truth_of
+from experiments.hidden_effects.cases import ROTOR, SWING, Case, Scene, record_of, truth_of
 from spiral.engine.growth import layouts_for
 from spiral.engine.study import Point
 from spiral.inference.evidence.assembly import assemble, initial_values
@@ -36,7 +36,7 @@ KNOWN_FROM = 100.0  # rise of chi^2 that an effect must cause to count as identi
 SCENES = {
     "planar_rotor": replace(ROTOR, duration=3.0, rate=200.0, substeps=16),
     "oscillator": replace(SWING, fields={}, duration=8.0, rate=125.0, repeated=True, substeps=16),
-    "cascaded_tanks": LiveStudy(
+    "cascaded_tanks": Scene(
         "cascaded_tanks",
         {},
         {"pump.gain": 0.04, "outlets.upper": 0.05, "outlets.lower": 0.05},
@@ -47,7 +47,7 @@ SCENES = {
     ),
 }
 CHAINS = {
-    f"chain_{n}": LiveStudy(
+    f"chain_{n}": Scene(
         "chain", {"masses": n},
         {"linear_stiffness.stiffness": 4000.0, "linear_damping.damping": 2.0},
         duration=8.0, rate=200.0, substeps=16, everywhere=True, corner=30.0, force=20.0,
@@ -174,7 +174,7 @@ def _share(
     shapes: Mapping[str, float],
     label: str,
     system: System,
-    scene: LiveStudy,
+    scene: Scene,
     base: Record,
     registry: Registry,
 ) -> float:

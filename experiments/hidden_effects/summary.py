@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from experiments.studies.rates import SweepRow, number_told, rate, rate_told
+from experiments.studies.rates import Row, number_told, rate, rate_told
 
 _GROUPS = (("all identifiable", ()), ("by strength and noise", ("strength", "noise")),
            ("by system, strength and noise", ("system", "strength", "noise")))  # fmt: skip
 
 
-def figures(rows: Sequence[SweepRow]) -> dict[str, Any]:
+def figures(rows: Sequence[Row]) -> dict[str, Any]:
     """What is reported of one group of hidden-effect rows."""
     errors = [r["error_se"] for r in rows if r["error_se"] is not None]
     hits = [r for r in rows if r["first"]]
@@ -36,7 +36,7 @@ def _median(values: Any) -> float | None:
     return float(np.median(values)) if len(values) else None
 
 
-def summary(rows: Sequence[SweepRow]) -> dict[str, Any]:
+def summary(rows: Sequence[Row]) -> dict[str, Any]:
     """Every figure: identifiable cases, those that are not, and null records."""
     hidden = [r for r in rows if r["hidden"]]
     known = [r for r in hidden if r["identifiable"]]
@@ -67,11 +67,11 @@ def summary(rows: Sequence[SweepRow]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _miss(row: SweepRow) -> SweepRow:
+def _miss(row: Row) -> Row:
     return {k: row[k] for k in ("system", "hidden", "seed", "verdict", "admitted", "suggested")}
 
 
-def _grouped(rows: Sequence[SweepRow], keys: tuple[str, ...]) -> dict[str, Any]:
+def _grouped(rows: Sequence[Row], keys: tuple[str, ...]) -> dict[str, Any]:
     names = sorted({tuple(r[k] for k in keys) for r in rows}, key=str)
     return {
         " ".join(map(str, n)) or "all": figures([r for r in rows if tuple(r[k] for k in keys) == n])
@@ -107,7 +107,7 @@ def table(found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def heat_map(rows: Sequence[SweepRow], system: str) -> Any:
+def heat_map(rows: Sequence[Row], system: str) -> Any:
     """First-rank rate of one system: effects down, strength and noise across."""
     import plotly.graph_objects as go
 
@@ -132,7 +132,7 @@ def heat_map(rows: Sequence[SweepRow], system: str) -> Any:
     return figure
 
 
-def _cell(own: Sequence[SweepRow], effect: str, strength: str, noise: float) -> tuple[Any, str]:
+def _cell(own: Sequence[Row], effect: str, strength: str, noise: float) -> tuple[Any, str]:
     rows = [r for r in own if (r["hidden"], r["strength"], r["noise"]) == (effect, strength, noise)]
     if not rows:
         return None, ""
@@ -141,7 +141,7 @@ def _cell(own: Sequence[SweepRow], effect: str, strength: str, noise: float) -> 
     return share, text if rows[0]["identifiable"] else f"({text})"
 
 
-def conclude(rows: list[SweepRow], folder: Path, seconds: float, tracked: bool) -> dict[str, Any]:
+def conclude(rows: list[Row], folder: Path, seconds: float, tracked: bool) -> dict[str, Any]:
     """Write summary.json, summary.md and the heat maps, print the table, tell MLflow."""
     found = {**summary(rows), "seconds": seconds, "studies": len(rows)}
     (folder / "summary.json").write_text(json.dumps(found, indent=1))

@@ -10,7 +10,7 @@ from experiments.imperfections.cases import NULL, cases, definition, question
 from experiments.imperfections.rows import ROWS
 from experiments.imperfections.scenes import SCENES
 from experiments.studies.command import Bench
-from experiments.studies.pieces import SweepRow
+from experiments.studies.pieces import Row
 from experiments.studies.rates import number_told, rate, rate_told
 from experiments.studies.scoreboard import first, halves, invented, said, shown, table
 
@@ -19,7 +19,7 @@ HEAD = ("machine", "imperfection", "studies", "95 % intervals that hold", "floor
         "said, with none")  # fmt: skip
 
 
-def study(name: str, case: str, seed: int, strategy: str | None) -> SweepRow:
+def study(name: str, case: str, seed: int, strategy: str | None) -> Row:
     """One study; ``named`` says whether the sentence has a word for the imperfection."""
     row = question(name, case, seed).asked(strategy)
     words = ROWS[case.removesuffix(NULL)].words
@@ -32,7 +32,7 @@ def entries() -> dict[str, tuple[str, tuple[str, ...]]]:
     return {name: ("", cases()) for name in SCENES}
 
 
-def by_row(rows: Sequence[SweepRow]) -> str:
+def by_row(rows: Sequence[Row]) -> str:
     """The table: coverage, floor, ranks and inventions of each row, over its seeds."""
     lines = []
     for system in dict.fromkeys(r["key"]["system"] for r in rows):
@@ -44,7 +44,7 @@ def by_row(rows: Sequence[SweepRow]) -> str:
     return table(HEAD, lines)
 
 
-def _line(rows: Sequence[SweepRow]) -> list[str]:
+def _line(rows: Sequence[Row]) -> list[str]:
     done = [r for r in rows if r["outcome"] == "done"]
     hidden = [r for r in rows if not r["key"]["case"].endswith(NULL)]
     nulls = [r for r in rows if r["key"]["case"].endswith(NULL)]
@@ -65,7 +65,7 @@ def _line(rows: Sequence[SweepRow]) -> list[str]:
     ]
 
 
-def score(rows: list[SweepRow], details: bool) -> str:
+def score(rows: list[Row], details: bool) -> str:
     """Rates of each half, and the table of the half that may be shown."""
     parts = [halves(rows)]
     if seen := shown(rows, details):

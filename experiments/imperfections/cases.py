@@ -11,7 +11,7 @@ import numpy as np
 from experiments.hidden_effects.cases import installed
 from experiments.imperfections.motion import disturbed, undisturbed
 from experiments.imperfections.rows import NOISE, ROWS, Imperfection, coloured_force
-from experiments.imperfections.scenes import DRIFT, LENGTH, SCENES, LiveStudy
+from experiments.imperfections.scenes import DRIFT, LENGTH, SCENES, Scene
 from experiments.studies.pieces import version
 from experiments.studies.question import Question, misjudged, model_of
 from spiral.types.record import Record, make_record
@@ -49,7 +49,7 @@ def question(name: str, case: str, seed: int) -> Question:
 
 
 def measured(
-    scene: LiveStudy,
+    scene: Scene,
     system: System,
     row: Imperfection,
     hidden: Mapping[str, float],
@@ -83,7 +83,7 @@ def measured(
 
 
 def _read(
-    scene: LiveStudy, row: Imperfection, true: Array, last: bool, rng: np.random.Generator
+    scene: Scene, row: Imperfection, true: Array, last: bool, rng: np.random.Generator
 ) -> tuple[Array, float]:
     """One channel as read, and what noise makes of it over its standard deviation.
 
@@ -100,7 +100,7 @@ def _read(
 
 
 def _inputs(
-    scene: LiveStudy, row: Imperfection, inputs: dict[str, Array], rng: np.random.Generator
+    scene: Scene, row: Imperfection, inputs: dict[str, Array], rng: np.random.Generator
 ) -> dict[str, Array]:
     """Inputs as the record holds them; a phase that is not measured follows from a noisy speed."""
     if row.input_noise:

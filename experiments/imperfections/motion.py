@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from experiments.imperfections.scenes import LiveStudy
+from experiments.imperfections.scenes import Scene
 from experiments.studies.signals import Signal
 from experiments.studies.trajectory import Values, trajectory
 
@@ -24,9 +24,7 @@ Push = Callable[[np.random.Generator, int, float], Array]
 """(what draws, steps, step in s) -> a random force of unit size at each step, one axis."""
 
 
-def undisturbed(
-    scene: LiveStudy, values: Mapping[str, float], signals: Mapping[str, Signal]
-) -> Array:
+def undisturbed(scene: Scene, values: Mapping[str, float], signals: Mapping[str, Signal]) -> Array:
     """States (samples, n) without a random force."""
     still = np.zeros(scene.axes)
     start = np.zeros(2 * scene.axes)
@@ -34,7 +32,7 @@ def undisturbed(
 
 
 def disturbed(
-    scene: LiveStudy,
+    scene: Scene,
     values: Mapping[str, float],
     signals: Mapping[str, Signal],
     push: Push,
@@ -61,7 +59,7 @@ def _silent(time: Array) -> Array:
 
 
 def stepped(
-    scene: LiveStudy, values: Mapping[str, float], signals: Mapping[str, Signal], force: Array
+    scene: Scene, values: Mapping[str, float], signals: Mapping[str, Signal], force: Array
 ) -> Array:
     """States (samples, n) under a force (steps, axes) that is constant over each fine step."""
     known, h = Values(values), 1.0 / scene.samples_per_s / FINE

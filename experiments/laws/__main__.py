@@ -16,34 +16,34 @@ from pathlib import Path
 
 from experiments.laws.bench import study
 from experiments.laws.truth import CASES, UNLISTED
-from experiments.studies.pieces import Job, SweepRow, engine, finish, version
+from experiments.studies.pieces import Job, Row, engine, finish, version
 from experiments.studies.rates import number_told, rate, rate_told
 from experiments.studies.scoreboard import median
 
 FLOORS = 1.1  # noise floors within which a free run is as good as the truth
 
 
-def named(row: SweepRow) -> bool:
+def named(row: Row) -> bool:
     """The law named in closed form, and nothing else."""
     return row["outcome"] == "done" and row["alone"]
 
 
-def alike(row: SweepRow) -> bool:
+def alike(row: Row) -> bool:
     """The law, or one law that the record does not tell from it."""
     return row["outcome"] == "done" and row["alike"]
 
 
-def exact(row: SweepRow) -> bool:
+def exact(row: Row) -> bool:
     """Named, and the free run is at its floor."""
     return named(row) and row["floors"] <= FLOORS
 
 
-def quiet(row: SweepRow) -> bool:
+def quiet(row: Row) -> bool:
     """Nothing named where nothing is missing."""
     return row["outcome"] == "done" and not row["missing"]
 
 
-def table(rows: Sequence[SweepRow]) -> str:
+def table(rows: Sequence[Row]) -> str:
     """Rates in Markdown, by case."""
     lines = ["| law | studies | named | or alike | named, within 1.1 floors | nulls | quiet | s |",
              "|---|---|---|---|---|---|---|---|"]  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from experiments.laws.truth import CASES, Case, draw, motion
-from experiments.studies.pieces import SweepRow
+from experiments.studies.pieces import Row
 from spiral.io.registry import load_registry
 from spiral.types.record import Record, make_record
 from spiral.types.run import Run
@@ -61,7 +61,7 @@ def asked(name: str, seed: int, share: float = 1.0) -> Run:
     return spiral.discover(record, system, test=test, candidates=kept)
 
 
-def study(name: str, seed: int, share: float = 1.0) -> SweepRow:
+def study(name: str, seed: int, share: float = 1.0) -> Row:
     """One study; the law is there to ``share`` (0: nothing is missing)."""
     clock = time.process_time()
     run = asked(name, seed, share)

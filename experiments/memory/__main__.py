@@ -16,14 +16,14 @@ from pathlib import Path
 
 from experiments.memory.bench import study
 from experiments.memory.truth import BOTH, MEMORY, NO_MEMORY
-from experiments.studies.pieces import Job, SweepRow, engine, finish, version
+from experiments.studies.pieces import Job, Row, engine, finish, version
 from experiments.studies.rates import number_told, rate, rate_told
 from experiments.studies.scoreboard import median
 
 NOISES = (0.005, 0.01, 0.02, 0.05)
 
 
-def right(row: SweepRow) -> bool:
+def right(row: Row) -> bool:
     """``unknown_structure`` in words of memory where there is memory; no such words elsewhere.
 
     Where a cubic spring is missing too it is named, alone, beside the words.
@@ -37,11 +37,11 @@ def right(row: SweepRow) -> bool:
     return not row["says"]
 
 
-def table(rows: Sequence[SweepRow]) -> str:
+def table(rows: Sequence[Row]) -> str:
     """Rates in Markdown: by kind, by noise, both halves of the seeds."""
     lines = ["| | studies | right (Wilson 95 %) | s |", "|---|---|---|---|"]
 
-    def line(name: str, some: Sequence[SweepRow]) -> None:
+    def line(name: str, some: Sequence[Row]) -> None:
         if some:
             told, seconds = rate_told(rate(some, right)), median(some, "seconds")
             lines.append(f"| {name} | {len(some)} | {told} | {number_told(seconds)} |")

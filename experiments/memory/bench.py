@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from experiments.memory.truth import RATE, simulated
-from experiments.studies.pieces import SweepRow
+from experiments.studies.pieces import Row
 from spiral.io.registry import load_registry
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
@@ -38,7 +38,7 @@ def asked(kind: str, noise: float, seed: int, candidates: Sequence[str]) -> Run:
     return spiral.discover(record, system, test=test, candidates=candidates)
 
 
-def study(kind: str, noise: float, seed: int) -> SweepRow:
+def study(kind: str, noise: float, seed: int) -> Row:
     """One study with a catalog that has no effect with memory."""
     run = asked(kind, noise, seed, blank())
     memory = run.memory or {}

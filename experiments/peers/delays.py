@@ -14,7 +14,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from experiments.peers.cases import JobResult
+from experiments.peers.cases import Answer
 from experiments.peers.regressions import bic
 from spiral.inference.problem import Problem
 from spiral.types.record import Record
@@ -161,7 +161,7 @@ def havok_map(y: np.ndarray, u: np.ndarray, rank: int, degree: int) -> Fitted:
     return Fitted(embedding, step)
 
 
-def in_delays(method: str, problem: Problem) -> JobResult:
+def in_delays(method: str, problem: Problem) -> Answer:
     """A method's answer; rank and degree are those that predict the record's last fifth best."""
     build, choices = METHODS[method]
     clock = time.perf_counter()
@@ -173,7 +173,7 @@ def in_delays(method: str, problem: Problem) -> JobResult:
     record = problem.test[0]
     settle = problem.settle if problem.settle is not None else _SETTLE * record.samples * record.dt
     error = fitted.error(channels(record, problem), drive(record), round(settle / record.dt))
-    return JobResult(method, test_error=error, seconds=seconds, named=False)
+    return Answer(method, test_error=error, seconds=seconds, named=False)
 
 
 METHODS: dict[str, tuple[Build, tuple[tuple[int, int], ...]]] = {

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from spiral_plugins.derivatives.kalman_smoother import KalmanSmoother
 
-from experiments.peers.cases import JobResult, free_run
+from experiments.peers.cases import Answer, free_run
 from spiral.inference.identifiability.signatures import equation_rows, signatures
 from spiral.inference.problem import Problem
 from spiral.types.derivative import differentiate
@@ -157,9 +157,7 @@ def bic(left: np.ndarray, weights: np.ndarray) -> float:
     return count * float(np.log(np.mean(left**2))) + int(np.sum(weights != 0)) * np.log(count)
 
 
-def regressed(
-    method: str, problem: Problem, thresholds: tuple[float, ...] = THRESHOLDS
-) -> JobResult:
+def regressed(method: str, problem: Problem, thresholds: tuple[float, ...] = THRESHOLDS) -> Answer:
     """A method's answer, at the threshold with the best information criterion."""
     optimizer, fit = METHODS[method]
     clock = time.perf_counter()
@@ -176,7 +174,7 @@ def regressed(
     kept = {k: float(w / s) for k, w, s in zip(found.keys, weights, found.scale, strict=True) if w}
     coefficients = _with_mass(_with_phase(kept), problem)
     error = free_run(problem, coefficients, found.shapes)
-    return JobResult(method, coefficients, error, seconds)
+    return Answer(method, coefficients, error, seconds)
 
 
 def _with_phase(kept: dict[str, float]) -> dict[str, float]:

@@ -20,7 +20,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from experiments.peers import tracked
-from experiments.peers.cases import HIDDEN, Case, JobResult, scored
+from experiments.peers.cases import HIDDEN, Answer, Case, scored
 from experiments.peers.delays import METHODS as DELAYS
 from experiments.peers.delays import in_delays
 from experiments.peers.regressions import METHODS, regressed
@@ -33,7 +33,7 @@ STRATEGIES = ("shooting", "paper")
 ALL = ("seed only", *METHODS, *DELAYS, *STRATEGIES)
 
 
-def answer(method: str, case: Case, problem: Problem, more: Sequence[str] = ()) -> JobResult:
+def answer(method: str, case: Case, problem: Problem, more: Sequence[str] = ()) -> Answer:
     """What one method makes of a case; ``more`` are overrides of the strategies."""
     if method in METHODS:
         return regressed(method, problem)
@@ -42,11 +42,11 @@ def answer(method: str, case: Case, problem: Problem, more: Sequence[str] = ()) 
     if method == "seed only":
         clock = time.perf_counter()
         found = compare(problem)
-        return JobResult(method, {}, found.test_error, time.perf_counter() - clock)
+        return Answer(method, {}, found.test_error, time.perf_counter() - clock)
     return in_delays(method, problem)
 
 
-def _discovered(strategy: str, case: Case, more: Sequence[str]) -> JobResult:
+def _discovered(strategy: str, case: Case, more: Sequence[str]) -> Answer:
     clock = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         given = (*case.overrides, f"strategy={strategy}", f"out={folder}", *more)
@@ -60,7 +60,7 @@ def _discovered(strategy: str, case: Case, more: Sequence[str]) -> JobResult:
         for effect, parameters in effects.items()
         for name, found in parameters.items()
     }
-    return JobResult(strategy, values, _last_error(result), seconds)
+    return Answer(strategy, values, _last_error(result), seconds)
 
 
 def _last_error(result: dict[str, Any]) -> float:

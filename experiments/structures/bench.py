@@ -5,14 +5,14 @@ from __future__ import annotations
 from experiments.structures import cases
 from experiments.structures.kinds import KINDS
 from experiments.studies.command import FIRST_SEED, Bench
-from experiments.studies.pieces import SweepRow
+from experiments.studies.pieces import Row
 from experiments.studies.scoreboard import board
 
 EACH = 10
 """Cases of a structure in a half."""
 
 
-def study(name: str, case: str, seed: int, strategy: str | None) -> SweepRow:
+def study(name: str, case: str, seed: int, strategy: str | None) -> Row:
     """One case: what was hidden, how strong, what the study says, the reduction's error."""
     half = int(seed >= FIRST_SEED["report"])
     asked, drawn = cases.question(name, int(case) + EACH * half, half)
@@ -30,7 +30,7 @@ def definition(_: str) -> str:
     return cases.definition()
 
 
-def score(rows: list[SweepRow], details: bool) -> str:
+def score(rows: list[Row], details: bool) -> str:
     """The scoreboard, and the errors of the reductions."""
     errors = dict.fromkeys(r["reduction"] for r in rows if r.get("reduction"))
     return "\n\n".join([board(rows, details), *errors])

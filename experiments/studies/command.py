@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from experiments.studies.pieces import Job, SweepRow, engine, finish, kept
+from experiments.studies.pieces import Job, Row, engine, finish, kept
 
 HALVES = ("tune", "report")
 FIRST_SEED = {"tune": 0, "report": 1000}
@@ -35,9 +35,9 @@ class Bench:
 
     name: str
     entries: Callable[[], Mapping[str, tuple[str, tuple[str, ...]]]]
-    study: Callable[[str, str, int, str | None], SweepRow]
+    study: Callable[[str, str, int, str | None], Row]
     definition: Callable[[str], str]
-    score: Callable[[list[SweepRow], bool], str]
+    score: Callable[[list[Row], bool], str]
 
     @property
     def halves(self) -> tuple[str, ...]:
@@ -89,13 +89,13 @@ def jobs_of(bench: Bench, given: argparse.Namespace) -> list[Job]:
 
 
 def _study(
-    study: Callable[[str, str, int, str | None], SweepRow],
+    study: Callable[[str, str, int, str | None], Row],
     system: str,
     case: str,
     seed: int,
     strategy: str | None,
     commit: str,
-) -> SweepRow:
+) -> Row:
     return {"commit": commit, **study(system, case, seed, strategy)}
 
 
@@ -103,7 +103,7 @@ def _asked(name: str, wanted: list[str] | None) -> bool:
     return not wanted or name in wanted
 
 
-def chosen(rows: list[SweepRow], code: str | None) -> list[SweepRow]:
+def chosen(rows: list[Row], code: str | None) -> list[Row]:
     """Rows of one version of the code (the last one's), the newest of each study."""
     if not rows:
         return []

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.studies.outcomes import SweepRow, coefficient, inside, named, told
+from experiments.studies.outcomes import Row, coefficient, inside, named, told
 from spiral.types.model import Model, seed_model
 from spiral.types.record import Record
 from spiral.types.system import System
@@ -33,7 +33,7 @@ class Question:
     also: tuple[str, ...] = ()
     floor: float | None = None
 
-    def asked(self, strategy: str | None = None, **more: Any) -> SweepRow:
+    def asked(self, strategy: str | None = None, **more: Any) -> Row:
         """Discover, and what came of it; ``seconds`` are of one processor."""
         import spiral
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from experiments.studies.rates import SweepRow, number_told, rate, rate_told
+from experiments.studies.rates import Row, number_told, rate, rate_told
 
 NEAR_ONE = (0.9, 1.1)
 """Chi2 of a final model that its noise explains."""
-Line = tuple[str, Callable[[Sequence[SweepRow]], str]]
+Line = tuple[str, Callable[[Sequence[Row]], str]]
 
 
 def table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
@@ -24,33 +24,33 @@ def _cell(text: str) -> str:
     return str(text).replace("|", "/").replace("\n", " ")
 
 
-def median(rows: Sequence[SweepRow], key: str) -> float | None:
+def median(rows: Sequence[Row], key: str) -> float | None:
     """Median of what rows have, absolute."""
     values = [abs(r[key]) for r in rows if r.get(key) is not None]
     return float(np.median(values)) if values else None
 
 
-def largest(rows: Sequence[SweepRow], key: str) -> float | None:
+def largest(rows: Sequence[Row], key: str) -> float | None:
     """Largest of what rows have."""
     return max((r[key] for r in rows if r.get(key) is not None), default=None)
 
 
-def first(row: SweepRow) -> bool:
+def first(row: Row) -> bool:
     """Whether the hidden effect, at its place, came first; a study that did not end has missed."""
     return bool(row.get("first"))
 
 
-def invented(row: SweepRow) -> bool:
+def invented(row: Row) -> bool:
     """Whether something was admitted that is not there."""
     return bool(row.get("invented"))
 
 
-def near_one(row: SweepRow) -> bool:
+def near_one(row: Row) -> bool:
     """Whether chi2 of the final model lies between 0.9 and 1.1."""
     return NEAR_ONE[0] <= row["chi2"] <= NEAR_ONE[1]
 
 
-def rates_of(rows: Sequence[SweepRow]) -> list[tuple[str, str]]:
+def rates_of(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """What is reported of hidden and of null studies: name and figure."""
     hidden = [r for r in rows if r["key"]["case"].split()[-1] != "null"]
     nulls = [r for r in rows if r["key"]["case"].split()[-1] == "null"]
@@ -72,15 +72,15 @@ def rates_of(rows: Sequence[SweepRow]) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def _quiet(row: SweepRow) -> bool:
+def _quiet(row: Row) -> bool:
     return row.get("verdict") == "nothing_missing"
 
 
-def _counted(rows: Sequence[SweepRow], hit: Callable[[Any], bool]) -> str:
+def _counted(rows: Sequence[Row], hit: Callable[[Any], bool]) -> str:
     return f"{rate_told(rate(rows, hit))}, n = {len(rows)}"
 
 
-def halves(rows: Sequence[SweepRow]) -> str:
+def halves(rows: Sequence[Row]) -> str:
     """The rates of each half, side by side."""
     names = list(dict.fromkeys(r["key"]["half"] for r in rows))
     parts = {n: rates_of([r for r in rows if r["key"]["half"] == n]) for n in names}
@@ -104,19 +104,19 @@ CASES: tuple[Line, ...] = (
 )
 
 
-def _over_floor(rows: Sequence[SweepRow]) -> float | None:
+def _over_floor(rows: Sequence[Row]) -> float | None:
     ratios = [r["after"] / r["floor"] for r in rows if r.get("floor")]
     return float(np.median(ratios)) if ratios else None
 
 
-def said(row: SweepRow) -> str:
+def said(row: Row) -> str:
     """What a study ended with: effects and verdict, or why there are none."""
     if row["outcome"] != "done":
         return row.get("error", row["outcome"])[:80]
     return f"{', '.join(row['admitted']) or 'nothing'}: {row['verdict']}"
 
 
-def by_case(rows: Sequence[SweepRow], lines: Sequence[Line] = CASES) -> str:
+def by_case(rows: Sequence[Row], lines: Sequence[Line] = CASES) -> str:
     """A line for each system and case."""
     places = sorted({(r["key"]["system"], r["key"]["case"]) for r in rows})
     found = []
@@ -127,12 +127,12 @@ def by_case(rows: Sequence[SweepRow], lines: Sequence[Line] = CASES) -> str:
     return table(["system", "case", "hidden", *(name for name, _ in lines)], found)
 
 
-def shown(rows: Sequence[SweepRow], details: bool) -> list[SweepRow]:
+def shown(rows: Sequence[Row], details: bool) -> list[Row]:
     """Rows whose cases may be looked at: those of the report half only where asked."""
     return [r for r in rows if details or r["key"]["half"] != "report"]
 
 
-def board(rows: Sequence[SweepRow], details: bool = False) -> str:
+def board(rows: Sequence[Row], details: bool = False) -> str:
     """The scoreboard: rates of each half, and the cases that may be shown."""
     parts = [halves(rows)]
     if seen := shown(rows, details):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from experiments.studies.command import Bench
-from experiments.studies.pieces import SweepRow
+from experiments.studies.pieces import Row
 from experiments.studies.scoreboard import board
 from experiments.zoo import cases, measured
 from experiments.zoo.truth import MACHINES
@@ -11,7 +11,7 @@ from experiments.zoo.truth import MACHINES
 MEASURED = "measured"
 
 
-def study(name: str, case: str, seed: int, strategy: str | None) -> SweepRow:
+def study(name: str, case: str, seed: int, strategy: str | None) -> Row:
     """One study of the zoo."""
     if case == MEASURED:
         return {"topic": MEASURED, **measured.SETS[name].asked(strategy)}
@@ -29,7 +29,7 @@ def definition(name: str) -> str:
     return measured.definition() if name in measured.SETS else cases.definition(name)
 
 
-def score(rows: list[SweepRow], details: bool) -> str:
+def score(rows: list[Row], details: bool) -> str:
     """The scoreboard, and which measured sets are not there."""
     return "\n\n".join(part for part in (board(rows, details), measured.absent()) if part)
 

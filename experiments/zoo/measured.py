@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from experiments.studies.outcomes import SweepRow, named, told
+from experiments.studies.outcomes import Row, named, told
 from experiments.studies.pieces import version
 from experiments.studies.question import Question
 from spiral.io.registry import Registry, load_registry
@@ -58,7 +58,7 @@ class Measured:
     refused: bool = False
     test_read: Mapping[str, Any] = field(default_factory=dict)
 
-    def asked(self, strategy: str | None) -> SweepRow:
+    def asked(self, strategy: str | None) -> Row:
         """Read, discover, and what came of it."""
         system = registry().make("system", self.system, dict(self.fields))
         seeded = {e.label for e in system.seed}
@@ -104,7 +104,7 @@ class Preset:
     preset: str
     hidden: tuple[str, ...]
 
-    def asked(self, strategy: str | None) -> SweepRow:
+    def asked(self, strategy: str | None) -> Row:
         """The preset's study, and what came of it."""
         from experiments.measured import problem_of
         from spiral.inference.discover import discover

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.peers import run, tracked
-from experiments.peers.cases import HIDDEN, Case, JobResult, free_run, scored
+from experiments.peers.cases import HIDDEN, Answer, Case, free_run, scored
 from experiments.peers.delays import embedded, in_delays
 from experiments.peers.regressions import regressed, table
 from experiments.peers.run import ALL, answer, line
@@ -42,7 +42,7 @@ def test_a_free_run_of_the_true_coefficients_ends_at_the_noise() -> None:
 
 def test_scores_count_what_is_not_true_and_what_is_missing() -> None:
     found = {"rub.stiffness": 1.0, "gyroscopic.coefficient": 2.4e-3}
-    row = scored(SHORT, JobResult("any", found), TRUTH)
+    row = scored(SHORT, Answer("any", found), TRUTH)
     assert row["false"] == ["rub"]
     assert row["errors"]["gyroscopic.coefficient"] == pytest.approx(-0.5, abs=0.01)
     assert row["errors"]["cross_stiffness.stiffness"] == -1.0
@@ -52,7 +52,7 @@ def test_scores_count_what_is_not_true_and_what_is_missing() -> None:
 def some_rows(seeds=(11, 12)) -> list[dict]:
     answers = {11: {"gyroscopic.coefficient": 4.9e-3}, 12: {"rub.stiffness": 1.0}}
     return [
-        {**scored(Case("rotor", 0.02, s, 4.0), JobResult("any", answers[s], 0.1 * s), TRUTH),
+        {**scored(Case("rotor", 0.02, s, 4.0), Answer("any", answers[s], 0.1 * s), TRUTH),
          "duration": 4.0}
         for s in seeds
     ]  # fmt: skip

@@ -29,7 +29,7 @@ _NEAR = 0.8  # share of the best variant's gain from which another scores nearly
 class RankedCandidate:
     """A candidate's best variant with its evidence; the smallest ``rank`` (BIC) is best.
 
-    ``tests`` is the number of independent tests that its shapes amount to (``gridnull``);
+    ``tests`` is the number of independent tests that its shapes amount to (``effective_tests``);
     ``tied`` are effects of the model that can take over part of it, all of it where ``whole``;
     ``held`` are amplitudes that then stay at zero; ``others`` values of its shapes that score
     nearly as well.
