@@ -5,5 +5,5 @@ all tabs of the browser. Two ``processes`` work beside it: ``fit_worker`` fits a
 memory, with the steps of ``spiral.inference.rounds``; ``run_writer`` does what follows a step
 (maps, saved run, MLflow). ``guard`` refuses requests without the token, ``upload`` and
 ``file_setup`` take files, ``serve`` is the server. ``start``, ``mapping`` and ``page`` build the
-three pages, ``panels`` and ``unseen`` their HTML text.
+three pages, ``panels`` and ``horizon_errors`` their HTML text.
 """

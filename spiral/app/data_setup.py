@@ -222,7 +222,7 @@ def _stretch_rows(choice: Choice, use: str) -> tuple[int, ...]:
 
 
 def foresight_message(forecast: Mapping[str, Any], waiting: bool) -> str:
-    """HTML text of ``foresight.identifiability_forecast``; empty where it was not asked for yet."""
+    """HTML text of ``identifiability.identifiability_forecast``; empty until it is asked for."""
     if waiting and not forecast:
         said = "Looking what this record can tell apart, before any fit …"
         return f"<p class='soft' id='foresight'>{said}</p>"

@@ -69,9 +69,9 @@ class RecordSetup:
     a text file writes columns and fractions, where that had to be said; ``others`` are further
     files of the same machine (path, name, use: fit or test); ``equations`` the text of a system of
     one's own, which then stands last among the systems as ``own``; ``foresight`` is whether the
-    record can tell effects apart (``foresight.identifiability_forecast``), empty until that is
-    known; ``reading`` is what reading changes in the first file's numbers (series, notes), empty
-    where nothing changes.
+    record can tell effects apart (``identifiability.identifiability_forecast``), empty until that
+    is known; ``reading`` is what reading changes in the first file's numbers (series, notes),
+    empty where nothing changes.
     """
 
     ident: str

@@ -2,7 +2,7 @@
 
 A report reads the saved run and these curves, and nothing else. Arrays keep every sample (32-bit
 for values, time as start and step); they are thinned only where they are drawn. Models of one run
-are named ``seed`` (before anything was added) and ``final``. ``gather`` makes them.
+are named ``seed`` (before anything was added) and ``final``. ``compute_curves`` makes them.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ import sympy as sp
 
 from spiral.physics.plugin_calls import call_equation
 from spiral.physics.readings import reading_slopes
-from spiral.physics.trace import trace
+from spiral.physics.trace import TracedModel, trace
 from spiral.types.cache import kept
 from spiral.types.effect import (
     Effect,
@@ -309,13 +309,20 @@ def _stack_matrix(rows: Sequence[Sequence[Any]], count: int) -> Array:
     return np.stack([_stack_columns(row, count) for row in rows], axis=1)
 
 
+def _parameter_symbols(traced: TracedModel) -> SimpleNamespace:
+    """The symbols of a system without effects, by the names of its parameters."""
+    return SimpleNamespace(
+        **{parameter_of(k): s for k, s in zip(traced.keys, traced.p, strict=True)}
+    )
+
+
 @kept(32)
 def _injection_gain(system: System) -> Function:
     """G(x, u, p): slopes of the rates by what is injected."""
     traced = trace(system, ())
     x = SimpleNamespace(**dict(zip((s.name for s in system.states), traced.x, strict=True)))
     u = SimpleNamespace(**dict(zip(traced.inputs, traced.u, strict=True)))
-    p = SimpleNamespace(**{parameter_of(k): s for k, s in zip(traced.keys, traced.p, strict=True)})
+    p = _parameter_symbols(traced)
     pushes = {i.name: sp.Symbol(f"q{j}", real=True) for j, i in enumerate(system.injections)}
     rates = system.rate(x, u, p, pushes)
     wanted = sp.Matrix([sp.sympify(rates[s.name]) for s in system.states])
@@ -330,7 +337,7 @@ def _port_geometry(system: System, name: str) -> Function:
     traced = trace(system, ())
     port = system.port(name)
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    p = SimpleNamespace(**{parameter_of(k): s for k, s in zip(traced.keys, traced.p, strict=True)})
+    p = _parameter_symbols(traced)
     q, v = system.split(x)
     names = [c.name for c in system.coordinates]
     position = sp.Matrix([sp.sympify(e) for e in port.coordinates(q, p)])
@@ -346,6 +353,6 @@ def _port_position(system: System, name: str) -> Function:
     traced = trace(system, ())
     port = system.port(name)
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    p = SimpleNamespace(**{parameter_of(k): s for k, s in zip(traced.keys, traced.p, strict=True)})
+    p = _parameter_symbols(traced)
     place = [sp.sympify(e) for e in port.coordinates(x, p)]
     return sp.lambdify([*traced.x, *traced.p], place, "numpy")

@@ -27,9 +27,13 @@ def name_of(label: str) -> str:
 
 
 def split_key(key: str) -> tuple[str, str]:
-    """Owner (``system`` or an effect's label) and parameter of a key ``OWNER.PARAMETER``."""
-    owner, _, parameter = key.rpartition(".")
-    return owner, parameter
+    """Owner (``system`` or an effect's label) and parameter of a key ``OWNER.PARAMETER``.
+
+    The last dot separates, as the variant in a label may hold a number. A text without a dot is an
+    owner.
+    """
+    owner, *parameter = key.rsplit(".", 1)
+    return owner, parameter[0] if parameter else ""
 
 
 def owner_of(key: str) -> str:

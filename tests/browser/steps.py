@@ -90,3 +90,12 @@ def held(served):
         for worker in stopped:
             with suppress(psutil.NoSuchProcess):  # one that was cancelled
                 worker.resume()
+
+
+def upload(tab, served, file, system="oscillator"):
+    """Drop a file and choose its system; the columns have been drawn."""
+    tab.goto(served.address)
+    tab.set_input_files("#drop-file", file)
+    tab.wait_for_selector("#plot-columns .main-svg")
+    tab.click(".q-select >> nth=0")
+    tab.click(f".q-menu .q-item:has-text('{system}')")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.browser.conftest import PATIENCE
-from tests.browser.steps import faults, legend
+from tests.browser.steps import faults, legend, upload
 
 RATE, SAMPLES = 500.0, 3000
 BEGIN = "button:has-text('Compare with the model'):enabled"
@@ -50,11 +50,7 @@ def files(tmp_path_factory):
 
 def begun(tab, served, file, system):
     """Drop a file whose columns are named as the system's series."""
-    tab.goto(served.address)
-    tab.set_input_files("#drop-file", file)
-    tab.wait_for_selector("#plot-columns .main-svg")
-    tab.click(".q-select >> nth=0")
-    tab.click(f".q-menu .q-item:has-text('{system}')")
+    upload(tab, served, file, system)
     tab.wait_for_selector(BEGIN)
 
 
@@ -220,11 +216,7 @@ def test_what_reading_changes_is_drawn_before_it_is_fitted(tab, served, files, p
         time, _, force = lines[row].split(",")
         lines[row] = f"{time},,{force}"
     (tmp_path / "gap.csv").write_text("\n".join(lines) + "\n")
-    tab.goto(served.address)
-    tab.set_input_files("#drop-file", tmp_path / "gap.csv")
-    tab.wait_for_selector("#plot-columns .main-svg")
-    tab.click(".q-select >> nth=0")
-    tab.click(".q-menu .q-item:has-text('oscillator')")
+    upload(tab, served, tmp_path / "gap.csv")
     tab.click("#advice button:has-text('record.fill_gaps=2')")
     tab.wait_for_selector("#plot-reading .main-svg")
     tab.wait_for_selector("li:has-text('gaps filled by interpolation in x: 2 values')")

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from tests.browser.steps import SECOND, add, choose, error, ready, shows
+from tests.browser.steps import SECOND, add, choose, error, ready, shows, upload
 
 RATE = 500.0
 
@@ -84,11 +84,7 @@ def test_a_bad_file_is_refused_with_a_reason(tab, served, files, picture, name, 
 
 
 def test_a_file_becomes_a_study(tab, served, files, picture):
-    tab.goto(served.address)
-    tab.set_input_files("#drop-file", files / "rig.csv")
-    tab.wait_for_selector("#plot-columns .main-svg")
-    tab.click(".q-select >> nth=0")
-    tab.click(".q-menu .q-item:has-text('oscillator')")
+    upload(tab, served, files / "rig.csv")
     tab.wait_for_selector(".mapping")
     choose(tab, "time", "clock")
     choose(tab, "x", "hammer")
@@ -112,10 +108,7 @@ def test_a_machine_that_works_in_volts_needs_no_typing_but_its_units(tab, served
     head = "t;out;drive"
     np.savetxt(files / "volts.csv", rows * [1e-3, 1e-3, 1.0], "%.9g", delimiter=";", header=head,
                comments="")  # fmt: skip
-    tab.goto(served.address)
-    tab.set_input_files("#drop-file", files / "volts.csv")
-    tab.click(".q-select >> nth=0")
-    tab.click(".q-menu .q-item:has-text('oscillator')")
+    upload(tab, served, files / "volts.csv")
     tab.wait_for_selector(".mapping")
     choose(tab, "x", "out")
     choose(tab, "force", "drive")
@@ -203,10 +196,7 @@ def test_aliases_are_compared_side_by_side(tab, served, picture):
 
 
 def test_a_model_that_runs_away_loses_nothing(tab, served, files, picture):
-    tab.goto(served.address)
-    tab.set_input_files("#drop-file", files / "soft.csv")
-    tab.click(".q-select >> nth=0")
-    tab.click(".q-menu .q-item:has-text('oscillator')")
+    upload(tab, served, files / "soft.csv")
     tab.click("button:has-text('Compare with the model'):enabled")
     ready(tab, SECOND)
     before = error(tab)

@@ -10,6 +10,7 @@ import pytest
 
 from spiral.app import study as kept
 from spiral.app.study import StudyState
+from tests.browser.steps import upload
 
 SCRIPT = "window.ran = (window.ran || 0) + 1"
 PROP = f'm" :autofocus="{SCRIPT}" :label="{SCRIPT}'
@@ -70,11 +71,7 @@ def test_a_unit_of_an_hdf5_attribute_stays_a_text(watched, served, foreign, tmp_
         ):
             data = np.arange(3000) / 500.0 if name == "time" else rng.normal(size=3000)
             target.create_dataset(name, data=data).attrs["units"] = unit
-    watched.goto(served.address)
-    watched.set_input_files("#drop-file", file)
-    watched.wait_for_selector("#plot-columns .main-svg")
-    watched.click(".q-select >> nth=0")
-    watched.click(".q-menu .q-item:has-text('oscillator')")
+    upload(watched, served, file)
     watched.wait_for_selector(".mapping")
     watched.click("[data-for='x'] .q-select")
     watched.click(".q-menu .q-item >> nth=-1")

@@ -18,19 +18,10 @@ from spiral.app.record_setup import (
     setup_overrides,
 )
 from spiral.io.config import build_problem, build_sources, compose
+from tests.described_systems import OSCILLATOR, ROTOR
 from tests.scenes import registry
 
 ROWS = 1000
-OSCILLATOR = {
-    "name": "oscillator",
-    "channels": [{"name": "x", "unit": "m"}],
-    "inputs": [{"name": "force", "unit": "N", "required": True}],
-}
-ROTOR = {
-    "name": "planar_rotor",
-    "channels": [{"name": "x", "unit": "m"}, {"name": "y", "unit": "m"}],
-    "inputs": [{"name": "speed", "unit": "rad/s", "required": True}],
-}
 
 
 def setup(system, columns, **choice):

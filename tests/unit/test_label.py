@@ -6,7 +6,15 @@ from pathlib import Path
 import pytest
 
 import spiral
-from spiral.types.label import make_label, name_of, split_port, split_variant
+from spiral.types.label import (
+    make_label,
+    name_of,
+    owner_of,
+    parameter_of,
+    split_key,
+    split_port,
+    split_variant,
+)
 
 
 @pytest.mark.parametrize("port", ["", "bearing_2", "upper-lower"])
@@ -17,6 +25,18 @@ def test_what_is_put_together_comes_apart(port, variant):
     assert (*split_port(plain), tag) == ("cubic_stiffness", port, variant)
     assert name_of(label) == "cubic_stiffness"
     assert make_label("cubic_stiffness", port) == plain
+
+
+@pytest.mark.parametrize("owner", ["system", "gap@nut-table", "bouc_wen@joint#0.5"])
+def test_a_key_is_its_owner_and_a_parameter(owner):
+    assert split_key(f"{owner}.stiffness") == (owner, "stiffness")
+    assert (owner_of(f"{owner}.stiffness"), parameter_of(f"{owner}.stiffness")) == (
+        owner, "stiffness",
+    )  # fmt: skip
+
+
+def test_a_text_without_a_dot_is_an_owner():
+    assert split_key("cubic_stiffness") == ("cubic_stiffness", "")
 
 
 def test_nobody_else_takes_one_apart():

@@ -11,6 +11,7 @@ from spiral.app.panels import effect_chips, ending_message, has_learnable_curve,
 from spiral.app.record_setup import guess_columns
 from spiral.app.session import Session
 from spiral.types.errors import ConfigError, InputError
+from tests.described_systems import OSCILLATOR, ROTOR
 
 RANKED = {"candidates": [{"effect": "b"}], "proposed": ["b"], "verdict": "effect_missing"}
 
@@ -261,18 +262,6 @@ def test_curves_are_offered_where_nothing_with_a_name_passes(session, ident):
 def test_a_name_as_one_types_it_becomes_the_name_of_an_effect(session, ident):
     session.invent(ident, " Fifth-power spring", "-k5*q**5", session.scene(ident).study.turn.serial)
     assert session._fits.orders[-1]["name"] == "fifth_power_spring"
-
-
-ROTOR = {
-    "name": "planar_rotor",
-    "channels": [{"name": "x", "unit": "m"}, {"name": "y", "unit": "m"}],
-    "inputs": [{"name": "speed", "unit": "rad/s", "required": True}],
-}
-OSCILLATOR = {
-    "name": "oscillator",
-    "channels": [{"name": "x", "unit": "m"}],
-    "inputs": [{"name": "force", "unit": "N", "required": True}],
-}
 
 
 PENDULUM = {

@@ -9,9 +9,8 @@ import numpy as np
 from spiral.engine.fit import WindowFit, fit, standard_deviations
 from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import reduce_windows
-from spiral.engine.study import Point
+from spiral.engine.study import ORIGIN, Point
 from spiral.inference.evidence.assembly import (
-    ORIGIN,
     Assembly,
     Variant,
     columns_with_bounds,

@@ -29,7 +29,8 @@ from spiral.engine.filter.setup import choose_levels, prepare_filter
 from spiral.engine.filter.task import Task, build_task
 from spiral.engine.kernel import trajectories
 from spiral.engine.series import Series
-from spiral.inference.evidence.assembly import ORIGIN, Assembly, nuisance_keys
+from spiral.engine.study import ORIGIN
+from spiral.inference.evidence.assembly import Assembly, nuisance_keys
 from spiral.inference.evidence.judge import FreeRun
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model

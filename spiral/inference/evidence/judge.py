@@ -16,10 +16,9 @@ from spiral.engine.growth import (
     transfer_window_starts,
 )
 from spiral.engine.sensitivities import reduce_windows, residuals, run_windows
-from spiral.engine.study import Point
+from spiral.engine.study import ORIGIN, Point
 from spiral.engine.windows import cut_windows
 from spiral.inference.evidence.assembly import (
-    ORIGIN,
     Assembly,
     columns_with_bounds,
     nuisance_keys,

@@ -10,9 +10,8 @@ import numpy as np
 from spiral.engine.growth import Stage
 from spiral.engine.score import Score, ScoreTable, build_score_table, residual_block_samples, score
 from spiral.engine.sensitivities import Reduction, reduce_windows, residuals
-from spiral.engine.study import ParameterColumns, column_owner
+from spiral.engine.study import ORIGIN, ParameterColumns, column_owner
 from spiral.inference.evidence.assembly import (
-    ORIGIN,
     Assembly,
     Variant,
     columns_with_bounds,

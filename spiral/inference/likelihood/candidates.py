@@ -36,7 +36,7 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.shapes import refit_effect_shapes
 from spiral.inference.problem import Progress
-from spiral.types.label import make_label, split_key
+from spiral.types.label import make_label, owner_of
 
 _HEAT, _RACE = 3, 12  # scoring steps, at most: for all rivals, and for those that keep up
 _FRESH = 8  # scoring steps from noise that is begun afresh
@@ -291,7 +291,7 @@ def _with_effect_at_full_size(assembly: Assembly, state: FitState, variant: Vari
     """A state with a variant's parameters at the sizes that its effect declares (``whole``)."""
     traced, values = assembly.study.compiled.traced, state.values.copy()
     for key, parameter in zip(traced.keys, traced.parameters, strict=True):
-        owner, given = split_key(key)[0], variant.effect.whole.get(parameter.name)
+        owner, given = owner_of(key), variant.effect.whole.get(parameter.name)
         if owner == variant.label and given is not None:
             size = variant.shapes[f"{owner}.{given}"] if isinstance(given, str) else given
             values[:, assembly.study.index(key)] = size

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.engine.start import Balance, angle_groups, prepare_balance
-from spiral.inference.evidence.assembly import ORIGIN, Assembly
+from spiral.engine.study import ORIGIN
+from spiral.inference.evidence.assembly import Assembly
 from spiral.types.derivative import Derivative, differentiate
 from spiral.types.errors import ConfigError
 from spiral.types.record import Array

@@ -34,11 +34,10 @@ from spiral.engine.filter.task import Task, prepare_task, with_record
 from spiral.engine.fit import WindowFit, covariance
 from spiral.engine.growth import Stage, layouts_for, transfer_window_starts
 from spiral.engine.sensitivities import reduce_windows
-from spiral.engine.study import ParameterColumns, Point
+from spiral.engine.study import ORIGIN, ParameterColumns, Point
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.evidence.admission import TOLD
 from spiral.inference.evidence.assembly import (
-    ORIGIN,
     Assembly,
     columns_with_bounds,
     to_model,

@@ -275,15 +275,15 @@ def _step_with_admission(
         k
         for k in replace(wider, held=()).keys(assembly)
         if k in _amplitude_keys(assembly)
-        and (k in fit_state.held or _key_owner(k) in new)
+        and (k in fit_state.held or owner_of(k) in new)
         and k not in free
     )
     meaning = "; ".join(dict.fromkeys(by_key[k].mechanism for k in chosen))
     aliases: dict[str, tuple[str, ...]] = dict.fromkeys(labels, ())
     for cluster in log.get("correlation_cluster", {}).get("clusters", ()):
         if cluster["carried"] in free:
-            label = _key_owner(cluster["carried"])
-            others = [_key_owner(k) for k in cluster["members"] if _key_owner(k) not in labels]
+            label = owner_of(cluster["carried"])
+            others = [owner_of(k) for k in cluster["members"] if owner_of(k) not in labels]
             aliases[label] = tuple(dict.fromkeys((*aliases[label], *others)))
     return Step(
         suggestions(trial, by_key, aliases)[: options.listed],
@@ -294,10 +294,6 @@ def _step_with_admission(
         details=log,
         result=replace(wider, held=held),
     )
-
-
-def _key_owner(key: str) -> str:
-    return owner_of(key)
 
 
 def settle(
@@ -317,7 +313,7 @@ def admit(
         raise untestable_effect_error(assembly, label)
     wider = replace(fit_state, labels=(*fit_state.labels, label))
     own = {
-        k for k in wider.keys(assembly) if k in _amplitude_keys(assembly) and _key_owner(k) == label
+        k for k in wider.keys(assembly) if k in _amplitude_keys(assembly) and owner_of(k) == label
     }
     wider = replace(wider, held=(*fit_state.held, *sorted(own - free)))
     return _refit_jointly(options, assembly, wider, progress)

@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from spiral.inference.evidence.assembly import ORIGIN
+from spiral.engine.study import ORIGIN
 from spiral.inference.where.latent import LatentForce, MissingForce
 from spiral.types.record import Array
 
