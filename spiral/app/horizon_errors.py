@@ -1,4 +1,4 @@
-"""What a step does to predictions of data that it did not see, as HTML text.
+"""Prediction errors on unseen data by horizon, before and after a step, as HTML text.
 
 Each horizon has a word (better, same, worse), an arrow and a colour, so that each of them
 alone tells it. All that is put in is escaped.

@@ -1,4 +1,4 @@
-"""Verbs that look ahead, before any fit: whether a record or a planned test is rich enough."""
+"""The verbs ``identify`` and ``plan``: whether a record or a planned test is informative enough."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was asked on the command line, the configuration that it composes, and what came of it."""
+"""A request of the command line, the configuration that it composes, and its outcome."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Saved runs: ``OUT/ID/run.json``, written whole or not at all, and taken up again.
+"""Saved runs: ``OUT/ID/run.json`` is written as a whole, and loaded to go on from it.
 
 A saved run holds the composed configuration, the model (plugin names, fields, values, errors), the
 hashes of its data, the plugins' versions, and the result as the JSON contract writes it. It may

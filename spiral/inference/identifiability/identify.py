@@ -38,7 +38,7 @@ _SETTLED = 4  # samples left out at each end of a planned test, where slopes are
 
 @dataclass(frozen=True, repr=False)
 class Identification(Readable):
-    """What a record can tell before any fit.
+    """The result of ``identify``: what a record can determine, before any fit.
 
     Parameters
     ----------

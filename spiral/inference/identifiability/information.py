@@ -1,4 +1,4 @@
-"""What a record tells of parameters, and of effects that look alike, by its signatures.
+"""Information in a record: standard errors of parameters, and whether effects can be told apart.
 
 With J the signatures of a record (initial states free) in units of its noise, the Fisher
 information of the parameters is J^T J, and a standard error is sqrt(diag (J^T J)^-1). An effect A
