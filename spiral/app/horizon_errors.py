@@ -15,7 +15,7 @@ from spiral.types.formatting import error_percent, percent
 from spiral.view.report.style import label_words
 
 Rows = Sequence[Mapping[str, Any]]
-"""Changes at each horizon, or errors alone, as a round of the JSON contract has them."""
+"""Changes at each horizon, or errors alone, as a round in the JSON output has them."""
 
 _ARROWS = {"better": "↓", "same": "≈", "worse": "↑"}
 _HINT = (

@@ -39,7 +39,7 @@ class StudyState:
 
     ``parent`` is the serial of the turn that it was made from; ``added`` the effect that made it;
     ``caveats`` are sentences that limit its verdict, ``alike`` effects of the model with those they
-    cannot be told from; ``result`` its numbers as a round of the JSON contract;
+    cannot be told from; ``result`` its numbers as a round in the JSON output;
     ``candidates`` what may be missing next, best first; ``proposed`` what the gates would admit;
     ``shape`` what the force is like that none of them explains, in words, ``memory`` what it
     depends on besides the present state;

@@ -89,7 +89,7 @@ def _planning_question(study: Command, wishes: PlanOptions) -> PlanQuestion:
 
 
 def _plan_dict(test_plan: Plan, shown: int) -> dict[str, Any]:
-    """As the JSON contract writes it."""
+    """As plain data, as ``--json`` writes it."""
     wanted = test_plan.wanted
     return {
         "verdict": test_plan.verdict,

@@ -111,7 +111,7 @@ class Identification(Readable):
         return self.acceleration / self.noise if self.noise > 0 else float("inf")
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         excitation = self.richness
         return {
             "verdict": self.verdict,

@@ -53,7 +53,7 @@ class Distinguishability:
         return float(np.degrees(np.arcsin(min(ratio, 1.0))))
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {
             "true": self.true,
             "other": self.other,

@@ -172,14 +172,14 @@ def race_offered(
 
 
 def first_to_pass(
-    options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, run: Race, judge: Masks,
+    options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, race: Race, judge: Masks,
     level: float, objection: Objection, progress: Progress,
 ) -> RaceOutcome:  # fmt: skip
     """The first winner that is confirmed on the judging blocks and meets no ``objection``."""
     rejected: dict[str, str] = {}
     likely: AcceptedCandidate | None = None
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
-    for rival, rivals in itertools.islice(run.winners(), options.judged):
+    for rival, rivals in itertools.islice(race.winners(), options.judged):
         if reason := _unconfirmed_reason(base, ours, rival, judge, level):
             rejected[rival.label] = reason
             continue

@@ -101,10 +101,10 @@ def find_missing_curve(
         passing = _find_passing_curve(options, assembly, base, masks, level, comparison, progress)
     if passing is None:
         return None
-    passed, (run, ranked) = passing
+    passed, (race, ranked) = passing
     label, own = passed.rival.label, passed.rival.ranked.variant.label
     whole = _refine_knots(passed.whole, own, progress)
-    listed = suggestions(run.tried, ranked, label, passed.aliases)
+    listed = suggestions(race.tried, ranked, label, passed.aliases)
     return MissingCurve(
         describe_curve(_as_curve_fit(whole, own), label, listed), whole.settled, replaces
     )

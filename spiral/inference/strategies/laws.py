@@ -158,9 +158,9 @@ def _find_law_from(
             return None
         return Refusal("it leaves more than noise, or is not likelier than what it would replace")
 
-    run, ranked = contest
+    race, ranked = contest
     passed = first_to_pass(
-        options, assembly, start.base, run, masks[1], level, objection, progress
+        options, assembly, start.base, race, masks[1], level, objection, progress
     ).passed
     if passed is None:
         return None
@@ -174,7 +174,7 @@ def _find_law_from(
         settled, effect = known.whole.settled, known.rival.ranked.variant.original
     gone = tuple(x for x in gone if x != effect.label)
     settled = replace(settled, retired=(*settled.retired, *gone))
-    return NamedLaw(effect, passed.aliases, ranked, run.tried, settled)
+    return NamedLaw(effect, passed.aliases, ranked, race.tried, settled)
 
 
 def _find_equal_candidate(

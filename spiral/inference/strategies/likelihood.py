@@ -91,21 +91,21 @@ def propose(
     contest = _race_candidates(options, assembly, state, masks[0], progress)
     if contest is None:
         return Step((), {}, stopped="diverged")
-    base, ranked, run = contest
-    least = run.best - np.log(options.odds)  # what is not told apart is no effect
+    base, ranked, race = contest
+    least = race.best - np.log(options.odds)  # what is not told apart is no effect
     if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
         return _propose_with_other_inputs(options, assembly, other.state, number, progress)
     level = round_level(assembly.problem.settings.level, number) / options.judged
     helps = benefit_objection(options, comparison, assembly.problem.settings)
-    run = run.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
-    outcome = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
-    passed, tried = outcome.admitted, run.tried
+    race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
+    outcome = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
+    passed, tried = outcome.admitted, race.tried
     if not passed and outcome.likely is not None:
         passed = _find_second_effect(options, bare, outcome.likely, masks, level, helps, progress)
     if not passed:
-        run = run.with_only_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
-        again = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
-        passed, tried = again.admitted, (*tried, *run.tried)
+        race = race.with_only_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
+        again = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
+        passed, tried = again.admitted, (*tried, *race.tried)
         outcome = replace(outcome, rejected={**again.rejected, **outcome.rejected})
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
@@ -156,10 +156,10 @@ def _find_second_effect(
     contest = _race_candidates(options, assembly, state, masks[0], progress)
     if contest is None:
         return ()
-    base, _, run = contest
-    run = run.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
-    run = run.with_more_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
-    second = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress).passed
+    base, _, race = contest
+    race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
+    race = race.with_more_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
+    second = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress).passed
     if second is None:
         return ()
     settled = second.whole.settled

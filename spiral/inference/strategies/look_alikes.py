@@ -190,9 +190,9 @@ def _contest_effects(
     if ranked is None or not any(r.rank < 0 for r in mine):
         return None  # from there not even the effect itself would be found
     others_ranked = [r for r in ranked.ranked if not _is_variant_of(r, held)]
-    run = start_race(offered, base, others_ranked, None, progress, options.rivals)
+    race = start_race(offered, base, others_ranked, None, progress, options.rivals)
     ours = _model_as_rival(assembly, base, model, held)
-    finals = [rival for rival, _ in itertools.islice(run.winners(), len(known))]
+    finals = [rival for rival, _ in itertools.islice(race.winners(), len(known))]
     best = sorted((_with_model_noise(model, base, r) for r in finals), key=lambda r: -r.worth)
     asked = {e.label for e in known}
     stay = {*indistinguishable_rivals([ours, *best], options.odds), *twin_rivals(ours, best)}

@@ -62,7 +62,7 @@ class Memory:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         loops = [
             {"axis": x.axis, "position": x.position.tolist(), "force": x.force.tolist()}
             for x in self.loops
