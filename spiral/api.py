@@ -145,7 +145,7 @@ def diagnose(record: Records, system: Physics, **choices: Any) -> Diagnosis:
 
 
 def discover(record: Records, system: Physics, **choices: Any) -> Run:
-    """Find what a model is missing, add it, and repeat until nothing passes the gates.
+    """Find the effects that a model is missing, one round after another, until no candidate passes.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def discover(record: Records, system: Physics, **choices: Any) -> Run:
 
 
 def add(run: Run, *effects: str | Effect, **choices: Any) -> tuple[Comparison, Comparison, Run]:
-    """A run's model before and after effects of your choice, fitted to all samples.
+    """Fit a run's model without and with effects of your choice; returns both and the new run.
 
     ``choices`` : as in ``discover``; the records are the run's own.
 
@@ -232,7 +232,7 @@ def estimate(
 def identify(
     record: Records, system: Physics, derivative: Named | Any = "total_variation", **choices: Any
 ) -> Identification:
-    """Judge before any fit whether a record can tell the model's terms and candidates apart."""
+    """Judge before any fit whether a record can distinguish the model's terms and candidates."""
     from spiral.inference.identifiability.identify import identify as step
 
     registry = _registry(choices.get("plugins"))
@@ -242,7 +242,7 @@ def identify(
 
 
 def plan(run: Run, *effects: str | Effect, plugins: Plugins = None, **wishes: Any) -> Plan:
-    """Find the test that tells effects apart, or reaches a wanted standard error.
+    """Rank planned tests that would distinguish effects, or reach a wanted standard error.
 
     Parameters
     ----------
@@ -382,7 +382,7 @@ def _model(
 
 
 def _problem_of_run(run: Run) -> Problem:
-    """The ``Problem`` that a run answers.
+    """The ``Problem`` (records, model, candidates) that a run was made from.
 
     Raises
     ------

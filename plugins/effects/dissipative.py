@@ -53,7 +53,7 @@ class CoulombFriction(ForceEffect):
 
 
 class StribeckFriction(ForceEffect):
-    """What dry friction loses as motion sets in: F_i = -f_i exp(-(v_i / s)^2) tanh(v_i / w).
+    """Drop of dry friction as motion sets in: F_i = -f_i exp(-(v_i / s)^2) tanh(v_i / w).
 
     The difference of static and kinetic friction in a lubricated contact (Stribeck 1902; Armstrong,
     Dupont and Canudas de Wit, Automatica 30, 1994), beside ``coulomb_friction``, the kinetic part.

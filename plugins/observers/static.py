@@ -1,4 +1,4 @@
-"""No filter at all."""
+"""Hidden states by a static map, without a filter."""
 
 from __future__ import annotations
 

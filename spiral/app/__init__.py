@@ -1,4 +1,4 @@
-"""The page on 127.0.0.1: a study driven by hand, one effect at a time.
+"""The page (web application on 127.0.0.1): a study in which the user adds one effect at a time.
 
 ``study`` is the data kept on disk; ``session`` holds all open studies and sends orders, one for
 all tabs of the browser. Two ``processes`` work beside it: ``fit_worker`` fits and ranks a study in

@@ -1,4 +1,4 @@
-"""What a tab of the browser looks at, in its address: a link opens the same view.
+"""The view of a browser tab, encoded in its address: a link opens the same view.
 
 ``?turn=3&tab=Model&zoom=free_run.xaxis:8.1:9.2&beside=0,3``: the step, the tab of the figures, the
 ranges of zoomed axes, and the steps that are compared. Text of an address is checked like any

@@ -1,4 +1,4 @@
-"""The turns of a study as a tree: undo, do again, and another branch, with one click each."""
+"""Undo, redo and branches: the turns of a study as a tree, each reached with one click."""
 
 from __future__ import annotations
 

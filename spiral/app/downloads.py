@@ -1,4 +1,4 @@
-"""What is fetched rather than shown: the report and the model as files, and MLflow's own page."""
+"""Downloads of the page (report, model, numbers, study), and the link to MLflow's own page."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from spiral.types.errors import ConfigError
 Give = Callable[[Mapping[str, Any]], None]
 FORESEE = "foresee"
 EQUATIONS = "read_equations"
-DOES = ("describe_file", "check", EQUATIONS, FORESEE)
+FILE_ORDERS = ("describe_file", "check", EQUATIONS, FORESEE)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The steps of a study with everything in memory: fit the seed, rank, admit, refit.
+"""The worker process that fits: it fits the seed, ranks candidates, adds effects and refits.
 
 Runs in a process of its own. The steps are the loop's (``spiral.inference.rounds``); between them
 the compiled study and the last ranking are kept, so that adding an effect compiles nothing. What a
@@ -63,7 +63,7 @@ STATE, KEYS, FREE, FIGURES = "checkpoint.json", "keys.json", "free", "figures"
 
 @dataclass
 class FitWorker:
-    """What one process keeps between two orders: the study last worked on."""
+    """The fitting process; between two orders it keeps the last study in memory."""
 
     out: Path
     tell: Tell
@@ -113,7 +113,7 @@ class FitWorker:
 
     @one_blas_thread
     def start(self, order: Order) -> None:
-        """Fit the seed, and rank what it lacks."""
+        """Fit the seed, and rank the candidates beside it."""
         began = time.perf_counter()
         self._open_study(order)
         begun = self._begin_strategy()
@@ -136,7 +136,7 @@ class FitWorker:
 
     @one_blas_thread
     def rank(self, order: Order) -> None:
-        """Rank what a turn lacks, from its checkpoint."""
+        """Rank the candidates beside the model of a turn, from its checkpoint."""
         self._open_study(order)
         at, step = self._ranked_turn(order["base"])
         assert self.registry is not None
@@ -153,7 +153,7 @@ class FitWorker:
 
     @one_blas_thread
     def preview(self, order: Order) -> None:
-        """What adding an effect would come to on the test record; the study stays as it is."""
+        """The test error with an effect added; the study itself is not changed."""
         self._open_study(order)
         at = self._refit_with(order["base"], order["effect"])
         last, folder = at.rounds[-1], turn_folder(self.out, self.ident, order["base"])

@@ -1,4 +1,4 @@
-"""What all pages share: the bar at the top, figures, messages, the command line's equivalent."""
+"""Elements of all pages: the bar at the top, figures, messages, the equivalent command line."""
 
 from __future__ import annotations
 

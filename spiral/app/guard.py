@@ -1,4 +1,4 @@
-"""Who may talk to the page: a browser that was given its token, from the page itself.
+"""Access control of the page: only requests of its own pages that carry its token are served.
 
 A page of another site can make the browser send requests to 127.0.0.1, and can give its own name
 the address 127.0.0.1 (DNS rebinding). Both show in the headers: ``Host`` names whom the browser

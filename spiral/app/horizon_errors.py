@@ -1,4 +1,4 @@
-"""What a step does to predictions of data that it did not see, as HTML text.
+"""Prediction errors on unseen data by horizon, before and after a step, as HTML text.
 
 Each horizon has a word (better, same, worse), an arrow and a colour, so that each of them
 alone tells it. All that is put in is escaped.
@@ -15,7 +15,7 @@ from spiral.types.formatting import error_percent, percent
 from spiral.view.report.style import label_words
 
 Rows = Sequence[Mapping[str, Any]]
-"""Changes at each horizon, or errors alone, as a round of the JSON contract has them."""
+"""Changes at each horizon, or errors alone, as a round in the JSON output has them."""
 
 _ARROWS = {"better": "↓", "same": "≈", "worse": "↑"}
 _HINT = (

@@ -1,4 +1,4 @@
-"""What may be missing: candidates with their evidence and Add, and an effect of one's own."""
+"""The list of candidates with their evidence and the button Add; an effect of the user's own."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class CandidateList:
         self._draw_own_effect(scene, turn)
 
     def _draw_ending(self, scene: LiveStudy, turn: StudyState) -> None:
-        """What it means that nothing passes the gates."""
+        """The message where no candidate is confirmed."""
         said = panels.ending_message(scene.study, turn)
         kind = "good" if turn.verdict == "whiteness" else "note"
         ui.html(f"<div class='{kind}' id='ending'>{said}</div>", sanitize=False)

@@ -1,4 +1,4 @@
-"""Pieces of the page as HTML text: numbers, candidates, tables. All that is put in is escaped."""
+"""Parts of the study page as HTML text: numbers, candidates, tables; inserted text is escaped."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from spiral.view.terminal.preview import quiet_test_warning as quiet_test_words
 
 _BOTH = "the larger of the classical p-value and the robust one"
 _NET = (
-    "Share of the residual on the windows that ranked all candidates, less what as many free "
-    "parameters explain of noise; the list is in its order"
+    "Share of the residual that it explains on the windows that ranked all candidates, less the "
+    "share of pure noise that as many free parameters explain; the list is in this order"
 )
 _FAR = 3.0  # times the noise, above which a free run misses more than noise
 ENDINGS = {
     "whiteness": "Nothing more is missing: what is left is white noise.",
-    "no_candidate": "No further effect of the list is confirmed; below is how far each comes.",
-    "diverged": "The model runs away from the record even on short windows. Check units and signs "
-    "of the channels, or undo.",
+    "no_candidate": "No further effect of the list is confirmed; below is how much each explains.",
+    "diverged": "The model diverges even on short windows. Check units and signs of the channels, "
+    "or undo.",
     "not_identifiable": "This record cannot tell the model's own effects apart.",
 }
 
@@ -42,8 +42,8 @@ def formula_help(about: Mapping[str, Any]) -> str:
     return (
         f"<p class='soft' style='margin-bottom:10px'>A formula may name {known}<br>Every other "
         "name is a coefficient that the fit finds; a spring is <code>-k*q</code>. One inside a "
-        "function, as the width of a friction <code>-F*tanh(v/w)</code>, needs a value. Formulas "
-        "that differ are named: <code>x: -k*y; y: k*x</code>.</p>"
+        "function, such as the width of a friction <code>-F*tanh(v/w)</code>, needs a value. "
+        "Formulas that differ are named: <code>x: -k*y; y: k*x</code>.</p>"
     )
 
 
@@ -56,7 +56,7 @@ def caveats_note(said: Sequence[str]) -> str:
 
 
 def ending_message(study: Study, turn: StudyState) -> str:
-    """What it means that nothing passes the gates."""
+    """The message where no candidate is confirmed: what that means."""
     said = ENDINGS.get(turn.verdict) or escape(turn.advice)
     error, floor = turn.result.get("test_error"), study.noise_floor
     if turn.verdict == "whiteness" and error and floor and error > _FAR * floor:
@@ -109,7 +109,7 @@ def quiet_test_warning(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def effect_chips(study: Study) -> str:
-    """The effects that the model has: the seed's, and those added; below, those let go again."""
+    """The model's effects: the seed's, and those added; below them, effects removed again."""
     if not study.line:
         return ""
     model = study.line[-1].result.get("model") or {}
@@ -117,7 +117,7 @@ def effect_chips(study: Study) -> str:
     items = [f'<span class="chip">{escape(label_words(e))}</span>' for e in seed]
     items += [f'<span class="chip added">+ {escape(label_words(e))}</span>' for e in study.added]
     gone = ", ".join(label_words(e) for e in study.gone)
-    said = f"Let go: {gone}, superfluous beside what was added later."
+    said = f"Removed: {gone}, superfluous beside what was added later."
     left = f'<p class="soft gone">{escape(said)}</p>' if gone else ""
     return f'<div class="chips">{"".join(items)}</div>{left}'
 
@@ -203,8 +203,8 @@ def ranking_order_note(turn: StudyState) -> str:
         names = horizon_errors.join_words([label_words(e) for e in above])
         said += (
             f" {label_words(first or '').capitalize()} is proposed although {names} "
-            f"{'explains' if len(above) == 1 else 'explain'} more there: other data, on which "
-            "nothing was ordered, decide."
+            f"{'explains' if len(above) == 1 else 'explain'} more there: other data, "
+            "which took no part in this order, decide."
         )
     return escape(said)
 

@@ -1,4 +1,4 @@
-"""What follows a turn, in a process of its own: where it fails, the saved run, MLflow, the report.
+"""The worker process that finishes a turn: where the model fails, the saved run, MLflow, report.
 
 The page does not wait for any of it. Every turn becomes a saved run as the command line saves one,
 so that ``spiral report run=ID`` and ``spiral add ... run=ID`` take it up.
@@ -28,7 +28,7 @@ _BY_HAND = "The effects were added by hand."
 
 @dataclass
 class RunWriter:
-    """What the process keeps between two orders: the records of the study last written down."""
+    """The writer process; between two orders it keeps the records of the last study."""
 
     out: Path
     tell: Tell

@@ -1,4 +1,4 @@
-"""What the page knows and may ask. One session serves all tabs: what one changes, all see.
+"""The session of the page: all studies and their worker processes, shared by all browser tabs.
 
 The session alone writes ``study.json``. Orders go to two ``processes``; their events change the
 study here, and every change has a number by which a tab sees that it is behind.
@@ -15,7 +15,7 @@ from typing import Any
 
 from spiral.app import horizon_errors
 from spiral.app import study as study_files
-from spiral.app.file_setup import DOES, FORESEE, FileSetup
+from spiral.app.file_setup import FILE_ORDERS, FORESEE, FileSetup
 from spiral.app.own_effect import effect_overrides, normalize_effect_name
 from spiral.app.panels import label_words
 from spiral.app.processes import Event, Process
@@ -36,7 +36,7 @@ _EXPECTED = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRS
 
 @dataclass(frozen=True)
 class Activity:
-    """What is under way: in words, since when, and how many messages of about how many."""
+    """Work in progress: what, since when, and how many of the expected messages have come."""
 
     what: str
     serial: int
@@ -47,7 +47,7 @@ class Activity:
 
     @property
     def share(self) -> float:
-        """How much of it is done, by the number of messages that it usually takes."""
+        """Estimated share that is done: messages so far over the usual number."""
         return min(self.said / self.expected, 0.97)
 
 
@@ -281,7 +281,7 @@ class Session:
         self._fits.give({**self._study_order(study, do, serial), **more})
 
     def _waiting_message(self) -> str:
-        """What an order given now waits for, in words: one process does one thing at a time."""
+        """The studies that an order given now waits for, as a process does one order at a time."""
         ahead = [f"“{s.study.title}”" for s in self._scenes.values() if s.busy]
         return f"waits for {horizon_errors.join_words(ahead)}" if ahead else ""
 
@@ -304,7 +304,7 @@ class Session:
         if kind == "broken":
             self.broken = tuple(data["broken"])
             return
-        if order["do"] in DOES:
+        if order["do"] in FILE_ORDERS:
             self.file_setup.on_event(order, kind, data)
             return
         with self._lock:

@@ -1,4 +1,4 @@
-"""A study driven by hand, as it lies on disk: ``OUT/studies/ID/study.json``, written whole.
+"""A study of the page, as saved in ``OUT/studies/ID/study.json``: a tree of its states.
 
 Its turns form a tree: the model as it was, then one more effect at each turn. ``at`` is the turn
 that is looked at; undoing moves it to the parent, and another effect added there begins another
@@ -35,11 +35,11 @@ _ID = re.compile(r"[0-9a-f-]{8,40}")
 
 @dataclass(frozen=True)
 class StudyState:
-    """One state of a study, in plain data.
+    """One state of a study (a *turn*; the page says step), in plain data.
 
     ``parent`` is the serial of the turn that it was made from; ``added`` the effect that made it;
     ``caveats`` are sentences that limit its verdict, ``alike`` effects of the model with those they
-    cannot be told from; ``result`` its numbers as a round of the JSON contract;
+    cannot be told from; ``result`` its numbers as a round in the JSON output;
     ``candidates`` what may be missing next, best first; ``proposed`` what the gates would admit;
     ``shape`` what the force is like that none of them explains, in words, ``memory`` what it
     depends on besides the present state;
@@ -76,7 +76,7 @@ class StudyState:
 
 @dataclass(frozen=True)
 class Study:
-    """A question (its overrides), its turns, and where it stands.
+    """A study: its overrides, its turns (states), and which of them is shown.
 
     ``own`` are candidates that a formula of the user's defines, among the overrides; ``example``
     is such a formula that works here, and what one may name. ``trouble`` is the last message, and
@@ -103,12 +103,12 @@ class Study:
 
     @property
     def turn(self) -> StudyState | None:
-        """The turn that is looked at; nothing before the first fit."""
+        """The turn that the page shows; nothing before the first fit."""
         return self.turns[self.at] if self.turns else None
 
     @property
     def line(self) -> tuple[StudyState, ...]:
-        """The turns from the first to the one that is looked at."""
+        """The turns from the first to the one that is shown."""
         turns: list[StudyState] = []
         turn = self.turn
         while turn is not None:
@@ -118,7 +118,7 @@ class Study:
         return tuple(turns)
 
     def after(self, serial: int | None) -> tuple[StudyState, ...]:
-        """The turns made from a turn, one for each branch; those made from none with ``None``."""
+        """The turns that follow a turn, one for each branch; with ``None`` the first turns."""
         return tuple(t for t in self.turns if t.parent == serial)
 
     @property
@@ -128,7 +128,7 @@ class Study:
 
     @property
     def gone(self) -> tuple[str, ...]:
-        """The effects that were added and let go again, superfluous beside a later one."""
+        """The effects that were added and later removed, as superfluous beside another one."""
         return self._added_and_gone[1]
 
     @property

@@ -1,4 +1,4 @@
-"""What is computed beside a study: figures of an effect's trial, and tests that discriminate."""
+"""Figures of the trial of an effect, and tests that distinguish effects; no study is changed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MLflow's own page on the studies' store, started when it is first asked for."""
+"""A server of MLflow's own page on the tracked runs, started when it is first opened."""
 
 from __future__ import annotations
 

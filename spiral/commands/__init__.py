@@ -1,1 +1,1 @@
-"""What each verb of the command line does: a request in, an outcome out, nothing printed."""
+"""The verbs of the command line, as functions from a request to an outcome; they print nothing."""

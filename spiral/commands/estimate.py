@@ -1,4 +1,4 @@
-"""What the verb ``estimate`` does: a study in, an outcome out."""
+"""The verb ``estimate``: reconstruct all states of records, from a request to an outcome."""
 
 from __future__ import annotations
 

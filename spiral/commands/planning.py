@@ -1,4 +1,4 @@
-"""Verbs that look ahead, before any fit: whether a record or a planned test is rich enough."""
+"""The verbs ``identify`` and ``plan``: whether a record or a planned test is informative enough."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _planning_question(study: Command, wishes: PlanOptions) -> PlanQuestion:
 
 
 def _plan_dict(test_plan: Plan, shown: int) -> dict[str, Any]:
-    """As the JSON contract writes it."""
+    """As plain data, as ``--json`` writes it."""
     wanted = test_plan.wanted
     return {
         "verdict": test_plan.verdict,

@@ -1,4 +1,4 @@
-"""What the verbs about plugins do: list them, verify them, write a skeleton."""
+"""The verbs ``plugins``, ``check`` and ``new``: list plugins, verify them, write a skeleton."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verb ``report``, and the curves that other verbs save for it beside a run."""
+"""The verb ``report``, and saving the series that it needs beside each run."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _comparisons_by_model(parts: Mapping[str, Any]) -> dict[str, Comparison]:
 
 
 def report(request: Request, tell: Tell) -> Outcome:
-    """One HTML file of a saved run, from what it saved alone.
+    """One HTML file of a saved run, from its saved files alone.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The verbs that fit (discover, compare, diagnose, add) and simulate: a study in, an answer out."""
+"""The verbs ``discover``, ``compare``, ``diagnose``, ``add`` and ``simulate``."""
 
 from __future__ import annotations
 

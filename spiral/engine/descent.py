@@ -1,4 +1,4 @@
-"""Gauss-Newton with a search along the step: for whole records, where a full step is too long.
+"""Gauss-Newton with a line search, for whole records, where full steps may be too long.
 
 Parameters and window starts move together by a share of the Gauss-Newton step. The direction is
 always one of descent, so that some share lowers the cost; the damped fit of ``fit`` moves the

@@ -41,7 +41,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Trial:
-    """One iteration as its gates see it; N samples in order of time, C equations.
+    """The data that gates judge in one round; N samples in order of time, C equations.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Evidence for candidates: what each would explain, active parameters and nuisances projected out.
+"""Scores of candidates: what each would explain beyond active parameters and nuisances.
 
 With R the triangle of one pass over [active | candidates | r], a candidate g has
 

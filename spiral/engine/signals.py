@@ -10,7 +10,7 @@ from typing import Any
 
 
 class Interrupted(BaseException):
-    """Asked to stop from outside; ``exit`` is 130 after Ctrl-C, 143 after SIGTERM."""
+    """A signal asked the process to stop; ``exit`` is 130 after Ctrl-C, 143 after SIGTERM."""
 
     def __init__(self, number: int) -> None:
         self.exit = 128 + number

@@ -1,4 +1,4 @@
-"""Where a fit begins: parameters from the balance of forces, states from local polynomials.
+"""Start values of a fit: parameters from the balance of forces, states by local polynomials.
 
 The balance M a - F = 0 of a mechanical system is linear in masses and amplitudes. With positions,
 velocities and accelerations from local polynomials it is solved by scaled least squares. The

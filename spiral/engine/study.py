@@ -1,4 +1,4 @@
-"""What a fit moves: one compiled model, the records, and a point (values and window starts)."""
+"""The inputs of a fit: one compiled model, the records, and a point (values, window starts)."""
 
 from __future__ import annotations
 

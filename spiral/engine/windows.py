@@ -1,4 +1,4 @@
-"""How a record is cut into windows, and into blocks for selection and estimation."""
+"""Cuts a record into windows, and into blocks for selection and for judgement."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def block_length(samples: int) -> int:
 
 
 def fair_block(values: Array, block: int) -> int:
-    """The longest block, halved from ``block`` down to 8, whose two halves saw the same motion.
+    """The longest block (``block`` or halved, at least 8) that gives both halves the same motion.
 
     Of every quarter of each channel's range of values (by rank; ``values`` is (samples, channels))
     either half must hold its share, 50 +- 5 % (two standard errors of a fair draw where that is

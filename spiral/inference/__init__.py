@@ -1,1 +1,1 @@
-"""From a question to an answer: compare, diagnose, discover, estimate, identify, plan."""
+"""The steps of a study: compare, diagnose, discover, estimate, identify, plan."""

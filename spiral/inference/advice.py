@@ -1,4 +1,4 @@
-"""What to do after a study: one or two sentences."""
+"""Advice after a study: what to do next, in one or two sentences."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def advice_for(
     if verdict == "not_identifiable":
         tied = "; ".join(" and ".join(g) for g in groups)
         return (
-            (f"Alike on it are {tied}. " if tied else "")
+            (f"On this record {tied} look alike. " if tied else "")
             + "Hold one of them at its known value (fixed=[NAME]), or record a test that moves "
-            "them differently: a start-up transient, other frequencies; of a rotor, sweep the "
+            "them differently: a start-up transient, other frequencies; with a rotor, sweep the "
             "speed through the resonance."
         )
     if stopped == "diverged":
         return (
             "The model diverged even on short windows. Check units and signs of the channels, or "
-            "give starts with values='{...}'."
+            "give start values with values='{...}'."
         )
     last = rounds[-1].comparison
     shape = next((r.details["unknown"] for r in reversed(rounds) if "unknown" in r.details), None)
@@ -40,12 +40,12 @@ def advice_for(
         return _curve_advice(shape)
     if memory_sentence(rounds):
         return (
-            "Offer effects with states of their own (bouc_wen, jenkins, lag), or write one "
-            "(spiral new effect NAME)."
+            "Offer effects with states of their own (bouc_wen, jenkins, lag) as candidates, or "
+            "write one (spiral new effect NAME)."
         )
     if verdict == "unknown_structure" and len(rounds) == 1:
         return (
-            "See where the residual lives with `spiral diagnose`, and add an effect of your own "
+            "See where the residual is large with `spiral diagnose`, and add an effect of your own "
             "(a file in ./plugins)."
         )
     return " ".join(s for s in (_ending_sentence(verdict, stopped, last, settings),
@@ -69,7 +69,7 @@ def _ending_sentence(
     """Why the loop ended."""
     near = is_near_noise(last, settings)
     if verdict == "nothing_missing":
-        beside = " and what acts at random" if random_forces(last) else ""
+        beside = " and random forces" if random_forces(last) else ""
         return f"The model explains this record down to its noise{beside}."
     if stopped == "max_rounds":
         return "The loop stopped at its largest number of rounds."

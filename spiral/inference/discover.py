@@ -1,4 +1,4 @@
-"""The loop: guard, evidence, gates, roll-back, refit, round by round (the paper's Algorithm 1)."""
+"""The discovery loop: fit, rank candidates, test the best, admit it, refit; round by round."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What acts on a record beside the model, and how the record departs from both, in words."""
+"""Sentences on random forces and sensor noise, and on how a record departs from its model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from spiral.types.parameter import BETWEEN, Interpolation
 from spiral.types.run import Comparison
 
 _STATES = {"observed": "the measured states", "hidden": "the hidden states"}
-_SENSITIVE = 0.3  # error of a free run from which no model is asked to follow the motion
+_SENSITIVE = 0.3  # free-run error by uncertainty alone from which the sentence is given
 
 
 def random_shares(comparison: Comparison, *kinds: str) -> dict[str, float]:
@@ -42,7 +42,7 @@ def random_sentence(comparison: Comparison) -> str:
         if kind in ("force", "gust"):
             said.append(
                 f"a random force acts on {_STATES.get(where, where.removesuffix('_rate'))}: "
-                f"{percent(share)} of the machine's own{lasting or ', white'}"
+                f"{percent(share)} of the machine's own forces{lasting or ', white'}"
             )
         elif kind == "drift":
             said.append(f"sensor {where} drifts by {percent(share)} of its motion over the record")
@@ -56,13 +56,14 @@ def random_sentence(comparison: Comparison) -> str:
     if random_forces(comparison) and np.isfinite(comparison.disturbed):
         much = comparison.disturbed >= 1.0
         share = "all" if much else percent(comparison.disturbed)
-        said.append(f"random forces make {share} of {'a free run' if much else 'the motion'}")
+        what = "a free run" if much else "the motion"
+        said.append(f"random forces account for {share} of {what}")
     text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
 
 
 def record_sentence(comparison: Comparison) -> str:
-    """What of the readings is no measurement, and how the record departs from model and noise."""
+    """Invalid readings, inputs between samples, departures from model and noise, in a sentence."""
     said = (
         *comparison.spoilt,
         *input_sentences(comparison.between),
@@ -75,13 +76,13 @@ def record_sentence(comparison: Comparison) -> str:
 
 
 def input_sentences(between: Mapping[str, Interpolation]) -> tuple[str, ...]:
-    """How inputs were found to run between their samples, a sentence for each."""
+    """A sentence for every input whose interpolation between samples was estimated."""
     said = []
     for name, way in between.items():
-        alike = "; half a sample of lag or delay looks alike" if way == "zero_order" else ""
+        alike = "; half a sample of lag or delay looks the same" if way == "zero_order" else ""
         said.append(
-            f"with this model {name} is between its samples most likely {BETWEEN[way]} "
-            f"(record.hold={way} would say so{alike})"
+            f"with this model {name} is most likely {BETWEEN[way]} between its samples "
+            f"(record.hold={way} declares it{alike})"
         )
     return tuple(said)
 
@@ -96,16 +97,16 @@ def _bound_sentences(model: Model) -> tuple[str, ...]:
         value = table[name].estimate
         at = [b for b in (parameter.lower, parameter.upper) if b is not None]
         for bound in (b for b in at if np.isclose(value, b, rtol=1e-6, atol=0.0)):
-            beyond = "of the other sign" if bound == 0 else "beyond it"
+            beyond = "with the other sign" if bound == 0 else "beyond it"
             said.append(
-                f"{name} lies at its bound of {number(bound)}: the record would have it {beyond} "
-                "with this model"
+                f"{name} lies at its bound of {number(bound)}: with this model the record asks for "
+                f"a value {beyond}"
             )
     return tuple(said)
 
 
 def _sensitivity_sentences(comparison: Comparison) -> tuple[str, ...]:
-    """A sentence where uncertain starts and values grow to all of a free run, as in chaos.
+    """A sentence where uncertain initial states and values dominate a free run, as in chaos.
 
     None for a free run that follows its record all the same.
     """
@@ -116,5 +117,5 @@ def _sensitivity_sentences(comparison: Comparison) -> tuple[str, ...]:
     ):
         return ()
     made = percent(comparison.uncertain)
-    return (f"what is not known of start and values alone makes {made} of a free run: no model "
-            "follows such a motion for so long",)  # fmt: skip
+    return (f"the uncertainty of initial state and parameters alone makes a free-run error of "
+            f"{made}: no model predicts such a motion for so long",)  # fmt: skip

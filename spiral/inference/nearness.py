@@ -27,7 +27,7 @@ from spiral.types.formatting import number, percent
 from spiral.types.horizon import Change, changes
 from spiral.types.run import Comparison
 
-_STRETCHES = 6.6  # times the variance that random forces are expected to make of one free run
+_SPREAD_FACTOR = 6.6  # times the variance that random forces are expected to make of one free run
 LASTING = 0.1  # of a record: longest correlation time of noise with many independent values
 _HALF = 0.5  # of all motion: largest error one sample ahead where the free run is no witness
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
@@ -36,7 +36,7 @@ _COLOUR = 0.25  # share of what is left, half its deviation, up to which its own
 
 
 def is_residual_white(comparison: Comparison, settings: Settings) -> bool:
-    """Whether what is left is white, or its colour harmless.
+    """Whether the residual is white, or its colour harmless.
 
     Colour is harmless where it is smaller than any effect, or predicted by its own past alone, not
     by motion or inputs; or where it belongs to a sensor whose noise is not white: no random force
@@ -64,13 +64,13 @@ def has_own_colour(comparison: Comparison, settings: Settings) -> bool:
 
 
 def evidence_chi2(comparison: Comparison) -> float:
-    """Chi2 per degree of freedom in the currency of the evidence: innovations, or windows."""
+    """Chi2 per degree of freedom of the strategy's residuals: of innovations, or on windows."""
     chi2 = comparison.innovation_chi2
     return comparison.chi2_per_dof if chi2 is None else chi2
 
 
 def noise_factor(comparison: Comparison, settings: Settings) -> float:
-    """The noise over what the record declares; 1 where the two do not contradict one another.
+    """Noise found over noise declared; 1 where the two do not contradict each other.
 
     What is left is white, and as large as the model-free estimate of the noise (or smaller than
     the noise is said to be): then it is the noise, and the statement is off.
@@ -91,7 +91,7 @@ def noise_factor(comparison: Comparison, settings: Settings) -> float:
 
 
 def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
-    """Why a model is not near its noise, one phrase with its figure for each reason."""
+    """Why noise does not explain all that a model leaves: a phrase with its figure per reason."""
     limit = settings.chi2_limit
     factor = _scale_of_noise(comparison, settings)
     reasons = []
@@ -102,7 +102,7 @@ def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
         reasons.append(f"the fit did not converge{where}")
     if not evidence_chi2(comparison) <= limit * factor**2:
         reasons.append(
-            f"chi2 per degree of freedom is {number(evidence_chi2(comparison))}, noise is 1"
+            f"chi2 per degree of freedom is {number(evidence_chi2(comparison))} (1 for noise alone)"
         )
     if not is_residual_white(comparison, settings):
         share = percent(min(comparison.whiteness_effect, 1.0))
@@ -111,12 +111,12 @@ def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
     if forces and max(forces.values()) > settings.random_limit:
         share = percent(max(forces.values()))
         reasons.append(
-            f"beside it a random force of {share} of the machine's own would have to act"
+            f"a random force of {share} of the machine's own forces would have to act beside it"
         )
     for name, share in coloured_noise(comparison).items():
         if share > settings.noise_limit:
             where = name.partition(".")[2]
-            reasons.append(f"the noise of {where} would be {percent(share)} of what it shows")
+            reasons.append(f"the noise of sensor {where} would be {percent(share)} of its signal")
     if is_error_unexplained(comparison, settings) and is_free_run_carried_away(comparison):
         ahead = percent(next_sample_error(comparison) or 0.0)
         reasons.append(f"one sample ahead the error on unseen data is {ahead}")
@@ -125,7 +125,7 @@ def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
             float(np.hypot(_free_run_floor(comparison, settings), _random_spread(comparison)))
         )
         reasons.append(
-            f"the test error is {percent(comparison.test_error)} where noise makes {made}"
+            f"the test error is {percent(comparison.test_error)} where noise explains {made}"
         )
     return tuple(reasons)
 
@@ -144,7 +144,7 @@ def _free_run_floor(comparison: Comparison, settings: Settings) -> float:
 
 
 def _random_spread(comparison: Comparison) -> float:
-    """What random forces, and values and starts that are uncertain, make of a free run's error."""
+    """Free-run error by random forces and by uncertain parameters and initial states."""
     return float(np.hypot(comparison.disturbed, comparison.uncertain))
 
 
@@ -162,7 +162,7 @@ def is_error_unexplained(comparison: Comparison, settings: Settings) -> bool:
         ahead = next_sample_error(comparison)
         return ahead is not None and not ahead <= max(_HALF, 2 * floor)
     few = _random_spread(comparison) ** 2 + drifting**2  # of which a record has few values
-    allowed = settings.chi2_limit * (floor**2 - drifting**2) + _STRETCHES * few
+    allowed = settings.chi2_limit * (floor**2 - drifting**2) + _SPREAD_FACTOR * few
     return not comparison.test_error**2 <= allowed
 
 
@@ -180,7 +180,7 @@ def next_sample_error(comparison: Comparison) -> float | None:
 
 
 def _drift_error(comparison: Comparison) -> float:
-    """What drifting sensors add to the error of a free run: rms of their shares over channels.
+    """Free-run error by drifting sensors: rms of their shares over channels.
 
     Noise whose correlation time exceeds a tenth of the record counts as drift.
     """

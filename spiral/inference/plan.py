@@ -1,4 +1,4 @@
-"""Which test to run next: planned tests are simulated and ranked by what they would tell.
+"""Plans the next test: simulates tests and ranks them by how well they distinguish effects.
 
 Each is a record of one of the machines that may be the true one, with the noise of the records at
 hand; ``spiral.inference.identifiability.information`` says what such a record tells.
@@ -76,7 +76,7 @@ class PlanQuestion:
 
 @dataclass(frozen=True)
 class TestForecast:
-    """What one test would tell.
+    """The expected result of one test.
 
     ``probability`` of telling all wanted effects apart; ``error`` of the wanted parameter;
     ``noise_share`` noise over the response, mean over channels; ``failure`` why it could not be
@@ -98,7 +98,7 @@ class TestForecast:
 
 @dataclass(frozen=True, repr=False)
 class Plan(Readable):
-    """Planned tests, best first, beside what the record at hand tells.
+    """Planned tests, best first, with the same figures for the record at hand.
 
     ``suffices``: how many answer the question; the first is the shortest of them. ``model`` is the
     machine they are planned for, ``unit`` that of the wanted parameter.
@@ -131,7 +131,7 @@ class Plan(Readable):
 
 @dataclass(frozen=True)
 class _Truth:
-    """A machine that may be the true one, and the effects that could be taken for it."""
+    """A model that may be the true one, and the effects that could be mistaken for its own."""
 
     model: Model
     effect: str
@@ -272,7 +272,7 @@ def _is_record_parameter(model: Model, key: str) -> bool:
 def _outlook_at_hand(
     problem: Problem, truths: tuple[_Truth, ...], wanted: PlanQuestion
 ) -> TestForecast:
-    """What the records at hand tell, each truth on their own inputs and fitted initial states."""
+    """The forecast for the records at hand, with their inputs and fitted initial states."""
     first = problem.records[0]
     test = PlannedTest("the record at hand", {}, first.samples * first.dt, 1.0 / first.dt)
     pairs: list[Distinguishability] = []
@@ -295,7 +295,7 @@ def _outlook_of_test(
     test: PlannedTest,
     simulate: Simulate,
 ) -> TestForecast:
-    """What a planned test would tell, with the noise of the records at hand."""
+    """The forecast for a planned test, with the noise of the records at hand."""
     pairs: list[Distinguishability] = []
     error, shares = None, []
     for truth in truths:

@@ -1,4 +1,4 @@
-"""What a user wishes of ``spiral plan``: the configuration's section ``plan``, checked."""
+"""Options of ``spiral plan``: the configuration's section ``plan``, checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a step is asked: a model, records to fit, records to judge by, candidates, settings."""
+"""The input of a study: a model, records to fit, test records, candidates, settings."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Source: H. Jeffreys, Theory of Probability, appendix B.
 """
 
 Progress = Callable[[str], None]
-"""Told in words what is being done; the command line draws it."""
+"""Called with a message that says what is being done."""
 
 
 def silent(message: str) -> None:
-    """A progress that says nothing."""
+    """A progress function that drops its message."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Problem:
-    """One study's question.
+    """The input of one study.
 
     ``records`` are fitted; ``test`` is seen neither by fit nor by selection, its first ``settle``
     seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
@@ -97,7 +97,7 @@ class Problem:
         return replace(self, records=records, test=test)
 
     def running(self, ways: Mapping[str, Interpolation]) -> Problem:
-        """The question with inputs that run so between samples where a record does not say."""
+        """The same with these interpolations of inputs, where a record declares none."""
         if not ways:
             return self
         records, test = (tuple(r.running(ways) for r in x) for x in (self.records, self.test))

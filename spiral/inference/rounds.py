@@ -33,7 +33,7 @@ class Checkpoint:
 
 
 def strategy_for(problem: Problem) -> Strategy:
-    """The kind of evidence that a problem asks for.
+    """The problem's strategy, checked.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def strategy_for(problem: Problem) -> Strategy:
 
 
 def start_study(begun: StartedStudy, seconds: float) -> Checkpoint:
-    """The seed as round 0."""
+    """The checkpoint of a study that has only fitted its seed, which is round 0."""
     first = Round(0, (), {}, {}, (), begun.comparison, seconds, details=begun.details)
     return Checkpoint((first,), begun.fit_state)
 
@@ -80,7 +80,7 @@ def rank_last_round(
 def _recheck_look_alikes(
     strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, progress: Progress
 ) -> tuple[Checkpoint, Step]:
-    """Drop look-alikes of earlier rounds that the final model tells apart; perhaps a likelier one.
+    """Drop look-alikes that the final model can distinguish; a likelier one replaces its effect.
 
     The details of a round keep those that were dropped as ``told_apart``; the step returned puts
     a likelier look-alike in the place of its effect, where there is one.
@@ -100,7 +100,7 @@ def _recheck_look_alikes(
 
 
 def _promising_labels(rounds: Sequence[Round]) -> dict[str, tuple[str, ...]]:
-    """By effect of the final model, what promised more than its price when it was admitted."""
+    """By effect of the final model, other candidates with a net gain when it was admitted."""
     held = rounds[-1].comparison.model.labels
     return {
         label: tuple(s.effect for s in before.suggestions
@@ -153,7 +153,7 @@ def admit_step(
     progress: Progress,
     spent: float = 0.0,
 ) -> Checkpoint:
-    """One round more: the step's effects admitted, refitted, compared.
+    """The study after one more round: the step's effects admitted, refitted and compared.
 
     ``spent`` : seconds that finding them has taken.
     """
@@ -184,7 +184,7 @@ def _round_after(before: Round, step: Step, settled: RefittedModel, seconds: flo
 def conclude_study(
     at: Checkpoint, stopped: StopReason, settings: Settings, advice: str | None = None
 ) -> Run:
-    """The history of a study that ends here."""
+    """The ``Run`` of a study that ends at this checkpoint: verdict, advice, rounds, final model."""
     rounds = at.rounds
     verdict, groups = study_verdict(rounds, stopped, settings), tied_groups(rounds[0].details)
     if verdict == "not_identifiable":
@@ -203,7 +203,7 @@ def conclude_study(
 
 
 def refuse_study(begun: StartedStudy, first: Round) -> Run:
-    """The history of a study whose record cannot tell its seed's effects apart."""
+    """The ``Run`` of a study that ends at once: its record cannot tell the seed's effects apart."""
     fit_state = begun.fit_state
     model: Model = to_model(begun.assembly, fit_state.labels, fit_state.values, {})
     verdict: Verdict = "not_identifiable"

@@ -1,4 +1,4 @@
-"""What a user may turn at each strategy: its thresholds with usual values and reasons.
+"""The options of each strategy: thresholds with their default values and reasons.
 
 Levels and sizes that all strategies share are ``Settings`` (``spiral.inference.problem``). Numbers
 that only decide how fast the same answer is found stay with the code that uses them.

@@ -1,4 +1,4 @@
-"""Suggest what is missing: the longest window that agrees, the gates, and the alias groups."""
+"""Suggestions of ``strategy=shooting``: scores on growing windows, gates, alias groups."""
 
 from __future__ import annotations
 

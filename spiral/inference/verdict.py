@@ -1,4 +1,4 @@
-"""Verdicts: what the figures of a study amount to, in a word and in sentences.
+"""Verdicts: the conclusion from the figures of a study, as one word and in sentences.
 
 An admitted effect is *determined* where one of its amplitudes has |t| >= ``least_t`` (or the
 likelihood without the effect is as far off) and does not lie at a bound. Only such an effect is
@@ -42,8 +42,8 @@ from spiral.types.placement import at_every_place
 from spiral.types.run import Comparison, Round, StopReason, Verdict
 from spiral.types.system import place_name
 
-FROM_NONE = "standard_errors"
-"""Of a round's details: by effect, how far it is from none by the likelihood without it."""
+LIKELIHOOD_RATIO_T = "standard_errors"
+"""Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
 
 _NAMED = 4  # look-alikes that a sentence names
 _VERDICTS = {
@@ -62,7 +62,7 @@ def reasons_for_doubt(last: Round, label: str, settings: Settings) -> str:
     """
     model = last.comparison.model
     table = model.estimates().get(label, {})
-    told = last.details.get(FROM_NONE, {}).get(label, 0.0)
+    told = last.details.get(LIKELIHOOD_RATIO_T, {}).get(label, 0.0)
     reasons: list[str] = []
     for key, parameter in model.pairs:
         owner, name = split_key(key)
@@ -79,7 +79,7 @@ def reasons_for_doubt(last: Round, label: str, settings: Settings) -> str:
 
 
 def determined_effects(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
-    """Effects admitted and still held that the final model determines."""
+    """Admitted effects that the final model still has and determines (see the module)."""
     return tuple(
         x for x in _admitted_labels(rounds) if not reasons_for_doubt(rounds[-1], x, settings)
     )
@@ -177,7 +177,8 @@ def verdict_sentence(verdict: Verdict, comparison: Comparison, settings: Setting
     ):
         return (
             f"The model explains what it was fitted to, but not the test record: {reasons[0]}. "
-            "Another machine or setting, or motions that the fitted record does not hold?"
+            "Was the test made on another machine or setting, or does it contain motions that the "
+            "fitted record does not?"
         )
     told = f"{words}: {'; '.join(reasons)}." if reasons else f"{words}."
     return f"{told} {random}".strip()
@@ -202,7 +203,7 @@ def _figures_clause(comparison: Comparison, settings: Settings) -> str:
     ):
         error = (
             f"one sample ahead the error on unseen data is {percent(ahead)} (noise floor {floor}); "
-            "a free run is no witness, as what is at random or uncertain carries it away"
+            "a free run is no test here: random forces or uncertain values move it too far"
         )
     if comparison.random is not None:
         kind = "white noise" if comparison.whiteness_p >= settings.whiteness_level else "noise"
@@ -252,34 +253,35 @@ def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], setting
     them = "it" if len(admitted) == 1 else "them"
     if _has_error_grown(rounds, settings):
         return (
-            f"The model now holds {', '.join(admitted)}, but on data that no fit has seen the "
+            f"The model now contains {', '.join(admitted)}, but on data that no fit has seen the "
             f"error grew: {change}. Do not take {them} for what is missing."
         )
     change += _growth_excuse(first, last)
     if predicts_nothing(last, settings):
         return (
-            f"The model now holds {', '.join(admitted)}, and predicts nothing of data that no fit "
-            f"has seen: {change}. Do not take {them} for what is missing."
+            f"The model now contains {', '.join(admitted)}, and predicts nothing of data that no "
+            f"fit has seen: {change}. Do not take {them} for what is missing."
         )
     named, doubtful = missing_effects(rounds, settings), memory_stand_ins(rounds)
     if doubtful and not named:
         return (
-            f"{_VERDICTS['unknown_structure']}. The model now holds {', '.join(admitted)}, which "
-            f"may only stand in for it: {change}."
+            f"{_VERDICTS['unknown_structure']}. The model now contains {', '.join(admitted)}, "
+            f"which may only stand in for it: {change}."
         )
     if not named:
-        return f"The model now holds {', '.join(admitted)}: {change}."
+        return f"The model now contains {', '.join(admitted)}: {change}."
     words = ", ".join(
         label_with_place(last.model, x) + _look_alikes_clause(rounds, x, admitted) for x in named
     )
     said = f"Missing {'was' if len(named) == 1 else 'were'} {words}: {change}."
     if doubtful:
-        said += f" The model also holds {', '.join(doubtful)}: what stands in for memory."
+        names = ", ".join(doubtful)
+        said += f" The model also contains {names}, which may only stand in for memory."
     return said
 
 
 def _error_clause(first: Comparison, last: Comparison) -> str:
-    """The error on unseen data before and after; that one sample ahead where no run is free."""
+    """The error on unseen data before and after: of free runs, or else one sample ahead."""
     before, after, floor = (
         next_sample_error(first),
         next_sample_error(last),
@@ -287,32 +289,32 @@ def _error_clause(first: Comparison, last: Comparison) -> str:
     )
     if is_free_run_carried_away(last) and before is not None and after is not None:
         return (
-            f"error one sample ahead {percent(before)} -> {percent(after)} (noise floor {floor}; a "
-            "free run is carried away)"
+            f"error one sample ahead {percent(before)} -> {percent(after)} (noise floor {floor}; "
+            "random forces or uncertain values move a free run too far)"
         )
     errors = f"{percent(first.test_error)} -> {percent(last.test_error)}"
     return f"test error {errors} (noise floor {floor})"
 
 
 def _growth_excuse(first: Comparison, last: Comparison) -> str:
-    """What excuses a free run that grew; empty where none did."""
+    """Why a larger free-run error does not count against the effects; empty where it fell."""
     before, after = next_sample_error(first), next_sample_error(last)
     if not last.test_error > first.test_error or before is None or after is None:
         return ""
     return (
-        ", within what noise and random forces make of a free run; one sample ahead "
+        ", which noise and random forces explain in a free run; one sample ahead "
         f"{percent(before)} -> {percent(after)}"
     )
 
 
 def _look_alikes_clause(rounds: Sequence[Round], label: str, admitted: tuple[str, ...]) -> str:
-    """What the records do not tell from an effect, in brackets; empty where there is nothing."""
+    """An effect's look-alikes, in brackets; empty where there are none."""
     alike = dict.fromkeys(a for r in rounds for a in r.aliases.get(label, ()) if a not in admitted)
     if not alike:
         return ""
     names = list(alike)[:_NAMED]
     more = f" and {len(alike) - len(names)} more" if len(alike) > len(names) else ""
-    return f" (or {', '.join(names)}{more}: this record cannot tell)"
+    return f" (or {', '.join(names)}{more}: this record cannot tell them apart)"
 
 
 def label_with_place(model: Model, label: str) -> str:
@@ -333,8 +335,8 @@ def _curve_summary(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:
     return (
         f"{_VERDICTS['unknown_structure']}: {what[:1].lower()}{what[1:]}. One curve brings the "
         f"test error from {percent(first.test_error)} to {percent(shape['test_error'])} (noise "
-        f"floor {percent(shape['noise_floor'])}). The model now holds {', '.join(admitted)}, which "
-        f"only {stands} in for it: {percent(last.test_error)}."
+        f"floor {percent(shape['noise_floor'])}). The model now contains {', '.join(admitted)}, "
+        f"which only {stands} in for it: {percent(last.test_error)}."
     )
 
 
@@ -348,7 +350,7 @@ def seed_sentence(verdict: Verdict, rounds: Sequence[Round], settings: Settings)
 
 
 def noise_sentence(comparison: Comparison, settings: Settings) -> str:
-    """What the noise is where the record says otherwise; empty where it does not."""
+    """The noise level found, where it contradicts the declared one; empty where it does not."""
     factor = noise_factor(comparison, settings)
     if factor == 1.0:
         return ""

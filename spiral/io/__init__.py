@@ -1,1 +1,1 @@
-"""What comes in and goes out: files, plugins, configurations, saved runs, MLflow, exports."""
+"""Input and output: data files, plugins, configurations, saved runs, MLflow, exports."""

@@ -1,4 +1,4 @@
-"""Unfinished studies: kept on disk after every round, taken up by the next start.
+"""Checkpoints of unfinished studies: saved after every round, so that the next start resumes.
 
 ``OUT/.unfinished/FINGERPRINT/checkpoint.json`` holds the rounds so far and where the study stands.
 The fingerprint names everything that the result depends on, so that a study is taken up only by

@@ -43,7 +43,7 @@ _FORMAT = 1
 def gather_curves(
     problem: Problem, comparisons: Mapping[str, Comparison], progress: Progress = silent
 ) -> Curves:
-    """All curves of the models that these comparisons judged.
+    """All series that figures need, of the models of these comparisons.
 
     Only initial states and phases of the records are estimated again; parameters are kept.
     """
@@ -99,7 +99,7 @@ def _assemble_curves(
 
 
 def _union_model(model: Model, models: list[Model]) -> Model:
-    """One model with every effect of all, and an unknown force: compiled once."""
+    """One model with the effects of all models and an unknown force, so that it compiles once."""
     effects = {e.label: e for m in reversed(models) for e in m.effects}
     bare = Model(model.system, tuple(effects.values()))
     zero = {k: p.start or 0.0 for k, p in bare.pairs}

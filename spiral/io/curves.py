@@ -1,4 +1,4 @@
-"""The series that figures need, kept beside a saved run: ``OUT/ID/curves.npz``.
+"""The time series that figures need, saved beside a run as ``OUT/ID/curves.npz``.
 
 A report reads the saved run and these curves, and nothing else. Arrays keep every sample (32-bit
 for values, time as start and step); they are thinned only where they are drawn. Models of one run
@@ -39,7 +39,7 @@ class Curves:
 
     @property
     def tested(self) -> int:
-        """The first test record; where there is none, the first that was fitted."""
+        """Number of the first test record; where there is none, of the first fitted one."""
         parts = [r["part"] for r in self.meta["records"]]
         return parts.index("test") if "test" in parts else 0
 

@@ -1,4 +1,4 @@
-"""A ``Problem`` from a model, records and choices: the one place where it is assembled.
+"""Assembles the ``Problem`` of a study from a model, records and choices.
 
 The command line composes these arguments by Hydra (``spiral.io.config``), a program gives them as
 they are (``spiral.api``).

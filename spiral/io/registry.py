@@ -1,4 +1,4 @@
-"""The plugins that are known: from installed packages and from a local folder.
+"""The registry of plugins, from installed packages and from a local folder.
 
 A plugin is a concrete subclass of one of the abstract kinds, defined in a loaded module. There is
 no global registry: ``load_registry`` returns a value that is passed on.

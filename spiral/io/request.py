@@ -1,4 +1,4 @@
-"""What was asked on the command line, the configuration that it composes, and what came of it."""
+"""A request of the command line, the configuration that it composes, and its outcome."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Request:
 class Outcome:
     """The answer to a request: exit code, JSON result, objects to draw.
 
-    ``result`` is the JSON contract's; ``parts`` are the objects that the terminal draws, by name.
+    ``result`` is what ``--json`` writes; ``parts`` are the objects that the terminal prints.
     """
 
     exit: int

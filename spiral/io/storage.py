@@ -1,7 +1,7 @@
-"""Saved runs: ``OUT/ID/run.json``, written whole or not at all, and taken up again.
+"""Saved runs: ``OUT/ID/run.json`` is written as a whole, and loaded to go on from it.
 
 A saved run holds the composed configuration, the model (plugin names, fields, values, errors), the
-hashes of its data, the plugins' versions, and the result as the JSON contract writes it. It may
+hashes of its data, the plugins' versions, and the result as ``--json`` writes it. It may
 come from anywhere: its id is its folder's name, a link that leads out of its folder is not
 followed, and no path that it names is ever run.
 """
@@ -58,7 +58,7 @@ class SavedRun:
 
     @property
     def result(self) -> dict[str, Any]:
-        """The result as the JSON contract writes it."""
+        """The result as ``--json`` writes it."""
         return dict(self.data["result"])
 
     def model(self, registry: Registry) -> Model:

@@ -1,4 +1,4 @@
-"""What couples with what in a model: its states, the places where effects act, inputs and sensors.
+"""The graph of a model: its states and their couplings, inputs, sensors, and places of effects.
 
 Read off the traced equations, so that masses on springs, tanks, circuits and functions of one's own
 are described in the same terms.

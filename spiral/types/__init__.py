@@ -1,1 +1,1 @@
-"""The words of the project: records, systems, ports, effects, models, runs; no numerics."""
+"""The data types: records, systems, ports, effects, models, runs, kinds of plugins; no numerics."""

@@ -74,7 +74,7 @@ class Effect(Plugin):
         return {}
 
     def remark(self, values: Mapping[str, float], step: float) -> str:
-        """What fitted values (by parameter name) mean beyond themselves, in words; mostly nothing.
+        """A sentence on what fitted values (by parameter name) imply; empty for most effects.
 
         ``step`` is the time between samples in s.
         """
@@ -108,7 +108,7 @@ class SensorEffect(Effect):
 
 
 class InputEffect(Effect):
-    """What an actuator makes of an input: the machine gets something else than the record says.
+    """A change of an input by its actuator: the input that acts differs from the recorded one.
 
     Its port is an input, the first that may be changed where none is named: one that no other
     input follows from. ``position`` is the unit of that input.

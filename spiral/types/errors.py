@@ -32,7 +32,7 @@ class SpiralError(Exception):
         return type(self), (self.given, self.expected, self.try_)
 
     def as_dict(self) -> dict[str, str]:
-        """The error as the JSON contract writes it."""
+        """The error as ``--json`` writes it."""
         return {"given": self.given, "expected": self.expected, "try": self.try_}
 
 

@@ -54,7 +54,7 @@ class Horizon:
         return float(np.mean(list(self.channels.values())))
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {
             "horizon": self.name,
             "samples": self.samples,
@@ -66,7 +66,7 @@ class Horizon:
 
 @dataclass(frozen=True)
 class Change:
-    """What a step does to the error at one horizon.
+    """Change of the error at one horizon by a step.
 
     ``judged`` is ``same`` where the difference is within its ``standard_error``, or below half a
     percent of the error.
@@ -81,7 +81,7 @@ class Change:
     judged: Judged
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {
             "horizon": self.horizon,
             "samples": self.samples,
@@ -94,7 +94,7 @@ class Change:
 
 
 def changes(before: tuple[Horizon, ...], after: tuple[Horizon, ...]) -> tuple[Change, ...]:
-    """Better, same or worse at every horizon that both models were judged at."""
+    """Better, same or worse, at every horizon at which both models were evaluated."""
     known = {h.name: h for h in before}
     return tuple(_change(known[h.name], h) for h in after if h.name in known)
 

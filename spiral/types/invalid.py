@@ -1,4 +1,4 @@
-"""Invalid readings: missing, spikes, held through a dropout, clipped extremes.
+"""Finds invalid readings: missing values, spikes, values held in a dropout, clipped extremes.
 
 Those not missing are recognised from the signal alone, and only where nothing else looks alike:
 
@@ -170,7 +170,7 @@ def _spike_mask(values: Array) -> Array:
 
 
 def _candidate_spikes(off: Array, spikes: Array, scale: float) -> list[int]:
-    """Readings far off their cubic, and farther off than those within two of them."""
+    """Readings far from the cubic through their neighbours, farther than the two on each side."""
     far = np.flatnonzero((np.abs(off) > _OUT * scale) & ~spikes)
     return [int(k) for k in far if np.abs(off[k]) >= np.abs(off[max(k - 2, 0) : k + 3]).max()]
 

@@ -31,7 +31,7 @@ class Estimate:
         return self.estimate / self.se if self.se else None
 
     def as_dict(self) -> dict[str, float | str | None]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {"estimate": self.estimate, "se": self.se, "t": self.t, "unit": self.unit}
 
 

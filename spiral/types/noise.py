@@ -1,4 +1,4 @@
-"""Kinds of randomness about a machine and its sensors (``spiral.engine.likelihood.noise``)."""
+"""Kinds of random forces and sensor noise (``spiral.engine.likelihood.noise``)."""
 
 from __future__ import annotations
 

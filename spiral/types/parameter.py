@@ -110,7 +110,7 @@ BETWEEN: dict[Interpolation, str] = {
 
 @dataclass(frozen=True)
 class Input:
-    """A known input, and how it runs between samples.
+    """A known input, and how it is interpolated between samples.
 
     ``smooth`` is a cubic spline (speed, phase), ``band_limited`` a polyphase FIR interpolation
     (a measured force), ``linear`` straight lines, ``zero_order`` holds each value until the next

@@ -30,7 +30,7 @@ class ChannelError:
     relative: float
 
     def as_dict(self) -> dict[str, float]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {"rmse": self.rmse, "relative": self.relative}
 
 
@@ -50,7 +50,7 @@ class Traces:
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Readable):
-    """A fitted model against measurements it was fitted on and against those it was not.
+    """A fitted model compared with the records of its fit, and with test records.
 
     ``fit_error`` and ``test_error`` are relative free-run errors, mean over channels;
     ``chi2_per_dof`` and ``whiteness_p`` are of the fitted records at window length ``horizon``;
@@ -59,8 +59,8 @@ class Comparison(Readable):
     rms over channels, and nothing where they declare none; ``unseen`` are errors on the test
     records at several horizons (``inference.evidence.horizons``), none without a test.
     ``innovation_chi2`` is the mean squared whitened innovation, where a filter's likelihood is the
-    evidence: process noise then explains what a free run misses. ``random`` names what acts at
-    random beside white noise of the sensors (``engine.likelihood.noise``), with its size: of a
+    evidence: process noise then explains what a free run misses. ``random`` names random forces
+    and sensor noise beyond white noise (``engine.likelihood.noise``) with their sizes: of a
     force its share of the rate that it acts on, of a reading its share of the channel's deviation;
     nothing where no such model was fitted; ``random_times`` its correlation time in s, where it has
     one; ``spoilt`` says in words which readings are no measurement, ``departures`` what neither the
@@ -104,7 +104,7 @@ class Comparison(Readable):
         )  # fmt: skip
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {
             "fit_error": self.fit_error,
             "test_error": self.test_error,
@@ -154,7 +154,7 @@ class Suggestion:
     net: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {
             "effect": self.effect,
             "aliases": list(self.aliases),
@@ -190,7 +190,7 @@ class Where:
     channels: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         ranges = ("time_s", "frequency_hz", "speed_rad_s", "order", "amplitude")
         limits = {r: list(v) if (v := getattr(self, r)) else None for r in ranges}
         what = {"state": self.state, "power": self.power, "follows": self.follows}
@@ -200,7 +200,7 @@ class Where:
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Readable):
-    """What is missing, where it shows, and what to do.
+    """The result of ``diagnose``: what may be missing, where the model fails, and what to do.
 
     ``not_separable`` are candidates that effects of the model take over on this record, in part or
     whole: had they been there, they could not have been found. ``unknown`` is the shape of what no
@@ -235,7 +235,7 @@ class Diagnosis(Readable):
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {
             "verdict": self.verdict,
             "summary": self.summary,
@@ -274,7 +274,7 @@ class Round:
     changes: tuple[Change, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         c = self.comparison
         return {
             "round": self.number,
@@ -301,7 +301,7 @@ class Round:
 
 @dataclass(frozen=True, repr=False)
 class Run:
-    """The history of a study: what was tried, added and refused in each round, on which evidence.
+    """The result of ``discover``: the rounds of a study with their evidence, and its final model.
 
     ``missing`` are the effects that the verdict names, ``summary`` says it with its figures.
     ``question`` is the ``Problem`` that it answers, where the run was made in this process.
@@ -337,7 +337,7 @@ class Run:
         return "\n".join([said, "", head, "|--:|:--|--:|--:|--:|", *lines])
 
     def _rows(self) -> list[tuple[int, str, str, str, str]]:
-        """Of each round: number, what was added, fit and test error, chi2 per dof."""
+        """Table rows of the rounds: number, effects added, fit and test error, chi2 per dof."""
         rows = []
         for r in self.rounds:
             c = r.comparison
@@ -360,7 +360,7 @@ class Run:
 
     @property
     def unknown(self) -> Mapping[str, Any] | None:
-        """The shape of what no candidate explains (``inference.unknown``), where there is one."""
+        """The learned curve of a force that no candidate explains; see ``inference.unknown``."""
         shapes = [r.details["unknown"] for r in self.rounds if "unknown" in r.details]
         return shapes[-1] if shapes else None
 
@@ -370,7 +370,7 @@ class Run:
         return self.rounds[-1].details.get("memory") if self.rounds else None
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {
             "verdict": self.verdict,
             "summary": self.summary,
@@ -390,7 +390,7 @@ class Run:
 
 
 def estimate_rows(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Of a result: one row for each parameter of its final model, estimate, error, t, unit."""
+    """Table rows, one for each parameter of the final model: estimate, error, t, unit."""
     model = result.get("model") or (result.get("comparison") or {}).get("model") or {}
     owners = {**(model.get("effects") or {}), "system": model.get("system") or {}}
     return [

@@ -29,5 +29,5 @@ class Source(Plugin):
         """
 
     def as_test(self) -> Source:
-        """What a test record takes from this source where its own fields are left out."""
+        """The source of a test record: this one, for the fields that the test leaves out."""
         return self

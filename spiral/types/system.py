@@ -85,7 +85,7 @@ class System(Plugin):
         return {}
 
     def rate_name(self, state: str) -> str:
-        """What the state that is the rate of another is called, where there is one."""
+        """Name of the state that is the rate of another one, where there is one."""
         return f"{state}_rate"
 
     def seen(self, u: SimpleNamespace, p: SimpleNamespace) -> SimpleNamespace:
@@ -109,12 +109,12 @@ class System(Plugin):
 
     @property
     def links(self) -> tuple[Port, ...]:
-        """Two coordinates of one unit each, as ports ``NAME-NAME`` of two axes."""
+        """Ports between any two coordinates of one unit, ``NAME-NAME`` with two axes."""
         return _coordinate_pair_ports(self) if has_coordinates(self) else ()
 
     @property
     def sensed(self) -> tuple[Port, ...]:
-        """The channels as ports of their own, those of one unit together, one axis each.
+        """Ports for effects on sensors: the channels, those of one unit together, one axis each.
 
         Effects on readings act there. The port is called ``sensors`` where all have one unit, else
         ``sensors NAME`` or ``sensors NAME-NAME``.
@@ -133,7 +133,7 @@ class System(Plugin):
 
     @property
     def driven(self) -> tuple[Port, ...]:
-        """Inputs that an actuator may change, each as a port: those that no other follows from.
+        """Ports for effects on actuators: each input, without those that follow from others.
 
         Such a port is called ``input NAME``, its axis ``NAME``.
         """
@@ -146,7 +146,7 @@ class System(Plugin):
 
     @property
     def filled(self) -> tuple[Port, ...]:
-        """States of first order that effects may flow into, each as a port ``state NAME``.
+        """Ports for flows: each state of first order that effects may flow into, as ``state NAME``.
 
         After them what a state has more than an input of its unit, as ``state NAME-INPUT``, and
         pairs of one unit, as ``states NAME-NAME``.
@@ -250,7 +250,7 @@ class MechanicalSystem(System):
 
     @property
     def balanced(self) -> bool:
-        """Whether mass and force are expressions; else ``rate`` alone tells the accelerations."""
+        """Whether mass and force are expressions; else only ``rate`` gives the accelerations."""
         return True
 
     @property
@@ -309,12 +309,12 @@ def check_states(system: System, what: str) -> None:
 
 
 def place_name(port: Port) -> str:
-    """What an effect on an input or into a state calls its port: the names of its axes."""
+    """The port name of an effect on an input or into a state: the names of its axes."""
     return "-".join((*port.axes, port.against) if port.against else port.axes)
 
 
 def _state_port(units: dict[str, str], *into: State) -> Port:
-    """States that something flows into, as a port."""
+    """A port of states of first order, for flows into them."""
     names = tuple(i.name for i in into)
     return Port(
         f"state{'s' * (len(into) > 1)} {'-'.join(names)}",

@@ -1,1 +1,1 @@
-"""What a person sees: the terminal and the report; pure functions of results."""
+"""Output for people: terminal text, report and figures; pure functions of results."""

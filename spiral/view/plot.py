@@ -41,14 +41,14 @@ def coefficients(run: Run) -> go.Figure | None:
 
 
 def unknown(run: Run) -> go.Figure | None:
-    """The curve of what no candidate explains, where there is one."""
+    """The learned curve of a force that no candidate explains; nothing where there is none."""
     from spiral.view.report import unknown as shape
 
     return shape.force_curves(_finite_result(run))
 
 
 def memory(run: Run) -> go.Figure | None:
-    """The loop of a missing force that has memory, where the run found one."""
+    """The loop of a missing force that has memory; nothing where the run found none."""
     from spiral.view.report import unknown as shape
 
     return shape.force_loops(_finite_result(run))
@@ -65,7 +65,7 @@ class Drawing:
 
 
 def sketch(of: Run | Model) -> Drawing:
-    """What couples with what in a model, or in a run's last one, and where effects act."""
+    """A sketch of a model, or of a run's final one: its states, couplings and effects."""
     from spiral.physics.couplings import couplings_of
     from spiral.view.report.sketch import sketch as drawn
 
@@ -73,7 +73,7 @@ def sketch(of: Run | Model) -> Drawing:
 
 
 def measured(run: Run) -> go.Figure | None:
-    """The final model's free run beside the test record."""
+    """Measured against model: the final model's free run beside the test record."""
     return figures(run).get("free_run") or figures(run).get("before")
 
 
@@ -89,7 +89,7 @@ def figures(run: Run) -> dict[str, go.Figure]:
 
 
 @lru_cache(maxsize=8)
-def _cached_curves(key: _Key) -> Curves:
+def _cached_curves(key: _RunKey) -> Curves:
     from spiral.io.compute_curves import gather_curves
     from spiral.io.curves import FINAL, SEED
 
@@ -99,7 +99,7 @@ def _cached_curves(key: _Key) -> Curves:
     return gather_curves(run.question, compared)
 
 
-class _Key:
+class _RunKey:
     """A run as a key of the cache of curves, compared by identity."""
 
     def __init__(self, run: Run) -> None:
@@ -109,12 +109,12 @@ class _Key:
         return id(self.run)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and other.run is self.run
+        return isinstance(other, _RunKey) and other.run is self.run
 
 
 def run_curves(run: Run) -> Curves | None:
-    """The series that figures need; nothing where the run's records are not at hand."""
-    return None if run.question is None else _cached_curves(_Key(run))
+    """The time series that figures need; nothing where the run has no records in memory."""
+    return None if run.question is None else _cached_curves(_RunKey(run))
 
 
 def saved_form(run: Run) -> dict[str, Any]:

@@ -171,7 +171,7 @@ def test_an_effect_that_was_let_go_is_no_part_of_the_model(tab, served, picture)
     tab.wait_for_selector(".chip")
     chips = tab.eval_on_selector_all(".chip", "all => all.map(c => c.innerText)")
     assert chips == ["linear stiffness", "+ probe turn"]
-    assert "Let go: cross damping" in tab.inner_text(".gone")
+    assert "Removed: cross damping" in tab.inner_text(".gone")
     tab.wait_for_selector("#plot-error-falling .main-svg")
     curve = tab.text_content("#plot-error-falling")
     assert "+ probe turn" in curve

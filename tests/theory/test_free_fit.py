@@ -11,7 +11,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral.inference.likelihood import free_fit
 from spiral.inference.likelihood.comparison import compare_by_likelihood
 from spiral.inference.likelihood.fitting import fit_by_likelihood, is_random_force_small
-from spiral.inference.likelihood.free_fit import FREELY, refit_by_free_run
+from spiral.inference.likelihood.free_fit import FREE_RUN_VALUES_NOTE, refit_by_free_run
 from spiral.inference.problem import silent
 from spiral.io.question import pose_problem
 from spiral.io.registry import load_registry
@@ -52,7 +52,7 @@ def test_where_friction_is_missing_a_run_is_predicted_better():
         patch.setattr(free_fit, "_BETTER", 0.0)
         _, stepwise = compare_by_likelihood(assembly, found, silent)
     assert told.test_error < 0.9 * stepwise.test_error
-    assert FREELY in told.notes
-    assert FREELY not in stepwise.notes
+    assert FREE_RUN_VALUES_NOTE in told.notes
+    assert FREE_RUN_VALUES_NOTE not in stepwise.notes
     assert told.random == stepwise.random  # what is at random is told beside the likeliest values
     assert replace(state, settle=None).values == pytest.approx(found.state.values)

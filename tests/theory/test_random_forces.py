@@ -162,6 +162,6 @@ def test_noise_that_vanished_beside_a_large_random_force_is_found_again():
     stuck = fit_by_likelihood(assembly, state, vanished)
     assert stuck.estimate.noise.values["white.x"] < 0.01 * size
     found = restart_vanished_noise(assembly, stuck)
-    assert found.height > stuck.height + 10
+    assert found.log_likelihood > stuck.log_likelihood + 10
     assert found.estimate.noise.values["white.x"] == pytest.approx(size, rel=0.15)
     assert restart_vanished_noise(assembly, found) is found

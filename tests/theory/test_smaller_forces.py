@@ -68,7 +68,7 @@ def test_a_small_force_with_a_memory_takes_the_place_of_a_large_one_on_a_store(s
     assert largest_force(large.estimate.noise) > assembly.problem.settings.random_limit
     found = replace_large_forces(assembly, large, silent)
     assert found is not None
-    assert found.height > large.height - np.log(100.0)
+    assert found.log_likelihood > large.log_likelihood - np.log(100.0)
     assert largest_force(found.estimate.noise) <= assembly.problem.settings.random_limit
     names = {t.size for t in found.estimate.noise.terms if t.kind in ("force", "gust")}
     assert names & {"gust.h", "gust.observed"}

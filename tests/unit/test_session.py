@@ -136,7 +136,7 @@ def test_an_effect_that_was_let_go_is_no_part_of_the_model(session, ident, tmp_p
         assert list(study.added) == model
         assert list(study.gone) == (["b"] if retired else [])
         assert shell_command(study).startswith(f"spiral add {' '.join(model)} ")
-        assert ("Let go: b" in effect_chips(study)) is bool(retired)
+        assert ("Removed: b" in effect_chips(study)) is bool(retired)
         assert effect_chips(study).count('"chip added"') == len(model)
 
 

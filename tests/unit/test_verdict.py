@@ -16,7 +16,7 @@ from spiral.inference.nearness import (
 )
 from spiral.inference.problem import Settings
 from spiral.inference.verdict import (
-    FROM_NONE,
+    LIKELIHOOD_RATIO_T,
     missing_effects,
     reasons_for_doubt,
     seed_verdict,
@@ -110,7 +110,7 @@ def test_a_free_run_that_grew_within_its_noise_is_told_beside_the_next_sample():
     first = replace(POOR, test_error=0.0200, unseen=horizons(0.05, 0.0200))
     last = replace(GOOD, test_error=0.0201, unseen=horizons(0.02, 0.0201))
     _, words, _ = said(rounds(last, first), "whiteness")
-    assert "within what noise and random forces make of a free run" in words
+    assert "which noise and random forces explain in a free run" in words
     assert "one sample ahead 5.00 % -> 2.00 %" in words
 
 
@@ -146,7 +146,7 @@ def test_a_likelihood_far_below_without_an_effect_determines_it():
     """A rim that spills all there is has no slope, and is there all the same."""
     doubtful = held(model(CUBIC, cubic_stiffness__stiffness=(1.9, 3.3)))
     assert reasons_for_doubt(doubtful, "cubic_stiffness", SETTINGS)
-    sure = replace(doubtful, details={FROM_NONE: {"cubic_stiffness": 12.0}})
+    sure = replace(doubtful, details={LIKELIHOOD_RATIO_T: {"cubic_stiffness": 12.0}})
     assert reasons_for_doubt(sure, "cubic_stiffness", SETTINGS) == ""
 
 
@@ -200,7 +200,7 @@ def test_a_record_of_another_machine_is_recognised():
     verdict, words, _ = said((seed,), "whiteness")
     assert verdict == "unknown_structure"
     assert "not the test record" in words
-    assert "Another machine" in words
+    assert "another machine" in words
 
 
 @pytest.mark.parametrize("stopped", ["whiteness", "no_candidate", "max_rounds", "diverged"])
@@ -285,7 +285,7 @@ def test_a_model_that_needs_a_large_random_force_is_no_other_machine():
     verdict, words, _ = said((Round(0, (), {}, {}, (), pushed, 1.0),))
     assert verdict == "unknown_structure"
     assert "random force of 100 %" in words
-    assert "Another machine" not in words
+    assert "another machine" not in words
 
 
 MEMORY = {"memory": {"sentence": "What is missing has memory: at mass."}}
@@ -317,7 +317,7 @@ def test_an_effect_that_stays_beside_memory_is_named_and_what_gives_way_to_it_is
     details = {"memory": {**MEMORY["memory"], "stand_ins": [more.label]}}
     later = Round(2, (more.label,), {}, {}, (), both, 1.0, details=details)
     assert missing_effects((first, last, later), SETTINGS) == ("cubic_stiffness",)
-    assert "also holds quadratic_damping" in said((first, last, later))[1]
+    assert "also contains quadratic_damping" in said((first, last, later))[1]
 
 
 def test_an_effect_with_memory_is_named_whatever_memory_is_left():

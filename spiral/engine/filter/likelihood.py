@@ -37,7 +37,7 @@ _RUNAWAY = -1e300
 
 @dataclass(frozen=True)
 class TunedTasks:
-    """Where the likelihood is highest: the records' tasks with their values, and the levels.
+    """The maximum of the likelihood: filter tasks at its values, and the process noise.
 
     ``errors`` are standard errors of the parameters that moved, by the outer product of slopes, and
     ``covariance`` (q, q) is theirs together where a prior was given; ``log_likelihood`` is -inf

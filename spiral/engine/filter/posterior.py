@@ -31,7 +31,7 @@ _TOLD = (1e-3, 4e-3)  # shares of the prior deviation below which a direction is
 
 @dataclass(frozen=True)
 class Posterior:
-    """Where a record leaves uncertain parameters.
+    """The distribution of uncertain parameters after a record.
 
     ``task`` has the most probable values, ``levels`` are of the process noise, ``covariance`` is
     (q, q). ``draws`` (count, q) with ``heights`` (count,), the log density that they were drawn

@@ -1,4 +1,4 @@
-"""Gaussian prior of parameters: the step to the most probable values, the posterior covariance.
+"""Gaussian prior of parameters: steps to the most probable values, posterior covariance.
 
     theta = m + L z,  z ~ N(0, I),  L L^T = V
 

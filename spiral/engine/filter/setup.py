@@ -1,4 +1,4 @@
-"""From the dimensionless choices of an observer to the numbers of one run."""
+"""Converts the dimensionless options of an observer to the numbers of one filter run."""
 
 from __future__ import annotations
 

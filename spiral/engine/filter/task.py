@@ -1,4 +1,4 @@
-"""What an observer is given: a compiled model, one record, and scales of every state.
+"""The input of an observer: a compiled model, one record, and scales of every state.
 
 Scales come from the model itself: its free run under the record's inputs. With s_i the standard
 deviation of a state and a_i that of its rate, everything that a filter must be told (the initial

@@ -62,7 +62,7 @@ Beside = Mapping[str, tuple[tuple[Array, Array], ...]]
 
 @dataclass(frozen=True)
 class SlopeCache:
-    """Slopes by differences that are used again.
+    """Cache of slopes by finite differences.
 
     ``beyond`` by parameter and record: slopes of the whitened misses less those with held gains;
     ``sizes`` by size of the noise, made where the sizes were ``at``.
@@ -87,7 +87,7 @@ class SlopeCache:
 
 @dataclass(frozen=True)
 class Maximum:
-    """Where the likelihood is highest.
+    """The maximum of the likelihood.
 
     ``parts`` are the predictions there with their slopes by ``keys``; ``solved`` the last scoring
     regression, whose inverse is that of the information; ``converged`` whether no step was worth
@@ -145,7 +145,7 @@ class Maximum:
 
     @property
     def chi2(self) -> float:
-        """Mean squared whitened miss; 1 where the noise is what it is said to be."""
+        """Mean squared whitened innovation; 1 where the noise model is right."""
         squares = sum(float(np.sum(p.whitened**2)) for p in self.parts)
         return squares / max(sum(int(np.sum(p.spreads > 0)) for p in self.parts), 1)
 
@@ -232,7 +232,7 @@ class _DampedStep:
 
 @dataclass(frozen=True)
 class _Search:
-    """What a search moves, its bounds, and when it ends."""
+    """One search for the maximum: its parameters, bounds and stopping rule."""
 
     keys: tuple[str, ...]
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -309,7 +309,7 @@ class _Search:
         return replace(at, kept=replace(at.kept, beyond=beyond))
 
     def columns(self, at: Maximum) -> list[Array]:
-        """Slopes of the whitened misses by parameters (sign turned), for every record."""
+        """Slopes of the whitened innovations by parameters (sign turned), for every record."""
         slopes = [p.columns.copy() for p in at.parts]  # slopes that overflow count as zero
         for j, key in enumerate(self.keys):
             for mine, more in zip(slopes, at.kept.beyond.get(key, ()), strict=False):
@@ -374,7 +374,7 @@ class _Search:
 
 
 def _difference_steps(columns: Sequence[Array]) -> dict[int, float]:
-    """For every column the step that moves the whitened misses by ``_MOVE`` on average."""
+    """For every column the step that moves the whitened innovations by ``_MOVE`` on average."""
     energy = np.sum([np.sum(c**2, axis=(0, 1)) for c in columns], axis=0)
     count = sum(c.shape[0] * c.shape[1] for c in columns)
     return {j: _MOVE * float(np.sqrt(count / e)) for j, e in enumerate(energy) if e > 0}

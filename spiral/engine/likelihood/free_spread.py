@@ -1,4 +1,4 @@
-"""How far random forces carry a free run, which no reading corrects, from the motion without them.
+"""Spread of free runs under random forces: their distance from the motion without these.
 
 Motions are drawn from one start x_0 and compared with that without forces,
 

@@ -1,4 +1,4 @@
-"""How far a free run may be off because its start and its parameters are only known so well.
+"""Uncertainty of a free run by the uncertainty of its initial state and parameters.
 
 With J the slopes of the readings by the start x_0 and the parameters p along the free run,
 

@@ -1,4 +1,4 @@
-"""The largest random force that records would not show, and what it makes of a free run.
+"""The largest random force that records would not show, and its effect on a free run.
 
 A force too small to be told from none still carries whatever a machine integrates. With l the level
 of the white force on a group of states, all else at its most likely values, it may be as large as

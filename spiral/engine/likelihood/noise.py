@@ -1,4 +1,4 @@
-"""What is random about a machine and its sensors: terms with named sizes, as filter matrices.
+"""The noise model: random forces and sensor noise as terms with sizes, and as filter matrices.
 
 Each term is a Gaussian process of its own, white or a state of the noise z (``kernel``):
 
@@ -51,7 +51,7 @@ _RINGING, _DEAD = 0.005, 0.2  # damping ratio of a vibration: beyond it is noise
 
 @dataclass(frozen=True)
 class NoiseTerm:
-    """One kind of randomness; ``where`` is a channel, or a group of states, or one state.
+    """One random force or sensor noise; ``where`` is a channel, or a group of states, or one state.
 
     ``order`` is that of the low-pass of a ``band``.
     """
@@ -77,7 +77,7 @@ class NoiseTerm:
 
     @property
     def states(self) -> int:
-        """States that it brings to one channel or rate."""
+        """Number of filter states that it adds for one channel or rate."""
         return {"white": 0, "force": 0, "band": self.order, "vibration": 2}.get(self.kind, 1)
 
 

@@ -75,7 +75,7 @@ class Prediction:
         return self.slopes * self.weight[..., None]
 
     @cached_property
-    def heights(self) -> Array:
+    def sample_log_likelihoods(self) -> Array:
         """(samples,) log-likelihood of each sample; -inf from where the filter ran away."""
         seen = self.spreads > 0
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -140,7 +140,7 @@ def vary_noise(
     task: Task, settings: FilterSettings, noise: NoiseModel, others: Sequence[NoiseModel],
     run: Prediction,
 ) -> list[tuple[Array, Array]]:  # fmt: skip
-    """Misses and spreads of one record under other noise, along the motion of a run kept before.
+    """Innovations and variances of one record under another noise model, along a filtered motion.
 
     ``others`` have the terms of ``noise``, which is that of the run, with other values.
     """
@@ -197,7 +197,7 @@ def log_likelihood(parts: Sequence[Prediction], masks: Masks = None) -> float:
     """Sum over records, or over the samples of their masks; ``RUNAWAY`` where one ran away."""
     if not all(p.whole for p in parts):
         return RUNAWAY
-    rows = [p.heights for p in parts]
+    rows = [p.sample_log_likelihoods for p in parts]
     if masks is not None:
         rows = [h if m is None else h[m] for h, m in zip(rows, masks, strict=True)]
     total = float(sum(h.sum() for h in rows))

@@ -1,4 +1,4 @@
-"""From one sample to the next: the transition of (x, theta, z), and what it makes of P and S.
+"""Filter step from one sample to the next: the transition of (x, theta, z), P and S.
 
     F = [ A | 0 I 0 | 0 0 Phi ]    (rows of x, of theta, of z)
 

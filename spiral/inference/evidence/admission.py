@@ -233,6 +233,6 @@ def untestable_effect_error(assembly: Assembly, label: str) -> ConfigError:
     """The error for an effect that the user names and these records cannot test."""
     return ConfigError(
         f"add {label}",
-        "an effect that these records can be asked about",
-        assembly.left_out.get(label, "it is no number along them, or nothing moves at its port"),
+        "an effect that these records can test",
+        assembly.left_out.get(label, "along them it is not a number, or nothing moves at its port"),
     )

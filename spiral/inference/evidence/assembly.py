@@ -34,7 +34,7 @@ from spiral.types.parameter import Parameter
 from spiral.types.port import Port
 from spiral.types.record import Array, Record
 
-NO_NUMBER = "it is no number (0/0, overflow) along these records"
+NO_NUMBER = "it is not a number (0/0, overflow) along these records"
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ def enlarge(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
 
 
 def _find_variant(assembly: Assembly, label: str) -> Variant:
-    """A variant by its label, of those offered or of an effect that is called for later."""
+    """A variant by its label, of the offered ones or of an effect that is tried later."""
     for variant in assembly.offered:
         if variant.label == label:
             return variant

@@ -122,7 +122,7 @@ def fit_growing_windows(
     lengths: list[int] | None = None,
     patient: bool = False,
 ) -> Iterator[Stage]:
-    """Fit the model of a fit state on growing windows; ``patient`` as in ``grow``.
+    """Fit the model of a fit state on growing windows; ``patient`` as in ``grow_windows``.
 
     Where ``shortest`` is set, the windows' initial states are fitted first, with all parameters
     fixed. Freed shapes are fixed on windows shorter than those on which they were freed, where a

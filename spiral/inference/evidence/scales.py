@@ -1,4 +1,4 @@
-"""What the records visit: states along them, and the largest position and velocity at every port.
+"""The motion that records cover: states along them, largest position and velocity at each port.
 
 Shapes of candidates (a gap, a width) are tried at shares of these scales. A measured coordinate and
 its rate come from local polynomials through its samples. A hidden one is seen by no polynomial: it

@@ -206,6 +206,6 @@ def amplitude_keys(assembly: Assembly, variant: Variant) -> tuple[str, ...]:
 
 
 def bic(table: ScoreTable, scored: Score) -> float:
-    """N log(1 - gain / rest) + q log N: twice the negative log-likelihood gain, plus its price."""
+    """N log(1 - gain / rest) + q log N: minus twice the log-likelihood gain, plus the penalty."""
     left = max(1.0 - scored.gain / max(table.rest, 1e-300), 1e-12)
     return table.samples * float(np.log(left)) + scored.rank * float(np.log(table.samples))

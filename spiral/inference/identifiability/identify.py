@@ -38,7 +38,7 @@ _SETTLED = 4  # samples left out at each end of a planned test, where slopes are
 
 @dataclass(frozen=True, repr=False)
 class Identification(Readable):
-    """What a record can tell before any fit.
+    """The result of ``identify``: what a record can determine, before any fit.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Identification(Readable):
         return self.acceleration / self.noise if self.noise > 0 else float("inf")
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         excitation = self.richness
         return {
             "verdict": self.verdict,

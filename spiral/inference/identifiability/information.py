@@ -1,4 +1,4 @@
-"""What a record tells of parameters, and of effects that look alike, by its signatures.
+"""Information in a record: standard errors of parameters, and whether effects can be told apart.
 
 With J the signatures of a record (initial states free) in units of its noise, the Fisher
 information of the parameters is J^T J, and a standard error is sqrt(diag (J^T J)^-1). An effect A
@@ -53,7 +53,7 @@ class Distinguishability:
         return float(np.degrees(np.arcsin(min(ratio, 1.0))))
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {
             "true": self.true,
             "other": self.other,

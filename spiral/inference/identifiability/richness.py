@@ -21,7 +21,7 @@ _TIED = 0.05  # entry of the projector on the unseen directions that ties two co
 
 @dataclass(frozen=True)
 class Richness:
-    """What a signature matrix can tell.
+    """Rank, condition and alias groups of a signature matrix.
 
     Parameters
     ----------

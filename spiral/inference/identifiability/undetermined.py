@@ -25,7 +25,7 @@ def describe_held_parameters(details: Mapping[str, Any]) -> str:
     keep = "keeps the value that it was" if len(names) == 1 else "keep the values that they were"
     return (
         f"The record cannot tell some of the model's own parameters apart ({tied}): "
-        f"{', '.join(names)} {keep} given, to which other values are relative."
+        f"{', '.join(names)} {keep} given; the other values are relative to it."
     )
 
 
@@ -36,4 +36,4 @@ def describe_undetermined_parameters(details: Mapping[str, Any]) -> str:
         return ""
     names = untold["parameters"]
     listed = f"{', '.join(names[:-1])} and {names[-1]}"
-    return f"Of {listed} the record tells only what they do together, beside what was added."
+    return f"With what was added, the record determines {listed} only in combination."

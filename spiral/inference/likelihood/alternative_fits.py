@@ -1,4 +1,4 @@
-"""Candidates tried from other fits than the model's own, which may hide what is missing.
+"""Candidates tried on other fits of the model, whose own fit may hide a missing effect.
 
 A model that lacks something makes up for it with whatever it may move, and from such a fit the
 missing effect makes nothing more likely, although from another both come right together:
@@ -10,7 +10,8 @@ missing effect makes nothing more likely, although from another both come right 
   is slow, the likeliest of them has the noise that the record wants beside it, as the model as it
   is has its own: beside white noise alone a constant is worth less than noise that has its colour.
 
-Schwarz's price and the other half of the blocks judge them like any other, against the model as it
+Schwarz's penalty and the other half of the blocks judge them like any other, against the model as
+it
 is.
 """
 

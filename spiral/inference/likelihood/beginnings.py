@@ -52,11 +52,11 @@ _TIMES = (100.0, 10.0)  # c: initial spread of the filter over the smoothed devi
 
 @dataclass(frozen=True)
 class Beginning:
-    """Mean (n,) and spread (n,) of an initial state; ``height`` is the head's log-likelihood."""
+    """Mean (n,) and spread (n,) of an initial state; log-likelihood of the first samples."""
 
     start: Array
     spread: Array
-    height: float
+    log_likelihood: float
 
 
 def refit_initial_states(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
@@ -79,7 +79,7 @@ def refit_initial_states(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFi
     stretch = 1.0
     for _ in range(_AGAIN):
         better = _refit_from_smoothed_states(assembly, fit, _FAR, stretch)
-        if better.height > fit.height + WORTH:
+        if better.log_likelihood > fit.log_likelihood + WORTH:
             fit, stretch = better, 2 * stretch
         elif stretch == 1.0:
             break
@@ -102,10 +102,10 @@ def _refit_from_smoothed_states(
     state, far = _smoothed_initial_states(fit, spread, stretch)
     if not far:
         trial = predict_cases([(prepare_filter_tasks(assembly, state, at.prepared), at.noise)])[0]
-        if not log_likelihood(trial) > fit.height + WORTH:
+        if not log_likelihood(trial) > fit.log_likelihood + WORTH:
             return fit
     again = fit_by_likelihood(assembly, state, rough=True, kept=at.kept)
-    return again if again.height > fit.height else fit
+    return again if again.log_likelihood > fit.log_likelihood else fit
 
 
 def _smoothed_initial_states(
@@ -149,10 +149,10 @@ def narrow_initial_states(
     starts, spreads = tuple(b.start for b in begun), tuple(b.spread for b in begun)
     state = replace(fit.state, starts=starts, spreads=spreads)
     trial = predict_cases([(prepare_filter_tasks(assembly, state, at.prepared), at.noise)])[0]
-    if not log_likelihood(trial, masks) > fit.height + WORTH:
+    if not log_likelihood(trial, masks) > fit.log_likelihood + WORTH:
         return fit
     again = fit_by_likelihood(assembly, state, at.noise, masks, steps, rough=True, like=at.prepared)
-    return again if again.height > fit.height else fit
+    return again if again.log_likelihood > fit.log_likelihood else fit
 
 
 def likely_initial_state(task: Task, noise: NoiseModel) -> Beginning:
@@ -166,12 +166,12 @@ def likely_initial_state(task: Task, noise: NoiseModel) -> Beginning:
         _evaluate_initial_state(head, noise, task.start, task.spread), start=task.start
     )
     first = next(_initial_state_trials(head, noise, best.start, _SHORTER[:1]), None)
-    if first is not None and abs(first.height - best.height) < _SAME:
+    if first is not None and abs(first.log_likelihood - best.log_likelihood) < _SAME:
         return begun
     for _ in range(_AGAIN):
         tried = _initial_state_trials(head, noise, best.start, _SHORTER)
-        better = max(tried, key=lambda b: b.height, default=best)
-        if not better.height > best.height + _SAME:
+        better = max(tried, key=lambda b: b.log_likelihood, default=best)
+        if not better.log_likelihood > best.log_likelihood + _SAME:
             break
         best = better
     return best

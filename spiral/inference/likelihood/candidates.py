@@ -1,4 +1,4 @@
-"""Candidates for the missing effect: scored, refitted in a race, and judged on other data.
+"""The race of candidates: the best-scored are refitted, those that fall behind are dropped.
 
 1. *Score.* Candidates are ranked along the motion that the filter predicts (``scores``).
 2. *Refit.* The best are refitted with parameters and noise on the blocks that select, in a race:
@@ -51,10 +51,10 @@ _ALIKE, _ALIKE_ONES = 0.9, 3  # share of the best score from which a candidate l
 class Rival:
     """A candidate refitted on the blocks that select.
 
-    ``gain`` in log-likelihood over the model as it is; ``worth`` the same less Schwarz's price of
-    its amplitudes and of the ``shapes`` that took their most likely values here. The fit is in
-    terms of a study of its own, the model with this candidate; ``plain`` is how far it came with
-    less at random, where that is not as likely.
+    ``gain`` in log-likelihood over the model as it is; ``worth`` is the gain less Schwarz's (BIC)
+    penalty for its amplitudes and for the ``shapes`` that took their most likely values here. The
+    fit is in terms of a study of its own, the model with this candidate; ``plain`` is the fit with
+    fewer noise terms, where that is not as likely.
     """
 
     assembly: Assembly
@@ -73,7 +73,7 @@ class Rival:
 
 @dataclass
 class Race:
-    """Candidates refitted on the blocks that select, each further only as long as it keeps up.
+    """Candidates refitted on the blocks that select; only those that keep up are fitted further.
 
     ``runners`` have been taken a few steps, best first; those of ``finals`` to the likelihood's
     maximum.
@@ -93,7 +93,7 @@ class Race:
 
     @property
     def behind(self) -> list[Rival]:
-        """Rivals whose effect is in no final yet."""
+        """Rivals that have not been fitted to the maximum in a final yet."""
         gone = {r.label for r in self.finalists}
         return [r for r in self.runners if r.label not in gone]
 
@@ -104,7 +104,7 @@ class Race:
 
     @property
     def best(self) -> float:
-        """The most that a candidate makes of the blocks that select, beyond its price."""
+        """The largest worth of a candidate on the blocks that select; zero without candidates."""
         return max((r.worth for r in self._nth_final(0)), default=0.0)
 
     def with_more_rivals(self, others: Sequence[Rival]) -> Race:
@@ -118,7 +118,7 @@ class Race:
         return replace(self, runners=_sort_by_worth(others), finals=[])
 
     def winners(self) -> Iterator[tuple[Rival, list[Rival]]]:
-        """Winners one after the other, each with the rivals left in its final, most likely first.
+        """Winners in turn, each with the rivals that remained in its final, most likely first.
 
         After a final, those it left behind run theirs: one that makes the most of the blocks that
         select may be nothing on the others.
@@ -132,7 +132,7 @@ class Race:
             number += 1
 
     def _nth_final(self, number: int) -> list[Rival]:
-        """Rivals of a final, run when first needed; empty where no rival is left."""
+        """Rivals of the final of this number, fitted when first needed; empty if none is left."""
         if number == len(self.finals) and self.behind:
             self.finals.append(self._run_final(self.behind))
         return self.finals[number] if number < len(self.finals) else []
@@ -166,7 +166,7 @@ def start_race(
 ) -> Race:  # fmt: skip
     """A race of the promising candidates, each already fitted briefly.
 
-    ``scored`` are all candidates, the best first; those whose score is not worth their price are
+    ``scored`` are all candidates, the best first; those whose score not worth their penalty are
     not refitted, nor more than ``most``, not counting their special cases.
     """
     far = (
@@ -189,7 +189,7 @@ def select_promising(scored: list[RankedCandidate], most: int) -> list[RankedCan
     """Candidates to refit: the best, what scores like the best, special cases and twins.
 
     What needs more numbers for the same score (an offset of each of several sensors, beside a load)
-    is not worth their price, yet the records may not tell the two apart. Neither may they tell the
+    not worth their penalty, yet the records may not tell the two apart. Neither may they tell the
     best from what does the same elsewhere, whose score beside a large random force may be nothing.
     """
     chosen = [r for r in scored if r.rank < 0 and not r.whole][:most]
@@ -324,11 +324,11 @@ def _continue_rival(base: LikelihoodFit, rival: Rival, masks: Masks, steps: int)
     if len(less.terms) < len(noise.terms):
         if plain is None or plain.state.freed != fit.state.freed:
             plain = replace(fit, estimate=replace(fit.estimate, noise=less))
-        plain = _continue_rival_fit(own, plain, masks, steps, fit.height)
-        if plain.height >= fit.height:
+        plain = _continue_rival_fit(own, plain, masks, steps, fit.log_likelihood)
+        if plain.log_likelihood >= fit.log_likelihood:
             return make_rival(own, base, rival.ranked, plain, rival.shapes)
     continued = _continue_rival_fit(own, fit, masks, steps)
-    fit = continued if continued.height >= fit.height else fit
+    fit = continued if continued.log_likelihood >= fit.log_likelihood else fit
     return replace(make_rival(own, base, rival.ranked, fit, rival.shapes), plain=plain)
 
 
@@ -360,7 +360,7 @@ def _narrow_rival_initial_states(
 def _continue_rival_fit(
     own: Assembly, fit: LikelihoodFit, masks: Masks, steps: int, least: float = -np.inf
 ) -> LikelihoodFit:
-    """A rival's fit continued by so many steps; ``least`` as in ``maximise``.
+    """A rival's fit continued by ``steps``; ``least`` as in ``maximise_likelihood``.
 
     What the filter tracks (a phase's origin) begins where this model, not the one without the
     candidate, has it: a first guess far off costs more than a candidate may win.
@@ -380,7 +380,7 @@ def _refine_rival(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
 
 
 def _free_rival_shapes(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:
-    """A rival with its shapes at their most likely values, where that is worth their price."""
+    """A rival with its shapes at their most likely values, where that is worth their penalty."""
     variant, own = rival.ranked.variant, rival.assembly
     fit = refit_effect_shapes(own, rival.fit, variant.effect, variant.tuned, masks, _RACE)
     if fit is rival.fit:
@@ -411,6 +411,6 @@ def make_rival(
     shapes: int = 0,
 ) -> Rival:
     """A fit with a candidate, compared with the model as it is; ``shapes`` of it were searched."""
-    gain = fit.height - base.height
+    gain = fit.log_likelihood - base.log_likelihood
     worth = gain - schwarz_penalty(len(ranked.columns) + shapes, fit.estimate.prepared)
     return Rival(assembly, ranked, fit, gain, worth, shapes)

@@ -42,7 +42,7 @@ from spiral.inference.likelihood.fitting import (
     innovations,
     with_tracked_values,
 )
-from spiral.inference.likelihood.free_fit import FREELY, refit_by_free_run
+from spiral.inference.likelihood.free_fit import FREE_RUN_VALUES_NOTE, refit_by_free_run
 from spiral.inference.likelihood.free_starts import free_runs, mean_hidden_states, tracked_nuisances
 from spiral.inference.likelihood.independence import motion_explained_share
 from spiral.inference.nearness import LASTING
@@ -139,7 +139,7 @@ def _note_fields(problem: Problem, state: FitState, free: bool) -> dict[str, Any
     """Fields of the comparison: notes on records and values, bad samples, input interpolation."""
     said = (*(n for r in problem.records for n in r.remarks), *input_sentences(state.between))
     return {
-        "notes": (*said, FREELY) if free else said,
+        "notes": (*said, FREE_RUN_VALUES_NOTE) if free else said,
         "spoilt": tuple(n for r in problem.records for n in r.spoilt_words),
         "between": dict(state.between),
     }

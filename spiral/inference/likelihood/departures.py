@@ -1,4 +1,4 @@
-"""How a record departs from what its model and its noise can say, each with its test, in words.
+"""Tests of a fit's assumptions: drifting parameters, noise that grows, heavy tails; in words.
 
 With e the whitened misses of a fit and X their slopes by parameters:
 
@@ -115,7 +115,7 @@ def _drift_remark(estimate: Maximum) -> tuple[str, ...]:
     size = "more than itself" if much else f"{100 * share:+.2g} +- {100 * abs(error):.1g} %"
     return (
         f"as if {best}{beside} changed by {size} over the record: with time, "
-        "or with what changes over it, as temperature, wear, speed or amplitude",
+        "or with something else that changes, such as temperature, wear, speed or amplitude",
     )
 
 
@@ -197,7 +197,7 @@ def _noise_weighting_remarks(estimate: Maximum) -> Iterator[str]:
             times = number(float(high / low), 2)
             yield (
                 f"the noise of sensor {name} grows with its reading, {times}-fold over the middle "
-                "90 % of its values, and readings count by it"
+                "90 % of its values, and the fit weights its readings accordingly"
             )
 
 

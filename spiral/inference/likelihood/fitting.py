@@ -1,4 +1,4 @@
-"""A study's state fitted by maximum likelihood of its one-step predictions."""
+"""Maximum-likelihood fits of a model, by its one-step predictions."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class LikelihoodFit:
     estimate: Maximum
 
     @property
-    def height(self) -> float:
+    def log_likelihood(self) -> float:
         """Its log-likelihood."""
         return self.estimate.log_likelihood
 
@@ -58,7 +58,7 @@ def continue_fit(
 ) -> LikelihoodFit:  # fmt: skip
     """A fit continued to the maximum of its likelihood, with its own noise model or ``noise``.
 
-    ``rough`` and ``least`` as in ``maximise``.
+    ``rough`` and ``least`` as in ``maximise_likelihood``.
     """
     at = fit.estimate
     bounds, noise = parameter_bounds(assembly, at.keys, fit.state.substeps), noise or at.noise
@@ -178,7 +178,7 @@ def fit_by_likelihood(
     noise : to start from; left out, the state's own, or white noise as the record has it with
         much process noise.
     masks : samples of each record that count. steps : at most so many; ``rough``, ``kept``
-        ``differences`` and ``least`` as in ``maximise``; ``like`` as in
+        ``differences`` and ``least`` as in ``maximise_likelihood``; ``like`` as in
         ``prepare_filter_tasks``.
     """
     prepared = prepare_filter_tasks(assembly, state, like)
@@ -232,7 +232,7 @@ def restart_vanished_noise(
     again = fit_by_likelihood(
         assembly, fit.state, noise, masks, steps, rough=True, like=at.prepared
     )
-    return again if again.height > fit.height else fit
+    return again if again.log_likelihood > fit.log_likelihood else fit
 
 
 def _vanished_noise_sizes(at: Maximum) -> dict[str, float]:

@@ -35,9 +35,9 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.starts import sensor_noise_only
 from spiral.inference.problem import Progress
 
-FREELY = (
-    "the values are those that predict best without correction: much acts beside the model that "
-    "is not random, and one-step predictions, which are corrected for it, would choose others"
+FREE_RUN_VALUES_NOTE = (
+    "the values minimise the free-run error: a large force that is not random acts beside the "
+    "model, and one-step predictions, which each reading corrects, would give other values"
 )
 """The note on a comparison whose values are those of free runs."""
 
@@ -55,7 +55,7 @@ def refit_by_free_run(
     """
     if not fit.estimate.finite or is_random_force_small(fit) or not fit.estimate.keys:
         return fit
-    progress("asking what predicts best without correction")
+    progress("fitting values that minimise the free-run error")
     deaf = sensor_noise_only(fit)
     deaf = deaf.select_terms(t for t in deaf.terms if t.kind == "white")
     free = fit_by_likelihood(assembly, fit.state, deaf, rough=True, like=fit.estimate.prepared)

@@ -1,4 +1,4 @@
-"""Initial states of free runs: smoothed over a record, refined by least squares."""
+"""Initial states of free runs: from a smoother over the record, refined by least squares."""
 
 from __future__ import annotations
 

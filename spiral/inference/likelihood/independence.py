@@ -1,4 +1,4 @@
-"""How much of the innovations the motion and the inputs explain, beyond the innovations' own past.
+"""Share of the innovations that motion and inputs explain, beyond the innovations' own past.
 
 Noise that is modelled imperfectly is predictable from its own past alone; what a model lacks
 depends on the motion (correlation tests of residuals: Ljung, System Identification, 1999, 16.6).
@@ -31,7 +31,7 @@ _READINGS = 20  # for each column, at least
 
 
 def motion_explained_share(fit: LikelihoodFit) -> float:
-    """Share of the whitened misses that predicted readings and inputs explain beside their past.
+    """Share of whitened innovations that predicted readings and inputs explain beyond their past.
 
     The largest over channels; infinite where records are too short to tell.
     """

@@ -40,10 +40,12 @@ def select_input_interpolation(
     makes wrong interpolations likely too.
     """
     for some in _undeclared_input_groups(assembly.problem):
-        least = fit.height + float(np.log(DECISIVE_ODDS))
+        least = fit.log_likelihood + float(np.log(DECISIVE_ODDS))
         others = _refit_interpolations(assembly, fit, some, None, least, progress)
-        best = max(filter(is_random_force_small, others), key=lambda f: f.height, default=fit)
-        fit = best if best.height > least else fit
+        best = max(
+            filter(is_random_force_small, others), key=lambda f: f.log_likelihood, default=fit
+        )
+        fit = best if best.log_likelihood > least else fit
     return fit
 
 
@@ -58,16 +60,16 @@ def restore_declared_interpolation(
         state = replace(
             fit.state, between=_replace_interpolation(fit, (known,), known.interpolation)
         )
-        least = fit.height - float(np.log(DECISIVE_ODDS))
+        least = fit.log_likelihood - float(np.log(DECISIVE_ODDS))
         own = fit_by_likelihood(assembly, state, rough=True, least=least)
-        fit = own if own.height > least else fit
+        fit = own if own.log_likelihood > least else fit
     return fit
 
 
 def fit_with_other_interpolations(
     assembly: Assembly, fit: LikelihoodFit, state: FitState, least: float, progress: Progress
 ) -> list[LikelihoodFit]:
-    """Fits of ``state`` (a fit's own with an effect less, say) with other input interpolations.
+    """Fits of ``state`` (for example a fit's own without one effect) with other interpolations.
 
     ``least`` : log-likelihood under which a fit may stop early.
     """
@@ -87,14 +89,14 @@ def likelier_interpolation_fit(
 
     It has to gain over ``base`` at least ``least``, the best candidate's gain, and the log odds.
     """
-    needed = base.height + max(least, float(np.log(DECISIVE_ODDS)))
+    needed = base.log_likelihood + max(least, float(np.log(DECISIVE_ODDS)))
     fits = [
         fit
         for some in _undeclared_input_groups(assembly.problem)
         for fit in _refit_interpolations(assembly, base, some, masks, needed, progress)
     ]
-    best = max(fits, key=lambda f: f.height, default=None)
-    return None if best is None or best.height < needed else best
+    best = max(fits, key=lambda f: f.log_likelihood, default=None)
+    return None if best is None or best.log_likelihood < needed else best
 
 
 def _undeclared_input_groups(problem: Problem) -> list[tuple[Input, ...]]:
@@ -134,7 +136,7 @@ def _other_interpolations(fit: LikelihoodFit, some: tuple[Input, ...]) -> Iterat
 
 
 def _progress_message(some: tuple[Input, ...]) -> str:
-    return f"asking how {' and '.join(i.name for i in some)} run between samples"
+    return f"trying interpolations of {' and '.join(i.name for i in some)} between samples"
 
 
 def _is_interpolation_open(problem: Problem, known: Input) -> bool:

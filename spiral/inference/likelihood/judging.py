@@ -1,4 +1,4 @@
-"""The winner of the race judged on the blocks that did not select it.
+"""Tests the winner of the race on the blocks that took no part in its selection.
 
 It must predict these blocks better than the model as it is, both with their values from the
 selecting blocks; and, both refitted there, be significantly likelier by Wilks' test, corrected for

@@ -6,7 +6,7 @@ behind a low-pass, a sensor that drifts, a force with a correlation time. A term
     2 (log L_1 - log L_0) > q log N + 2 log(1 / alpha)
 
 q its sizes and times, N the readings (Schwarz's criterion, with odds of 1 / alpha to one); the best
-is taken first, until none is worth its price. Later, terms that are no longer worth theirs go.
+is taken first, until none is worth its penalty. Later, terms that are no longer worth theirs go.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ _NARROW = 0.1  # damping ratio that a line begins with
 
 
 @dataclass(frozen=True)
-class Rung:
-    """Noise terms added together, with sizes to start from, theirs and those of other terms."""
+class AdditionalNoise:
+    """One step of the selection: noise terms added together, with start values of all sizes."""
 
     terms: tuple[NoiseTerm, ...]
     values: dict[str, float]
@@ -76,7 +76,7 @@ def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progres
     for _ in range(_ROUNDS):
         if is_white(assembly, fit):
             break
-        progress("trying what may act at random")
+        progress("trying noise models")
         best = _best_additional_term(fit.estimate)
         if best is None:
             break
@@ -167,18 +167,18 @@ def _best_additional_term(at: Maximum) -> Maximum | None:
 
     Terms are looked at on the part of the records that moves most; what keeps up there is judged on
     all, and where noise of a sensor leads its other kinds are, too: few steps do not tell a line
-    from a steep low-pass. Where none of it is worth its price the best force with a memory is, too:
+    from a steep low-pass. Where none of it pays for its penalty, the best correlated force is, too:
     it begins beside a white one that already does its work, and a few steps do not tell what it is
     worth.
     """
     part = _liveliest_part(at)
     now = maximise_likelihood(part, (), at.noise, steps=_LOOK)
     looks = []
-    for rung in (*additional_noise_terms(now), *_vibration_terms(now)):
-        noise = now.noise.with_terms(rung.terms, rung.values)
+    for addition in (*additional_noise_terms(now), *_vibration_terms(now)):
+        noise = now.noise.with_terms(addition.terms, addition.values)
         look = maximise_likelihood(part, (), noise, steps=_LOOK)
         gain = look.log_likelihood - _noise_penalty(noise, at.noise, part) - now.log_likelihood
-        looks.append(_TermTrial(gain, look.noise, rung.terms[0].kind))
+        looks.append(_TermTrial(gain, look.noise, addition.terms[0].kind))
     best = max(looks, key=lambda x: x.gain, default=None)
     if best is None:
         return None
@@ -258,16 +258,16 @@ def drop_needless_forces(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFi
     }
     if not fit.estimate.finite or not least:
         return fit
-    enough = fit.height - schwarz_penalty(len(least), fit.estimate.prepared)
+    enough = fit.log_likelihood - schwarz_penalty(len(least), fit.estimate.prepared)
     trial = continue_fit(assembly, fit, noise.with_values(least), rough=True, least=enough)
-    return trial if trial.height > enough else fit
+    return trial if trial.log_likelihood > enough else fit
 
 
 def _noise_penalty(noise: NoiseModel, before: NoiseModel, prepared: Prepared) -> float:
     return schwarz_penalty(len(noise.names) - len(before.names), prepared)
 
 
-def additional_noise_terms(now: Maximum) -> Iterator[Rung]:
+def additional_noise_terms(now: Maximum) -> Iterator[AdditionalNoise]:
     """The noise terms that may be added next.
 
     Noise of a sensor that a random force has made superfluous starts at half the innovations' rms.
@@ -286,17 +286,17 @@ def additional_noise_terms(now: Maximum) -> Iterator[Rung]:
             terms = tuple(NoiseTerm(kind, c) for c in channels)
             sizes = {t.size: _SHARED * white[t.where] for t in terms}
             less = {f"white.{c}": _SHARED * white[c] for c in channels}
-            yield Rung(terms, sizes | less | {f"{kind}.time": steps * dt})
+            yield AdditionalNoise(terms, sizes | less | {f"{kind}.time": steps * dt})
     for c in channels:
         term = NoiseTerm("drift", c)
         if term in noise.terms:
             continue
         length = float(np.sqrt(dt * task.series.samples))
-        yield Rung((term,), {term.size: 0.1 * float(spread[c]) / length})
+        yield AdditionalNoise((term,), {term.size: 0.1 * float(spread[c]) / length})
     if not noise.has_kind("gust"):
         terms = tuple(NoiseTerm("gust", g) for g in noise_groups(task))
         for values in initial_gust_sizes(task, terms):
-            yield Rung(terms, values)
+            yield AdditionalNoise(terms, values)
 
 
 def initial_gust_sizes(task: Task, terms: Sequence[NoiseTerm]) -> Iterator[dict[str, float]]:
@@ -306,7 +306,7 @@ def initial_gust_sizes(task: Task, terms: Sequence[NoiseTerm]) -> Iterator[dict[
         yield sizes | {t.time: _initial_correlation_time(task, share) for t in terms}
 
 
-def _vibration_terms(now: Maximum) -> Iterator[Rung]:
+def _vibration_terms(now: Maximum) -> Iterator[AdditionalNoise]:
     """A narrow-band noise term for each sensor whose innovations have a clear spectral line.
 
     At a frequency at which the machine moves, misses are of the model: only a line that is mostly
@@ -337,7 +337,7 @@ def _vibration_terms(now: Maximum) -> Iterator[Rung]:
         white = now.noise.values[f"white.{channel}"]
         size = max(white, size_limits(task, f"white.{channel}")[0])
         time = 1 / (2 * np.pi * float(hertz[top]))
-        yield Rung((term,), {term.size: size, term.time: time, term.damping: _NARROW})
+        yield AdditionalNoise((term,), {term.size: size, term.time: time, term.damping: _NARROW})
 
 
 def drop_needless_noise(
@@ -350,11 +350,11 @@ def drop_needless_noise(
     for kind in (*COLOURED, "gust", "drift"):
         if not noise.has_kind(kind):
             continue
-        progress("asking whether less acts at random")
+        progress("trying a simpler noise model")
         less = noise.replace_with_white(kind)
         worth = _noise_penalty(noise, less, fit.estimate.prepared)
-        enough = fit.height - worth - float(np.log(DECISIVE_ODDS))
+        enough = fit.log_likelihood - worth - float(np.log(DECISIVE_ODDS))
         trial = continue_fit(assembly, fit, less, rough=True, least=enough)
-        if trial.height > enough:
+        if trial.log_likelihood > enough:
             fit, noise = trial, less
     return fit

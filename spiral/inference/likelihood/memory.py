@@ -103,7 +103,7 @@ def detect_memory(
     past = _best_memory_force(assembly, base, select, level)
     if past is None:
         return None
-    progress("asking whether what is missing has memory")
+    progress("testing whether the missing force has memory")
     present = _refit_with_variants(
         _Trial(assembly, base), _memoryless_variants(assembly, past), select
     )
@@ -111,7 +111,7 @@ def detect_memory(
     if not (present.fit.estimate.finite and wide.fit.estimate.finite):
         return None
     terms = len(amplitude_keys(wide.assembly, wide.assembly.variant(past.label)))
-    gain = max(wide.fit.height - present.fit.height, 0.0)
+    gain = max(wide.fit.log_likelihood - present.fit.log_likelihood, 0.0)
     p_value = float(special.chdtrc(terms, 2 * gain))
     others = [present.fit, *([] if rival is None else [rival])]
     alone, *rest = (
@@ -131,7 +131,7 @@ def effects_replaced_by_memory(
     assembly: Assembly, base: LikelihoodFit, before: LikelihoodFit, past: Variant,
     labels: Sequence[str], select: Masks,
 ) -> tuple[str, ...]:  # fmt: skip
-    """Which of these memoryless effects a force with memory makes superfluous.
+    """Those memoryless effects that become superfluous beside a force with memory.
 
     The model is fitted with that force beside them, and so is the model ``before`` them. All of
     them may have stood in for the memory where it alone is more likely than they are, or where
@@ -143,8 +143,11 @@ def effects_replaced_by_memory(
     )
     if not (with_them.fit.estimate.finite and without.fit.estimate.finite):
         return tuple(labels)
-    beside, alone = with_them.fit.height - without.fit.height, base.height - before.height
-    if not (beside >= _KEPT * alone and base.height >= without.fit.height):
+    beside, alone = (
+        with_them.fit.log_likelihood - without.fit.log_likelihood,
+        base.log_likelihood - before.log_likelihood,
+    )
+    if not (beside >= _KEPT * alone and base.log_likelihood >= without.fit.log_likelihood):
         return tuple(labels)
     return tuple(x for x in labels if not _is_amplitude_kept(assembly, base, with_them, x))
 

@@ -1,4 +1,4 @@
-"""Candidates scored by their signatures along the predicted motion; nothing is compiled for them.
+"""Scores of candidates by their slopes along the predicted motion; none is compiled for it.
 
 The whitened misses e of the model as it is are regressed on their slopes by what moves and by every
 candidate's amplitudes, on the blocks that select: the fall of |e|^2 is twice the gain in
@@ -58,7 +58,7 @@ _FINE = (np.linspace(-0.8, 0.8, 5), np.linspace(-0.3, 0.3, 5))  # steps around a
 
 @dataclass(frozen=True)
 class Passage:
-    """A pass of the filter over all records, with what candidates are scored along."""
+    """One pass of the filter over all records, along which candidates are scored."""
 
     assembly: Assembly
     active: tuple[str, ...]
@@ -93,7 +93,7 @@ def rank_variants(
 ) -> Ranking | None:  # fmt: skip
     """The variants that ``offered`` gives for a pass of the filter, ranked by their score.
 
-    ``parts`` as in ``rank``.
+    ``parts`` as in ``rank_groups``.
     """
     passage = _run_filter_passage(assembly, fit, noise, masks)
     if passage is None:

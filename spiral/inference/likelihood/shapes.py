@@ -39,8 +39,8 @@ def refit_effect_shapes(
     if not keys or not fit.estimate.finite:
         return fit
     at, loose = fit.estimate, _refit_with_free_shapes(assembly, fit, keys, masks, steps)
-    worth = loose.height > fit.height + schwarz_penalty(len(keys), at.prepared)
-    if not (worth or (chosen and loose.height >= fit.height)):
+    worth = loose.log_likelihood > fit.log_likelihood + schwarz_penalty(len(keys), at.prepared)
+    if not (worth or (chosen and loose.log_likelihood >= fit.log_likelihood)):
         return fit
     if is_shape_determined(loose, keys, effect):
         return loose
@@ -50,7 +50,7 @@ def refit_effect_shapes(
     again = fit_by_likelihood(
         assembly, held, loose.estimate.noise, masks, steps, rough=True, like=at.prepared
     )
-    return again if again.height > fit.height else fit
+    return again if again.log_likelihood > fit.log_likelihood else fit
 
 
 def refit_from_other_shapes(
@@ -75,7 +75,7 @@ def refit_from_other_shapes(
             trial = fit_by_likelihood(
                 assembly, begun, at.noise, steps=_FIRST, rough=True, like=at.prepared
             )
-            fit = max(fit, trial, key=lambda f: f.height)
+            fit = max(fit, trial, key=lambda f: f.log_likelihood)
     return fit
 
 

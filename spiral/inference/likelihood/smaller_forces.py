@@ -1,4 +1,4 @@
-"""A large white force on hidden states replaced by a smaller correlated one on one state.
+"""Replaces a large white force on hidden states by a smaller correlated one on one state.
 
 A white force on a state that no sensor sees reaches the readings through the machine, and is
 coloured there. A force with a correlation time on a state that is measured looks the same: misses
@@ -41,18 +41,18 @@ def replace_large_forces(
     limit, at = assembly.problem.settings.random_limit, fit.estimate
     if not at.finite or not largest_force(at.noise) > limit:
         return None
-    progress("asking whether a smaller random force with a memory explains as much")
+    progress("trying a smaller, correlated random force")
     noises = list(_small_force_models(at.prepared[0][0], at.noise, limit))
     looks = sorted((tune_noise(at.prepared, n) for n in noises), key=lambda m: -m.log_likelihood)
     best: LikelihoodFit | None = None
     for look in looks[:_FITTED]:
         trial = continue_fit(assembly, fit, look.noise, rough=True) if look.finite else fit
         more = schwarz_penalty(len(trial.estimate.noise.names) - len(at.noise.names), at.prepared)
-        likely = trial.height - more > fit.height - np.log(DECISIVE_ODDS)
+        likely = trial.log_likelihood - more > fit.log_likelihood - np.log(DECISIVE_ODDS)
         small = largest_force(trial.estimate.noise) <= limit
         if not (likely and small and is_white(assembly, trial)):
             continue
-        if best is None or trial.height > best.height:
+        if best is None or trial.log_likelihood > best.log_likelihood:
             best = trial
     return best
 

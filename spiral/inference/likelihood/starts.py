@@ -59,16 +59,16 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
     for begin, level in _start_states(assembly, state, progress):
         noise = first_noise(prepare_filter_tasks(assembly, begin)[0][0], level)
         fit = fit_by_likelihood(assembly, begin, noise, steps=_HEAT, rough=True)
-        agrees = best is not None and abs(fit.height - best.height) < _SAME * reading_count(
-            fit.estimate.prepared
-        )
-        if best is None or fit.height > best.height:
+        agrees = best is not None and abs(
+            fit.log_likelihood - best.log_likelihood
+        ) < _SAME * reading_count(fit.estimate.prepared)
+        if best is None or fit.log_likelihood > best.log_likelihood:
             best = fit
         if agrees or (best.estimate.converged and is_random_force_small(best)):
             break
     assert best is not None
     fits = [best, *_refit_runaway_values(assembly, state, best, progress)]
-    best = max(fits, key=lambda f: f.height)
+    best = max(fits, key=lambda f: f.log_likelihood)
     progress("most likely values of the model as it is")
     fit = refit_on_finer_steps(assembly, fit_by_likelihood(assembly, best.state, rough=True))
     return refit_initial_states(assembly, fit)
@@ -88,7 +88,7 @@ def _refit_runaway_values(
     lost = tuple(k for k, x in shares.items() if not 1 / _AWAY <= x <= _AWAY)
     if not lost:
         return []
-    progress("starting again with values held that have run away")
+    progress("starting again with runaway values held")
     holding = replace(state, held=(*state.held, *lost))
     noise = first_noise(prepare_filter_tasks(assembly, holding)[0][0], LEVEL)
     first = fit_by_likelihood(assembly, holding, noise, rough=True)
@@ -113,7 +113,7 @@ def restart_from_sensor_noise(
     again = fit_by_likelihood(assembly, fit.state, sensor_noise_only(fit), rough=True)
     if not is_white(assembly, again):
         again = select_noise_model(assembly, again, progress)
-    return again if again.height > fit.height else fit
+    return again if again.log_likelihood > fit.log_likelihood else fit
 
 
 def with_given_values(assembly: Assembly, state: FitState) -> FitState | None:
@@ -151,9 +151,9 @@ def restart_from_given_values(
     fits = [
         fit_by_likelihood(assembly, given, noise, rough=True, like=at.prepared) for noise in noises
     ]
-    again = max(fits, key=lambda f: f.height)
+    again = max(fits, key=lambda f: f.log_likelihood)
     again = select_noise_model(assembly, again, progress)
-    if not again.height > fit.height + WORTH:
+    if not again.log_likelihood > fit.log_likelihood + WORTH:
         return fit
     return drop_needless_noise(assembly, refit_initial_states(assembly, again), progress)
 
@@ -221,7 +221,7 @@ def _start_states(
     yield state, LEVEL
     rests = [resting_first_state(task) for task, _ in prepare_filter_tasks(assembly, state)]
     if all(x is not None for x in rests):
-        progress("starting again from hidden states that rest")
+        progress("starting again with hidden states at rest")
         starts = tuple(x for x in rests if x is not None)
         yield replace(state, starts=starts, spreads=None), LEVEL
     progress("starting again from short windows")

@@ -1,4 +1,4 @@
-"""What ``strategy=paper`` writes down in every round, as plain data."""
+"""The log of every round of ``strategy=paper``, as plain data."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def design_matrix(regression: Equations, samples: Samples, values: Array) -> tup
     """Columns (N, C, K + extra) and target (N, C) of all samples.
 
     ``values`` (records, parameters). The turning column is replaced by its pair: K + ``extra``
-    columns, the pairs of every group of angles last (see ``pair_columns``).
+    columns, the (cos, sin) pairs of every group of angles last (see ``column_names``).
     """
     columns = np.empty((len(samples.states), regression.parts.rows, len(regression.keys)))
     target = np.empty(columns.shape[:2])

@@ -60,7 +60,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Consistency:
-    """What innovations say about a filter.
+    """Consistency statistics of a filter from its innovations.
 
     ``prediction``: rms one-step error of each channel over the noise's standard deviation (the
     error of predicting, never of the filtered value, which may echo the measurement).

@@ -59,7 +59,7 @@ class StateScore:
     reached: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it; error keys only where the truth is known."""
+        """As plain data, as ``--json`` writes it; error keys only where the truth is known."""
         entries: dict[str, Any] = {"unit": self.unit, "deviation": self.deviation}
         if self.rmse is not None:
             entries |= {
@@ -144,7 +144,7 @@ class Estimation(Readable):
         return float(np.mean(known)) if known else np.nan
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         first = self.parts[0]
         names = [n for n in first.reconstruction.names if n not in first.task.states]
         return {

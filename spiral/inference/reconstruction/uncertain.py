@@ -1,4 +1,4 @@
-"""What a user declares of uncertain parameters, and what a fit knows of them, as a Gaussian.
+"""Uncertain parameters as a Gaussian: as the user declares them, or from the covariance of a fit.
 
     uncertain={"bearing.*": 0.2, "system.phase_origin": 0.05, "preload.force": {"absolute": 3}}
 

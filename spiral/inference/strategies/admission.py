@@ -1,4 +1,4 @@
-"""A candidate on its way into the model: on other blocks, refitted to all samples, and of use.
+"""Three tests that a candidate must pass before it is admitted to the model.
 
 1. *Confirmed.* It must predict the blocks that did not select it (``judging``).
 2. *Fitted.* The model with it takes its most likely values, with the noise that its record wants;
@@ -69,7 +69,7 @@ from spiral.inference.strategies.superfluous import (
     replace_by_interpolation,
 )
 from spiral.inference.strategy_options import LikelihoodOptions
-from spiral.inference.verdict import FROM_NONE
+from spiral.inference.verdict import LIKELIHOOD_RATIO_T
 from spiral.types.effect import Effect
 from spiral.types.formatting import number
 from spiral.types.horizon import changes
@@ -85,14 +85,14 @@ def settle_fit(
     assembly: Assembly, fit: LikelihoodFit, progress: Progress, retired: tuple[str, ...] = (),
     halves_agree: bool = True,
 ) -> RefittedModel:  # fmt: skip
-    """A fit on all samples as the state of the study, compared with the test records."""
+    """The model of a fit to all samples, compared with the test records."""
     fit = replace(fit, estimate=add_standard_errors(fit.estimate))
     state, comparison = compare_by_likelihood(assembly, fit, progress, halves_agree)
     details: dict[str, Any] = {"noise": dict(fit.estimate.noise.values)}
     if told := likelihood_ratio_t(assembly, fit):
-        details[FROM_NONE] = told
+        details[LIKELIHOOD_RATIO_T] = told
     if fit.estimate.finite:
-        details["log_likelihood"] = fit.height
+        details["log_likelihood"] = fit.log_likelihood
     if ties := find_parameter_ties(fit):
         details["untold"] = {"groups": list(ties.groups), "parameters": list(ties.parts)}
     return RefittedModel(state, comparison, retired, details)
@@ -109,7 +109,7 @@ class WholeRecordFit:
 
 @dataclass(frozen=True)
 class AcceptedCandidate:
-    """A candidate that passed, those that the records do not tell from it, the model with it."""
+    """A candidate that passed all tests, its look-alikes (``aliases``), and the model with it."""
 
     rival: Rival
     aliases: tuple[str, ...]
@@ -118,7 +118,7 @@ class AcceptedCandidate:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a model with a candidate is not taken.
+    """Why a model with a candidate is refused.
 
     ``alone`` : it may be of use once what else is missing stands beside it.
     """
@@ -128,12 +128,12 @@ class Refusal:
 
 
 Objection = Callable[[WholeRecordFit], Refusal | None]
-"""Why a model with a candidate is not taken; nothing where it is."""
+"""Function that gives the reason to refuse a model with a candidate, or nothing."""
 
 
 @dataclass(frozen=True)
 class RaceOutcome:
-    """What became of those that won: the first that passed, and why those before it did not.
+    """The first winner of a race that passed all tests, and why earlier ones were refused.
 
     ``likely`` is the first that is more likely, also on the blocks that did not select, and was
     refused for what it does alone.
@@ -145,7 +145,7 @@ class RaceOutcome:
 
     @property
     def admitted(self) -> tuple[AcceptedCandidate, ...]:
-        """What passed: one, or nothing."""
+        """The candidate that passed, as a tuple of one; empty where none did."""
         return () if self.passed is None else (self.passed,)
 
 
@@ -161,7 +161,7 @@ def race_offered(
 ) -> tuple[Race, Ranking] | None:  # fmt: skip
     """The race of the offered candidates with the best scores, and all scores.
 
-    Nothing where they cannot be scored; ``parts`` as in ``rank``.
+    Nothing where they cannot be scored; ``parts`` as in ``rank_groups``.
     """
     present = active_labels(assembly, base.state)
     new = [v for v in assembly.offered if v.original.label not in present]
@@ -172,14 +172,14 @@ def race_offered(
 
 
 def first_to_pass(
-    options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, run: Race, judge: Masks,
+    options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, race: Race, judge: Masks,
     level: float, objection: Objection, progress: Progress,
 ) -> RaceOutcome:  # fmt: skip
-    """The first winner that holds on other blocks and meets no ``objection``."""
+    """The first winner that is confirmed on the judging blocks and meets no ``objection``."""
     rejected: dict[str, str] = {}
     likely: AcceptedCandidate | None = None
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
-    for rival, rivals in itertools.islice(run.winners(), options.judged):
+    for rival, rivals in itertools.islice(race.winners(), options.judged):
         if reason := _unconfirmed_reason(base, ours, rival, judge, level):
             rejected[rival.label] = reason
             continue
@@ -216,17 +216,17 @@ def _with_free_run_values(
 
 
 def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
-    """Refuse values that make no sense for the effect; nothing where they do.
+    """A refusal where the fitted values make no sense for the effect; nothing where they do.
 
     A shape that runs to an end of its range, or far beyond the motion that it was scaled by, no
     longer means what the effect means by it.
     """
     if not whole.fit.estimate.finite:
-        return Refusal("with it the fit to all samples runs away")
+        return Refusal("with it the fit to all samples diverges")
     if rival.label in whole.settled.retired:
-        return Refusal("an input that runs otherwise between its samples explains as much")
+        return Refusal("another interpolation of an input between its samples explains as much")
     if _has_vanished(whole, rival.label):
-        return Refusal("fitted to all samples it is nothing: zero, or within its error of it")
+        return Refusal("fitted to all samples its amplitude is not distinguishable from zero")
     model, variant = whole.settled.comparison.model, rival.ranked.variant
     tried = {parameter_of(k): size for k, size in variant.shapes.items()}
     for key, parameter in model.pairs:
@@ -236,14 +236,17 @@ def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
             if parameter.at_bound(value):
                 return Refusal(f"its {name} runs to the end of its range, {number(value)}")
             if parameter.grid and abs(value) > _BEYOND * abs(tried.get(name) or np.inf):
-                return Refusal(f"its {name} runs off to {number(value)}, beyond these records")
+                reached = number(value)
+                return Refusal(
+                    f"its {name} goes to {reached}, far beyond the motion in these records"
+                )
     return None
 
 
 def _has_vanished(whole: WholeRecordFit, label: str) -> bool:
     """Whether no amplitude of an effect is told from zero, by its error or by the likelihood."""
     model, settled = whole.settled.comparison.model, whole.settled
-    told = settled.details.get(FROM_NONE, {}).get(label, 0.0)
+    told = settled.details.get(LIKELIHOOD_RATIO_T, {}).get(label, 0.0)
     known, least = model.estimates().get(label, {}), whole.assembly.problem.settings.least_t
     names = [parameter_of(key) for key in model.amplitudes(label)]
     zero = [known[n].estimate == 0.0 for n in names]
@@ -263,7 +266,7 @@ def _drop_unused_variants(own: Assembly, state: FitState) -> tuple[Assembly, Fit
 
 
 def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> LikelihoodFit:
-    """The fit with every term of noise that its record wants.
+    """The fit with the noise model that its records prefer.
 
     It is taken to its very maximum where its misses are white: then the model may be the last.
     """
@@ -282,9 +285,9 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
 def _unconfirmed_reason(
     base: LikelihoodFit, ours: Callable[[], JudgingFits], rival: Rival, judge: Masks, level: float
 ) -> str:
-    """Why a candidate does not hold on the blocks that did not select; empty where it does."""
+    """Why a candidate is not confirmed on the judging blocks; empty where it is."""
     if not rival.worth > 0:
-        return "refitted, it does not make the record more likely than its price"
+        return "refitted, its gain in likelihood does not pay for its additional parameters"
     judgement = judge_winner(base, ours(), rival, judge)
     if not judgement.passes(level):
         return (
@@ -314,12 +317,12 @@ def refuse_unhelpful(
     forces = max(random_forces(after).values(), default=0.0)
     if forces >= _BOUND * options.random_limit:
         return Refusal(
-            "with it, too, a random force as large as the machine's own would have to act: the "
-            "model has not found its values, or is of another machine",
+            "with it, too, a random force as large as the machine's own forces would have to act: "
+            "the fit has not found the right values, or the record is of another machine",
             alone=True,
         )
     if is_drowned_in_noise(after, settings) and not is_drowned_in_noise(before, settings):
-        return Refusal("with it the noise of a sensor would be most of what it shows", alone=True)
+        return Refusal("with it the noise of a sensor would be most of its signal", alone=True)
     judged_ = changes(before.unseen, after.unseen)
     if (worse := unexplained_error_growth(before, after, settings)) is not None:
         said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
@@ -331,19 +334,19 @@ def refuse_unhelpful(
     if max(size, _force_replacement_size(before, after)) >= settings.smallest:
         return None
     return Refusal(
-        f"significant, but too small to matter: at no horizon does it take away more than "
-        f"{size:.2g} of what is left (least {settings.smallest:g})"
+        f"significant, but too small to matter: at no horizon does it remove more than "
+        f"{size:.2g} of the error that is left (least {settings.smallest:g})"
     )
 
 
 def _reduction_size(before: float, after: float) -> float:
-    """sqrt(before^2 / after^2 - 1): what is taken away, in standard deviations of what is left."""
+    """Size of the error removed, sqrt(before^2 / after^2 - 1), over the error that is left."""
     size = np.sqrt(max((before / after) ** 2 - 1, 0.0)) if after > 0 else np.inf
     return float(size) if np.isfinite(size) else np.inf
 
 
 def _force_replacement_size(before: Comparison, after: Comparison) -> float:
-    """The size of what an effect takes over from random forces that moved free runs.
+    """How far an effect replaces random forces that moved the free runs.
 
     The force, the free run of the fitted and that of the test records must all shrink; the least of
     the three counts. An effect with states of its own is a force with a memory itself: none.
@@ -360,7 +363,7 @@ def _force_replacement_size(before: Comparison, after: Comparison) -> float:
 def fit_with_effect(
     own: Assembly, state: FitState, label: str, progress: Progress, like: Prepared | None = None
 ) -> WholeRecordFit:
-    """The model with a candidate, fitted to all samples; noise and effects not wanted any more go.
+    """The model with a candidate, fitted to all samples; superfluous noise terms and effects go.
 
     Parameters
     ----------
@@ -372,7 +375,7 @@ def fit_with_effect(
         fit = fit_by_likelihood(own, state, rough=True, like=like)
     fit = refit_initial_states(own, refit_on_finer_steps(own, fit))
     if not is_white(own, fit):  # it may have stayed with the noise of the model as it was
-        fit = max(fit, best_fit(own, state, progress), key=lambda f: f.height)
+        fit = max(fit, best_fit(own, state, progress), key=lambda f: f.log_likelihood)
     fit = _fit_shapes(own, drop_needless_noise(own, fit, progress), label)
     fit = finish_fit(own, restore_declared_interpolation(own, fit, progress), progress)
     fit, gone = drop_superfluous_effects(own, fit, label)
@@ -414,7 +417,7 @@ def settle_whole(
     own: Assembly, fit: LikelihoodFit, gone: tuple[str, ...], progress: Progress,
     halves_agree: bool = True,
 ) -> WholeRecordFit:  # fmt: skip
-    """A fit to all samples, compared, its state in a study of nothing but its own effects."""
+    """A fit to all samples and its comparison, in a study compiled with its own effects alone."""
     settled = settle_fit(own, fit, progress, gone, halves_agree)
     _, fit_state = _drop_unused_variants(own, settled.fit_state)
     return WholeRecordFit(own, fit, replace(settled, fit_state=fit_state))

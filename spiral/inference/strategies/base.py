@@ -1,8 +1,8 @@
-"""What a strategy supplies to the loop: a beginning, proposals, and refits.
+"""The interface of a strategy: how it begins a study, proposes effects, and refits the model.
 
-The loop (``spiral.inference.discover``) is the same for all; it asks the strategy object of the
-problem, and never its name. The steps of the shipped ones are in this folder, their classes, light
-enough to be listed by every command, among the plugins (``plugins/strategies``).
+The loop (``spiral.inference.discover``) is the same for all strategies and calls only this
+interface. The work of the shipped strategies is done by the modules of this folder; their classes
+are plugins (``plugins/strategies``), which import little so that every command can list them.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class StartedStudy:
 
 @dataclass(frozen=True)
 class Step(Generic[Result]):
-    """What one round of a strategy comes to: its suggestions, and what it admits.
+    """The outcome of ranking in one round: suggestions, and the effects to admit, if any.
 
     ``admitted`` are labels of effects, none where the loop ends here, for the reason ``stopped``.
     ``second_order`` and ``meaning`` describe what is admitted; ``details`` log how it came about;
@@ -67,14 +67,14 @@ class Step(Generic[Result]):
     again: RefittedModel | None = None
 
     def required_result(self) -> Result:
-        """What the strategy itself needs to settle; an error of a step that has nothing."""
+        """``result``, which ``settle`` needs; an error for a step that has none."""
         assert self.result is not None
         return self.result
 
 
 @dataclass(frozen=True)
 class RefittedModel:
-    """The model after an admission, refitted and compared; effects let go again."""
+    """The model after an admission, refitted and compared; ``retired`` effects were dropped."""
 
     fit_state: FitState
     comparison: Comparison
@@ -84,7 +84,7 @@ class RefittedModel:
 
 @dataclass(frozen=True)
 class RemainingLookAlikes:
-    """Look-alikes by admitted effect that the final model does not tell from it.
+    """Effects that even the final model cannot distinguish from an admitted one, by its label.
 
     ``step`` puts a likelier one in an effect's place, where there is one.
     """
@@ -103,7 +103,7 @@ class AddedEffects:
 
 
 class Strategy(Plugin):
-    """One kind of evidence.
+    """A method to find missing effects: what counts as evidence, and how models are fitted.
 
     Its fields are the configuration's ``strategy.FIELD``. A field ``gate`` (a tuple of gates),
     ``derivative``, ``learner`` or ``library`` takes what the option of that name chooses; an option
@@ -143,7 +143,7 @@ class Strategy(Plugin):
 
     @abstractmethod
     def settle(self, assembly: Assembly, step: Step[Any], progress: Progress) -> RefittedModel:
-        """The model with what a step admits, refitted and compared."""
+        """The model with the effects that a step admits, refitted and compared."""
 
     # --- what it may have ---
 
@@ -175,10 +175,10 @@ class Strategy(Plugin):
         aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
         progress: Progress,
     ) -> RemainingLookAlikes:  # fmt: skip
-        """Which look-alikes of effects the model with all others tells from them.
+        """Which look-alikes the final model can still not distinguish from its effects.
 
         ``aliases`` by admitted effect as they were when it was admitted, ``promising`` what else
-        was worth its price then, the best first.
+        was worth its penalty then, the best first.
         """
         return RemainingLookAlikes(aliases)
 

@@ -1,4 +1,4 @@
-"""The beginning of a study by the likelihood: the seed fitted, its candidates listed."""
+"""Begin a study of ``strategy=likelihood``: fit the seed, list the candidates."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from spiral.types.label import owner_of
 
 
 def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
-    """The model as it is, most likely with the noise that its record wants.
+    """The study with its seed fitted, by the noise model that the likelihood selects.
 
     Parameters that the record cannot tell from others are held at their given values: along a flat
     combination the likelihood is the same, whatever value one of them has. Where none is given the
@@ -65,7 +65,7 @@ def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
 
 
 def _fit_seed(problem: Problem, progress: Progress) -> tuple[Assembly, LikelihoodFit]:
-    """The model compiled as it is, and its most likely values and noise."""
+    """The seed compiled without candidates, and its maximum-likelihood fit."""
     progress("compiling the model")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
     problem = replace(problem, settings=settings)

@@ -2,7 +2,7 @@
 
 Where no effect with a name explains what is left, every curve (``spiral.physics.learned``) at
 every place is scored, refitted and judged as candidates with names are, each of its coefficients
-at Schwarz's price. Effects that were admitted may only have stood in for a curve, so that curves
+at Schwarz's penalty. Effects that were admitted may only have stood in for a curve, so that curves
 are tried in their place as well, beside the seed alone.
 """
 
@@ -101,10 +101,10 @@ def find_missing_curve(
         passing = _find_passing_curve(options, assembly, base, masks, level, comparison, progress)
     if passing is None:
         return None
-    passed, (run, ranked) = passing
+    passed, (race, ranked) = passing
     label, own = passed.rival.label, passed.rival.ranked.variant.label
     whole = _refine_knots(passed.whole, own, progress)
-    listed = suggestions(run.tried, ranked, label, passed.aliases)
+    listed = suggestions(race.tried, ranked, label, passed.aliases)
     return MissingCurve(
         describe_curve(_as_curve_fit(whole, own), label, listed), whole.settled, replaces
     )
@@ -129,7 +129,7 @@ def _find_passing_curve(
 def _is_more_likely(
     one: tuple[AcceptedCandidate, Any], other: tuple[AcceptedCandidate, Any] | None
 ) -> bool:
-    return other is None or one[0].whole.fit.height > other[0].whole.fit.height
+    return other is None or one[0].whole.fit.log_likelihood > other[0].whole.fit.log_likelihood
 
 
 def _restart_from_first_noise(
@@ -148,8 +148,8 @@ def _restart_from_first_noise(
 
 
 def _net_log_likelihood(fit: LikelihoodFit) -> float:
-    """Log-likelihood less Schwarz's price of all that moves."""
-    return fit.height - schwarz_penalty(len(fit.estimate.keys), fit.estimate.prepared)
+    """Log-likelihood less Schwarz's penalty of all that moves."""
+    return fit.log_likelihood - schwarz_penalty(len(fit.estimate.keys), fit.estimate.prepared)
 
 
 def _is_likelier_alone(passed: AcceptedCandidate, base: LikelihoodFit, odds: float) -> bool:
@@ -190,7 +190,7 @@ def _knot_levels(assembly: Assembly, variant: Variant) -> dict[str, int]:
 
 
 def _refine_knots(whole: WholeRecordFit, label: str, progress: Progress) -> WholeRecordFit:
-    """The model with its curve on more knots, while these are worth their price."""
+    """The model with its curve on more knots, while these are worth their penalty."""
     levels = _knot_levels(whole.assembly, whole.assembly.variant(label))
     best = whole.fit
     for most in range(1 + max(levels.values())):
@@ -200,7 +200,9 @@ def _refine_knots(whole: WholeRecordFit, label: str, progress: Progress) -> Whol
         progress("trying the curve on more knots")
         held = tuple(k for k in best.state.held if k not in more)
         again = fit_by_likelihood(whole.assembly, replace(best.state, held=held), rough=True)
-        if again.height - best.height <= schwarz_penalty(len(more), best.estimate.prepared):
+        if again.log_likelihood - best.log_likelihood <= schwarz_penalty(
+            len(more), best.estimate.prepared
+        ):
             break
         best = again
     if best is whole.fit:

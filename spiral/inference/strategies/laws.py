@@ -59,7 +59,7 @@ _SEVERAL = 2  # effects admitted from which a law may stand for all of them
 
 @dataclass(frozen=True)
 class NamedLaw:
-    """A law that passed, those not told from it, what was tried, and the model with it."""
+    """A law that passed, its look-alikes, the laws that were tried, and the model with it."""
 
     effect: Effect
     aliases: tuple[str, ...]
@@ -72,13 +72,13 @@ class NamedLaw:
 class _LawStart:
     """A model from which laws are tried.
 
-    ``gone`` are the effects that it lets go, ``height`` the log-likelihood of the model with them,
+    ``gone`` are the effects that it lets go, ``log_likelihood`` that of the model with them,
     ``state`` that model's.
     """
 
     base: LikelihoodFit
     gone: tuple[str, ...] = ()
-    height: float = -np.inf
+    log_likelihood: float = -np.inf
     state: FitState | None = None
 
 
@@ -110,7 +110,7 @@ def find_named_law(
 
 
 def _stand_in_labels(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
-    """Forces and flows without memory that were admitted, by their compiled labels."""
+    """Compiled labels of admitted memoryless forces and flows, which a law may replace."""
     held = {v.label: v.effect for v in assembly.variants if v.label in base.state.labels}
     kinds = ForceEffect | StateFlow
     return tuple(x for x, e in held.items() if isinstance(e, kinds) and not e.states)
@@ -156,11 +156,11 @@ def _find_law_from(
     def objection(whole: WholeRecordFit) -> Refusal | None:
         if _explains_all(options, assembly, start, whole.settled, comparison):
             return None
-        return Refusal("it does not explain all, or not for less than what it stands for")
+        return Refusal("it leaves more than noise, or is not likelier than what it would replace")
 
-    run, ranked = contest
+    race, ranked = contest
     passed = first_to_pass(
-        options, assembly, start.base, run, masks[1], level, objection, progress
+        options, assembly, start.base, race, masks[1], level, objection, progress
     ).passed
     if passed is None:
         return None
@@ -174,7 +174,7 @@ def _find_law_from(
         settled, effect = known.whole.settled, known.rival.ranked.variant.original
     gone = tuple(x for x in gone if x != effect.label)
     settled = replace(settled, retired=(*settled.retired, *gone))
-    return NamedLaw(effect, passed.aliases, ranked, run.tried, settled)
+    return NamedLaw(effect, passed.aliases, ranked, race.tried, settled)
 
 
 def _find_equal_candidate(
@@ -192,7 +192,7 @@ def _find_equal_candidate(
     )  # fmt: skip
     if not known:
         return None
-    progress(f"asking which candidates do as well as {effect.label}")
+    progress(f"testing which candidates do as well as {effect.label}")
     bare = drop_effects(own, law.whole.fit.state, (law.rival.ranked.variant.label,))
     first = without.base.estimate.noise
     estimate = maximise_likelihood(
@@ -214,20 +214,25 @@ def _explains_all(
     options: LikelihoodOptions, assembly: Assembly, start: _LawStart, settled: RefittedModel,
     comparison: Comparison,
 ) -> bool:  # fmt: skip
-    """Whether a law leaves only noise and is likelier, at its price, than what it replaces."""
+    """Whether a law leaves only noise and is likelier, penalty included, than what it replaces."""
     settings = assembly.problem.settings
     if not is_near_noise(settled.comparison, settings):
         return False
     if not start.gone:
         return refuse_unhelpful(options, comparison, settled.comparison, settings) is None
-    height = settled.details["log_likelihood"] - _fitted_price(start, settled.comparison)
-    least = np.log(options.odds) - _fitted_price(start, comparison)
-    if not height > start.height + least:
+    log_likelihood = settled.details["log_likelihood"] - _parameter_penalty(
+        start, settled.comparison
+    )
+    least = np.log(options.odds) - _parameter_penalty(start, comparison)
+    if not log_likelihood > start.log_likelihood + least:
         return False
-    return height > _height_beside_law_noise(assembly, start, settled.fit_state) + least
+    return (
+        log_likelihood
+        > _log_likelihood_beside_law_noise(assembly, start, settled.fit_state) + least
+    )
 
 
-def _height_beside_law_noise(assembly: Assembly, start: _LawStart, law: FitState) -> float:
+def _log_likelihood_beside_law_noise(assembly: Assembly, start: _LawStart, law: FitState) -> float:
     """Log-likelihood of the model that a law replaces, beside the noise of the law's own fit.
 
     A term of noise that came in with the law (a drift, say) is no merit of the law.
@@ -236,10 +241,10 @@ def _height_beside_law_noise(assembly: Assembly, start: _LawStart, law: FitState
     assert known is not None
     assert known.noise is not None
     if law.noise is None or {*law.noise.names} == {*known.noise.names}:
-        return start.height
-    return fit_by_likelihood(assembly, known, law.noise, rough=True).height
+        return start.log_likelihood
+    return fit_by_likelihood(assembly, known, law.noise, rough=True).log_likelihood
 
 
-def _fitted_price(start: _LawStart, of: Comparison) -> float:
-    """Schwarz's price of the fitted numbers of a model."""
+def _parameter_penalty(start: _LawStart, of: Comparison) -> float:
+    """Schwarz's penalty of the fitted numbers of a model."""
     return schwarz_penalty(len(of.model.errors), start.base.estimate.prepared)

@@ -1,4 +1,4 @@
-"""``strategy=likelihood``: the whole record's likelihood decides, with a model of what is random.
+"""``strategy=likelihood``: the likelihood of one-step predictions over whole records decides.
 
 several starts -> most likely values and noise -> score, race and judge the candidates ->
 admission, where no horizon on unseen data grows worse -> refit, noise and effects that are
@@ -68,7 +68,7 @@ from spiral.types.run import Comparison, StopReason, Suggestion
 
 @dataclass(frozen=True)
 class ScoredRound:
-    """What a round works out: candidates by their score, and those refitted.
+    """Candidates of one round: all with their scores, and those that were refitted.
 
     ``settled`` is the study with what is admitted, if anything is.
     """
@@ -91,21 +91,21 @@ def propose(
     contest = _race_candidates(options, assembly, state, masks[0], progress)
     if contest is None:
         return Step((), {}, stopped="diverged")
-    base, ranked, run = contest
-    least = run.best - np.log(options.odds)  # what is not told apart is no effect
+    base, ranked, race = contest
+    least = race.best - np.log(options.odds)  # what is not told apart is no effect
     if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
         return _propose_with_other_inputs(options, assembly, other.state, number, progress)
     level = round_level(assembly.problem.settings.level, number) / options.judged
     helps = benefit_objection(options, comparison, assembly.problem.settings)
-    run = run.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
-    outcome = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
-    passed, tried = outcome.admitted, run.tried
+    race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
+    outcome = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
+    passed, tried = outcome.admitted, race.tried
     if not passed and outcome.likely is not None:
         passed = _find_second_effect(options, bare, outcome.likely, masks, level, helps, progress)
     if not passed:
-        run = run.with_only_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
-        again = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress)
-        passed, tried = again.admitted, (*tried, *run.tried)
+        race = race.with_only_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
+        again = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
+        passed, tried = again.admitted, (*tried, *race.tried)
         outcome = replace(outcome, rejected={**again.rejected, **outcome.rejected})
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
@@ -144,7 +144,7 @@ def _find_second_effect(
     options: LikelihoodOptions, assembly: Assembly, first: AcceptedCandidate,
     masks: tuple[Masks, Masks], level: float, helps: Objection, progress: Progress,
 ) -> tuple[AcceptedCandidate, ...]:  # fmt: skip
-    """A candidate that is likely but of no use alone, and another that passes beside it.
+    """A second candidate that passes together with a likely one that is of no use alone.
 
     A softening spring whose sensor is off by a constant is wrong without either. Together they must
     do to what is predicted what one alone has to. Nothing where none passes. ``assembly`` is the
@@ -156,10 +156,10 @@ def _find_second_effect(
     contest = _race_candidates(options, assembly, state, masks[0], progress)
     if contest is None:
         return ()
-    base, _, run = contest
-    run = run.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
-    run = run.with_more_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
-    second = first_to_pass(options, assembly, base, run, masks[1], level, helps, progress).passed
+    base, _, race = contest
+    race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
+    race = race.with_more_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
+    second = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress).passed
     if second is None:
         return ()
     settled = second.whole.settled
@@ -174,7 +174,7 @@ def _admitting_step(
     options: LikelihoodOptions, assembly: Assembly, state: FitState,
     passed: tuple[AcceptedCandidate, ...], scored: ScoredRound, outcome: RaceOutcome,
 ) -> Step[ScoredRound]:  # fmt: skip
-    """The step that admits what passed."""
+    """The step that admits the accepted candidates."""
     labels = tuple(p.rival.label for p in passed)
     effects = [p.rival.ranked.variant.original for p in passed]
     of_second_order = (is_second_order_remainder(e, assembly, state) for e in effects)
@@ -193,7 +193,7 @@ def _step_for_unexplained(
     step: Step[ScoredRound], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
     progress: Progress,
 ) -> Step[ScoredRound]:  # fmt: skip
-    """The step where no candidate passes: with the memory of what is left, a law, or a curve."""
+    """The step where no candidate passes: a force with memory, a law or a curve is tried."""
     memory = find_missing_memory(assembly, base, comparison, masks, progress)
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
@@ -219,7 +219,7 @@ def _propose_with_other_inputs(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, number: int,
     progress: Progress,
 ) -> Step[ScoredRound]:  # fmt: skip
-    """Propose once more, with inputs that run otherwise between their samples."""
+    """Propose once more, with another interpolation of the inputs between their samples."""
     fit = drop_needless_noise(assembly, fit_by_likelihood(assembly, state, rough=True), progress)
     fit = finish_fit(assembly, fit, progress)
     return _propose_after_refit(
@@ -234,7 +234,7 @@ def _propose_after_refit(
     number: int,
     progress: Progress,
 ) -> Step[ScoredRound]:
-    """Propose once more, from a model that was settled anew."""
+    """Propose once more, from a model that was refitted in another way."""
     step = propose(options, assembly, again.fit_state, again.comparison, number, progress)
     return replace(step, again=step.again or again)
 
@@ -243,7 +243,7 @@ def _add_missing_curve(
     options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, step: Step[ScoredRound],
     comparison: Comparison, masks: tuple[Masks, Masks], level: float, progress: Progress,
 ) -> Step[ScoredRound]:  # fmt: skip
-    """The step with the curve of what no candidate explains, where there is one.
+    """The step with a learned curve for a force that no candidate explains, if one passes.
 
     It is looked for where the model is not near its noise, or where much would have to act at
     random for that. It is admitted where the settings say so.
@@ -269,14 +269,14 @@ def _add_missing_curve(
 
 
 def settle(step: Step[ScoredRound]) -> RefittedModel:
-    """What was refitted and compared when it was proposed."""
+    """The refit and comparison, which were made when the effect was proposed."""
     settled = step.required_result().settled
     assert settled is not None
     return settled
 
 
 def suggestions_by_worth(step: Step[ScoredRound]) -> tuple[Suggestion, ...]:
-    """All candidates in one order, whatever is proposed; none where the fit has diverged."""
+    """All candidates by their worth, whatever is proposed; none where the fit has diverged."""
     if step.result is None:
         return ()
     scored = step.result
@@ -292,7 +292,7 @@ def choose(
     step: Step[ScoredRound],
     label: str,
 ) -> Step[ScoredRound]:
-    """Another candidate in place of the proposal; no gate is asked."""
+    """The step with a candidate that the user chose in place of the proposed one, untested."""
     scored = step.required_result()
     assembly = enlarge(assembly, state.labels)
     rival = next((r for r in scored.rivals if r.label == label), None)
@@ -316,7 +316,7 @@ def ask_again(
     aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
     progress: Progress,
 ) -> RemainingLookAlikes:  # fmt: skip
-    """Look-alikes that stay, and the step to one that is likelier than the effect it looks like."""
+    """Look-alikes that remain, and the step that replaces an effect by a likelier look-alike."""
     assembly = enlarge(assembly, state.labels)
     left, likelier = recheck_admitted(
         options, assembly, state, comparison, aliases, promising, progress

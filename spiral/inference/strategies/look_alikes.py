@@ -1,4 +1,4 @@
-"""Effects that the record did not tell apart when they were admitted, asked again at the end.
+"""Look-alikes (effects that the record did not distinguish) tested again on the final model.
 
 While another effect is missing, misses that belong to it hide what tells two candidates apart.
 Once no further candidate passes, each effect admitted before the last is held against those that
@@ -66,7 +66,7 @@ def recheck_admitted(
     aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
     progress: Progress,
 ) -> tuple[dict[str, tuple[str, ...]], LikelierLookAlike | None]:  # fmt: skip
-    """What still looks like the effects of a final model, and one that is likelier than its own.
+    """Remaining look-alikes of a final model's effects, and a likelier one, if there is one.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def prefer_special_case(
 
 
 def _special_case_labels(held: Variant) -> tuple[str, ...]:
-    """Labels of what an effect becomes at the ends of its shapes."""
+    """Labels of the special cases of an effect, which it becomes at the ends of its shapes."""
     return tuple(make_label(x, held.original.port) for x in held.original.special)
 
 
@@ -180,7 +180,7 @@ def _contest_effects(
     if not known:
         return None
     labels = tuple(v.original.label for v in held)
-    progress(f"asking again whether {', '.join(labels)} may be {', '.join(others)}")
+    progress(f"testing again whether {', '.join(labels)} may be {', '.join(others)}")
     base = _fit_without(assembly, model, held)
     offered = offer_effects(assembly, (*known, *(v.original for v in held)))
     ranked = rank_variants(
@@ -190,9 +190,9 @@ def _contest_effects(
     if ranked is None or not any(r.rank < 0 for r in mine):
         return None  # from there not even the effect itself would be found
     others_ranked = [r for r in ranked.ranked if not _is_variant_of(r, held)]
-    run = start_race(offered, base, others_ranked, None, progress, options.rivals)
+    race = start_race(offered, base, others_ranked, None, progress, options.rivals)
     ours = _model_as_rival(assembly, base, model, held)
-    finals = [rival for rival, _ in itertools.islice(run.winners(), len(known))]
+    finals = [rival for rival, _ in itertools.islice(race.winners(), len(known))]
     best = sorted((_with_model_noise(model, base, r) for r in finals), key=lambda r: -r.worth)
     asked = {e.label for e in known}
     stay = {*indistinguishable_rivals([ours, *best], options.odds), *twin_rivals(ours, best)}
@@ -227,7 +227,7 @@ def _model_as_rival(
     assembly: Assembly, base: LikelihoodFit, model: LikelihoodFit, held: tuple[Variant, ...]
 ) -> Rival:
     """The model with its effects as a rival of those that look like them."""
-    gain, keys = model.height - base.height, model.estimate.keys
+    gain, keys = model.log_likelihood - base.log_likelihood, model.estimate.keys
     count = sum(
         max(sum(owner_of(k) == v.label for k in keys), len(amplitude_keys(assembly, v)))
         for v in held
@@ -239,7 +239,7 @@ def _model_as_rival(
 def _with_model_noise(model: LikelihoodFit, base: LikelihoodFit, rival: Rival) -> Rival:
     """A rival with the model's noise, where that is likelier."""
     fit = fit_by_likelihood(rival.assembly, rival.fit.state, model.estimate.noise, rough=True)
-    more = fit.height - rival.fit.height
+    more = fit.log_likelihood - rival.fit.log_likelihood
     if not (fit.estimate.finite and more > 0):
         return rival
     return replace(rival, fit=fit, gain=rival.gain + more, worth=rival.worth + more)

@@ -1,4 +1,4 @@
-"""When the memory of what is missing is asked for, and beside which models."""
+"""When a missing force is tested for memory, and with which models as reference."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def find_missing_memory(
     assembly: Assembly, base: LikelihoodFit, comparison: Comparison, masks: tuple[Masks, Masks],
     progress: Progress,
 ) -> Memory | None:  # fmt: skip
-    """The memory of what is missing, where it has any.
+    """The memory of the missing force; nothing where it has none.
 
     Effects without memory that were admitted, and a random force or coloured noise beside them, may
     have stood in for it: it is then looked for in what the model without them lacks, too, and must

@@ -1,4 +1,4 @@
-"""Another model of what is random, where nothing that is missing explains what is left.
+"""Other noise models, tried where no missing effect explains the residual.
 
 Noise may grow with its reading; and a random force that is no explanation may be one with a memory,
 smaller and on one state alone.
@@ -43,7 +43,7 @@ def fit_with_noise_growth(
     other = replace(other, problem=problem)
     begun = replace(fit.state, noise=None, starts=None, spreads=None)
     grown = finish_fit(other, best_fit(other, begun, progress), progress)
-    better = grown.height > fit.height + WORTH
+    better = grown.log_likelihood > fit.log_likelihood + WORTH
     return (
         (other, grown)
         if better and is_random_force_small(grown) and is_white(other, grown)

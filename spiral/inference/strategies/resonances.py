@@ -158,7 +158,7 @@ def _leaves_white_noise(assembly: Assembly, admitted: AdmittedEffect) -> bool:
 
 @dataclass(frozen=True)
 class SpectrumScan:
-    """The spectrum of what is left as one effect resolves it: Hz, and the shares explained."""
+    """Share of the residual that one effect explains, over its trial frequency in Hz."""
 
     effect: Effect
     frequency: Array

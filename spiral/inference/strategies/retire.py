@@ -1,4 +1,4 @@
-"""Backward step: an effect admitted earlier that a later one has made superfluous is let go.
+"""Backward step: drop an effect admitted earlier that a later one has made superfluous.
 
 Where look-alikes of the later one would make more superfluous than it does, the best of them is
 admitted in its place: a turned probe pair is a cross stiffness and a cross damping, so it explains

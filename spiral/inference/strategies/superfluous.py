@@ -19,14 +19,16 @@ from spiral.types.label import owner_of
 def drop_superfluous_effects(
     assembly: Assembly, fit: LikelihoodFit, latest: str
 ) -> tuple[LikelihoodFit, tuple[str, ...]]:
-    """Effects admitted before that the record no longer wants, let go."""
+    """Drop effects admitted earlier that the record no longer supports."""
     gone: list[str] = []
     for variant in admitted_variants(assembly, fit, latest):
         keys = amplitude_keys(assembly, variant)
         if _is_far_from_zero(assembly, fit, keys):
             continue
         trial = _refit_without(assembly, fit, variant)
-        if trial.height > fit.height - schwarz_penalty(len(keys), trial.estimate.prepared):
+        if trial.log_likelihood > fit.log_likelihood - schwarz_penalty(
+            len(keys), trial.estimate.prepared
+        ):
             fit = trial
             gone.append(variant.original.label)
     return fit, tuple(gone)
@@ -65,9 +67,11 @@ def replace_by_interpolation(
             continue
         without = drop_effects(assembly, fit.state, (variant.label,))
         worth = schwarz_penalty(len(amplitude_keys(assembly, variant)), fit.estimate.prepared)
-        fits = fit_with_other_interpolations(assembly, fit, without, fit.height - worth, progress)
-        best = max(fits, key=lambda f: f.height, default=None)
-        if best is not None and best.height > fit.height - worth:
+        fits = fit_with_other_interpolations(
+            assembly, fit, without, fit.log_likelihood - worth, progress
+        )
+        best = max(fits, key=lambda f: f.log_likelihood, default=None)
+        if best is not None and best.log_likelihood > fit.log_likelihood - worth:
             fit = best
             gone.append(variant.original.label)
     return fit, tuple(gone)
@@ -93,7 +97,7 @@ def likelihood_ratio_t(assembly: Assembly, fit: LikelihoodFit) -> dict[str, floa
             continue
         without = _refit_without(assembly, fit, variant, rough=True)
         free = [k for k in fit.estimate.keys if owner_of(k) == variant.label]
-        gain = max(fit.height - without.height, 0.0)
+        gain = max(fit.log_likelihood - without.log_likelihood, 0.0)
         told[variant.original.label] = _equivalent_t(2 * gain, len(free))
     return told
 

@@ -1,4 +1,4 @@
-"""What a learned curve follows: values of its state that a record visits, and forces there."""
+"""Values of the state of a learned curve that a record visits, and the forces there."""
 
 from __future__ import annotations
 

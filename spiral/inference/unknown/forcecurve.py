@@ -87,7 +87,7 @@ class Unknown:
         return f"A {self.quantity} that follows {self.state}{times}: {way}{bend}."
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         plain = {k: v for k, v in vars(self).items() if k not in ("curves", "others", "kinked")}
         curves = [
             {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(c).items()}

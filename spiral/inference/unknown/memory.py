@@ -12,9 +12,9 @@ from spiral.types.run import Round
 
 Kind = Literal["yields", "relaxes", "either"]
 _KINDS = {
-    "yields": "It yields, at every speed alike: hysteresis, or friction that is a spring first.",
-    "relaxes": "It follows the motion late and fades with time: a relaxing spring or damper.",
-    "either": "Whether it yields, at every speed alike, or relaxes with time is not clear.",
+    "yields": "It depends on the path, not the speed: hysteresis, or friction that starts elastic.",
+    "relaxes": "It lags the motion and decays with time: a relaxing spring or damper.",
+    "either": "Whether it depends on the path alone, or relaxes with time, is not clear.",
 }
 
 
@@ -57,12 +57,12 @@ class Memory:
         """In words."""
         return (
             f"What is missing has memory: at {self.port} {number(self.size, 2)} {self.unit} (rms) "
-            f"depend on how the motion came to where it is, {percent(min(self.share, 1.0))} of the "
+            f"depend on the history of the motion, {percent(min(self.share, 1.0))} of the "
             f"missing force's mean square. {_KINDS[self.kind]}"
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         loops = [
             {"axis": x.axis, "position": x.position.tolist(), "force": x.force.tolist()}
             for x in self.loops

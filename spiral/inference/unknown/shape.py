@@ -1,4 +1,4 @@
-"""What is missing and in no catalog: which state the missing force follows.
+"""Finds the state that a missing force follows, and its learned curve.
 
 Where no candidate explains what is left, a dictionary of learned effects
 (``spiral.physics.learned``: curves over each state) goes through the same scores, gates and refits
@@ -54,7 +54,8 @@ def find_unknown_shape(
     ----------
     options : of the windows on which it is looked for.
     assembly, fit_state : the study, none of whose candidates passes.
-    masks : (select, judge), as in ``propose``; the curve is fitted on the half that judges.
+    masks : (select, judge), as in ``propose_on_windows``; the curve is fitted on the
+        half that judges.
     astray : whether what was admitted before leads nowhere, so that only the seed is tried.
     """
     firm = {*assembly.problem.model.labels, *_learned_labels(assembly, fit_state)}

@@ -1,4 +1,4 @@
-"""Orders, spectra and orbits of a record: what a rotor engineer looks at first.
+"""Order analysis of a record: spectrograms, synchronous response, full spectra.
 
 An order is a frequency over that of rotation. Where the phase is known, a series is sampled anew
 at equal angles, so that an order stays one line however the speed moves (computed order tracking,

@@ -36,7 +36,7 @@ _SLICE = 1024  # samples of a slice in which a frequency is looked for
 
 @dataclass(frozen=True)
 class WorstRecord:
-    """What a model misses on its worst record.
+    """The free-run error and the missing force of a model on its worst record.
 
     ``number`` is that record's; ``error`` (samples, channels) measured minus free run;
     ``excess`` (samples,) its squares over the noise variances, less their expectation under noise

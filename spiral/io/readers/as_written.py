@@ -1,4 +1,4 @@
-"""A file's numbers before any preparation, in the system's units, to compare with the record."""
+"""A file's numbers before any processing, in the system's units, to compare with the record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a text file writes its columns: separator, decimal mark, names, a row of units.
+"""Detects how a text file is written: separator, decimal mark, names, a row of units.
 
 Every separator and decimal mark is tried on the first lines, and judged by the share of numbers.
 The best one is taken; where two are as good, the file is refused rather than guessed.
@@ -60,7 +60,7 @@ class Dialect:
     marked: tuple[str, ...] = ()
 
     def in_words(self) -> str:
-        """What was understood."""
+        """The dialect in words."""
         word = SEPARATORS.get(self.separator, repr(self.separator))
         words = [f"columns separated by {word}" if len(self.names) > 1 else "one column"]
         words.append(DECIMALS[self.decimal])

@@ -1,4 +1,4 @@
-"""What is done to a rotor's numbers before they are a record, each step only where it is asked for.
+"""Processing of a rotor's series (pulse, run-out, probe angles), each step only on request.
 
 Pulses become phase, run-out is subtracted, probes are turned to the axes; each step says in a note
 what it did, so that a reader of the results knows.

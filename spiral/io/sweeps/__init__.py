@@ -1,1 +1,1 @@
-"""Sweeps: ``jobs`` asked, a ``pool`` that runs them, a ``ledger`` of those that ended."""
+"""Sweeps: ``jobs`` to run, a ``pool`` of processes for them, a ``ledger`` of their results."""

@@ -1,4 +1,4 @@
-"""The folder of a sweep, ``OUT/sweeps/ID/``: what was asked, and a row for each job that ended.
+"""The folder of a sweep, ``OUT/sweeps/ID/``: its jobs, and a result row for each that ended.
 
 ``sweep.json`` holds verb, names, jobs and fingerprint; ``rows/00003.json`` a job's overrides, exit
 code, result and seconds, written whole as it ends; ``rows/00003.told`` says that the hook of that

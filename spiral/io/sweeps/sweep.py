@@ -46,7 +46,7 @@ class SweepRow:
         return self.result.get("run_id") or None
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         return {
             "overrides": list(self.overrides),
             "exit": self.exit,
@@ -92,7 +92,7 @@ class Sweep:
     error: dict[str, str] | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """As the JSON contract writes it."""
+        """As plain data, as ``--json`` writes it."""
         about = {
             "id": self.sweep_id,
             "folder": self.folder,

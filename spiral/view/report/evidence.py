@@ -1,4 +1,4 @@
-"""Figures of a run's history: the error falling, evidence per candidate, coefficients."""
+"""Figures of a run's rounds: falling errors, evidence of each candidate, coefficients."""
 
 from __future__ import annotations
 

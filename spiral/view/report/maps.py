@@ -1,4 +1,4 @@
-"""Figures over speed, order, frequency and state: where it fails, and what is left."""
+"""Figures of where a model fails, over speed, order, frequency and state; residual correlations."""
 
 from __future__ import annotations
 

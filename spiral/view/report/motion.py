@@ -1,4 +1,4 @@
-"""Figures of series: measured against model, free run, orbit, missing force, hidden states."""
+"""Figures over time: measured against model, orbit, missing force, hidden states."""
 
 from __future__ import annotations
 

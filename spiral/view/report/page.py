@@ -1,4 +1,4 @@
-"""One HTML file for one saved run: the story in order. It opens with no network.
+"""The report: one HTML file of a saved run, which opens without a network.
 
 Plotly's script is written into the file once; the equation is MathML; nothing else is fetched.
 """

@@ -1,4 +1,4 @@
-"""What a vibration engineer looks at: Bode and polar plots, cascades, the Campbell diagram."""
+"""Rotor figures: Bode and polar plots, cascades of spectra, the Campbell diagram."""
 
 from __future__ import annotations
 

@@ -27,39 +27,44 @@ _NO_CURVES = (
 )
 
 BEFORE = (
-    "Predicted freely from the first moments (grey, not scored); nothing is looked at afterwards. "
+    "Free run from the state estimated on the first seconds (grey, not scored); no later reading "
+    "is used. "
     "Dotted: the noise, ±1.96 standard deviations."
 )
 WHERE = (
     "Energy of the free-run error over that of the noise; a right model leaves it dark. Right: "
-    "sampled anew at equal angles, so that what turns with the rotor is a level line."
+    "resampled at equal angles, so that what turns with the rotor is a horizontal line."
 )
 WHEN = "Energy of the free-run error over that of the noise; a right model leaves it dark."
 AMPLITUDE = "Root mean square of the error in units of the noise; a perfect model lies at 1."
 FORCE = (
     "All that a model does not explain, as a force: a random walk estimated with the states by a "
-    "smoother, with its 95 % band. Diagnosis and remedy share one unit."
+    "smoother, with its 95 % band. It has the unit of the forces of effects."
 )
 SURFACE = (
     "Mean of the missing force in bins of each state, and the middle half of its values. A curve "
-    "with a shape names the state; a level one says that this state does not matter."
+    "with a shape shows that the force depends on the state; a flat one, that it does not."
 )
-FALLING = "Free-run errors, round by round, on a logarithmic scale; the test record chose nothing."
+FALLING = (
+    "Free-run errors, round by round, on a logarithmic scale; the test record took no part in any "
+    "choice."
+)
 UNKNOWN = (
     "A force that no effect with a name explains, against the state it follows: the line is what "
-    "is left of it beside the model's own effects, the band holds the whole curve with 95 %. Bars "
+    "is left of it beside the model's own effects, the band contains the whole curve with 95 % "
+    "probability. Bars "
     "show how often each value was visited."
 )
 MEMORY = (
     "What is missing beside a spring and a damper, over some periods around the largest motion: a "
-    "force without memory would take the same way there and back. Its size is an estimate of the "
-    "model that tells whether there is memory; no effect with a name gives it."
+    "force without memory would follow one line in both directions. Its size comes from the model "
+    "that tests for memory, not from an effect of the catalog."
 )
 EVIDENCE = (
     "Bars in orange cannot be told from the effect admitted, on this record. p is the larger of "
     "the classical value and the robust one."
 )
-COEFFICIENTS = "Standard errors are of samples that did not select the effects."
+COEFFICIENTS = "Standard errors are from samples that did not select the effects."
 FREE = BEFORE
 ORBIT = "The turns of largest motion; dots mark the passing of the once-per-turn mark."
 BODE = (
@@ -77,7 +82,7 @@ WHIRL = (
     "measured record, each raised to its speed."
 )
 CORRELATION = "Dotted: the 95 % bounds of a white residual."
-HIDDEN = "Smoothed with the final model and what it lacks, and their 95 % bands."
+HIDDEN = "Smoothed with the final model and its missing force, with their 95 % bands."
 CAMPBELL = (
     "Eigenvalues of the final model at rest, phase zero; dotted: orders 1 and 2. Dots: the "
     "strongest lines of slices of the measured test record, the larger the stronger."
@@ -285,14 +290,16 @@ def caveat_section(saved: Saved, curves: Curves | None) -> str:
         for s in result.get("suggestions", ())
         if s.get("aliases")
     ]
-    notes += [f"Alike on this record: {', '.join(g)}." for g in result.get("alias_groups", ())]
+    notes += [
+        f"These look alike on this record: {', '.join(g)}." for g in result.get("alias_groups", ())
+    ]
     if result.get("verdict") == "not_identifiable" or result.get("stopped") == "diverged":
         notes.append(f"Refused ({result.get('stopped') or result['verdict']}): {result['advice']}")
     notes += _data_caveats(saved)
     if curves is None:
         notes.append(_NO_CURVES)
     if not notes:
-        notes = ["None: no alias, no refusal, no short record, nothing changed in the data."]
+        notes = ["None: no look-alikes, no refusal, no short record, no change of the data."]
     return "".join(f'<p class="note">{escape(said)}</p>' for said in dict.fromkeys(notes))
 
 
@@ -303,7 +310,7 @@ def _round_caveats(r: Saved) -> list[str]:
         for effect, reason in (r.get("rejected") or {}).items()
     ]
     notes += [
-        f"Round {r['round']}: {label_words(effect)} was let go, superfluous beside the others."
+        f"Round {r['round']}: {label_words(effect)} was removed: superfluous beside the others."
         for effect in r.get("retired", ())
     ]
     return notes
@@ -319,7 +326,7 @@ def ambiguity_notes(r: Saved) -> list[str]:
     ]
     notes += [
         f"{label_words(effect).capitalize()} could not have been found: on this record "
-        f"{', '.join(map(label_words, owners))} would take it over."
+        f"{', '.join(map(label_words, owners))} would explain it as well."
         for effect, owners in ((r.get("details") or {}).get("not_separable") or {}).items()
     ]
     if r.get("second_order"):

@@ -1,4 +1,4 @@
-"""What a person sees of reconstructed states."""
+"""Terminal output of ``spiral estimate``: reconstructed states and checks of the filter."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ def show(verb: str, outcome: Outcome) -> None:
         print_heading(console, f"Model, fitted on stretches of {fitted.horizon} samples")
         console.print(parameter_table(fitted.model))
         if fitted.untold:
-            console.print(Text(f"not told by these records: {', '.join(fitted.untold)}", "yellow"))
+            names = ", ".join(fitted.untold)
+            console.print(Text(f"not determined by these records: {names}", "yellow"))
     print_heading(console, f"States by {estimation.observer}, after the first second")
     console.print(_state_table(estimation))
     for line in _tracked_parameters(estimation):
@@ -61,7 +62,7 @@ def show(verb: str, outcome: Outcome) -> None:
     table = f"{request_command('estimate', request)} --out states.csv"
     print_next_steps(
         console,
-        (smoothed, "each sample judged by the whole record"),
+        (smoothed, "every state estimated from the whole record"),
         (table, "states with their bands as a table"),
     )
 
@@ -85,7 +86,7 @@ def _state_table(estimation: Estimation):
 
 
 def _tracked_parameters(estimation: Estimation) -> list[str]:
-    """Parameters followed beside the states, with the value they ended with."""
+    """Parameters that the filter tracks as states, with their values at the end."""
     first, lines = estimation.parts[0], []
     at = max(first.reconstruction.done - 1, 0)
     for name in first.reconstruction.names[len(first.task.states) :]:
@@ -100,7 +101,8 @@ def _uncertain_parameters(estimation: Estimation) -> list[str]:
     if prior is None or prior.told:
         return []
     return [
-        f"{name} {plus_minus(d['estimate'], d['se'])} {d['unit']}, doubt before {d['before']:.3g}"
+        f"{name} {plus_minus(d['estimate'], d['se'])} {d['unit']}, standard deviation before "
+        f"{d['before']:.3g}"
         for name, d in estimation.parts[0].doubts.items()
     ]
 

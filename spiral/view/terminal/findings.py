@@ -1,4 +1,4 @@
-"""What a person sees of what could not be told: look-alikes of the model, and unknown shapes."""
+"""Terminal output: candidates that look like the model's own effects, and learned curves."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def print_not_separable(console: Console, look_alikes: Mapping[str, Sequence[str
 
 
 def print_unknown_shape(console: Console, shape: Mapping[str, Any] | None) -> None:
-    """Print what no effect with a name explains: a sentence, and the curve with its band."""
+    """Print the learned curve of a force that no effect explains: a sentence, and its band."""
     if not shape:
         return
     console.print()

@@ -1,4 +1,4 @@
-"""Parts of what a person sees: progress, numbers with their errors, headings, tables, commands."""
+"""Building blocks of terminal output: progress, headings, tables, commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person sees of planned tests."""
+"""Terminal output of ``spiral plan``: the ranked tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person sees of plugins (a list, checks, files of a new one), ``identify`` and files."""
+"""Terminal output of verbs on plugins, of ``identify``, and of verbs that write files."""
 
 from __future__ import annotations
 

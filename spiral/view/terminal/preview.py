@@ -1,4 +1,4 @@
-"""What was understood of the records, in numbers: a unit or a column mixed up shows here."""
+"""Summary of the records as they were read; a wrong unit or column shows in its numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person sees: tables and sentences on standard output, progress on standard error."""
+"""Terminal output of discover, compare, diagnose, add and simulate: tables and sentences."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def _admission_text(item: Round) -> Text:
         if aliases:
             text.append(f"\ncannot be told from: {', '.join(aliases)}", style="yellow")
     for label in item.retired:
-        text.append(f"\nlet go {label}: superfluous beside it", style="dim")
+        text.append(f"\nremoved {label}: superfluous beside it", style="dim")
     for label, reason in item.rejected.items():
         text.append(f"\nrefused {label}: {reason}", style="dim")
     return text
@@ -117,7 +117,7 @@ def _commands_after_discover(run: Run, config: dict[str, Any]) -> list[tuple[str
     ]
     if admitted:
         without = f"spiral compare {given} 'without=[{admitted[-1]}]'"
-        commands.append((without, f"what {admitted[-1]} is worth"))
+        commands.append((without, f"how much {admitted[-1]} improves the model"))
     learned = (run.unknown or {}).get("effect")
     if learned and learned not in run.model.labels:
         commands.insert(0, (f"spiral add {learned} {given}", "admit this curve as an effect"))

@@ -1,4 +1,4 @@
-"""What a person sees of a sweep: how far it is, and one table in the end."""
+"""Terminal output of a sweep: its progress, and one table at the end."""
 
 from __future__ import annotations
 
