@@ -14,12 +14,13 @@ from joblib import Parallel, delayed
 
 from experiments.hidden_effects.cases import CASES, Case, installed, problem
 from spiral.inference.discover import discover
+from spiral.io.question import USUAL_STRATEGY
 
 
-def outcome(case: Case, seed: int, noise: float) -> dict[str, Any]:
+def outcome(case: Case, seed: int, noise: float, strategy: str = USUAL_STRATEGY) -> dict[str, Any]:
     """One study: what was suggested first, and how the test error moved."""
     clock = time.perf_counter()
-    run = discover(problem(case, installed(), seed, noise))
+    run = discover(problem(case, installed(), seed, noise, strategy=strategy))
     last = run.rounds[-1]
     first = run.rounds[0].suggestions[0].effect if run.rounds[0].suggestions else None
     group = [*last.admitted, *last.aliases.get(first or "", ())]

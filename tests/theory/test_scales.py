@@ -155,7 +155,7 @@ def test_a_candidate_that_is_no_number_leaves_the_study_to_the_others(records):
     candidates = (effect("cubic_stiffness"), ShortRoot(port="load"))
     assembly = assemble(Problem(model, records[:1], records[1:], None, candidates))
     assert list(assembly.left_out) == ["short_root@load"]
-    assert "no number" in assembly.left_out["short_root@load"]
+    assert "not a number" in assembly.left_out["short_root@load"]
     assert {v.original.label for v in assembly.variants} == {"cubic_stiffness"}
 
 

@@ -10,9 +10,8 @@ missing effect makes nothing more likely, although from another both come right 
   is slow, the likeliest of them has the noise that the record wants beside it, as the model as it
   is has its own: beside white noise alone a constant is worth less than noise that has its colour.
 
-Schwarz's penalty and the other half of the blocks judge them like any other, against the model as
-it
-is.
+Schwarz's penalty and the other half of the blocks judge them like any other, against
+the model as it is.
 """
 
 from __future__ import annotations

@@ -166,8 +166,8 @@ def start_race(
 ) -> Race:  # fmt: skip
     """A race of the promising candidates, each already fitted briefly.
 
-    ``scored`` are all candidates, the best first; those whose score not worth their penalty are
-    not refitted, nor more than ``most``, not counting their special cases.
+    ``scored`` are all candidates, the best first; those whose score is not
+    worth their penalty are not refitted, nor are more than ``most``, special cases not counted.
     """
     far = (
         [] if is_random_force_small(base) else second_basin_candidates(assembly, base.state, scored)
@@ -189,7 +189,7 @@ def select_promising(scored: list[RankedCandidate], most: int) -> list[RankedCan
     """Candidates to refit: the best, what scores like the best, special cases and twins.
 
     What needs more numbers for the same score (an offset of each of several sensors, beside a load)
-    not worth their penalty, yet the records may not tell the two apart. Neither may they tell the
+    is not worth its penalty, yet the records may not tell the two apart. Neither may they tell the
     best from what does the same elsewhere, whose score beside a large random force may be nothing.
     """
     chosen = [r for r in scored if r.rank < 0 and not r.whole][:most]
