@@ -42,6 +42,7 @@ class AmplitudeDamping(ForceEffect):
 class CoulombFriction(ForceEffect):
     """Dry friction, constant in size and against the motion: F_i = -F_c,i tanh(v_i / w)."""
 
+    special = ("linear_damping",)
     parameters = (
         Parameter("level", "force", lower=0.0, per_axis=True),
         Parameter("width", "velocity", lower=0.0, role="shape", grid=(0.003, 0.02, 0.1)),

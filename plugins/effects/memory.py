@@ -22,6 +22,7 @@ class HiddenMode(ForceEffect):
     belongs to the seed. One mass per axis, one frequency and one damping ratio for all.
     """
 
+    special = ("linear_stiffness",)
     states = (
         State("displacement", "position", per_axis=True),
         State("velocity", "velocity", per_axis=True),
@@ -56,6 +57,7 @@ class Lag(ForceEffect):
     motion is not resisted, fast motion by the whole spring.
     """
 
+    special = ("linear_stiffness", "linear_damping")
     states = (State("lagged", "position", per_axis=True),)
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0, per_axis=True),
@@ -85,7 +87,7 @@ class BoucWen(ForceEffect):
     depends on where the motion last turned round.
     """
 
-    special = ("coulomb_friction",)
+    special = ("coulomb_friction", "linear_stiffness")
     states = (State("slip", "position", per_axis=True),)
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0, per_axis=True),
@@ -118,7 +120,7 @@ class Jenkins(ForceEffect):
     """
 
     axes = 1
-    special = ("coulomb_friction",)
+    special = ("coulomb_friction", "linear_stiffness")
     states = (State("slip", "position"),)
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0),

@@ -84,6 +84,7 @@ class Clearance(ForceEffect):
     The corner of (.)_+ is rounded over +-w (``spiral.math.ramp``).
     """
 
+    special = ("linear_stiffness",)
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0),
         Parameter("gap", "position", lower=0.0, role="shape", grid=(0.2, 0.4, 0.6, 0.8, 0.9)),
@@ -122,6 +123,7 @@ class Preload(ForceEffect):
     centring spring, a detent.
     """
 
+    special = ("linear_stiffness",)
     parameters = (
         Parameter("force", "force", lower=0.0, per_axis=True),
         Parameter("width", "position", lower=0.0, role="shape", grid=(0.02, 0.1)),

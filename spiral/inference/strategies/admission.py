@@ -91,11 +91,12 @@ def settle_fit(
     details: dict[str, Any] = {"noise": dict(fit.estimate.noise.values)}
     if told := likelihood_ratio_t(assembly, fit):
         details[LIKELIHOOD_RATIO_T] = told
+    likelihood = -np.inf
     if fit.estimate.finite:
-        details["log_likelihood"] = fit.log_likelihood
+        details["log_likelihood"] = likelihood = fit.log_likelihood
     if ties := find_parameter_ties(fit):
         details["untold"] = {"groups": list(ties.groups), "parameters": list(ties.parts)}
-    return RefittedModel(state, comparison, retired, details)
+    return RefittedModel(state, comparison, retired, details, likelihood)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ are plugins (``plugins/strategies``), which import little so that every command 
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -74,12 +75,16 @@ class Step(Generic[Result]):
 
 @dataclass(frozen=True)
 class RefittedModel:
-    """The model after an admission, refitted and compared; ``retired`` effects were dropped."""
+    """The model after an admission, refitted and compared; ``retired`` effects were dropped.
+
+    ``log_likelihood`` is that of the refit, where the strategy has one and it is finite.
+    """
 
     fit_state: FitState
     comparison: Comparison
     retired: tuple[str, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
+    log_likelihood: float = -math.inf
 
 
 @dataclass(frozen=True)

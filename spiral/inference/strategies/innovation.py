@@ -183,7 +183,7 @@ def admit(assembly: Assembly, fit_state: FitState, label: str, progress: Progres
         )
         for v in variants
     ]
-    return max(refits, key=lambda s: s.details.get("log_likelihood", -np.inf))
+    return max(refits, key=lambda s: s.log_likelihood)
 
 
 def _settle_refit(
@@ -211,8 +211,9 @@ def _settle_refit(
     comparison = replace(comparison, whiteness_p=white.p, whiteness_effect=white.effect)
     nis = float(np.mean([np.mean(np.sum(e**2, axis=1)) for e in left]))
     comparison = replace(comparison, innovation_chi2=nis / left[0].shape[1])
-    details = {"log_likelihood": fit.log_likelihood, "nis_mean": nis}
-    return RefittedModel(wider, comparison, details={**details, "process_noise": dict(fit.levels)})
+    details: dict[str, Any] = {"log_likelihood": fit.log_likelihood, "nis_mean": nis}
+    details["process_noise"] = dict(fit.levels)
+    return RefittedModel(wider, comparison, details=details, log_likelihood=fit.log_likelihood)
 
 
 def _filtered_values(

@@ -200,12 +200,12 @@ def _find_equal_candidate(
     )
     start = LikelihoodFit(with_estimate(bare, estimate), estimate)
     contest = race_offered(offer_effects(own, known), start, masks[0], progress, options.rivals)
-    least = settled.details["log_likelihood"] - np.log(options.odds)
+    least = settled.log_likelihood - np.log(options.odds)
     winners = () if contest is None else contest[0].winners()
     for rival, _ in itertools.islice(winners, options.judged):
         whole = fit_beside_noise(rival, noise, progress)
         white = is_near_noise(whole.settled.comparison, assembly.problem.settings)
-        if white and whole.settled.details.get("log_likelihood", -np.inf) >= least:
+        if white and whole.settled.log_likelihood >= least:
             return AcceptedCandidate(rival, (), whole)
     return None
 
@@ -220,9 +220,7 @@ def _explains_all(
         return False
     if not start.gone:
         return refuse_unhelpful(options, comparison, settled.comparison, settings) is None
-    log_likelihood = settled.details["log_likelihood"] - _parameter_penalty(
-        start, settled.comparison
-    )
+    log_likelihood = settled.log_likelihood - _parameter_penalty(start, settled.comparison)
     least = np.log(options.odds) - _parameter_penalty(start, comparison)
     if not log_likelihood > start.log_likelihood + least:
         return False
