@@ -25,7 +25,7 @@ LIMITS = {  # effect, special case: shapes and amplitudes near the limit, the sp
         {"stiffness": 3.0, "length": 1e4, "asymmetry": 0.0, "exponent": 1.0}, {"stiffness": 3.0},
     ),
     ("jenkins", "coulomb_friction"): (
-        {"stiffness": 2e5, "length": 1e-5}, {"level": 2.0, "width": 1e-3},
+        {"stiffness": 2e5, "length": 1e-5}, {"level": 1.9, "width": 1e-3},
     ),
     ("jenkins", "linear_stiffness"): ({"stiffness": 3.0, "length": 10.0}, {"stiffness": 3.0}),
     ("lugre", "bouc_wen"): (
