@@ -25,7 +25,7 @@ LIMITS = {  # effect, special case: shapes and amplitudes near the limit, the sp
         {"stiffness": 3.0, "length": 1e4, "asymmetry": 0.0, "exponent": 1.0}, {"stiffness": 3.0},
     ),
     ("jenkins", "coulomb_friction"): (
-        {"stiffness": 2e5, "length": 1e-5}, {"level": 1.9, "width": 1e-3},
+        {"stiffness": 2e5, "length": 1e-5}, {"level": 2.0, "width": 1e-3},
     ),
     ("jenkins", "linear_stiffness"): ({"stiffness": 3.0, "length": 10.0}, {"stiffness": 3.0}),
     ("lugre", "bouc_wen"): (
@@ -78,11 +78,11 @@ def _force(asked, values):
         rates = asked.rate(at(t, z), SimpleNamespace(), p)
         return [rates[n][0] if n in per else rates[n] for n in names]
 
-    times = np.linspace(1.0, 3.0, 400)  # no turning point of the motion among them
+    times = np.linspace(1.002, 3.002, 401)  # no turning point of the motion among them
     motion = np.zeros((0, len(times)))
     if names:
         motion = solve_ivp(
-            rate, (0.0, 3.0), np.zeros(len(names)), "Radau", times, rtol=1e-6, atol=1e-9,
+            rate, (0.0, 3.01), np.zeros(len(names)), "Radau", times, rtol=1e-6, atol=1e-9,
             max_step=0.01,
         ).y  # fmt: skip
     return np.array(
