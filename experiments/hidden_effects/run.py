@@ -30,7 +30,7 @@ def outcome(case: Case, seed: int, noise: float, strategy: str = USUAL_STRATEGY)
         "first": first,
         "aliases": list(last.aliases.get(first or "", ())),
         "hit": case.effect in group,
-        "before": run.rounds[0].comparison.test_error / run.rounds[0].comparison.noise_floor,
+        "before": run.rounds[0].comparison.test_error / last.comparison.noise_floor,
         "after": last.comparison.test_error / last.comparison.noise_floor,
         "chi2_per_dof": last.comparison.chi2_per_dof,
         "seconds": time.perf_counter() - clock,
@@ -55,7 +55,7 @@ def main() -> None:
             f"{row['hidden']:<26}{row['first'] or '-':<26}{', '.join(row['aliases']):<24}"
             f"{row['before']:>9.2f}{row['after']:>8.3f}{mark}"
         )
-    print("before, after: test error over noise floor")
+    print("before, after: test error over the final model's noise floor")
     if given.json:
         with open(given.json, "w") as file:
             json.dump(results, file, indent=1)

@@ -4,7 +4,8 @@ Those not missing are recognised from the signal alone, and only where nothing e
 
     spike    r_k = y_k - (4 (y_{k-1} + y_{k+1}) - (y_{k-2} + y_{k+2})) / 6 is above 12 robust
              standard deviations of all r, and with y_k on that cubic the two readings on each side
-             are within 4: a step, a kink or a burst is not mended by one; no input moves so there
+             are within 4: a step, a kink or a burst is not mended by one; where more of them stand
+             near jumps of an input than chance puts there, those are its doing
     held     a run of readings that equal the one before exactly, three at least
     clipped  readings that equal the largest or smallest exactly
 
@@ -30,6 +31,7 @@ _MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how
 _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
 _PAIRS = np.array([(i, i + d) for d in (1, 2, 3) for i in range(-3, 4 - d)])  # of close spikes
 _WEIGHTS = np.array([6, -4, 1, 0]) / 6  # of a reading in the r of those so many away
+_CHANCE = 0.01  # probability below which spikes near jumps of an input are its doing
 _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are noise
 
 
@@ -65,7 +67,7 @@ def spoilt_readings(
     Parameters
     ----------
     values : (samples,), bridged where ``missing``; such a channel is searched for nothing else.
-    inputs : (samples,) each; near a jump of one, no reading counts as a spike.
+    inputs : (samples,) each; spikes that follow their jumps are none.
     smooth : whether the readings follow a smooth motion; those that may jump with a force are not
         searched for spikes.
     """
@@ -82,9 +84,10 @@ def spoilt_readings(
                  if s.where.mean() <= _MOST_STILL]  # fmt: skip
     gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in spoilt)])
     spikes = _spike_mask(bridged(values, gone)) if smooth else np.zeros(len(values), dtype=bool)
-    for given in inputs:
-        moved = _jump_mask(given)
-        spikes &= ~np.convolve(moved, np.ones(5), "same").astype(bool)
+    jumps = [np.convolve(_jump_mask(given), np.ones(5), "same") > 0 for given in inputs]
+    near = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *jumps])
+    if _answer_jumps(spikes, near):
+        spikes &= ~near
     if 0 < spikes.sum() <= _MOST * len(values):
         spoilt.append(InvalidReadings("spike", spikes))
     return tuple(s for s in spoilt if s.where.any())
@@ -201,6 +204,19 @@ def _cubic_residual(values: Array) -> Array:
     inner = 4 * (values[1:-3] + values[3:-1]) - (values[:-4] + values[4:])
     residual[2:-2] = values[2:-2] - inner / 6
     return residual
+
+
+def _answer_jumps(spikes: Array, near: Array) -> bool:
+    """Whether more spikes stand near jumps of an input than chance puts there.
+
+    Those of a sensor fall anywhere: k of n readings near a jump, at the rate p of all others, by
+    the binomial distribution. What an input kicks follows it.
+    """
+    from scipy import special
+
+    count, there = int(np.sum(spikes & near)), int(near.sum())
+    rate = (float(np.sum(spikes & ~near)) + 1.0) / (len(near) - there + 1.0)
+    return count > 0 and float(special.bdtrc(count - 1, there, min(rate, 1.0))) < _CHANCE
 
 
 def _jump_mask(values: Array) -> Array:

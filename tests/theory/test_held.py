@@ -1,6 +1,7 @@
 """Where a record cannot tell a model's own parameters apart, one is held and the search goes on."""
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import spiral
@@ -59,6 +60,30 @@ def test_nothing_is_invented_and_what_is_not_told_is_said(tmp_path):
     assert (run.verdict, run.missing) == ("nothing_missing", ())
     assert set(run.alias_groups[0]) == {"system.m", "system.c", "system.k"}
     assert "keeps the value that it was given" in run.summary
+
+
+def test_parameters_without_given_values_are_held_at_fitted_ones(tmp_path):
+    """Of two springs in parallel only the sum is told; what is missing is still the question."""
+
+    def rate(t, x, u, p):
+        force = u["force"] - p["c"] * x["v"] - (p["inner"] + p["outer"]) * x["x"]
+        return [x["v"], force / p["m"]]
+
+    system = spiral.system(
+        rate, states={"x": "m", "v": "m/s"}, observed=["x"], inputs={"force": "N"},
+        parameters={"m": (MASS, "kg"), "c": "N*s/m", "inner": "N/m", "outer": "N/m"},
+    )  # fmt: skip
+    run = _study(tmp_path, system, CUBIC)
+    assert run.missing == ("cubic_stiffness",)
+    found = run.model.estimates()
+    assert found["system"]["inner"].estimate + found["system"]["outer"].estimate == pytest.approx(
+        K, rel=0.01
+    )
+    null = _study(tmp_path, system, 0.0)
+    assert null.verdict == "nothing_missing"
+    ((held, value),) = null.rounds[0].details["tied"]["fitted"].items()
+    assert f"of many values that do as well {held} = " in null.summary
+    assert value == null.model.estimates()["system"][held.removeprefix("system.")].estimate
 
 
 def test_effects_tied_to_one_another_are_refused_where_nothing_else_is_found(tmp_path):

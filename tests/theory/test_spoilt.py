@@ -112,6 +112,18 @@ def test_a_reading_that_an_input_moves_is_no_spike():
     assert "spike" not in kinds(values, [blow])
 
 
+def test_spikes_that_stand_near_moves_of_an_input_by_chance_are_found():
+    """An input that is at work for a third of the record excuses no spike; one that kicks does."""
+    values, at = noisy(3), np.arange(150, N, 401)
+    values[at] += 5 * MOTION.std()
+    worked = np.zeros(N)
+    worked[1200:2500] = np.random.default_rng(0).choice([0.0, 1.0], 1300)
+    np.testing.assert_array_equal(np.flatnonzero(kinds(values, [worked])["spike"]), at)
+    kicks = np.zeros(N)
+    kicks[at] = 1.0
+    assert "spike" not in kinds(values, [kicks])
+
+
 def test_gone_readings_are_bridged_by_straight_lines():
     gone = np.array([False, True, True, False, False, True])
     np.testing.assert_allclose(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
+
+from spiral.types.formatting import number
 
 
 def tied_groups(details: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
@@ -13,19 +15,34 @@ def tied_groups(details: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
 
 def has_tied_effects(details: Mapping[str, Any]) -> bool:
     """Whether several effects are tied: a candidate may then look like a sum of them."""
-    return any("." not in label for group in tied_groups(details) for label in group)
+    return are_effects_tied(tied_groups(details))
+
+
+def are_effects_tied(groups: Iterable[Iterable[str]]) -> bool:
+    """Whether groups that look alike hold whole effects, not only parameters of one owner."""
+    return any("." not in label for group in groups for label in group)
 
 
 def describe_held_parameters(details: Mapping[str, Any]) -> str:
     """Which parameters were held and why, in words; empty where none was."""
-    names = tuple(details.get("tied", {}).get("parameters", ()))
+    tied = details.get("tied", {})
+    names, fitted = tuple(tied.get("parameters", ())), tied.get("fitted", {})
     if not names:
         return ""
-    tied = "; ".join(" with ".join(g) for g in tied_groups(details))
-    keep = "keeps the value that it was" if len(names) == 1 else "keep the values that they were"
+    groups = "; ".join(" with ".join(g) for g in tied_groups(details))
+    given = [n for n in names if n not in fitted]
+    said = []
+    if given:
+        keep = (
+            "keeps the value that it was" if len(given) == 1 else "keep the values that they were"
+        )
+        said.append(f"{', '.join(given)} {keep} given")
+    if fitted:
+        chosen = ", ".join(f"{name} = {number(value)}" for name, value in fitted.items())
+        said.append(f"of many values that do as well {chosen} was taken")
     return (
-        f"The record cannot tell some of the model's own parameters apart ({tied}): "
-        f"{', '.join(names)} {keep} given; the other values are relative to it."
+        f"The record cannot tell some of the model's own parameters apart ({groups}): "
+        f"{'; '.join(said)}; the other values are relative to it."
     )
 
 

@@ -315,9 +315,9 @@ def _relative_noise_floor(
     """Measurement noise over the deviation of each channel, mean over channels.
 
     The fitted noise is scaled by the ratio of model-free noise estimates, test records over fitted
-    records, where that is above one (a sensor may be noisier there) and where the model-free
-    estimate agrees with the fitted noise, so that it is reliable. Noise that grows with its reading
-    is as large as the readings of the test records make it.
+    records (a sensor may be noisier there, or less noisy), where the model-free estimate agrees with
+    the fitted noise, so that it is reliable. Noise that grows with its reading is as large as the
+    readings of the test records make it.
     """
     assert noise is not None
     sizes, problem = [], judging.problem
@@ -337,7 +337,7 @@ def _relative_noise_floor(
             for records in (problem.test or problem.records, problem.records)
         )
         reliable = 1 / _AGREE**2 <= here / fitted <= _AGREE**2 if fitted > 0 else False
-        sizes.append(np.sqrt(fitted * max(float(there / here), 1.0) if reliable else fitted))
+        sizes.append(np.sqrt(fitted * float(there / here) if reliable else fitted))
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.mean(np.array(sizes) / run.deviations()))
 

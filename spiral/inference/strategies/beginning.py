@@ -14,7 +14,7 @@ from spiral.inference.evidence.assembly import (
 from spiral.inference.evidence.comparison import refine_substeps
 from spiral.inference.evidence.fit_state import initial_fit_state
 from spiral.inference.identifiability.richness import merge_overlapping_groups
-from spiral.inference.identifiability.undetermined import describe_held_parameters
+from spiral.inference.identifiability.undetermined import are_effects_tied, describe_held_parameters
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     is_random_force_small,
@@ -36,21 +36,29 @@ def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
     """The study with its seed fitted, by the noise model that the likelihood selects.
 
     Parameters that the record cannot tell from others are held at their given values: along a flat
-    combination the likelihood is the same, whatever value one of them has. Where none is given the
-    study ends there, unless much acts at random beside the fit: then candidates are tried first.
+    combination the likelihood is the same, whatever value one of them has. Parameters of one owner
+    of which none is given are held at fitted values, for no prediction depends on the choice; where
+    whole effects look alike the study ends there, unless much acts at random beside the fit: then
+    candidates are tried first.
     """
     groups: tuple[tuple[str, ...], ...] = ()
     held: tuple[str, ...] = ()
+    fitted: dict[str, float] = {}
     while True:
         bare, fit = _fit_seed(problem, progress)
         ties, model = find_parameter_ties(fit), problem.model
         groups = merge_overlapping_groups([set(g) for g in (*groups, *ties.groups)])
-        given = next((k for k in ties.parts if model.values.get(k)), None)
-        if given is None:  # nothing is tied, or nobody said how large any of it is
+        hold = next((k for k in ties.parts if model.values.get(k)), None)
+        free = ties and is_random_force_small(fit) and not are_effects_tied(ties.groups)
+        if hold is None and free:
+            hold = ties.parts[0]
+            fitted[hold] = float(fit.estimate.values[hold])
+        if hold is None:  # nothing is tied, or nobody said how large any of it is
             break
-        progress(f"holding {given}, which the record cannot tell from others")
-        held = (*held, given)
-        problem = replace(problem, model=replace(model, fixed=(*model.fixed, given)))
+        progress(f"holding {hold}, which the record cannot tell from others")
+        held = (*held, hold)
+        values = {**model.values, **fitted}
+        problem = replace(problem, model=replace(model, values=values, fixed=(*model.fixed, hold)))
     # what is tied in a fit gone astray need not be tied in the record
     sure = is_random_force_small(fit)
     begun = replace(
@@ -59,7 +67,8 @@ def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
     )  # fmt: skip
     if ties or not held:
         return begun
-    details = {**begun.details, "tied": {"parameters": list(held), "groups": list(groups)}}
+    tied = {"parameters": list(held), "groups": list(groups), "fitted": fitted}
+    details = {**begun.details, "tied": tied}
     notes = (*begun.comparison.notes, describe_held_parameters(details))
     return replace(begun, comparison=replace(begun.comparison, notes=notes), details=details)
 
