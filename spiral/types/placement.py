@@ -90,7 +90,18 @@ def check_effect(system: System, effect: Effect) -> Port:
 
 
 def _check_sensors(system: System, effect: Effect) -> None:
-    """A change of readings has no port where all channels have one unit."""
+    """A change of readings has no port where all channels have one unit.
+
+    One that mixes channels as the axes of one place needs such a place in the system: two sensors
+    of one unit may as well be at two ends of a machine.
+    """
+    axes = effect.axes or 1
+    if axes > 1 and not any(len(port.axes) == axes for port in system.ports):
+        raise ConfigError(
+            f"effect {effect.label!r} with system {system.plugin_name()!r}",
+            f"a system with a port of {axes} axes, of which the sensors report the motion",
+            "an effect that acts on each sensor by itself: offset, gain, delay, sensor_lag",
+        )
     if effect.port and len(system.sensed) == 1:
         raise ConfigError(
             f"effect {effect.label!r}, which acts on what the sensors report",

@@ -315,7 +315,7 @@ def _relative_noise_floor(
     """Measurement noise over the deviation of each channel, mean over channels.
 
     The fitted noise is scaled by the ratio of model-free noise estimates, test records over fitted
-    records (a sensor may be noisier there, or less noisy), where the model-free estimate agrees with
+    records (a sensor may be noisier there, or less so), where the model-free estimate agrees with
     the fitted noise, so that it is reliable. Noise that grows with its reading is as large as the
     readings of the test records make it.
     """

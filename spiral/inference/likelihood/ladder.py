@@ -69,7 +69,9 @@ class _TermTrial(NamedTuple):
 def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> LikelihoodFit:
     """The fit with the noise model that its records prefer, parameters and sizes refitted together.
 
-    Terms are added only while the innovations are not white.
+    Terms are added only while the innovations are not white. The best of each kind are compared
+    after the parameters have followed: values that were fitted beside a random force suit a force,
+    and a sensor that drifts is then told as one.
     """
     if not fit.estimate.finite:
         return fit
@@ -77,10 +79,11 @@ def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progres
         if is_white(assembly, fit):
             break
         progress("trying noise models")
-        best = _best_additional_term(fit.estimate)
-        if best is None:
+        best = _best_additional_terms(fit.estimate)
+        if not best:
             break
-        fit = continue_fit(assembly, fit, best.noise, rough=True)
+        fits = [continue_fit(assembly, fit, noise, rough=True) for noise in best]
+        fit = max(fits, key=lambda f: _worth_beside(f.estimate, fit.estimate))
     if fit.estimate.finite and not is_white(assembly, fit):
         apart = _best_noise_model(fit.estimate, list(_separate_forces(fit.estimate)))
         fit = fit if apart is None else continue_fit(assembly, fit, apart.noise, rough=True)
@@ -162,14 +165,14 @@ def _initial_correlation_time(task: Task, share: float) -> float:
     return max(share * task.series.dt * task.series.samples, 3 * task.series.dt)
 
 
-def _best_additional_term(at: Maximum) -> Maximum | None:
-    """The noise with the additional term that gains most beyond its penalty, if any does.
+def _best_additional_terms(at: Maximum) -> list[NoiseModel]:
+    """The noise with the additional term that gains most beyond its penalty, for each kind of term.
 
-    Terms are looked at on the part of the records that moves most; what keeps up there is judged on
-    all, and where noise of a sensor leads its other kinds are, too: few steps do not tell a line
-    from a steep low-pass. Where none of it pays for its penalty, the best correlated force is, too:
-    it begins beside a white one that already does its work, and a few steps do not tell what it is
-    worth.
+    Terms are looked at on the part of the records that moves most; what keeps up there, and the
+    best of each kind, is judged on all, and where noise of a sensor leads its other kinds are, too:
+    few steps do not tell a line from a steep low-pass. Where none of it pays for its penalty, the
+    best correlated force is judged, too: it begins beside a white one that already does its work,
+    and a few steps do not tell what it is worth.
     """
     part = _liveliest_part(at)
     now = maximise_likelihood(part, (), at.noise, steps=_LOOK)
@@ -181,27 +184,46 @@ def _best_additional_term(at: Maximum) -> Maximum | None:
         looks.append(_TermTrial(gain, look.noise, addition.terms[0].kind))
     best = max(looks, key=lambda x: x.gain, default=None)
     if best is None:
-        return None
+        return []
+    leads = {k: max((x for x in looks if x.kind == k), key=lambda x: x.gain) for k in _kinds(looks)}
     kept = [
-        x.noise for x in looks
-        if x.gain > 0 and (x.gain >= _KEEP * best.gain or {x.kind, best.kind} <= {*COLOURED})
+        x for x in looks
+        if x.gain > 0 and (
+            x.gain >= _KEEP * best.gain or {x.kind, best.kind} <= {*COLOURED} or x is leads[x.kind]
+        )
     ]  # fmt: skip
-    if (chosen := _best_noise_model(at, kept)) is not None or at.noise.has_kind("gust"):
-        return chosen
-    gust = max((x for x in looks if x.kind == "gust"), key=lambda x: x.gain).noise
-    return None if gust in kept else _best_noise_model(at, [gust])
+    chosen = _likeliest_of_each_kind(at, kept)
+    if not chosen and "gust" in leads and leads["gust"] not in kept:
+        chosen = _likeliest_of_each_kind(at, [leads["gust"]])
+    return chosen
+
+
+def _kinds(looks: Sequence[_TermTrial]) -> tuple[Kind, ...]:
+    return tuple(dict.fromkeys(x.kind for x in looks))
+
+
+def _likeliest_of_each_kind(at: Maximum, looks: Sequence[_TermTrial]) -> list[NoiseModel]:
+    """Of each kind the noise model that gains most on all records, where it does so by the odds."""
+    of_kind = ([x.noise for x in looks if x.kind == kind] for kind in _kinds(looks))
+    best = (_best_noise_model(at, noises) for noises in of_kind)
+    return [b.noise for b in best if b is not None]
+
+
+def _worth_beside(trial: Maximum, at: Maximum) -> float:
+    """Log-likelihood that a fit gains over ``at``, less the penalty of what its noise has more."""
+    if not trial.finite:
+        return -np.inf
+    penalty = _noise_penalty(trial.noise, at.noise, at.prepared)
+    return trial.log_likelihood - at.log_likelihood - penalty
 
 
 def _best_noise_model(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | None:
     """The noise model that gains most beyond its penalty on all records, if by the odds."""
     best = [_raise_low_pass_order(tune_noise(at.prepared, noise)) for noise in noises]
-    worths = [
-        (t.log_likelihood - at.log_likelihood - _noise_penalty(t.noise, at.noise, at.prepared), t)
-        for t in best
-        if t.finite
-    ]
-    worth, chosen = max(worths, key=lambda x: x[0], default=(0.0, None))
-    return chosen if worth > np.log(DECISIVE_ODDS) else None
+    chosen = max(best, key=lambda t: _worth_beside(t, at), default=None)
+    if chosen is None or not _worth_beside(chosen, at) > np.log(DECISIVE_ODDS):
+        return None
+    return chosen
 
 
 def tune_noise(prepared: Prepared, noise: NoiseModel) -> Maximum:
