@@ -42,6 +42,7 @@ VERBS = {
     "new": "write a working skeleton of a plugin and its test: new KIND NAME",
 }
 
+_LISTED = 3  # plugin files named before a command, the rest as a number
 _PLAIN = ("app", "report", "export", "plugins", "check", "new")  # verbs without a configuration
 
 _EPILOG = """\
@@ -231,9 +232,14 @@ def _announce_local_plugins(options: argparse.Namespace) -> None:
     if options.verb == "report":  # loads no plugins
         return
     with contextlib.suppress(ConfigError):
-        files = ", ".join(map(str, local_sources(options.plugins)))
+        files = local_sources(options.plugins)
         if files:
-            print(f"spiral: runs local plugins: {files} (--no-plugins: without)", file=sys.stderr)
+            listed = ", ".join(map(str, files[:_LISTED]))
+            more = f" and {len(files) - _LISTED} more" if len(files) > _LISTED else ""
+            print(
+                f"spiral: runs local plugins: {listed}{more} (--no-plugins: without)",
+                file=sys.stderr,
+            )
 
 
 def _json_target(given: list[str]) -> str | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from spiral.engine.kernel import trajectories
 from spiral.engine.series import half_step_inputs
+from spiral.engine.start import fill_like_states
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError
@@ -37,7 +38,8 @@ def simulate(
         speed.
     noise_level : white Gaussian noise as a share of each channel's standard deviation; the record
         declares it.
-    start : initial states by name; zero where not named.
+    start : initial states by name; zero where not named, but an effect's own state that follows a
+        sensor or an input (``like``) begins at what is there.
     substeps : integration steps per sample.
 
     Raises
@@ -76,12 +78,17 @@ def integrate(
                 f"initial state {key!r}", f"one of {', '.join(compiled.traced.states)}"
             )
         x[compiled.traced.states.index(key)] = value
+    stepped = half_step_inputs(model.system, frame, substeps)
+    own = [n for n in compiled.traced.states if n not in {s.name for s in model.system.states}]
+    begun = x.copy()
+    fill_like_states(compiled.traced, begun, stepped[0])
+    for i in (compiled.traced.states.index(n) for n in own if n not in (start or {})):
+        x[i] = begun[i]
     states = np.empty((len(time), len(x)))
     readings = np.empty((len(time), len(model.system.observed)))
     ok = trajectories(
         compiled.rate_value, compiled.output_value, x[None, :], np.zeros(1, dtype=np.int64),
-        np.array([len(time)]), values[None, :], half_step_inputs(model.system, frame, substeps),
-        substeps, frame.dt, states, readings,
+        np.array([len(time)]), values[None, :], stepped, substeps, frame.dt, states, readings,
     )  # fmt: skip
     if not ok:
         raise ConfigError(

@@ -9,6 +9,7 @@ columns, exported code) is made from a ``TracedModel``.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -162,6 +163,7 @@ def trace(
     seen = [_shift_phase(system.seen(u, p), shift) for shift in shifts]
     injected = _sum_injections(system, placed, seen, x)
     rates = call_equation(system, "rate", system.rate, x, u, p, injected)
+    _require_rates(system, rates)
     shown, told = own_readings(system, x, rates, u, p)
     placed = [_with_sensor_motion(item, shown, rates, states) for item in placed]
     for item, view in zip(placed, seen, strict=True):
@@ -185,6 +187,16 @@ def trace(
         rates=_rate_names(system),
         told=told,
     )
+
+
+def _require_rates(system: System, rates: Mapping[str, Any]) -> None:
+    lost = [s.name for s in system.states if s.name not in rates]
+    if lost:
+        raise PluginError(
+            f"rate of system {system.plugin_name()!r} without {', '.join(map(repr, lost))}",
+            f"a rate for each state: {', '.join(s.name for s in system.states)}",
+            "add it to what rate returns",
+        )
 
 
 def _rate_names(system: System) -> tuple[tuple[str, str], ...]:

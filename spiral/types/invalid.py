@@ -46,13 +46,23 @@ class InvalidReadings:
         """In words: how many readings of a channel are invalid, and why."""
         count, share = int(self.where.sum()), float(self.where.mean())
         many = f"{count} reading{'s' if count > 1 else ''} ({100 * share:.2g} %)"
-        what = {
-            "missing": "are missing",
-            "spike": "stand out from their neighbours like spikes (outliers)",
-            "held": "repeat the one before exactly, as in a dropout",
-            "clipped": "rest at an extreme: the sensor clips (saturates)",
+        one, several = {
+            "missing": ("is missing", "are missing"),
+            "spike": (
+                "stands out from its neighbours like a spike (an outlier)",
+                "stand out from their neighbours like spikes (outliers)",
+            ),
+            "held": (
+                "repeats the one before exactly, as in a dropout",
+                "repeat the one before exactly, as in a dropout",
+            ),
+            "clipped": (
+                "rests at an extreme: the sensor clips (saturates)",
+                "rest at an extreme: the sensor clips (saturates)",
+            ),
         }[self.kind]
-        return f"sensor {channel}: {many} {what}; they are left out"
+        left = "it is" if count == 1 else "they are"
+        return f"sensor {channel}: {many} {one if count == 1 else several}; {left} left out"
 
     def part(self, cut: slice) -> InvalidReadings:
         """The same for a slice of the samples."""

@@ -123,7 +123,7 @@ def conversion(given: str, wanted: str, what: str) -> tuple[float, float]:
         raise InputError(
             f"unit {given!r} of {what}",
             f"a unit of {wanted!r}",
-            "write it as in 'um', 'mm/s', 'm/s^2', 'rpm', 'Hz', 'V'",
+            "write it as in 'um', 'mm/s', 'm/s^2', 'deg', 'rpm', 'Hz', 'degC', 'l/min', 'V'",
         ) from error
     except (pint.DimensionalityError, pint.OffsetUnitCalculusError) as error:
         raise InputError(
@@ -201,6 +201,32 @@ def check_system_units(system: MechanicalSystem) -> None:
         ]
         for what, value in own:
             _check_dimension(f"{what} of system {name!r}", value, entry.unit)
+
+
+def check_rate_units(system: System) -> None:
+    """Evaluate the rates of a system of first order on quantities with units.
+
+    Raises
+    ------
+    PluginError : a rate in another unit than its state's per second, what is injected included.
+    """
+    import pint
+
+    name, x, p = system.plugin_name(), _quantities(system.states), _quantities(system.parameters)
+    injected = vars(_quantities(system.injections))
+    try:
+        rates = system.rate(x, system.seen(_input_quantities(system), p), p, injected)
+    except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
+        raise PluginError(f"system {name!r}: {error}", "an equation whose units fit") from error
+    except ValueError as error:  # what pint raises where a number is compared with a quantity
+        raise PluginError(
+            f"system {name!r}: {error}",
+            "quantities compared with quantities of their unit, or with 0",
+            "a parameter with a unit in place of the number",
+        ) from error
+    for state in system.states:
+        what = f"rate of {state.name!r} of system {name!r}"
+        _check_dimension(what, rates[state.name], per_second(state.unit))
 
 
 def check_reading_units(system: System) -> None:

@@ -11,8 +11,10 @@ from spiral.io.testing import check_effect, check_plugin, check_source, check_sy
 from spiral.math import sqrt
 from spiral.types.effect import ForceEffect
 from spiral.types.parameter import Parameter, State
+from spiral.types.port import Port
 from spiral.types.record import Record, make_record
 from spiral.types.source import Source
+from spiral.types.system import System
 from tests.scenes import registry
 
 REGISTRY = registry()
@@ -225,6 +227,49 @@ class ForceOfWrongUnit(Oscillator):
         return [u.force * q.x]
 
 
+class Tank(System):
+    """level' = inflow - k level, what effects add beside it."""
+
+    states = (State("level", "m"),)
+    observed = ("level",)
+    inputs = ()
+    seed = ()
+    injections = (State("level", "m/s"),)
+    parameters = (Parameter("k", "1/s", lower=0.0, start=0.1),)
+    ports = (Port("tank", ("level",), lambda x, p: [x.level], "m", "m/s"),)
+
+    def rate(self, x, u, p, injected):
+        return {"level": injected["level"] - p.k * x.level}
+
+
+class FlowOfWrongUnit(Tank):
+    """level' = -k level; the flow in m."""
+
+    injections = (State("level", "m"),)
+
+
+class DeafToInjections(Tank):
+    """level' = -k level and nothing else."""
+
+    def rate(self, x, u, p, injected):
+        return {"level": -p.k * x.level}
+
+
+class RateForgotten(Tank):
+    """level' = -k level, the settled mud forgotten."""
+
+    states = (State("level", "m"), State("mud", "m"))
+
+
+class RootOfAnything(Tank):
+    """level' = -k sqrt(level), of levels below zero too."""
+
+    parameters = (Parameter("k", "m^0.5/s", lower=0.0, start=0.1),)
+
+    def rate(self, x, u, p, injected):
+        return {"level": injected["level"] - p.k * sqrt(x.level)}
+
+
 class Exploding(Oscillator):
     """m x'' = force + 1e6 x."""
 
@@ -241,12 +286,20 @@ class Exploding(Oscillator):
         (WrongMass, "mass"),
         (UnknownChannel, "names"),
         (SeedOfWrongUnit, "units of the seed"),
-        (ForceOfWrongUnit, "units of mass and force"),
+        (ForceOfWrongUnit, "units of the equations"),
         (Exploding, "simulates"),
+        (FlowOfWrongUnit, "units of the equations"),
+        (DeafToInjections, "injections"),
+        (RateForgotten, "traces"),
     ],
 )
 def test_a_broken_system_fails_the_check_that_is_about_it(system, name):
     assert [c.name for c in failed(check_system(system()))] == [name]
+
+
+def test_a_root_that_may_be_of_something_negative_is_named_by_its_rate():
+    (first, *_) = failed(check_system(RootOfAnything()))
+    assert "rate of 'level' or a slope of it is not a number" in first.seen
 
 
 class Crashing(Source):

@@ -19,7 +19,7 @@ from spiral.types.effect import Effect, InputEffect, SensorEffect
 from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.label import parameter_of
 from spiral.types.parameter import Parameter
-from spiral.types.placement import model_keys
+from spiral.types.placement import input_columns, model_keys
 from spiral.types.plugin import Plugin
 from spiral.types.record import Array
 from spiral.types.system import System, has_coordinates
@@ -187,6 +187,7 @@ def check_jacobians(physics: Physics) -> str:
 def _worst_jacobian_error(physics: Physics, x: Array, u: Array, p: Array) -> float:
     names = (*physics.compiled.traced.states, *physics.compiled.traced.keys)
     value, *slopes = physics.evaluate(x, u, p)
+    _require_finite_rows(physics, value, np.hstack(slopes))
     size = np.full(len(value), np.abs(value[: len(x)]).max())  # of rates, then of readings
     size[len(x) :] = np.abs(value[len(x) :]).max()
     point = np.concatenate([x, p])
@@ -205,6 +206,20 @@ def _worst_jacobian_error(physics: Physics, x: Array, u: Array, p: Array) -> flo
             )
         worst = max(worst, float(np.max(error)))
     return worst
+
+
+def _require_finite_rows(physics: Physics, value: Array, slopes: Array) -> None:
+    """An error that names the first rate or reading which is no number at some states."""
+    rows = ~(np.isfinite(value) & np.isfinite(slopes).all(axis=1))
+    if rows.any():
+        traced = physics.compiled.traced
+        names = [*(f"rate of {n!r}" for n in traced.states),
+                 *(f"reading {n!r}" for n in traced.channels)]  # fmt: skip
+        raise PluginError(
+            f"the {names[int(np.argmax(rows))]} or a slope of it is not a number at some states",
+            "finite numbers at all states, negative ones and zero included",
+            "guard roots, logarithms and quotients: functions of spiral.math, where(x > 0, ..., 0)",
+        )
 
 
 def check_finite_values(physics: Physics) -> str:
@@ -281,13 +296,14 @@ def check_names(system: System) -> str:
     _check_unique("channel", list(system.observed))
     _check_unique("port", [port.name for port in system.ports])
     _check_unique("effect of the seed", [e.label for e in system.seed])
-    for what, listed in (
-        ("states", states),
-        ("channels", system.observed),
-        ("ports", system.ports),
-    ):
+    for what, listed, hint in (
+        ("states", states, "states = (State('x', 'm'), ...)"),
+        ("channels", system.observed, "observed = ('x',): the states that sensors report"),
+        ("ports", system.ports, "ports = (Port('mass', ('x',), lambda q, p: [q.x], 'm', 'N'),): "
+         "where effects may act"),
+    ):  # fmt: skip
         if not listed:
-            raise PluginError(f"no {what}", "at least one")
+            raise PluginError(f"no {what}", "at least one", hint)
     for port in system.ports:
         _check_unique(f"axis of port {port.name!r}", list(port.axes))
     _check_known("observed", system.observed, [*states, *readings])
@@ -316,6 +332,28 @@ def check_declared_units(system: System) -> str:
     return _parse_units(
         {i.name: i.unit for i in (*system.states, *system.inputs, *system.parameters)}
     )
+
+
+def check_injections(system: System) -> str:
+    """What effects add to the system reaches its rates: every injection changes one."""
+    import sympy as sp
+
+    from spiral.physics.plugin_calls import call_equation
+
+    x = SimpleNamespace(**{s.name: sp.Symbol(f"x_{s.name}", real=True) for s in system.states})
+    u = SimpleNamespace(**{n: sp.Symbol(f"u_{n}", real=True) for n in input_columns(system)})
+    p = SimpleNamespace(**{q.name: sp.Symbol(f"p_{q.name}", real=True) for q in system.parameters})
+    added = {i.name: sp.Symbol(f"added_{i.name}", real=True) for i in system.injections}
+    rates = call_equation(system, "rate", system.rate, x, system.seen(u, p), p, added)
+    acting = set().union(*(sp.sympify(r).free_symbols for r in rates.values()))
+    idle = [name for name, symbol in added.items() if symbol not in acting]
+    if idle:
+        raise PluginError(
+            f"no rate depends on injected[{idle[0]!r}]: effects there would do nothing",
+            "every injection in the rates",
+            f"add injected[{idle[0]!r}] to the rate that it changes",
+        )
+    return ", ".join(added) or "none"
 
 
 def check_mass_matrix(system: System) -> str:
@@ -352,11 +390,13 @@ def check_mass_matrix(system: System) -> str:
 
 def check_mechanical_units(system: System) -> str:
     """M q'' and the system's own force have the units of the injections; readings have theirs."""
-    from spiral.types.units import check_reading_units, check_system_units
+    from spiral.types.rates import per_second
+    from spiral.types.units import check_rate_units, check_reading_units, check_system_units
 
     check_reading_units(system)
     if not has_coordinates(system):
-        return "no coordinates: not a mechanical system"
+        check_rate_units(system)
+        return ", ".join(per_second(s.unit) or "1/s" for s in system.states)
     if not system.balanced:
         return "inside the program"
     check_system_units(system)
@@ -385,6 +425,7 @@ def stable_time_step(system: System, model: Model) -> float:
     physics = Physics(system, model.effects)
     traced = physics.compiled.traced
     p = np.array([float(model.values.get(k, q.start or 0.0)) for k, q in model.pairs])
-    slopes = physics.evaluate(np.zeros(len(traced.x)), np.zeros(len(traced.u)), p)[1]
+    value, slopes, by_p = physics.evaluate(np.zeros(len(traced.x)), np.zeros(len(traced.u)), p)
+    _require_finite_rows(physics, value, np.hstack([slopes, by_p]))
     fastest = float(np.abs(np.linalg.eigvals(slopes[: len(traced.x)])).max())
     return min(1e-3, 0.1 / fastest) if fastest > 0 else 1e-3

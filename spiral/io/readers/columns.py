@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -22,6 +23,14 @@ from spiral.types.source import Source
 from spiral.types.system import System
 
 _TIME_COLUMNS = ("time", "t")
+_UNIT_OF_TIME = {
+    **dict.fromkeys(("us", "microseconds", "micros"), "us"),
+    **dict.fromkeys(("ms", "msec", "milliseconds", "millis"), "ms"),
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), "h"),
+    **dict.fromkeys(("day", "days"), "day"),
+}
+"""Last words of a time column's name that say a unit other than seconds."""
 _NOT_RESAMPLED = {
     "missing": "record.fill_gaps=1 interpolates them before the rate is changed",
     "hold": "after an anti-alias filter no input is held",
@@ -379,17 +388,24 @@ def _is_constant(given: str, table: Table) -> bool:
         return False
 
 
+def _describe_clock(clock: Mapping[str, str], unit: str) -> str:
+    """Where time is from and in what unit; a doubt where the column's name says another one."""
+    said = f"time from {clock['time']!r} in {unit or 's'}"
+    named = _UNIT_OF_TIME.get(re.sub(r".*[\W_]", "", clock["time"].strip().lower()))
+    if unit or named is None:
+        return said
+    return f"{said} (if it counts {named}: record.units='{{time: {named}}}')"
+
+
 def _describe_layout(system: System, layout: ColumnLayout, rate: float | None) -> str:
     """What was taken for what, in words."""
     clock, units = layout.clock, layout.units
-    words = [
-        f"time from {clock['time']!r} in {units.get('time', 's')}" if clock else f"{rate:g} Hz"
-    ]
+    words = [_describe_clock(clock, units.get("time", "")) if clock else f"{rate:g} Hz"]
     for name, column in (*layout.channels.items(), *layout.inputs.items()):
         unit = units.get(name, system.unit_of(name))
         zero = layout.conversion.get(name, (1.0, 0.0))[1]
         own = f" (0 is {zero:g} {system.unit_of(name)})" if zero else ""
-        words.append(f"{name} from {column!r} in {unit}{own}")
+        words.append(f"{name} from {column!r}" + (f" in {unit}" if unit else "") + own)
     for name, value in layout.constant.items():
-        words.append(f"{name} {value:g} {system.unit_of(name)} throughout")
+        words.append(f"{name} {value:g} {system.unit_of(name)}".rstrip() + " throughout")
     return ", ".join(words)
