@@ -22,7 +22,7 @@ from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import Task, build_task
 from spiral.engine.likelihood.fit import Maximum, maximise_likelihood
 from spiral.engine.likelihood.noise import STEEPEST, NoiseModel, NoiseTerm, size_limits
-from spiral.engine.likelihood.predict import Prepared
+from spiral.engine.likelihood.predict import Prepared, log_likelihood, predict_cases
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import liveliest_stretch, tracked_deviations
 from spiral.inference.likelihood.fitting import (
@@ -37,6 +37,7 @@ from spiral.types.invalid import bridged
 from spiral.types.noise import COLOURED, Kind
 
 _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those that keep up
+_TUNE_FIRST = 4  # of the latter before a term may be given up
 _KEEP = 0.7  # share of the best gain at first look that keeps up
 _SHARED = 0.7  # of the size of white noise, that it and a coloured one start with (half of it)
 _ROUNDS = 2
@@ -45,6 +46,7 @@ _STANDS_OUT = 4.0  # times the median power from which a line may be one
 _OWN_LINE = (
     0.25  # share of a reading's power at a line, half of its amplitude, that is missed there
 )
+_GUST_SIZES = (0.001, 0.004, 0.015, 0.05)  # of a gust beside forces that are there already
 _GUST, _GUST_TIMES = 0.05, (0.003, 0.03)  # sizes of a gust to begin with; times, of the record
 _MOST_APART = 6  # states of a group whose forces are told apart: each costs slopes of its own
 _NARROW = 0.1  # damping ratio that a line begins with
@@ -155,9 +157,23 @@ def _separate_forces(at: Maximum) -> Iterator[NoiseModel]:
             yield others.with_terms(each, kept | {t.size: size for t in each})
     for state in (task.states[i] for s in shared.values() for i in s if not noise.has_kind("gust")):
         one = NoiseTerm("gust", state)
-        yield noise.with_terms(
-            (one,), {one.size: _GUST, one.time: _initial_correlation_time(task, _GUST_TIMES[0])}
-        )
+        time = _initial_correlation_time(task, _GUST_TIMES[0])
+        begun = _likeliest_size(at, noise.with_terms((one,), {one.time: time}), one.size)
+        if begun is not None:
+            yield begun
+
+
+def _likeliest_size(at: Maximum, noise: NoiseModel, name: str) -> NoiseModel | None:
+    """The noise with the likeliest of a few sizes of one term; nothing where none is likelier.
+
+    Beside sizes that are at their maximum a further term is of use only where the likelihood rises
+    with it from zero.
+    """
+    trials = [noise.with_values({name: size}) for size in _GUST_SIZES]
+    parts = predict_cases([(at.prepared, trial) for trial in trials])
+    heights = [log_likelihood(p) for p in parts]
+    best = int(np.argmax(heights))
+    return trials[best] if heights[best] > at.log_likelihood else None
 
 
 def _initial_correlation_time(task: Task, share: float) -> float:
@@ -219,16 +235,29 @@ def _worth_beside(trial: Maximum, at: Maximum) -> float:
 
 def _best_noise_model(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | None:
     """The noise model that gains most beyond its penalty on all records, if by the odds."""
-    best = [_raise_low_pass_order(tune_noise(at.prepared, noise)) for noise in noises]
-    chosen = max(best, key=lambda t: _worth_beside(t, at), default=None)
-    if chosen is None or not _worth_beside(chosen, at) > np.log(DECISIVE_ODDS):
-        return None
+    chosen, worth = None, float(np.log(DECISIVE_ODDS))
+    for noise in noises:
+        enough = at.log_likelihood + _noise_penalty(noise, at.noise, at.prepared) + worth
+        steep = noise.has_kind("band") and not at.noise.has_kind("band")  # its order may rise yet
+        trial = tune_noise(at.prepared, noise, -np.inf if steep else enough)
+        trial = _raise_low_pass_order(trial)
+        if _worth_beside(trial, at) > worth:
+            chosen, worth = trial, _worth_beside(trial, at)
     return chosen
 
 
-def tune_noise(prepared: Prepared, noise: NoiseModel) -> Maximum:
-    """A noise model fitted alone, for a few scoring steps on the whole records."""
-    return maximise_likelihood(prepared, (), noise, steps=_TUNE, rough=True)
+def tune_noise(prepared: Prepared, noise: NoiseModel, least: float = -np.inf) -> Maximum:
+    """A noise model fitted alone, for a few scoring steps on the whole records.
+
+    ``least`` is the log-likelihood from which it is of use, asked after the first steps.
+    """
+    begun = maximise_likelihood(prepared, (), noise, steps=_TUNE_FIRST, rough=True)
+    if begun.converged or not begun.finite:
+        return begun
+    steps = _TUNE - _TUNE_FIRST
+    return maximise_likelihood(
+        prepared, (), begun.noise, steps=steps, rough=True, kept=begun.kept, least=least
+    )
 
 
 def _raise_low_pass_order(at: Maximum) -> Maximum:
