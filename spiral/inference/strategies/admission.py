@@ -38,6 +38,7 @@ from spiral.inference.likelihood.fitting import (
     continue_fit,
     fit_by_likelihood,
     innovation_whiteness,
+    is_random_force_small,
     is_white,
     largest_force,
     restart_vanished_noise,
@@ -278,9 +279,10 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
     if not fit.estimate.finite or innovation_whiteness(assembly, fit).p < _LAST:
         return fit
     progress("polishing the fit")
-    return refine_integration_steps(
-        assembly, continue_fit(assembly, drop_needless_forces(assembly, fit))
-    )
+    fit = continue_fit(assembly, drop_needless_forces(assembly, fit))
+    if assembly.problem.candidates and not is_random_force_small(fit):
+        return fit  # a model that lacks much: its values are not worth finer steps yet
+    return refine_integration_steps(assembly, fit)
 
 
 def _unconfirmed_reason(
