@@ -19,6 +19,9 @@ SPEED_RATE_KNOTS = 64  # samples between the knots of the curve that a rate is t
 
 
 _MOST_PIECES = 60
+MOST_SUBSTEPS = 32
+_SEEN_ADVANCE = 0.3  # rad, largest advance per step of a mode that samples can show
+_UNSEEN_ADVANCE = 1.0  # the same of faster ones
 _SMOOTH = 11  # samples of the local cubics that say how large a reading is
 
 
@@ -201,6 +204,17 @@ def correction_splines(record: Record, substeps: int, knot: float) -> Splines:
     matrix = BSpline.design_matrix(time, knots, 3)
     first = matrix.indices[matrix.indptr[:-1]].astype(np.int64)
     return Splines(first, np.ascontiguousarray(matrix.data.reshape(count, 4)), pieces + 3)
+
+
+def steps_per_sample(fastest: float) -> int:
+    """Runge-Kutta steps per sample for modes of |eigenvalue| dt up to ``fastest``.
+
+    A mode that the samples can show (up to pi) advances by 0.3 rad a step at most. A faster one
+    follows the others, or is gone within a sample: it has to be stable (2.8 is the limit of the
+    classical method), not precise.
+    """
+    steps = max(min(fastest, np.pi) / _SEEN_ADVANCE, fastest / _UNSEEN_ADVANCE)
+    return int(np.clip(np.ceil(steps), 1, MOST_SUBSTEPS))
 
 
 def half_step_inputs(system: System, record: Record, substeps: int) -> Array:

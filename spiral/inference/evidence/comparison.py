@@ -9,6 +9,7 @@ import numpy as np
 from spiral.engine.fit import standard_deviations
 from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import residuals
+from spiral.engine.series import steps_per_sample
 from spiral.engine.statistics import whiteness
 from spiral.inference.evidence.assembly import (
     Assembly,
@@ -39,7 +40,6 @@ from spiral.types.record import Record
 from spiral.types.run import Comparison
 
 _SETTLE = 0.1  # share of a test record that settles its nuisances, where no time is given
-_STEP = 0.3  # largest phase advance per integration step, rad
 
 
 def prepare_study(
@@ -60,7 +60,7 @@ def refine_substeps(assembly: Assembly, fit_state: FitState) -> Assembly:
 
 
 def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
-    """Steps per sample that keep |eigenvalue| dt below 0.3 at rest, at the largest inputs."""
+    """Steps per sample for the fastest mode at rest, at the largest inputs."""
     study = assembly.study
     n, count = study.state_count, len(study.keys)
     a, b = np.zeros((n, n)), np.zeros((n, count))
@@ -70,7 +70,7 @@ def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
         study.compiled.rate(np.full(n, 1e-12), size, np.ascontiguousarray(row), np.empty(n), a, b)
         if np.all(np.isfinite(a)):
             fastest = max(fastest, float(np.abs(np.linalg.eigvals(a)).max()) * series.dt)
-    return int(np.clip(np.ceil(fastest / _STEP), 1, 32))
+    return steps_per_sample(fastest)
 
 
 def last_stage(

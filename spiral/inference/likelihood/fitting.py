@@ -20,6 +20,7 @@ from spiral.engine.likelihood.predict import (
     Prepared,
     predict_readings,
 )
+from spiral.engine.series import steps_per_sample
 from spiral.engine.statistics import Whiteness, whiteness
 from spiral.inference.evidence.assembly import Assembly, with_steps
 from spiral.inference.evidence.fit_state import FitState
@@ -34,8 +35,6 @@ LEAST = 1.5  # times its lower limit, up to which the size of a random force cou
 LITTLE = 0.05  # random force up to which it is small, as a share of the model's own
 _FAINT = 0.1  # share of the innovations' rms under which white noise counts as vanished
 WORTH = 1.0  # gain in log-likelihood from which other initial states or starts are taken
-_ADVANCE = 0.3  # rad, largest phase advance of the fastest mode in one integration step
-MOST_SUBSTEPS = 32
 _FURTHEST = 1e9  # times its given value: the bound of every parameter
 
 
@@ -147,7 +146,7 @@ def apply_integration_settings(assembly: Assembly, state: FitState) -> Assembly:
 
 
 def required_substeps(fit: LikelihoodFit) -> int:
-    """Integration steps per sample so that |eigenvalue| dt <= 0.3 all along the motion."""
+    """Integration steps per sample for the fastest mode all along the motion."""
     fastest = 0.0
     for task, settings in fit.estimate.prepared:
         run = predict_readings(task, settings, fit.estimate.noise, keep=True)
@@ -156,7 +155,7 @@ def required_substeps(fit: LikelihoodFit) -> int:
         for k in covering_samples(states):
             matrix = state_jacobian(task.compiled, task.values, inputs[k], states[k])
             fastest = max(fastest, float(np.abs(np.linalg.eigvals(matrix)).max()) * task.series.dt)
-    return int(np.clip(np.ceil(fastest / _ADVANCE), 1, MOST_SUBSTEPS))
+    return steps_per_sample(fastest)
 
 
 def fit_by_likelihood(

@@ -25,13 +25,13 @@ import numpy as np
 from spiral.engine.filter.task import resting_first_state
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import predict_cases
+from spiral.engine.series import MOST_SUBSTEPS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import FitState, all_samples, stage_lengths
 from spiral.inference.likelihood.beginnings import refit_initial_states
 from spiral.inference.likelihood.fitting import (
     LEVEL,
-    MOST_SUBSTEPS,
     WORTH,
     LikelihoodFit,
     fit_by_likelihood,
