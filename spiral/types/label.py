@@ -41,6 +41,13 @@ def owner_of(key: str) -> str:
     return split_key(key)[0]
 
 
+def without_variant(text: str) -> str:
+    """A label or a key as users know it, which has no variant: ``overflow#6.rim`` is overflow.rim."""
+    owner, parameter = split_key(text)
+    plain, _ = split_variant(owner)
+    return f"{plain}.{parameter}" if parameter else plain
+
+
 def parameter_of(key: str) -> str:
     """A parameter's name without its owner."""
     return split_key(key)[1]

@@ -14,11 +14,18 @@ from spiral.types.label import (
     split_key,
     split_port,
     split_variant,
+    without_variant,
 )
 
 
 @pytest.mark.parametrize("port", ["", "bearing_2", "upper-lower"])
 @pytest.mark.parametrize("variant", ["", "3"])
+def test_users_see_no_variant():
+    assert without_variant("overflow#6.rim") == "overflow.rim"
+    assert without_variant("clearance@shaft#3.gap") == "clearance@shaft.gap"
+    assert without_variant("cubic_stiffness@bearing") == "cubic_stiffness@bearing"
+
+
 def test_what_is_put_together_comes_apart(port, variant):
     label = make_label("cubic_stiffness", port, variant)
     plain, tag = split_variant(label)

@@ -25,6 +25,7 @@ from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.score import residual_block_samples
 from spiral.types.formatting import number, percent
+from spiral.types.label import without_variant
 from spiral.types.model import Model
 from spiral.types.record import Array
 
@@ -110,11 +111,11 @@ def _drift_remark(estimate: Maximum) -> tuple[str, ...]:
     alike = [k for k in told if k != best and told[k].gain > told[best].gain - _ALIKE]
     change, ratio = told[best].change, told[best].ratio
     share, error = change / abs(values[best]), change / abs(values[best]) / abs(ratio)
-    beside = f" (or {', '.join(alike)})" if alike else ""
+    beside = f" (or {', '.join(map(without_variant, alike))})" if alike else ""
     much = abs(share) > 1  # a zero that wanders, say: its value is no measure of how far
     size = "more than itself" if much else f"{100 * share:+.2g} +- {100 * abs(error):.1g} %"
     return (
-        f"as if {best}{beside} changed by {size} over the record: with time, "
+        f"as if {without_variant(best)}{beside} changed by {size} over the record: with time, "
         "or with something else that changes, such as temperature, wear, speed or amplitude",
     )
 

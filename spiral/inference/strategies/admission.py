@@ -74,7 +74,7 @@ from spiral.inference.verdict import LIKELIHOOD_RATIO_T
 from spiral.types.effect import Effect
 from spiral.types.formatting import number
 from spiral.types.horizon import changes
-from spiral.types.label import parameter_of, split_key
+from spiral.types.label import parameter_of, split_key, without_variant
 from spiral.types.run import Comparison
 
 _LAST = 1e-6  # whiteness from which a model may be the last
@@ -96,7 +96,10 @@ def settle_fit(
     if fit.estimate.finite:
         details["log_likelihood"] = likelihood = fit.log_likelihood
     if ties := find_parameter_ties(fit):
-        details["untold"] = {"groups": list(ties.groups), "parameters": list(ties.parts)}
+        details["untold"] = {
+            "groups": [tuple(map(without_variant, group)) for group in ties.groups],
+            "parameters": list(map(without_variant, ties.parts)),
+        }
     return RefittedModel(state, comparison, retired, details, likelihood)
 
 
