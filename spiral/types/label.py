@@ -42,7 +42,7 @@ def owner_of(key: str) -> str:
 
 
 def without_variant(text: str) -> str:
-    """A label or a key as users know it, which has no variant: ``overflow#6.rim`` is overflow.rim."""
+    """A label or a key as users know it: ``overflow.rim`` for ``overflow#6.rim``."""
     owner, parameter = split_key(text)
     plain, _ = split_variant(owner)
     return f"{plain}.{parameter}" if parameter else plain
