@@ -9,7 +9,6 @@ columns, exported code) is made from a ``TracedModel``.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -162,8 +161,7 @@ def trace(
     u, placed = _apply_actuators(placed, inputs)
     seen = [_shift_phase(system.seen(u, p), shift) for shift in shifts]
     injected = _sum_injections(system, placed, seen, x)
-    rates = call_equation(system, "rate", system.rate, x, u, p, injected)
-    _require_rates(system, rates)
+    rates = _system_rates(system, x, u, p, injected)
     shown, told = own_readings(system, x, rates, u, p)
     placed = [_with_sensor_motion(item, shown, rates, states) for item in placed]
     for item, view in zip(placed, seen, strict=True):
@@ -189,7 +187,12 @@ def trace(
     )
 
 
-def _require_rates(system: System, rates: Mapping[str, Any]) -> None:
+def _system_rates(
+    system: System, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace,
+    injected: dict[str, Any],
+) -> dict[str, Any]:  # fmt: skip
+    """The rates of the system's states; an error where one is missing."""
+    rates = call_equation(system, "rate", system.rate, x, u, p, injected)
     lost = [s.name for s in system.states if s.name not in rates]
     if lost:
         raise PluginError(
@@ -197,6 +200,7 @@ def _require_rates(system: System, rates: Mapping[str, Any]) -> None:
             f"a rate for each state: {', '.join(s.name for s in system.states)}",
             "add it to what rate returns",
         )
+    return rates
 
 
 def _rate_names(system: System) -> tuple[tuple[str, str], ...]:

@@ -162,7 +162,7 @@ def test_several_plugins_are_checked_at_once(capsys):
         "gravity_torque on pendulum", "gravity_torque on robot",
     }  # fmt: skip
     assert main(["check", "pendulum"]) == 0
-    assert "10 of 10 checks passed" in capsys.readouterr().out
+    assert "11 of 11 checks passed" in capsys.readouterr().out
 
 
 def test_unknown_and_unusable_names_are_told(capsys, place):

@@ -86,15 +86,21 @@ def _noisy_input_remark(estimate: Maximum, random: Iterable[str]) -> tuple[str, 
     return (f"noise in the measured {many} {', '.join(names)} would look like that random force",)
 
 
-def _drift_remark(estimate: Maximum) -> tuple[str, ...]:
-    """A sentence on the parameter that drifts most clearly, and those that look alike."""
+def drifting_parameters(estimate: Maximum) -> dict[str, float]:
+    """Change over the record, as a share of their values, of parameters that clearly drift."""
+    drifts = _clear_drifts(estimate)
+    return {k: d.change / abs(estimate.values[k]) for k, d in drifts.items()}
+
+
+def _clear_drifts(estimate: Maximum) -> dict[str, _Drift]:
+    """Parameters whose drift is told from none, and counts beside their values."""
     parts, keys, values = estimate.parts, estimate.keys, estimate.values
     if not keys:
-        return ()
+        return {}
     x = np.concatenate([p.columns.reshape(-1, len(keys)) for p in parts])
     e = np.concatenate([p.whitened.ravel() for p in parts])
     if not np.all(np.isfinite(x)):
-        return ()
+        return {}
     m = parts[0].misses.shape[1]
     times = [np.repeat(np.linspace(-0.5, 0.5, len(p.misses)), m) for p in parts]
     t, width = np.concatenate(times), residual_block_samples(tuple(p.whitened for p in parts)) * m
@@ -103,8 +109,13 @@ def _drift_remark(estimate: Maximum) -> tuple[str, ...]:
     errors = estimate.errors
     drifts = {k: _estimate_drift(e, slopes[:, j], beyond[:, j], width)
              for j, k in enumerate(keys) if abs(values[k]) > _KNOWN * errors[k]}  # fmt: skip
-    told = {k: d for k, d in drifts.items()
+    return {k: d for k, d in drifts.items()
             if d.ratio**2 > _TOLD and abs(d.change) > _COUNTS * abs(values[k])}  # fmt: skip
+
+
+def _drift_remark(estimate: Maximum) -> tuple[str, ...]:
+    """A sentence on the parameter that drifts most clearly, and those that look alike."""
+    told, values = _clear_drifts(estimate), estimate.values
     if not told:
         return ()
     best = max(told, key=lambda k: told[k].gain)

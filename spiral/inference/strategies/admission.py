@@ -33,6 +33,7 @@ from spiral.inference.likelihood.alias_groups import (
 from spiral.inference.likelihood.beginnings import refit_initial_states
 from spiral.inference.likelihood.candidates import Race, Rival, start_race
 from spiral.inference.likelihood.comparison import compare_by_likelihood
+from spiral.inference.likelihood.departures import drifting_parameters
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     continue_fit,
@@ -74,7 +75,7 @@ from spiral.inference.verdict import LIKELIHOOD_RATIO_T
 from spiral.types.effect import Effect
 from spiral.types.formatting import number
 from spiral.types.horizon import changes
-from spiral.types.label import parameter_of, split_key, without_variant
+from spiral.types.label import owner_of, parameter_of, split_key, without_variant
 from spiral.types.run import Comparison
 
 _LAST = 1e-6  # whiteness from which a model may be the last
@@ -233,6 +234,13 @@ def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
     if _has_vanished(whole, rival.label):
         return Refusal("fitted to all samples its amplitude is not distinguishable from zero")
     model, variant = whole.settled.comparison.model, rival.ranked.variant
+    for key, share in drifting_parameters(whole.fit.estimate).items():
+        if owner_of(without_variant(key)) == rival.label and abs(share) > 1.0:
+            return Refusal(
+                f"its {parameter_of(key)} would change by more than itself over the record: it "
+                "stands for something that changes with time, or with what changes over the record",
+                alone=True,
+            )
     tried = {parameter_of(k): size for k, size in variant.shapes.items()}
     for key, parameter in model.pairs:
         owner, name = split_key(key)
