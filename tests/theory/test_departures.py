@@ -13,7 +13,7 @@ from spiral.engine.filter.task import prepare_task
 from spiral.engine.likelihood.fit import add_standard_errors, maximise_likelihood
 from spiral.engine.likelihood.noise import first_noise
 from spiral.inference.likelihood.departures import _noise_shape_remarks as shapes_told
-from spiral.inference.likelihood.departures import describe_departures
+from spiral.inference.likelihood.departures import describe_departures, drifting_parameters
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
@@ -125,6 +125,7 @@ def test_a_stiffness_that_drifts_is_told_with_its_size():
     assert told.startswith("as if linear_stiffness.stiffness")
     share = float(told.partition("changed by +")[2].split(" ")[0])
     assert share == pytest.approx(4.0, abs=1.0)
+    assert drifting_parameters(found)["linear_stiffness.stiffness"] == pytest.approx(0.04, abs=0.01)
 
 
 def test_an_input_may_be_what_pushes():
