@@ -155,6 +155,7 @@ class Iwan(ForceEffect):
 
     axes = 1
     bare = True
+    special = ("coulomb_friction", "linear_stiffness")
     states = tuple(State(f"slip{i}", "position") for i in range(5))
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0),

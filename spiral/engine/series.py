@@ -20,8 +20,8 @@ SPEED_RATE_KNOTS = 64  # samples between the knots of the curve that a rate is t
 
 _MOST_PIECES = 60
 MOST_SUBSTEPS = 32
-_SEEN_ADVANCE = 0.3  # rad, largest advance per step of a mode that samples can show
-_UNSEEN_ADVANCE = 1.0  # the same of faster ones
+_ADVANCE = 0.3  # rad, largest advance of a mode per integration step
+_GONE_ADVANCE = 1.0  # the same of modes that are gone within a sample
 _SMOOTH = 11  # samples of the local cubics that say how large a reading is
 
 
@@ -206,15 +206,17 @@ def correction_splines(record: Record, substeps: int, knot: float) -> Splines:
     return Splines(first, np.ascontiguousarray(matrix.data.reshape(count, 4)), pieces + 3)
 
 
-def steps_per_sample(fastest: float) -> int:
-    """Runge-Kutta steps per sample for modes of |eigenvalue| dt up to ``fastest``.
+def steps_per_sample(eigenvalues: Array, dt: float) -> int:
+    """Runge-Kutta steps per sample for modes of a model with these eigenvalues, 1/s.
 
-    A mode that the samples can show (up to pi) advances by 0.3 rad a step at most. A faster one
-    follows the others, or is gone within a sample: it has to be stable (2.8 is the limit of the
-    classical method), not precise.
+    A mode advances by 0.3 rad a step at most. One that is gone within a sample (real part below
+    -1 / dt) follows the others: it has to be stable (2.8 is the limit of the classical method), not
+    precise, once it is beyond what the samples can show (pi).
     """
-    steps = max(min(fastest, np.pi) / _SEEN_ADVANCE, fastest / _UNSEEN_ADVANCE)
-    return int(np.clip(np.ceil(steps), 1, MOST_SUBSTEPS))
+    advance = np.abs(eigenvalues) * dt
+    gone = (np.real(eigenvalues) * dt < -1.0) & (advance > np.pi)
+    seen = np.where(gone, np.maximum(np.pi / _ADVANCE, advance / _GONE_ADVANCE), advance / _ADVANCE)
+    return int(np.clip(np.ceil(np.max(seen, initial=0.0)), 1, MOST_SUBSTEPS))
 
 
 def half_step_inputs(system: System, record: Record, substeps: int) -> Array:

@@ -7,7 +7,7 @@ answer is biased by noise; it only has to lie in the basin of the short-window f
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,10 +67,15 @@ def _integrate_rate(rate: Array, series: Series) -> Array:
     return integral - np.polynomial.Polynomial.fit(time, integral, 3)(time)
 
 
-def fill_like_states(traced: TracedModel, states: Array, inputs: Array) -> None:
-    """Copy into states (..., n) the measured state or input (..., columns) each is ``like``."""
+def fill_like_states(
+    traced: TracedModel, states: Array, inputs: Array, known: Collection[str] = ()
+) -> None:
+    """Copy into states (..., n), the ``known`` apart, the state or input that each is ``like``."""
     for name, shown in traced.like:
-        if shown not in (*traced.inputs, *traced.states):  # a reading that is no state
+        if name in known or shown not in (
+            *traced.inputs,
+            *traced.states,
+        ):  # a reading that is no state
             continue
         given, names = (
             (inputs, traced.inputs) if shown in traced.inputs else (states, traced.states)

@@ -79,11 +79,8 @@ def integrate(
             )
         x[compiled.traced.states.index(key)] = value
     stepped = half_step_inputs(model.system, frame, substeps)
-    own = [n for n in compiled.traced.states if n not in {s.name for s in model.system.states}]
-    begun = x.copy()
-    fill_like_states(compiled.traced, begun, stepped[0])
-    for i in (compiled.traced.states.index(n) for n in own if n not in (start or {})):
-        x[i] = begun[i]
+    known = {s.name for s in model.system.states} | set(start or {})
+    fill_like_states(compiled.traced, x, stepped[0], known)
     states = np.empty((len(time), len(x)))
     readings = np.empty((len(time), len(model.system.observed)))
     ok = trajectories(

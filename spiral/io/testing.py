@@ -115,7 +115,7 @@ def check_system(system: System) -> list[Check]:
                 lambda: physics.check_mass_matrix(system),
                 "one row and column for each coordinate, symmetric",
             ),
-            ("units of the equations", lambda: physics.check_mechanical_units(system), _UNITS),
+            ("units of the equations", lambda: physics.check_system_equations(system), _UNITS),
             ("injections", lambda: physics.check_injections(system), ""),
             ("jacobians", lambda: physics.check_jacobians(whole), _SMOOTH),
             ("finite at rest", lambda: physics.check_finite_values(whole), _REST),

@@ -32,6 +32,7 @@ _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
 _PAIRS = np.array([(i, i + d) for d in (1, 2, 3) for i in range(-3, 4 - d)])  # of close spikes
 _WEIGHTS = np.array([6, -4, 1, 0]) / 6  # of a reading in the r of those so many away
 _CHANCE = 0.01  # probability below which spikes near jumps of an input are its doing
+_EXTRAPOLATED = 6.0  # deviation of a cubic's extrapolation over that of r, of white noise
 _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are noise
 
 
@@ -95,8 +96,7 @@ def spoilt_readings(
     gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in spoilt)])
     spikes = _spike_mask(bridged(values, gone)) if smooth else np.zeros(len(values), dtype=bool)
     jumps = [np.convolve(_jump_mask(given), np.ones(5), "same") > 0 for given in inputs]
-    near = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *jumps])
-    if _answer_jumps(spikes, near):
+    for near in [near for near in jumps if _answer_jumps(spikes, near)]:
         spikes &= ~near
     if 0 < spikes.sum() <= _MOST * len(values):
         spoilt.append(InvalidReadings("spike", spikes))
@@ -179,6 +179,26 @@ def _spike_mask(values: Array) -> Array:
         pair, amounts = next((t for t in trials if t[1] is not None), (np.zeros(0, int), 0.0))
         y[pair] -= amounts
         spikes[pair] = True
+    return spikes | _edge_spike_mask(y, scale)
+
+
+def _edge_spike_mask(values: Array, scale: float) -> Array:
+    """Single readings among the four at either end that are far off the cubic through those inside.
+
+    There no two neighbours on each side say what a reading should be. To do without one of them by
+    mistake is harmless; where most of them are off, the signal moves so.
+    """
+    spikes = np.zeros(len(values), dtype=bool)
+    if not scale > 1e-9 * float(np.ptp(values)):  # without noise a step at an end is no less sharp
+        return spikes
+    y = values.copy()
+    for z, mask in ((y, spikes), (y[::-1], spikes[::-1])):
+        for k in range(len(z) - 4, len(z)):
+            expected = 4 * z[k - 1] - 6 * z[k - 2] + 4 * z[k - 3] - z[k - 4]
+            if abs(z[k] - expected) > _OUT * _EXTRAPOLATED * scale:
+                z[k], mask[k] = expected, True
+        if mask[-4:].sum() > 1:
+            mask[-4:] = False
     return spikes
 
 

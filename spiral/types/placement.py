@@ -100,7 +100,7 @@ def _check_sensors(system: System, effect: Effect) -> None:
         raise ConfigError(
             f"effect {effect.label!r} with system {system.plugin_name()!r}",
             f"a system with a port of {axes} axes, of which the sensors report the motion",
-            "an effect that acts on each sensor by itself: offset, gain, delay, sensor_lag",
+            "declare it, ports={disk: [x, y]}, or use effects on single sensors: offset, gain",
         )
     if effect.port and len(system.sensed) == 1:
         raise ConfigError(

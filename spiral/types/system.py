@@ -113,6 +113,11 @@ class System(Plugin):
         return _coordinate_pair_ports(self) if has_coordinates(self) else ()
 
     @property
+    def balanced(self) -> bool:
+        """Whether its equations are expressions; else a program gives the rates, ``rate`` alone."""
+        return True
+
+    @property
     def sensed(self) -> tuple[Port, ...]:
         """Ports for effects on sensors: the channels, those of one unit together, one axis each.
 
@@ -247,11 +252,6 @@ class MechanicalSystem(System):
         self, q: SimpleNamespace, v: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace
     ) -> list[Any]:
         """Generalised forces of the system itself, nq values."""
-
-    @property
-    def balanced(self) -> bool:
-        """Whether mass and force are expressions; else only ``rate`` gives the accelerations."""
-        return True
 
     @property
     def others(self) -> tuple[State, ...]:

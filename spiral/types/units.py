@@ -215,9 +215,15 @@ def check_rate_units(system: System) -> None:
     name, x, p = system.plugin_name(), _quantities(system.states), _quantities(system.parameters)
     injected = vars(_quantities(system.injections))
     try:
-        rates = system.rate(x, system.seen(_input_quantities(system), p), p, injected)
-    except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
-        raise PluginError(f"system {name!r}: {error}", "an equation whose units fit") from error
+        rates = system.rate(x, _input_quantities(system), p, injected)
+    except pint.errors.OffsetUnitCalculusError as error:
+        raise PluginError(
+            f"system {name!r}: a product with a temperature in degrees",
+            "temperatures in K, or differences of two",
+            "T - T_room in place of T, or states in K",
+        ) from error
+    except pint.DimensionalityError as error:
+        raise PluginError(f"system {name!r}: {error}", "rates whose units fit") from error
     except ValueError as error:  # what pint raises where a number is compared with a quantity
         raise PluginError(
             f"system {name!r}: {error}",

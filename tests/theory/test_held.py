@@ -82,7 +82,7 @@ def test_parameters_without_given_values_are_held_at_fitted_ones(tmp_path):
     null = _study(tmp_path, system, 0.0)
     assert null.verdict == "nothing_missing"
     ((held, value),) = null.rounds[0].details["tied"]["fitted"].items()
-    assert f"of many values that do as well {held} = " in null.summary
+    assert f"{held} was not given: {held} = " in null.summary
     assert value == null.model.estimates()["system"][held.removeprefix("system.")].estimate
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from spiral.types.effect import ForceEffect
 from spiral.types.port import At
-from tests.scenes import effect
+from tests.scenes import effect, registry
 
 W = 2 * np.pi  # of the motion q = sin(W t)
 
@@ -28,6 +29,10 @@ LIMITS = {  # effect, special case: shapes and amplitudes near the limit, the sp
         {"stiffness": 2e5, "length": 1e-5}, {"level": 2.0, "width": 1e-3},
     ),
     ("jenkins", "linear_stiffness"): ({"stiffness": 3.0, "length": 10.0}, {"stiffness": 3.0}),
+    ("iwan", "coulomb_friction"): (
+        {"stiffness": 2e5, "length": 1e-5}, {"level": 2.0, "width": 1e-3},
+    ),
+    ("iwan", "linear_stiffness"): ({"stiffness": 3.0, "length": 10.0}, {"stiffness": 3.0}),
     ("lugre", "bouc_wen"): (
         {"stiffness": 1e3, "damping": 0.0, "length": 0.1, "rise": 0.0, "speed": 1.0},
         {"stiffness": 1e3, "length": 0.1, "asymmetry": 0.0, "exponent": 1.0},
@@ -57,8 +62,9 @@ def test_an_effect_becomes_its_special_case(name, special):
 
 
 def test_every_special_case_of_a_force_is_among_them():
-    names = {name for name, _ in LIMITS}
-    told = {(n, s) for n in names | {"stribeck_friction"} for s in effect(n).special}
+    shipped = [e.plugin for e in registry().entries if e.kind == "effect"]
+    forces = [p for p in shipped if issubclass(p, ForceEffect)]
+    told = {(p.plugin_name(), s) for p in forces for s in p.special}
     # the drop of friction as motion sets in is dry friction where its speed is large
     assert told - set(LIMITS) == {("stribeck_friction", "coulomb_friction")}
 

@@ -112,6 +112,17 @@ def test_a_reading_that_an_input_moves_is_no_spike():
     assert "spike" not in kinds(values, [blow])
 
 
+@pytest.mark.parametrize("at", [0, 1, 3, N - 4, N - 2, N - 1])
+def test_a_spike_at_an_end_is_found_and_a_move_there_is_none(at):
+    spoilt = noisy(5)
+    spoilt[at] += 5 * MOTION.std()
+    assert np.flatnonzero(kinds(spoilt)["spike"]).tolist() == [at]
+    moved = noisy(5)
+    moved[-3:] += 5 * MOTION.std()
+    moved[:3] -= 5 * MOTION.std()
+    assert "spike" not in kinds(moved)
+
+
 def test_spikes_that_stand_near_moves_of_an_input_by_chance_are_found():
     """An input that is at work for a third of the record excuses no spike; one that kicks does."""
     values, at = noisy(3), np.arange(150, N, 401)
@@ -122,6 +133,7 @@ def test_spikes_that_stand_near_moves_of_an_input_by_chance_are_found():
     kicks = np.zeros(N)
     kicks[at] = 1.0
     assert "spike" not in kinds(values, [kicks])
+    assert "spike" not in kinds(values, [worked, kicks])
 
 
 def test_gone_readings_are_bridged_by_straight_lines():

@@ -64,13 +64,13 @@ def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
     study = assembly.study
     n, count = study.state_count, len(study.keys)
     a, b = np.zeros((n, n)), np.zeros((n, count))
-    fastest = 0.0
+    steps = 1
     for series in study.series:
         size = np.abs(series.inputs).max(axis=0) if series.inputs.size else np.zeros(0)
         study.compiled.rate(np.full(n, 1e-12), size, np.ascontiguousarray(row), np.empty(n), a, b)
         if np.all(np.isfinite(a)):
-            fastest = max(fastest, float(np.abs(np.linalg.eigvals(a)).max()) * series.dt)
-    return steps_per_sample(fastest)
+            steps = max(steps, steps_per_sample(np.linalg.eigvals(a), series.dt))
+    return steps
 
 
 def last_stage(

@@ -36,13 +36,17 @@ def describe_held_parameters(details: Mapping[str, Any]) -> str:
         keep = (
             "keeps the value that it was" if len(given) == 1 else "keep the values that they were"
         )
-        said.append(f"{', '.join(given)} {keep} given")
+        other = "it" if len(given) == 1 else "them"
+        said.append(f"{', '.join(given)} {keep} given; the other values are relative to {other}.")
     if fitted:
-        chosen = ", ".join(f"{name} = {number(value)}" for name, value in fitted.items())
-        said.append(f"of many values that do as well {chosen} was taken")
-    return (
-        f"The record cannot tell some of the model's own parameters apart ({groups}): "
-        f"{'; '.join(said)}; the other values are relative to it."
+        chosen = " and ".join(f"{name} = {number(value)}" for name, value in fitted.items())
+        was, is_one = ("was", "is one") if len(fitted) == 1 else ("were", "are some")
+        said.append(
+            f"{', '.join(fitted)} {was} not given: {chosen} {is_one} of many values that fit as "
+            "well. Give what is known (values=), and the others follow."
+        )
+    return " ".join(
+        [f"The record cannot tell some of the model's own parameters apart ({groups}).", *said]
     )
 
 

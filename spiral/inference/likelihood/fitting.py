@@ -147,15 +147,15 @@ def apply_integration_settings(assembly: Assembly, state: FitState) -> Assembly:
 
 def required_substeps(fit: LikelihoodFit) -> int:
     """Integration steps per sample for the fastest mode all along the motion."""
-    fastest = 0.0
+    steps = 1
     for task, settings in fit.estimate.prepared:
         run = predict_readings(task, settings, fit.estimate.noise, keep=True)
         states = run.means[: run.done, : len(task.states)]
         inputs = task.inputs[:: 2 * task.series.substeps]
         for k in covering_samples(states):
             matrix = state_jacobian(task.compiled, task.values, inputs[k], states[k])
-            fastest = max(fastest, float(np.abs(np.linalg.eigvals(matrix)).max()) * task.series.dt)
-    return steps_per_sample(fastest)
+            steps = max(steps, steps_per_sample(np.linalg.eigvals(matrix), task.series.dt))
+    return steps
 
 
 def fit_by_likelihood(

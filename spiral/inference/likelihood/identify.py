@@ -28,11 +28,13 @@ class InseparableGroups:
 
     ``parts`` are parameters, those with the largest part in the flat combinations first. Holding
     one of them removes one combination; ties are then sought again in a new fit, as those of a fit
-    that has gone astray mean nothing, and it may recover with one parameter less.
+    that has gone astray mean nothing, and it may recover with one parameter less. ``error`` is the
+    largest relative standard error of a combination.
     """
 
     groups: tuple[tuple[str, ...], ...] = ()
     parts: tuple[str, ...] = ()
+    error: float = 0.0
 
     def __bool__(self) -> bool:
         return bool(self.groups)
@@ -54,19 +56,20 @@ def find_parameter_ties(fit: LikelihoodFit) -> InseparableGroups:
     seen = np.sqrt(np.maximum(np.diag(gram), 0.0))[told] * sizes[told] > 1.0
     keys = [k for k, t in zip(estimate.keys, told, strict=True) if t]
     groups: list[set[str]] = []
-    flat = []
+    flat, error = [], 0.0
     for vector in _flat_directions(gram, estimate.covariance, sizes, told):
         change = np.abs(vector)
         part = change > _PART * min(change.max(), _WHOLE)
         owners = {owner_of(k) for k, p in zip(keys, part, strict=True) if p}
         if np.sum(part) > 1 and np.all(seen[part]):
             groups.append(owners if len(owners) > 1 else set(np.array(keys)[part].tolist()))
+            error = max(error, float(np.linalg.norm(vector)))
             flat.append(np.where(part, vector, 0.0) / np.linalg.norm(vector[part]))
     if not flat:
         return InseparableGroups()
     parts = np.sum(np.square(flat), axis=0)
     order = [i for i in np.argsort(-parts, kind="stable") if parts[i] > 0.0]
-    return InseparableGroups(merge_overlapping_groups(groups), tuple(keys[i] for i in order))
+    return InseparableGroups(merge_overlapping_groups(groups), tuple(keys[i] for i in order), error)
 
 
 def _flat_directions(gram: Array, covariance: Array, sizes: Array, told: Array) -> list[Array]:

@@ -46,7 +46,7 @@ _STANDS_OUT = 4.0  # times the median power from which a line may be one
 _OWN_LINE = (
     0.25  # share of a reading's power at a line, half of its amplitude, that is missed there
 )
-_GUST_SIZES = (0.001, 0.004, 0.015, 0.05)  # of a gust beside forces that are there already
+_GUST_SIZES = (1e-4, 1e-3, 4e-3, 0.015, 0.05)  # of a gust beside forces that are there already
 _GUST, _GUST_TIMES = 0.05, (0.003, 0.03)  # sizes of a gust to begin with; times, of the record
 _MOST_APART = 6  # states of a group whose forces are told apart: each costs slopes of its own
 _NARROW = 0.1  # damping ratio that a line begins with

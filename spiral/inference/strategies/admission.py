@@ -39,7 +39,6 @@ from spiral.inference.likelihood.fitting import (
     continue_fit,
     fit_by_likelihood,
     innovation_whiteness,
-    is_random_force_small,
     is_white,
     largest_force,
     restart_vanished_noise,
@@ -281,7 +280,8 @@ def _drop_unused_variants(own: Assembly, state: FitState) -> tuple[Assembly, Fit
 def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> LikelihoodFit:
     """The fit with the noise model that its records prefer.
 
-    It is taken to its very maximum where its misses are white: then the model may be the last.
+    It is taken to its very maximum where its misses are white: then the model may be the last. Its
+    integration steps are refined there, but where a force above ``settings.random_limit`` acts.
     """
     fit = select_noise_model(assembly, fit, progress)
     fit = restart_from_given_values(assembly, fit, progress)
@@ -291,8 +291,9 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
         return fit
     progress("polishing the fit")
     fit = continue_fit(assembly, drop_needless_forces(assembly, fit))
-    if assembly.problem.candidates and not is_random_force_small(fit):
-        return fit  # a model that lacks much: its values are not worth finer steps yet
+    limit = assembly.problem.settings.random_limit
+    if assembly.problem.candidates and largest_force(fit.estimate.noise) > limit:
+        return fit  # a model that lacks much is no answer: its values are not worth finer steps
     return refine_integration_steps(assembly, fit)
 
 

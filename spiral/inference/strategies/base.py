@@ -33,7 +33,7 @@ class StartedStudy:
 
     ``groups`` are effects of the seed that the record cannot tell apart. Where that is ``refused``
     the loop ends there, where it is ``doubtful`` (of a fit that explains too little to say) only if
-    no candidate passes; else ``details["tied"]`` says which parameters keep their given values.
+    no candidate passes; else ``details["tied"]`` says which parameters keep given or fitted values.
     """
 
     assembly: Assembly

@@ -31,15 +31,19 @@ from spiral.inference.strategies.base import StartedStudy
 from spiral.inference.strategies.other_noise import fit_with_noise_growth
 from spiral.types.label import owner_of
 
+_FLAT = (
+    10.0  # relative standard error from which a combination counts as flat with any effect added
+)
+
 
 def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
     """The study with its seed fitted, by the noise model that the likelihood selects.
 
-    Parameters that the record cannot tell from others are held at their given values: along a flat
-    combination the likelihood is the same, whatever value one of them has. Parameters of one owner
-    of which none is given are held at fitted values, for no prediction depends on the choice; where
-    whole effects look alike the study ends there, unless much acts at random beside the fit: then
-    candidates are tried first.
+    Parameters that the record cannot tell from others are held at their given values: along a
+    flat combination the likelihood is the same, whatever value one of them has. Parameters of one
+    owner of which none is given are held at fitted values where nothing short of another record
+    would tell them; where whole effects look alike the study ends there, unless much acts at
+    random beside the fit: then candidates are tried first.
     """
     groups: tuple[tuple[str, ...], ...] = ()
     held: tuple[str, ...] = ()
@@ -49,8 +53,8 @@ def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
         ties, model = find_parameter_ties(fit), problem.model
         groups = merge_overlapping_groups([set(g) for g in (*groups, *ties.groups)])
         hold = next((k for k in ties.parts if model.values.get(k)), None)
-        free = ties and is_random_force_small(fit) and not are_effects_tied(ties.groups)
-        if hold is None and free:
+        flat = ties.error > _FLAT and not are_effects_tied(ties.groups)
+        if hold is None and flat and is_random_force_small(fit):
             hold = ties.parts[0]
             fitted[hold] = float(fit.estimate.values[hold])
         if hold is None:  # nothing is tied, or nobody said how large any of it is

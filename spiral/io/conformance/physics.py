@@ -344,7 +344,7 @@ def check_injections(system: System) -> str:
     u = SimpleNamespace(**{n: sp.Symbol(f"u_{n}", real=True) for n in input_columns(system)})
     p = SimpleNamespace(**{q.name: sp.Symbol(f"p_{q.name}", real=True) for q in system.parameters})
     added = {i.name: sp.Symbol(f"added_{i.name}", real=True) for i in system.injections}
-    rates = call_equation(system, "rate", system.rate, x, system.seen(u, p), p, added)
+    rates = call_equation(system, "rate", system.rate, x, u, p, added)
     acting = set().union(*(sp.sympify(r).free_symbols for r in rates.values()))
     idle = [name for name, symbol in added.items() if symbol not in acting]
     if idle:
@@ -388,17 +388,22 @@ def check_mass_matrix(system: System) -> str:
     return f"{len(coordinates)} x {len(coordinates)}, positive"
 
 
-def check_mechanical_units(system: System) -> str:
-    """M q'' and the system's own force have the units of the injections; readings have theirs."""
+def check_system_equations(system: System) -> str:
+    """Units fit in readings, in M q'' and the own force, or in the rates of first order."""
     from spiral.types.rates import per_second
-    from spiral.types.units import check_rate_units, check_reading_units, check_system_units
+    from spiral.types.units import (
+        check_rate_units,
+        check_reading_units,
+        check_system_units,
+        short_form,
+    )
 
     check_reading_units(system)
-    if not has_coordinates(system):
-        check_rate_units(system)
-        return ", ".join(per_second(s.unit) or "1/s" for s in system.states)
     if not system.balanced:
         return "inside the program"
+    if not has_coordinates(system):
+        check_rate_units(system)
+        return ", ".join(short_form(per_second(s.unit)) for s in system.states)
     check_system_units(system)
     return ", ".join(i.unit for i in system.injections)
 

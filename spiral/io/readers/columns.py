@@ -28,7 +28,7 @@ _UNIT_OF_TIME = {
     **dict.fromkeys(("ms", "msec", "milliseconds", "millis"), "ms"),
     **dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), "h"),
-    **dict.fromkeys(("day", "days"), "day"),
+    "days": "day",
 }
 """Last words of a time column's name that say a unit other than seconds."""
 _NOT_RESAMPLED = {
@@ -391,10 +391,11 @@ def _is_constant(given: str, table: Table) -> bool:
 def _describe_clock(clock: Mapping[str, str], unit: str) -> str:
     """Where time is from and in what unit; a doubt where the column's name says another one."""
     said = f"time from {clock['time']!r} in {unit or 's'}"
-    named = _UNIT_OF_TIME.get(re.sub(r".*[\W_]", "", clock["time"].strip().lower()))
+    last = re.sub(r".*([\W_]|[a-z](?=[A-Z]))", "", clock["time"].strip())
+    named = _UNIT_OF_TIME.get(last.lower())
     if unit or named is None:
         return said
-    return f"{said} (if it counts {named}: record.units='{{time: {named}}}')"
+    return f"{said} (if it is in {named}: record.units='{{time: {named}}}')"
 
 
 def _describe_layout(system: System, layout: ColumnLayout, rate: float | None) -> str:
