@@ -70,7 +70,7 @@ def integral(task, noise):
     return each.max() + np.log(area) - np.log(2 * np.pi * task.scales.prod())
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_the_likelihood_is_the_integral_over_first_states(seed):
     """By brute force, from wherever the search begins.
 
