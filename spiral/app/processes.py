@@ -205,7 +205,7 @@ def _make_worker(kind: str, out: Path, tell: Any) -> Any:
 
     load_registry(local=False)  # local plugins are run when an order asks for them
     if kind == "writer":
-        os.nice(3)  # behind the other one, for which the page waits, yet not behind all else
+        os.nice(10)  # the page waits for the other one
         from spiral.app.run_writer import RunWriter
 
         return RunWriter(out, tell)

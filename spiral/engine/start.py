@@ -72,10 +72,8 @@ def fill_like_states(
 ) -> None:
     """Copy into states (..., n), the ``known`` apart, the state or input that each is ``like``."""
     for name, shown in traced.like:
-        if name in known or shown not in (
-            *traced.inputs,
-            *traced.states,
-        ):  # a reading that is no state
+        there = shown in (*traced.inputs, *traced.states)  # no reading that is no state
+        if name in known or not there:
             continue
         given, names = (
             (inputs, traced.inputs) if shown in traced.inputs else (states, traced.states)

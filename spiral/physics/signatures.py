@@ -316,9 +316,8 @@ def _parameter_symbols(traced: TracedModel) -> SimpleNamespace:
     )
 
 
-@kept(32)
-def _injection_gain(system: System) -> Function:
-    """G(x, u, p): slopes of the rates by what is injected."""
+def injection_slopes(system: System) -> sp.Matrix:
+    """Slopes (states, injections) of the rates by what is injected, in the symbols of ``trace``."""
     traced = trace(system, ())
     x = SimpleNamespace(**dict(zip((s.name for s in system.states), traced.x, strict=True)))
     u = SimpleNamespace(**dict(zip(traced.inputs, traced.u, strict=True)))
@@ -326,8 +325,15 @@ def _injection_gain(system: System) -> Function:
     pushes = {i.name: sp.Symbol(f"q{j}", real=True) for j, i in enumerate(system.injections)}
     rates = system.rate(x, u, p, pushes)
     wanted = sp.Matrix([sp.sympify(rates[s.name]) for s in system.states])
-    slopes = wanted.jacobian(list(pushes.values())).subs(dict.fromkeys(pushes.values(), 0))
-    return sp.lambdify([*traced.x, *traced.u, *traced.p], slopes.tolist(), "numpy")
+    return wanted.jacobian(list(pushes.values())).subs(dict.fromkeys(pushes.values(), 0))
+
+
+@kept(32)
+def _injection_gain(system: System) -> Function:
+    """G(x, u, p): slopes of the rates by what is injected."""
+    traced = trace(system, ())
+    slopes = injection_slopes(system).tolist()
+    return sp.lambdify([*traced.x, *traced.u, *traced.p], slopes, "numpy")
 
 
 @kept(128)

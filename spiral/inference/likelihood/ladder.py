@@ -201,7 +201,7 @@ def _best_additional_terms(at: Maximum) -> list[NoiseModel]:
     best = max(looks, key=lambda x: x.gain, default=None)
     if best is None:
         return []
-    leads = {k: max((x for x in looks if x.kind == k), key=lambda x: x.gain) for k in _kinds(looks)}
+    leads = {look.kind: look for look in sorted(looks, key=lambda x: x.gain)}
     kept = [
         x for x in looks
         if x.gain > 0 and (
@@ -214,13 +214,10 @@ def _best_additional_terms(at: Maximum) -> list[NoiseModel]:
     return chosen
 
 
-def _kinds(looks: Sequence[_TermTrial]) -> tuple[Kind, ...]:
-    return tuple(dict.fromkeys(x.kind for x in looks))
-
-
 def _likeliest_of_each_kind(at: Maximum, looks: Sequence[_TermTrial]) -> list[NoiseModel]:
     """Of each kind the noise model that gains most on all records, where it does so by the odds."""
-    of_kind = ([x.noise for x in looks if x.kind == kind] for kind in _kinds(looks))
+    kinds = dict.fromkeys(x.kind for x in looks)
+    of_kind = ([x.noise for x in looks if x.kind == kind] for kind in kinds)
     best = (_best_noise_model(at, noises) for noises in of_kind)
     return [b.noise for b in best if b is not None]
 

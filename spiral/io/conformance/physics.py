@@ -19,7 +19,7 @@ from spiral.types.effect import Effect, InputEffect, SensorEffect
 from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.label import parameter_of
 from spiral.types.parameter import Parameter
-from spiral.types.placement import input_columns, model_keys
+from spiral.types.placement import model_keys
 from spiral.types.plugin import Plugin
 from spiral.types.record import Array
 from spiral.types.system import System, has_coordinates
@@ -336,24 +336,17 @@ def check_declared_units(system: System) -> str:
 
 def check_injections(system: System) -> str:
     """What effects add to the system reaches its rates: every injection changes one."""
-    import sympy as sp
+    from spiral.physics.signatures import injection_slopes
 
-    from spiral.physics.plugin_calls import call_equation
-
-    x = SimpleNamespace(**{s.name: sp.Symbol(f"x_{s.name}", real=True) for s in system.states})
-    u = SimpleNamespace(**{n: sp.Symbol(f"u_{n}", real=True) for n in input_columns(system)})
-    p = SimpleNamespace(**{q.name: sp.Symbol(f"p_{q.name}", real=True) for q in system.parameters})
-    added = {i.name: sp.Symbol(f"added_{i.name}", real=True) for i in system.injections}
-    rates = call_equation(system, "rate", system.rate, x, u, p, added)
-    acting = set().union(*(sp.sympify(r).free_symbols for r in rates.values()))
-    idle = [name for name, symbol in added.items() if symbol not in acting]
+    columns, names = injection_slopes(system).T.tolist(), [i.name for i in system.injections]
+    idle = [name for name, column in zip(names, columns, strict=True) if not any(column)]
     if idle:
         raise PluginError(
             f"no rate depends on injected[{idle[0]!r}]: effects there would do nothing",
             "every injection in the rates",
             f"add injected[{idle[0]!r}] to the rate that it changes",
         )
-    return ", ".join(added) or "none"
+    return ", ".join(names) or "none"
 
 
 def check_mass_matrix(system: System) -> str:
