@@ -141,7 +141,8 @@ def test_kernels_are_kept_where_nobody_else_can_write(tmp_path, monkeypatch):
     """Neither the package nor the home can be written: Numba ended in a traceback."""
     monkeypatch.setattr(kernel_cache, "_is_writable", lambda folder: False)
     monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(tmp_path))
-    monkeypatch.delenv(kernel_cache.VARIABLE, raising=False)
+    monkeypatch.setenv(kernel_cache.VARIABLE, "")  # so that what is set here does not stay
+    monkeypatch.delenv(kernel_cache.VARIABLE)
     kernel_cache.provide(tmp_path)
     folder = tmp_path / f"spiral-kernels-{os.getuid()}"
     assert os.environ[kernel_cache.VARIABLE] == str(folder)
