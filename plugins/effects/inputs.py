@@ -10,7 +10,7 @@ from spiral_plugins.effects.restoring import WIDTH, excess_over_gap
 from spiral_plugins.effects.sensors import (
     SCALE,
     delay_curvature,
-    delay_difference,
+    delayed,
     half_sample_remark,
 )
 
@@ -141,31 +141,45 @@ class RateLimit(InputEffect):
 class InputDelay(InputEffect):
     """An actuator that acts late by T: acting = u(t - T).
 
-    A bus, a controller's cycle, transport in a pipe. With states a and b of a time z near T,
+    A bus, a controller's cycle, transport in a pipe. Twice T / 2, each with states a and b of a
+    time z / 2, z near T,
 
-        z a' = b,  z b' = c = 12 (u - a) - 6 b,  r = T / z,  u(t - T) = u - r b + (r^2 - r) c / 2,
+        z a' = 2 b,  z b' = 2 c,  c = 12 (u - a) - 6 b,  r = T / z,
+        u(t - T / 2) = u - r b + (r^2 - r) c / 2,
 
     right to the second order in T whatever z is, and with z = T Pade's second approximation (Baker,
-    Graves-Morris, Pade Approximants): right in phase to (2 pi f T)^5 / 720 at the frequency f.
-    Linear in T to leading order only. All sensors late by T look the same.
+    Graves-Morris, Pade Approximants) twice: right in phase to (2 pi f T)^5 / 11520 at the frequency
+    f. Linear in T to leading order only. All sensors late by T look the same.
     """
 
-    states = (State("level", "position", like="position"), State("slope", "position"))
+    states = (
+        State("level", "position", like="position"),
+        State("slope", "position"),
+        State("later_level", "position", like="position"),
+        State("later_slope", "position"),
+    )
     twins = ("delay", "sensor_lag")
     whole = {"time": "scale"}
     parameters = (Parameter("time", "s", lower=0.0), SCALE)
 
     def drive(self, at, u, p):
-        """u - r b + (r^2 - r) c / 2, r = T / z."""
-        (given,) = at.position
-        return given - delay_difference(given, at.own.level, at.own.slope, p.time / p.scale)
+        """u(t - T / 2), late by T / 2 once more."""
+        halfway = self._halfway(at, p)
+        return delayed(halfway, at.own.later_level, at.own.later_slope, p.time / p.scale)
 
     def rate(self, at, u, p):
-        """b / z and c / z."""
+        """2 b / z and 2 c / z of both halves."""
+        own, half, (given,) = at.own, p.scale / 2, at.position
+        halfway = self._halfway(at, p)
         return {
-            "level": at.own.slope / p.scale,
-            "slope": delay_curvature(at.position[0], at.own.level, at.own.slope) / p.scale,
+            "level": own.slope / half,
+            "slope": delay_curvature(given, own.level, own.slope) / half,
+            "later_level": own.later_slope / half,
+            "later_slope": delay_curvature(halfway, own.later_level, own.later_slope) / half,
         }
+
+    def _halfway(self, at, p):
+        return delayed(at.position[0], at.own.level, at.own.slope, p.time / p.scale)
 
     def remark(self, values, step):
         """The remark on a delay of half a sample; empty for any other."""

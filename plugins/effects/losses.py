@@ -8,7 +8,9 @@ input has the surroundings, most losses count from it as well (``quadratic_loss@
 
 from __future__ import annotations
 
-from spiral.math import length, sqrt, tanh
+from spiral_plugins.effects.restoring import WIDTH
+
+from spiral.math import length, ramp, sqrt, tanh, where
 from spiral.types.effect import StateFlow
 from spiral.types.parameter import Parameter
 
@@ -126,6 +128,29 @@ class SaturatingLoss(StateFlow):
         """-v x / (K + |x|)."""
         (x,) = at.position
         return [-p.capacity * x / (p.half + length([x]))]
+
+
+class ThresholdLoss(StateFlow):
+    """A loss that begins at a threshold: x' = ... - c (x - r)_+, or c (r - x)_+ for r below zero.
+
+    A relief valve, a spillway, a vessel that runs over, a Zener diode, a limiter that cuts in. The
+    corner of (.)_+ is rounded over +-w (``spiral.math.ramp``). With the threshold at zero it is a
+    ``linear_loss`` of what is never negative.
+    """
+
+    special = ("linear_loss",)
+    differences = True
+    parameters = (
+        Parameter("rate", "force/position", lower=0.0),
+        Parameter("threshold", "position", role="shape", grid=(0.5, 0.7, 0.9, -0.5, -0.7, -0.9)),
+        WIDTH,
+    )
+
+    def flow(self, at, u, p):
+        """-c (x - r)_+ or c (r - x)_+."""
+        (x,) = at.position
+        above, below = ramp(x - p.threshold, p.width), ramp(p.threshold - x, p.width)
+        return [p.rate * where(p.threshold > 0, -above, below)]
 
 
 class DryLoss(StateFlow):

@@ -59,35 +59,50 @@ class AxisRotation(SensorEffect):
 class Delay(SensorEffect):
     """A sensor that reports late by T_i: reading = y_i + (q_i(t - T_i) - q_i).
 
-    Transport of a sample, a bus, averaging in an instrument. With states a and b of a time z near T
-    for each channel,
+    Transport of a sample, a bus, averaging in an instrument. Twice T / 2, each with states a and b
+    of a time z / 2, z near T, for each channel,
 
-        z a' = b,  z b' = c = 12 (q - a) - 6 b,  r = T / z,  q(t - T) = q - r b + (r^2 - r) c / 2,
+        z a' = 2 b,  z b' = 2 c,  c = 12 (q - a) - 6 b,  r = T / z,
+        q(t - T / 2) = q - r b + (r^2 - r) c / 2,
 
-    right to the second order in T whatever z is, and with z = T Pade's second approximation (as
-    ``input_delay``). All sensors late by one time look like an input that acts so much later.
+    right to the second order in T whatever z is, and with z = T Pade's second approximation twice
+    (as ``input_delay``). All sensors late by one time look like an input that acts so much later.
     """
 
     states = (
         State("level", "position", per_axis=True, like="position"),
         State("slope", "position", per_axis=True),
+        State("later_level", "position", per_axis=True, like="position"),
+        State("later_slope", "position", per_axis=True),
     )
     twins = ("input_delay", "actuator_lag")
     whole = {"time": "scale"}
     parameters = (Parameter("time", "s", per_axis=True), SCALE)
 
     def reading(self, y, at, u, p):
-        """y_i - r_i b_i + (r_i^2 - r_i) c_i / 2."""
-        rows = zip(y, at.position, at.own.level, at.own.slope, p.time, strict=True)
-        return [value - delay_difference(q, a, b, late / p.scale) for value, q, a, b, late in rows]
+        """y_i + q_i(t - T_i) - q_i."""
+        halfway = self._halfway(at, p)
+        rows = zip(y, at.position, halfway, at.own.later_level, at.own.later_slope, strict=True)
+        ratios = [late / p.scale for late in p.time]
+        return [
+            value - q + delayed(h, a, b, r)
+            for (value, q, h, a, b), r in zip(rows, ratios, strict=True)
+        ]
 
     def rate(self, at, u, p):
-        """b_i / z and c_i / z."""
-        rows = zip(at.position, at.own.level, at.own.slope, strict=True)
+        """2 b / z and 2 c / z of both halves."""
+        own, half = at.own, p.scale / 2
+        halfway = self._halfway(at, p)
         return {
-            "level": [b / p.scale for b in at.own.slope],
-            "slope": [delay_curvature(q, a, b) / p.scale for q, a, b in rows],
+            "level": [b / half for b in own.slope],
+            "slope": _curvatures(at.position, own.level, own.slope, half),
+            "later_level": [b / half for b in own.later_slope],
+            "later_slope": _curvatures(halfway, own.later_level, own.later_slope, half),
         }
+
+    def _halfway(self, at, p):
+        rows = zip(at.position, at.own.level, at.own.slope, p.time, strict=True)
+        return [delayed(q, a, b, late / p.scale) for q, a, b, late in rows]
 
     def remark(self, values, step):
         """Remarks on a negative delay, and on one of half a sample."""
@@ -98,13 +113,19 @@ class Delay(SensorEffect):
 
 
 def delay_curvature(given, level, slope):
-    """c = 12 (q - a) - 6 b of a delay's states."""
-    return 12 * (given - level) - 6 * slope
+    """c = 12 (q - a) - 6 b of the states of a half of a delay."""
+    return 12.0 * (given - level) - 6.0 * slope
 
 
-def delay_difference(given, level, slope, ratio):
-    """q(t) - q(t - T) by a delay's states: r b - (r^2 - r) c / 2, r = T / z."""
-    return ratio * slope - (ratio * ratio - ratio) * delay_curvature(given, level, slope) / 2
+def delayed(given, level, slope, ratio):
+    """q(t - T / 2) = q - r b + (r^2 - r) c / 2, r = T / z."""
+    bent = delay_curvature(given, level, slope)
+    return given - ratio * slope + (ratio * ratio - ratio) * bent / 2
+
+
+def _curvatures(given, levels, slopes, time):
+    rows = zip(given, levels, slopes, strict=True)
+    return [delay_curvature(q, a, b) / time for q, a, b in rows]
 
 
 class SensorLag(SensorEffect):

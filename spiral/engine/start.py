@@ -54,7 +54,7 @@ def smoothed_motion(study: CompiledStudy, series: Series, window: int) -> Motion
         states[:, traced.states.index(traced.rate_name(name))] = rate
         states[:, traced.states.index(name)] = _integrate_rate(rate, series)
         acceleration[:, traced.states.index(name)] = smooth[0][:, channel]
-    fill_like_states(traced, states, series.inputs[:: 2 * series.substeps])
+    fill_like_states(traced, states, series.inputs[:: 2 * series.substeps], smooth[0])
     return Motion(states, acceleration)
 
 
@@ -68,17 +68,28 @@ def _integrate_rate(rate: Array, series: Series) -> Array:
 
 
 def fill_like_states(
-    traced: TracedModel, states: Array, inputs: Array, known: Collection[str] = ()
+    traced: TracedModel,
+    states: Array,
+    inputs: Array,
+    readings: Array | None = None,
+    known: Collection[str] = (),
 ) -> None:
-    """Copy into states (..., n), the ``known`` apart, the state or input that each is ``like``."""
+    """Copy into states (..., n), the ``known`` apart, what each is ``like``.
+
+    A state, an input (..., inputs), or a reading (..., channels) that is computed from states.
+    """
     for name, shown in traced.like:
-        there = shown in (*traced.inputs, *traced.states)  # no reading that is no state
-        if name in known or not there:
+        if name in known:
             continue
-        given, names = (
-            (inputs, traced.inputs) if shown in traced.inputs else (states, traced.states)
-        )
-        states[..., traced.states.index(name)] = given[..., names.index(shown)]
+        if shown in traced.inputs:
+            value = inputs[..., traced.inputs.index(shown)]
+        elif shown in traced.states:
+            value = states[..., traced.states.index(shown)]
+        elif readings is not None:
+            value = readings[..., traced.channels.index(shown)]
+        else:
+            continue
+        states[..., traced.states.index(name)] = value
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ def integrate(
         x[compiled.traced.states.index(key)] = value
     stepped = half_step_inputs(model.system, frame, substeps)
     known = {s.name for s in model.system.states} | set(start or {})
-    fill_like_states(compiled.traced, x, stepped[0], known)
+    fill_like_states(compiled.traced, x, stepped[0], known=known)
     states = np.empty((len(time), len(x)))
     readings = np.empty((len(time), len(model.system.observed)))
     ok = trajectories(

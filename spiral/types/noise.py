@@ -28,3 +28,20 @@ def estimate_noise(values: Array) -> float:
         difference = np.diff(difference)
         best = min(best, float(np.mean(difference**2) / comb(2 * order, order)))
     return float(np.sqrt(best))
+
+
+def expected_noise_estimate(autocovariance: Array) -> float:
+    """What ``estimate_noise`` tells of stationary noise beside a smooth signal.
+
+    Of noise r_m = cov(e_t, e_t+m) (at least 13 lags) the k-th difference has the variance
+    C(2k, k) r_0 + 2 sum_m (-1)^m C(2k, k + m) r_m; of coloured noise little is left.
+    """
+    from scipy.special import comb
+
+    orders = range(2, 13)  # as in estimate_noise, which exported programs hold whole
+    lags = np.arange(1, orders[-1] + 1)
+    signs = 2.0 * (-1.0) ** lags * autocovariance[lags]
+    told = (
+        autocovariance[0] + np.sum(signs * comb(2 * k, k + lags)) / comb(2 * k, k) for k in orders
+    )
+    return float(np.sqrt(max(min(told), 0.0)))

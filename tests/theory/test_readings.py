@@ -246,8 +246,30 @@ def test_sensors_of_readings_may_be_late():
     """A delay follows a reading that is no state by states of its own."""
     system = equations(ONE)
     traced = trace(system, (Delay(),))
-    assert [n for n in traced.states if n.startswith("delay")] == ["delay.level", "delay.slope"]
+    assert [n for n in traced.states if n.startswith("delay")] == [
+        "delay.level", "delay.slope", "delay.later_level", "delay.later_slope",
+    ]  # fmt: skip
     assert traced.output[0].has(traced.u[0])
+
+
+def test_states_that_follow_a_reading_begin_there():
+    """A sensor of a logarithm is no state; what follows it begins at what it reads."""
+    system = equations({
+        "equations": ["mixed' = (fed - mixed) / T"], "states": {"mixed": ""},
+        "inputs": {"fed": ""}, "parameters": {"T": "4 s"}, "observed": ["scale = log(mixed)"],
+    })  # fmt: skip
+    time = np.arange(200) * 0.1
+    seen, fed = 1.0 + 0.1 * np.sin(time), np.exp(1.0 + 0.1 * np.sin(time))
+    record = make_record(system, "late", time, {"scale": seen}, {"fed": fed})
+    model = seed_model(system, (Delay(),), values={"delay.time": 1.0, "delay.scale": 1.0})
+    compiled = compile_model(trace(system, (Delay(),)))
+    series = prepare_series(system, record, 2)
+    states = smoothed_motion(CompiledStudy(compiled, (series,)), series, 7).states
+    names = compiled.traced.states
+    for name in ("delay.level", "delay.later_level"):
+        np.testing.assert_allclose(states[:, names.index(name)], seen, atol=1e-4)
+        task = prepare_task(model, record, substeps=2)
+        assert task.start[names.index(name)] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_a_node_of_a_structure_may_have_an_accelerometer():

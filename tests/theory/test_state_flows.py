@@ -165,17 +165,68 @@ def test_a_loss_of_a_hidden_state_is_named_at_its_place_with_its_rate():
     assert abs(rate.estimate - 0.08) < 3 * rate.se
 
 
+def test_what_runs_over_a_rim_is_named_with_its_threshold():
+    """From 8 m on the upper tank loses what nobody catches."""
+    values = {"threshold_loss@upper.rate": 0.3, "threshold_loss@upper.threshold": 1.0,
+              "threshold_loss@upper.width": 0.0}  # fmt: skip
+    records = [filled(seed, effect("threshold_loss@upper"), **values) for seed in (1, 2)]
+    wrong = {"system.k": 0.055, "system.a": 0.17, "system.b": 0.11}
+    run = spiral.discover(records[0], Equations(text=TANK), test=records[1], values=wrong)
+    assert run.missing == ("threshold_loss@upper",)
+    known = run.model.estimates()["threshold_loss@upper"]
+    assert abs(known["threshold"].estimate - 1.0) < 3 * known["threshold"].se
+
+
+LOCK = """
+equations: ["level' = supply - c*valve*sqrt(level + least)"]
+states: {level: m}
+inputs: {supply: {unit: m/s}, valve: {unit: "", interpolation: zero_order}}
+parameters: {c: 0.05 m^0.5/s}
+constants: {least: 0.01 m}
+free: [c]
+observed: [level]
+"""
+
+
+def test_a_leak_beside_a_valve_is_no_lag_of_years():
+    """What always flows is what a valve that stays a little open lets through.
+
+    A lag that never ends, or a limit of no speed, would hold the valve's first position.
+    """
+    time = np.arange(0, 1500.0, 1.5)
+    leak = effect("root_loss@level")
+    values = {"system.c": 0.05, "root_loss@level.rate": 0.02, "root_loss@level.width": 0.02}
+    records = []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        valve = np.repeat(rng.choice([0.0, 0.3, 1.0], 50), 20)
+        supply = np.repeat(rng.uniform(0.02, 0.06, 25), 40)
+        model = seed_model(Equations(text=LOCK), (leak,), values=values)
+        given = {"supply": supply, "valve": valve}
+        record = simulate(model, time, given, 0.01, rng, substeps=4)
+        records.append(replace(record, noise={}))
+    run = spiral.discover(
+        records[0], Equations(text=LOCK), test=records[1],
+        candidates=["actuator_lag@valve", "rate_limit@valve", "input_delay@valve", "root_loss"],
+    )  # fmt: skip
+    assert run.missing == ("root_loss",)
+
+
 def acting(effect, frequency, p):
     """What acts of a unit input at i w, from the effect's own equations (rad/s)."""
 
-    def rates(given, level, slope):
-        at = At((given,), (), SimpleNamespace(level=level, slope=slope))
-        return np.array(list(effect.rate(at, SimpleNamespace(), p).values()))
+    names = [state.name for state in effect.states]
 
-    matrix = np.column_stack([rates(0.0, 1.0, 0.0), rates(0.0, 0.0, 1.0)])
-    own = np.linalg.solve(1j * frequency * np.eye(2) - matrix, rates(1.0, 0.0, 0.0))
-    at = At((1.0,), (), SimpleNamespace(level=own[0], slope=own[1]))
-    return effect.drive(at, SimpleNamespace(), p)
+    def placed(given, own):
+        return At((given,), (), SimpleNamespace(**dict(zip(names, own, strict=True))))
+
+    def rates(given, own):
+        return np.array(list(effect.rate(placed(given, own), SimpleNamespace(), p).values()))
+
+    size = len(names)
+    matrix = np.column_stack([rates(0.0, column) for column in np.eye(size)])
+    own = np.linalg.solve(1j * frequency * np.eye(size) - matrix, rates(1.0, np.zeros(size)))
+    return effect.drive(placed(1.0, own), SimpleNamespace(), p)
 
 
 @pytest.mark.parametrize(("scale", "order"), [(0.1, 5), (0.13, 3)])

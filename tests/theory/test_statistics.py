@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from spiral.engine.statistics import ljung_box, paired_errors, round_level, whiteness
-from spiral.types.noise import estimate_noise
+from spiral.types.noise import estimate_noise, expected_noise_estimate
 
 
 def test_whiteness_p_values_are_uniform_on_white_noise():
@@ -91,3 +91,15 @@ def test_ljung_box_is_that_of_statsmodels():
     for lags in (1, 7, 40):
         expected = acorr_ljungbox(values, lags=[lags])["lb_stat"].iloc[0]
         assert ljung_box(values, lags) == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.8])
+def test_what_the_model_free_estimate_tells_of_coloured_noise_is_known(memory):
+    """AR(1) noise of deviation one: differences see only what changes from sample to sample."""
+    rng = np.random.default_rng(4)
+    noise = np.zeros(100_000)
+    for t, e in enumerate(rng.normal(scale=np.sqrt(1 - memory**2), size=len(noise))):
+        noise[t] = memory * noise[t - 1] + e
+    expected = expected_noise_estimate(memory ** np.arange(13.0))
+    assert expected == pytest.approx(estimate_noise(noise), rel=0.02)
+    assert expected == pytest.approx(1.0) if memory == 0 else expected < 0.9

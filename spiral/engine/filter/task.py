@@ -341,5 +341,5 @@ def _first_state(compiled: CompiledModel, series: Series, mapping: StaticMap | N
         hidden = mapping.matrix @ [start[names.index(n)] for n in mapping.observed]
         for name, value in zip(mapping.hidden, hidden, strict=True):
             start[names.index(name)] = value
-    fill_like_states(compiled.traced, start, series.inputs[0])
+    fill_like_states(compiled.traced, start, series.inputs[0], series.y[0])
     return start

@@ -221,6 +221,21 @@ def state_offsets(task: Task, noise: NoiseModel) -> dict[str, int]:
     return {t.size: sum(counts[:i]) for i, t in enumerate(noise.terms)}
 
 
+def sensor_autocovariance(task: Task, noise: NoiseModel, channel: str, lags: int) -> Array:
+    """(lags,) autocovariance of a sensor's stationary noise, lags of 0, 1, ... samples."""
+    whole = np.zeros(lags)
+    whole[0] = noise.values.get(f"white.{channel}", 0.0) ** 2
+    for term in noise.terms:
+        if term.kind not in COLOURED or term.where != channel:
+            continue
+        for block in _term_blocks(task, term, noise.values):
+            ahead = block.p
+            for lag in range(lags):
+                whole[lag] += ahead[0, 0]
+                ahead = block.phi @ ahead
+    return whole
+
+
 @dataclass(frozen=True)
 class _Block:
     """One process z: its transition, added and first covariance, and what it acts on."""

@@ -9,7 +9,7 @@ from spiral.inference.likelihood.candidates import Rival
 from spiral.types.effect import SensorEffect
 from spiral.types.label import make_label
 
-_TWIN = 0.98  # share of the gain from which a declared twin counts as one
+TWIN = 0.98  # share of the gain from which a declared twin counts as one
 
 
 def indistinguishable_rivals(rivals: list[Rival], odds: float) -> tuple[str, ...]:
@@ -46,7 +46,7 @@ def _is_sensor_effect(rival: Rival) -> bool:
 def twin_rivals(chosen: Rival, rivals: list[Rival]) -> tuple[str, ...]:
     """Rivals declared as the chosen one's twins (``Effect.twins``) that explain nearly as much."""
     names = chosen.ranked.variant.original.twins
-    near = [r for r in rivals if r.gain > _TWIN * chosen.gain]
+    near = [r for r in rivals if r.gain > TWIN * chosen.gain]
     return tuple(r.label for r in near if r.ranked.variant.original.plugin_name() in names)
 
 

@@ -19,7 +19,7 @@ from spiral.engine.likelihood.fit import Maximum
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.free_uncertainty import free_doubt
 from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
-from spiral.engine.likelihood.noise import NoiseModel, state_offsets
+from spiral.engine.likelihood.noise import NoiseModel, sensor_autocovariance, state_offsets
 from spiral.engine.likelihood.predict import predict_readings
 from spiral.inference.disturbances import input_sentences
 from spiral.inference.evidence.assembly import Assembly, to_model
@@ -49,12 +49,13 @@ from spiral.inference.nearness import LASTING
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model
-from spiral.types.noise import COLOURED
+from spiral.types.noise import COLOURED, expected_noise_estimate
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
 
 _PERIODS = 3  # of the slowest mode that tell where a record begins
 _STILL = 1e-6  # share of the fastest rate under which a mode does not move
+_LAGS = 13  # samples over which colour bears on the model-free estimate
 _AGREE = 1.25  # ratio within which two estimates of the noise agree
 _SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
 _TOLD = 0.5  # standard error of the logarithm of a size up to which the size is reported
@@ -93,7 +94,7 @@ def compare_by_likelihood(
         fit_error=_mean(e.relative for e in own.errors(names).values()),
         test_error=_mean(e.relative for e in errors.values()),
         channels=errors,
-        noise_floor=_relative_noise_floor(state.noise, names, run, other or assembly),
+        noise_floor=_relative_noise_floor(estimate, names, run, other or assembly),
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
         **_note_fields(problem, state, free is not fit),
@@ -310,16 +311,16 @@ def _make_forecaster(
 
 
 def _relative_noise_floor(
-    noise: NoiseModel | None, names: Sequence[str], run: FreeRun, judging: Assembly
+    estimate: Maximum, names: Sequence[str], run: FreeRun, judging: Assembly
 ) -> float:
     """Measurement noise over the deviation of each channel, mean over channels.
 
     The fitted noise is scaled by the ratio of model-free noise estimates, test records over fitted
     records (a sensor may be noisier there, or less so), where the model-free estimate agrees with
-    the fitted noise, so that it is reliable. Noise that grows with its reading is as large as the
-    readings of the test records make it.
+    what it would tell of the fitted noise, so that it is reliable. Noise that grows with its
+    reading is as large as the readings of the test records make it.
     """
-    assert noise is not None
+    noise, task = estimate.noise, estimate.prepared[0][0]
     sizes, problem = [], judging.problem
     for j, name in enumerate(names):
         fitted = sum(noise.values.get(f"{kind}.{name}", 0.0) ** 2 for kind in _SENSORS)
@@ -336,7 +337,8 @@ def _relative_noise_floor(
             np.mean([r.sigma()[name] ** 2 for r in records])
             for records in (problem.test or problem.records, problem.records)
         )
-        reliable = 1 / _AGREE**2 <= here / fitted <= _AGREE**2 if fitted > 0 else False
+        told = expected_noise_estimate(sensor_autocovariance(task, noise, name, _LAGS)) ** 2
+        reliable = 1 / _AGREE**2 <= here / told <= _AGREE**2 if told > 0 else False
         sizes.append(np.sqrt(fitted * float(there / here) if reliable else fitted))
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.mean(np.array(sizes) / run.deviations()))

@@ -35,6 +35,7 @@ LEAST = 1.5  # times its lower limit, up to which the size of a random force cou
 LITTLE = 0.05  # random force up to which it is small, as a share of the model's own
 _FAINT = 0.1  # share of the innovations' rms under which white noise counts as vanished
 WORTH = 1.0  # gain in log-likelihood from which other initial states or starts are taken
+_STILL = 0.05  # share of the motion of what a state follows under which it hardly moves
 _FURTHEST = 1e9  # times its given value: the bound of every parameter
 
 
@@ -276,6 +277,28 @@ def predicted_states(fit: LikelihoodFit) -> tuple[Array, ...]:
     if not all(p.whole for _, p in parts):
         return ()
     return tuple(p.expected[:, : len(t.model.system.states)] for t, p in parts)
+
+
+def still_followers(fit: LikelihoodFit) -> tuple[str, ...]:
+    """States that follow an input, a state or a reading (``State.like``), and hardly move.
+
+    Their deviation is under ``_STILL`` of that of what they follow, in every record: a lag of years
+    and a limit of no speed hold what was at first.
+    """
+    moving: set[str] = set()
+    like = fit.estimate.prepared[0][0].compiled.traced.like
+    for task, settings in fit.estimate.prepared:
+        run = predict_readings(task, settings, fit.estimate.noise, keep=True)
+        means = run.means[: run.done, : len(task.states)]
+        inputs = task.inputs[:: 2 * task.series.substeps]
+        shown = dict(zip(task.compiled.traced.inputs, inputs.T, strict=True))
+        shown |= dict(zip(task.compiled.traced.channels, task.series.y.T, strict=True))
+        shown |= dict(zip(task.states, means.T, strict=True))
+        moving |= {
+            own for own, followed in like
+            if not np.std(means[:, task.states.index(own)]) < _STILL * np.std(shown[followed])
+        }  # fmt: skip
+    return tuple(own for own, _ in like if own not in moving)
 
 
 def innovations(fit: LikelihoodFit) -> tuple[Array, ...]:

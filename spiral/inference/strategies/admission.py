@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -42,6 +42,7 @@ from spiral.inference.likelihood.fitting import (
     is_white,
     largest_force,
     restart_vanished_noise,
+    still_followers,
 )
 from spiral.inference.likelihood.identify import find_parameter_ties
 from spiral.inference.likelihood.interpolation import restore_declared_interpolation
@@ -69,6 +70,7 @@ from spiral.inference.strategies.superfluous import (
     likelihood_ratio_t,
     replace_by_interpolation,
 )
+from spiral.inference.strategies.twins import untold_twin
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import LIKELIHOOD_RATIO_T
 from spiral.types.effect import Effect
@@ -136,6 +138,11 @@ Objection = Callable[[WholeRecordFit], Refusal | None]
 """Function that gives the reason to refuse a model with a candidate, or nothing."""
 
 
+_STILL_STATE = (
+    "its own state hardly moves in these records: it adds a constant, which another effect may be"
+)
+
+
 @dataclass(frozen=True)
 class RaceOutcome:
     """The first winner of a race that passed all tests, and why earlier ones were refused.
@@ -184,9 +191,12 @@ def first_to_pass(
     rejected: dict[str, str] = {}
     likely: AcceptedCandidate | None = None
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
-    for rival, rivals in itertools.islice(race.winners(), options.judged):
+    for rival, rivals in itertools.islice(_meaningful(race, rejected), options.judged):
         if reason := _unconfirmed_reason(base, ours, rival, judge, level):
             rejected[rival.label] = reason
+            continue
+        if twin := untold_twin(base, rival, race.masks):
+            rejected[rival.label] = f"in place of {twin} it explains as much: one of the two acts"
             continue
         chosen, near = simplest_rival(rival, indistinguishable_rivals(rivals, options.odds), rivals)
         aliases = tuple(dict.fromkeys((*near, *twin_rivals(chosen, rivals))))
@@ -202,6 +212,24 @@ def first_to_pass(
         rejected[chosen.label] = refusal.reason
         likely = likely or (passed if refusal.alone else None)
     return RaceOutcome(None, rejected, likely)
+
+
+def _meaningful(race: Race, rejected: dict[str, str]) -> Iterator[tuple[Rival, list[Rival]]]:
+    """Winners of a race with the rivals behind them, without those whose own states stand still.
+
+    These are ``rejected``: a lag of years adds a constant, which another effect may be.
+    """
+    still: dict[int, bool] = {}
+    for rival, rivals in race.winners():
+        for one in rivals:
+            if id(one) not in still:
+                still[id(one)] = any(
+                    owner_of(name) == one.ranked.variant.label for name in still_followers(one.fit)
+                )
+        if still[id(rival)]:
+            rejected[rival.label] = _STILL_STATE
+            continue
+        yield rival, [one for one in rivals if not still[id(one)]]
 
 
 def _with_free_run_values(
@@ -252,6 +280,8 @@ def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
                 return Refusal(
                     f"its {name} goes to {reached}, far beyond the motion in these records"
                 )
+    if any(owner_of(without_variant(n)) == rival.label for n in still_followers(whole.fit)):
+        return Refusal(_STILL_STATE)
     return None
 
 

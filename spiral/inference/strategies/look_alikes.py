@@ -19,9 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.likelihood.fit import maximise_likelihood
-from spiral.engine.likelihood.noise import first_noise
-from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import RankedCandidate, Ranking, amplitude_keys
@@ -30,21 +27,23 @@ from spiral.inference.likelihood.alias_groups import (
     log_likelihood_lead,
     twin_rivals,
 )
-from spiral.inference.likelihood.candidates import Rival, start_race, unscored_candidate
+from spiral.inference.likelihood.candidates import (
+    Rival,
+    start_race,
+    unscored_candidate,
+)
 from spiral.inference.likelihood.fitting import (
-    LEVEL,
     WARM,
     LikelihoodFit,
     fit_by_likelihood,
-    prepare_filter_tasks,
     schwarz_penalty,
-    with_estimate,
 )
 from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.nearness import unexplained_error_growth
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.admission import AcceptedCandidate, fit_with_rival, offer_effects
 from spiral.inference.strategies.superfluous import admitted_variants
+from spiral.inference.strategies.twins import fit_without, twin_labels, twins_at_its_values
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.label import make_label, owner_of
 from spiral.types.run import Comparison
@@ -78,7 +77,8 @@ def recheck_admitted(
     effects = admitted_variants(assembly, model) if model.estimate.finite else []
     for held in effects:
         label = held.original.label
-        others = tuple(dict.fromkeys((*aliases.get(label, ()), *_special_case_labels(held))))
+        declared = _declared_look_alikes(assembly, held)
+        others = tuple(dict.fromkeys((*aliases.get(label, ()), *declared)))
         again = _contest_effects(options, assembly, model, (held,), others, progress)
         if again is None:
             continue
@@ -98,22 +98,22 @@ def recheck_admitted(
 def prefer_special_case(
     options: LikelihoodOptions, passed: AcceptedCandidate, progress: Progress
 ) -> AcceptedCandidate:
-    """A winner, or the special case of it that explains the records as well.
+    """A winner, or the special case of it that explains the records as well, or a likelier twin.
 
-    The special case may have dropped out of the race early, while it still had to find the width
-    of a friction, say.
+    These may have dropped out of the race early, while they still had to find the width of a
+    friction, say. Twins that are not told from the winner are among its aliases.
     """
     whole, held = passed.whole, passed.rival.ranked.variant
-    if not _special_case_labels(held):
+    others = _declared_look_alikes(whole.assembly, held)
+    if not others:
         return passed
-    again = _contest_effects(
-        options, whole.assembly, whole.fit, (held,), _special_case_labels(held), progress
-    )
+    again = _contest_effects(options, whole.assembly, whole.fit, (held,), others, progress)
     if again is None:
         return passed
     likelier = again.find_likelier(options, whole.settled.comparison, progress)
     if likelier is None:
-        return passed
+        alike = (*passed.aliases, *(r.label for r in again.others if r.label in again.twins))
+        return replace(passed, aliases=tuple(dict.fromkeys(alike)))
     gone = tuple(x for x in likelier.passed.whole.settled.retired if x != held.original.label)
     settled = replace(likelier.passed.whole.settled, retired=gone)
     told = log_likelihood_lead(likelier.passed.rival, again.ours) >= np.log(options.odds)
@@ -129,18 +129,25 @@ def _special_case_labels(held: Variant) -> tuple[str, ...]:
     return tuple(make_label(x, held.original.port) for x in held.original.special)
 
 
+def _declared_look_alikes(assembly: Assembly, held: Variant) -> tuple[str, ...]:
+    """Labels of the special cases and twins of an effect."""
+    return (*_special_case_labels(held), *twin_labels(assembly, held))
+
+
 @dataclass(frozen=True)
 class _Contest:
     """Effects of the model against their look-alikes, each fitted in their place.
 
     ``ours`` is the model with its effects ``labels``, as a rival of the ``others`` (best first);
-    ``aliases`` are those that are still not told apart.
+    ``aliases`` are those that are still not told apart, ``twins`` those among the others that do
+    elsewhere what our effect does, and explain nearly as much.
     """
 
     labels: tuple[str, ...]
     ours: Rival
     others: tuple[Rival, ...]
     aliases: tuple[str, ...]
+    twins: tuple[str, ...]
     ranking: Ranking
 
     def find_likelier(
@@ -176,51 +183,43 @@ def _contest_effects(
     held: tuple[Variant, ...], others: tuple[str, ...], progress: Progress,
 ) -> _Contest | None:  # fmt: skip
     """Refit others in the place of effects; nothing where none of them is a candidate."""
-    known = tuple(e for e in assembly.problem.candidates if e.label in others)
+    labels = tuple(v.original.label for v in held)
+    there = {v.original.label for v in admitted_variants(assembly, model)}
+    known = tuple(
+        e for e in assembly.problem.candidates if e.label in others and e.label not in there
+    )
     if not known:
         return None
-    labels = tuple(v.original.label for v in held)
     progress(f"testing again whether {', '.join(labels)} may be {', '.join(others)}")
-    base = _fit_without(assembly, model, held)
+    base = fit_without(assembly, model, held)
     offered = offer_effects(assembly, (*known, *(v.original for v in held)))
     ranked = rank_variants(
         offered, base, base.estimate.noise, None, lambda _: list(offered.offered)
     )
     mine = [] if ranked is None else [r for r in ranked.ranked if _is_variant_of(r, held)]
-    if ranked is None or not any(r.rank < 0 for r in mine):
-        return None  # from there not even the effect itself would be found
+    if ranked is None:
+        return None
     others_ranked = [r for r in ranked.ranked if not _is_variant_of(r, held)]
-    race = start_race(offered, base, others_ranked, None, progress, options.rivals)
     ours = _model_as_rival(assembly, base, model, held)
-    finals = [rival for rival, _ in itertools.islice(race.winners(), len(known))]
-    best = sorted((_with_model_noise(model, base, r) for r in finals), key=lambda r: -r.worth)
+    finals = twins_at_its_values(offered, base, model, held[0], others_ranked)
+    if any(r.rank < 0 for r in mine):
+        race = start_race(offered, base, others_ranked, None, progress, options.rivals)
+        finals += [rival for rival, _ in itertools.islice(race.winners(), len(known))]
+    elif not finals:
+        return None  # from there not even the effect itself would be found
+    of_effect: dict[str, Rival] = {}
+    for r in sorted((_with_model_noise(model, base, r) for r in finals), key=lambda r: -r.worth):
+        of_effect.setdefault(r.label, r)
+    best = list(of_effect.values())
     asked = {e.label for e in known}
-    stay = {*indistinguishable_rivals([ours, *best], options.odds), *twin_rivals(ours, best)}
-    return _Contest(
-        labels, ours, tuple(best), tuple(x for x in others if x in stay or x not in asked), ranked
-    )
+    twins = twin_rivals(ours, best)
+    stay = {*indistinguishable_rivals([ours, *best], options.odds), *twins}
+    left = tuple(x for x in others if x in stay or x not in asked)
+    return _Contest(labels, ours, tuple(best), left, twins, ranked)
 
 
 def _is_variant_of(one: RankedCandidate, held: tuple[Variant, ...]) -> bool:
     return one.variant.original.label in {v.original.label for v in held}
-
-
-def _fit_without(
-    assembly: Assembly, model: LikelihoodFit, held: tuple[Variant, ...]
-) -> LikelihoodFit:
-    """The model without effects, at the values that it has with them; its noise is fitted again.
-
-    From the model's noise and from that of a first start, the likelier counts: a size of noise
-    near zero does not grow by itself.
-    """
-    bare = drop_effects(assembly, model.state, tuple(v.label for v in held))
-    prepared = prepare_filter_tasks(assembly, bare)
-    starts = (model.estimate.noise, first_noise(prepared[0][0], LEVEL))
-    fits = [
-        maximise_likelihood(prepared, (), noise, {}, None, WARM, rough=True) for noise in starts
-    ]
-    estimate = max(fits, key=lambda f: f.log_likelihood)
-    return LikelihoodFit(with_estimate(bare, estimate), estimate)
 
 
 def _model_as_rival(

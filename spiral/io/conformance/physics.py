@@ -246,28 +246,28 @@ def check_linearity(effect: Effect, physics: Physics) -> str:
     """f(2a) - f(0) = 2 (f(a) - f(0)) in the amplitudes a, which change something.
 
     A sensor's reading, and what acts of an input, are asked at small amplitudes: they may have
-    terms beyond the leading order.
+    terms beyond the leading order, small against the largest effect on the same value.
     """
     rng = np.random.default_rng(3)
     own = physics.amplitudes(effect)
-    acts = False
     bent = isinstance(effect, SensorEffect | InputEffect)
     size, share = (_SMALL, np.sqrt(_SMALL)) if bent else (1.0, _EXACT)
+    drawn = []
     for _ in range(_DRAWS):
         x, u, p = physics.draw_point(rng)
-        none, one, two = (
+        drawn.append([
             physics.evaluate(x, u, np.where(own, scale * p, p))[0]
             for scale in (0.0, size, 2 * size)
-        )
-        error = np.abs((two - none) - 2 * (one - none))
-        if not np.all(error <= _EXACT * (1 + np.abs(none)) + share * np.abs(2 * (one - none))):
-            raise PluginError(
-                f"twice the amplitudes miss twice the effect by {np.max(error):.2g}",
-                "an effect linear in its amplitudes",
-            )
-        acts = acts or bool(np.any(one != none))
-    if not acts:
+        ])  # fmt: skip
+    none, one, two = np.moveaxis(np.array(drawn), 1, 0)  # each (draws, values)
+    if not np.any(one != none):
         raise PluginError("the amplitudes change nothing", "an effect that acts")
+    error, largest = np.abs((two - none) - 2 * (one - none)), np.abs(2 * (one - none)).max(axis=0)
+    if not np.all(error <= _EXACT * (1 + np.abs(none)) + share * largest):
+        raise PluginError(
+            f"twice the amplitudes miss twice the effect by {np.max(error):.2g}",
+            "an effect linear in its amplitudes",
+        )
     return f"{int(own.sum())} amplitudes"
 
 
