@@ -89,15 +89,31 @@ def missing_effects(rounds: Sequence[Round], settings: Settings) -> tuple[str, .
     """The effects that were missing: determined ones, where they lower the error on unseen data.
 
     Where what is left has memory, effects that give way to it have only stood in for it; so have
-    those in whose place one curve makes the record more likely. A model that predicts nothing of
-    an unseen record names nothing.
+    those in whose place one curve makes the record more likely, and those that explain little of
+    what is left unexplained. A model that predicts nothing of an unseen record names nothing.
     """
-    doubted = _has_error_grown(rounds, settings) or _is_replaced_by_curve(rounds)
+    doubted = (
+        _has_error_grown(rounds, settings)
+        or _is_replaced_by_curve(rounds)
+        or _explain_little(rounds, settings)
+    )
     if doubted or predicts_nothing(rounds[-1].comparison, settings):
         return ()
     return tuple(
         x for x in determined_effects(rounds, settings) if x not in memory_stand_ins(rounds)
     )
+
+
+def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
+    """Whether much is left unexplained, and what was admitted takes little of it.
+
+    That is ``settings.smallest`` or less of the error of free runs on unseen data, where these are
+    not carried away.
+    """
+    first, last = rounds[0].comparison, rounds[-1].comparison
+    if len(rounds) < 2 or is_free_run_carried_away(last) or not shortfalls(last, settings):
+        return False
+    return last.test_error > (1 - settings.smallest) * first.test_error
 
 
 def _is_replaced_by_curve(rounds: Sequence[Round]) -> bool:
@@ -267,6 +283,12 @@ def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], setting
         return (
             f"{_VERDICTS['unknown_structure']}. The model now contains {', '.join(admitted)}, "
             f"which may only stand in for it: {change}."
+        )
+    if not named and _explain_little(rounds, settings):
+        explains = "explains" if len(admitted) == 1 else "explain"
+        return (
+            f"{_VERDICTS['unknown_structure']}. The model now contains {', '.join(admitted)}, "
+            f"which {explains} little of it: {change}."
         )
     if not named:
         return f"The model now contains {', '.join(admitted)}: {change}."

@@ -397,6 +397,15 @@ def test_plugins_list(capsys):
     assert "planar_rotor" in capsys.readouterr().out
 
 
+def test_an_effect_asked_for_shows_its_parameters_and_where_it_acts(capsys):
+    assert main(["plugins", "mutual_flow", "rub", "input_delay"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "rate force/position^2 one for each axis" in shown
+    assert "acts on states of first order, two together in g/l, mol/l, 1/l" in shown
+    assert "acts at a port of 2 axes" in shown
+    assert "does what delay or sensor_lag does elsewhere" in shown
+
+
 def test_a_plugin_asked_for_shows_its_fields(capsys):
     _, result = run_json(capsys, "plugins", "csv")
     (found,) = result["plugins"]

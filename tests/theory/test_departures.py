@@ -13,7 +13,11 @@ from spiral.engine.filter.task import prepare_task
 from spiral.engine.likelihood.fit import add_standard_errors, maximise_likelihood
 from spiral.engine.likelihood.noise import first_noise
 from spiral.inference.likelihood.departures import _noise_shape_remarks as shapes_told
-from spiral.inference.likelihood.departures import describe_departures, drifting_parameters
+from spiral.inference.likelihood.departures import (
+    describe_departures,
+    drifting_parameters,
+    far_value_sentences,
+)
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
@@ -132,3 +136,17 @@ def test_an_input_may_be_what_pushes():
     noisy = fitted(CLEAN + steady(np.random.default_rng(3)))
     (told,) = describe_departures(MODEL, noisy, True, ("force.observed",))
     assert "measured input force" in told
+
+
+def test_a_value_that_went_far_from_the_one_given_is_told():
+    """A mass of 1.5 kg that a fit takes to 5 g, a sign that turns; not a factor of five."""
+    estimate = SimpleNamespace(
+        keys=("system.mass", "linear_stiffness.stiffness", "linear_damping.damping"),
+        values={"system.mass": 0.005, "linear_stiffness.stiffness": -80.0,
+                "linear_damping.damping": 5.0},
+    )  # fmt: skip
+    given = {"system.mass": 1.5, "linear_stiffness.stiffness": 100.0, "linear_damping.damping": 1.0}
+    mass, spring = far_value_sentences(estimate, given)
+    assert mass.startswith("system.mass ended at 0.005, far from the 1.5 that it was given")
+    assert spring.startswith("linear_stiffness.stiffness ended at -80")
+    assert not far_value_sentences(estimate, {})

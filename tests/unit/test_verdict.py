@@ -85,6 +85,18 @@ def test_more_is_missing_where_the_rest_is_far_from_noise():
     assert "white noise" not in words + advice
 
 
+@pytest.mark.parametrize(
+    ("after", "verdict"), [(0.55, "unknown_structure"), (0.5, "effect_missing")]
+)
+def test_what_explains_little_of_what_is_left_unexplained_is_not_what_was_missing(after, verdict):
+    """A tenth of the error at least (``settings.smallest``), where noise does not tell the rest."""
+    far = replace(GOOD, chi2_per_dof=798.0, whiteness_p=0.0, whiteness_effect=3.0, test_error=after)
+    given, words, _ = said(rounds(far))
+    assert given == verdict
+    assert ("cubic_stiffness, which explains little of it" in words) == (after > 0.54)
+    assert "More is missing" in words
+
+
 def test_a_fit_that_did_not_converge_is_not_judged():
     _, words, advice = said(rounds(replace(GOOD, converged=False, chi2_per_dof=1435.0)))
     assert "Whether more is missing cannot be told: the fit did not converge" in words

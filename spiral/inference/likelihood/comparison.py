@@ -34,7 +34,7 @@ from spiral.inference.evidence.horizons import (
 )
 from spiral.inference.evidence.judge import FreeRun
 from spiral.inference.likelihood.beginnings import set_likely_initial_state
-from spiral.inference.likelihood.departures import describe_departures
+from spiral.inference.likelihood.departures import describe_departures, far_value_sentences
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     apply_integration_settings,
@@ -117,7 +117,10 @@ def _noise_and_residual_fields(
         "random": sizes,
         "random_times": times,
         "disturbed": carried.forces,
-        "departures": describe_departures(model, fit.estimate, white, sizes),
+        "departures": (
+            *describe_departures(model, fit.estimate, white, sizes),
+            *far_value_sentences(fit.estimate, assembly.problem.model.values),
+        ),
     }
 
 

@@ -14,7 +14,7 @@ the noise is judged only where the misses are white: else they are not noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,7 @@ _ALIKE = 9.2  # 2 log 100, of the same, under which two parameters are not told 
 _COUNTS = 0.005  # share of its value that a parameter drifts by
 _RATIOS = np.geomspace(0.03, 100.0, 18)  # b / a of noise that grows
 _TWO = 4.0  # twice log-likelihood by which noise that grows from zero, not from the mean, is told
+_FAR = 10.0  # times a value given, or its inverse, from which a fitted one is far from it
 _TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
 _FEWEST = 64  # samples
 
@@ -59,6 +60,22 @@ def describe_departures(
         *_drift_remark(estimate),
         *shapes,
     )
+
+
+def far_value_sentences(estimate: Maximum, given: Mapping[str, float]) -> tuple[str, ...]:
+    """Sentences on values that ended more than ``_FAR`` times off those given.
+
+    A fit that lacks something makes up for it with whatever is free: a mass of 1.5 kg became 5 g.
+    """
+    said = []
+    for key in estimate.keys:
+        value, first = estimate.values[key], given.get(key)
+        if first and not 1 / _FAR <= value / first <= _FAR:
+            said.append(
+                f"{without_variant(key)} ended at {number(value)}, far from the {number(first)} "
+                "that it was given: it may make up for something, or that value is wrong"
+            )
+    return tuple(said)
 
 
 def _effect_remarks(model: Model, estimate: Maximum) -> Iterator[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from spiral.inference.identifiability.identify import Identification
     from spiral.io.request import Outcome
     from spiral.io.testing import Check
+    from spiral.types.effect import Effect
 
 VERBS = ("plugins", "check", "new", "identify", "report", "export")
 
@@ -66,10 +69,72 @@ def _print_plugins(console: Console, outcome: Outcome) -> None:
             table.add_row(Text(entry.name, style="bold"), Text(entry.plugin.meaning()), origin)
         console.print(table)
     for entry in (e for e in entries if e.name in outcome.parts["asked"]):
+        _print_explanation(console, entry.plugin)
+        if entry.kind in ("effect", "system"):
+            _print_parameters(console, entry.plugin)
+        if entry.kind == "effect":
+            _print_where_it_acts(console, entry.plugin)
         _print_fields(console, entry.plugin)
     for failure in outcome.parts["failures"]:
         console.print(Text(f"not usable: {failure.name} in {failure.file}", style="bold red"))
         console.print(Text(f"    {failure.message}"))
+
+
+def _print_explanation(console: Console, plugin: type) -> None:
+    """What a plugin's docstring says after its meaning."""
+    _, _, rest = inspect.cleandoc(plugin.__doc__ or "").partition("\n\n")
+    for part in rest.replace("``", "").split("\n\n") if rest else ():
+        formula = part.startswith(" ")
+        console.print()
+        console.print(Text(part if formula else " ".join(part.split())))
+
+
+def _print_parameters(console: Console, plugin: type) -> None:
+    """The parameters of an effect or a system: units, bounds, and which are shapes."""
+    parameters = getattr(plugin, "parameters", ())
+    if not isinstance(parameters, tuple) or not parameters:
+        return  # those of a system may depend on its fields
+    console.print()
+    table = ruled_table("parameter", "unit", "least", "most", "")
+    for one in parameters:
+        bounds = ("" if b is None else number(b) for b in (one.lower, one.upper))
+        remarks = [
+            "shape: means nothing while the amplitude is zero" if one.role == "shape" else "",
+            "one for each axis" if one.per_axis else "",
+            "one for each record" if one.scope == "record" else "",
+        ]
+        told = "; ".join(filter(None, remarks))
+        table.add_row(Text(one.name, style="bold"), Text(one.unit or "1"), *bounds, Text(told))
+    console.print(table)
+    words = set(re.findall("[a-z]+", " ".join(p.unit for p in parameters)))
+    if words & {"force", "position", "velocity"}:
+        console.print(Text("force, position, velocity: those of the place where it acts", "dim"))
+
+
+def _print_where_it_acts(console: Console, plugin: type[Effect]) -> None:
+    """What an effect needs of its place, and what it looks like."""
+    from spiral.types.effect import InputEffect, SensorEffect, StateFlow
+
+    kinds = {
+        SensorEffect: "on sensors", InputEffect: "on an input",
+        StateFlow: "on states of first order",
+    }  # fmt: skip
+    where = next((told for kind, told in kinds.items() if issubclass(plugin, kind)), "at a port")
+    several = plugin.axes is not None and plugin.axes > 1
+    together = ", two together" if issubclass(plugin, StateFlow) else f" of {plugin.axes} axes"
+    axes = together if several else ""
+    units = getattr(plugin, "units", ())
+    first = f"acts {where}{axes}" + (f" in {', '.join(units)}" if units else "")
+    if issubclass(plugin, StateFlow) and plugin.differences:
+        first += ", or on what a state has more than an input or a state of its unit"
+    named = (
+        ("needs the inputs {}", plugin.inputs), ("needs the channels {}", plugin.channels),
+        ("in the limits of its shapes it is {}", plugin.special),
+        ("does what {} does elsewhere", plugin.twins),
+    )  # fmt: skip
+    told = [words.format(" or ".join(names)) for words, names in named if names]
+    console.print()
+    console.print(Text("; ".join([first, *told])))
 
 
 def _print_fields(console: Console, plugin: type) -> None:
