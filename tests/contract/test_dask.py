@@ -54,6 +54,7 @@ def test_jobs_run_in_the_workers_and_a_killed_one_is_a_row(tmp_path, monkeypatch
     assert os.getpid() not in processes
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_goes_away_keeps_the_rows(tmp_path, monkeypatch, cluster):
     monkeypatch.chdir(tmp_path)
     address, running = cluster

@@ -100,6 +100,7 @@ def test_a_full_disk_is_said_and_what_was_written_stays(study, tmp_path, monkeyp
     assert len(other.read_last().rounds) == 1
 
 
+@pytest.mark.slow
 def test_killed_in_the_middle_and_started_again(study, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = [*GIVEN, "tracking.enabled=false"]

@@ -98,8 +98,9 @@ def test_sensors_and_flows_with_cases_are_traced_together():
 @pytest.mark.parametrize(("scene", "label", "strength", "noise", "seed", "floors"), [
     # begins slowly, beside noise of the seed's; the head of a test record tells less of its phase
     # where what the late sensors hold is unknown too
-    ("planar_rotor", "delay", "strong", 0.005, 2, 1.4),
-    ("chain_2", "bouc_wen@link1", "medium", 0.02, 1, 1.2),  # several valleys, a shape tried at 0
+    pytest.param("planar_rotor", "delay", "strong", 0.005, 2, 1.4, marks=pytest.mark.slow),
+    # several valleys, a shape tried at zero
+    pytest.param("chain_2", "bouc_wen@link1", "medium", 0.02, 1, 1.2, marks=pytest.mark.slow),
     ("chain_2", "offset", "medium", 0.02, 1, 1.2),  # of both sensors: a load in one number
 ])  # fmt: skip
 def test_the_default_names_what_is_hidden_first_and_alone(

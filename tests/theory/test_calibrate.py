@@ -70,6 +70,7 @@ def test_one_common_factor_is_found_a_hundred_times_better():
     assert abs(factors[0] - 1) < 2e-3
 
 
+@pytest.mark.slow
 def test_records_whose_phase_is_measured_share_one_origin():
     """Each record's filter finds its own to start from; a shared column would keep them apart."""
     found = calibrated(0.2, 1, records(2, 7.0), together=BEARINGS)

@@ -42,6 +42,7 @@ def _leaky(t, x, u, p):
     return [(u.e - x.v) / (p.R * p.C)]
 
 
+@pytest.mark.slow
 def test_effects_that_stand_in_for_a_curve_are_not_named():
     """A loss that grows exponentially, offered those that grow with the root and the square."""
     rng = np.random.default_rng(2)

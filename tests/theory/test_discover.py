@@ -97,6 +97,7 @@ def test_constant_speed_in_steady_state_is_refused_with_groups_and_advice():
     assert told.verdict == "not_identifiable"
 
 
+@pytest.mark.slow
 def test_constant_speed_with_its_start_up_transient_is_judged_by_its_signatures():
     run = discover(planar_problem(_constant_speed(False, 1), _constant_speed(False, 2)))
     assert run.verdict == "effect_missing"
@@ -113,6 +114,7 @@ def test_three_effects_added_at_once_lead_to_the_same_place():
     assert run.model.labels[-3:] == tuple(e.label for e in three)
 
 
+@pytest.mark.slow
 def test_phase_integrated_from_exact_speed_serves_as_well_as_measured_phase():
     hidden = (effect("gyroscopic"),), {"gyroscopic.coefficient": 0.01}
     record, test = (
@@ -145,6 +147,7 @@ def test_a_seed_model_keeps_its_frozen_past():
     assert wider.without("gyroscopic").labels == model.labels
 
 
+@pytest.mark.slow
 def test_a_look_alike_admitted_first_is_let_go_when_the_true_effect_comes():
     source = Simulation(
         system=Oscillator(),

@@ -203,7 +203,13 @@ def test_hysteresis_does_not_know_how_fast_it_is_run_through():
     assert np.ptp(slow[:200]) > 0.5 * LENGTH
 
 
-@pytest.mark.parametrize(("asymmetry", "exponent"), [(0.0, 1.0), (-1.3, 1.0), (0.5, 2.5)])
+@pytest.mark.parametrize(
+    ("asymmetry", "exponent"),
+    [
+        (0.0, 1.0),
+        *(pytest.param(a, n, marks=pytest.mark.slow) for a, n in ((-1.3, 1.0), (0.5, 2.5))),
+    ],
+)
 def test_hysteresis_is_named_first_and_alone(asymmetry, exponent):
     """Dahl's friction, a loop that stiffens, and one that bends sharply, by the default."""
     values = {"stiffness": 2e4, "length": 4e-4, "asymmetry": asymmetry, "exponent": exponent}

@@ -53,6 +53,7 @@ def _disturbed(system, seed=3, dt=0.04, count=3000, time=0.4):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_what_pushes_one_state_is_told_there_with_its_time():
     system = _system()
     run = spiral.discover(_disturbed(system), system)

@@ -377,7 +377,7 @@ def test_an_input_that_acts_in_part_is_no_mass():
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("hidden", [0.0, 0.03])
+@pytest.mark.parametrize("hidden", [0.0, pytest.param(0.03, marks=pytest.mark.slow)])
 def test_friction_is_found_in_a_machine_that_has_states_of_first_order_too(hidden):
     """A motor whose current lags its voltage, integrated by SciPy with dry friction and without."""
     time = np.arange(3000) / 500

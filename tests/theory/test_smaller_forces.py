@@ -83,6 +83,7 @@ def test_nothing_takes_the_place_of_a_force_that_is_small(study):
     assert replace_large_forces(assembly, found, silent) is None
 
 
+@pytest.mark.slow
 def test_a_lake_with_an_unmeasured_inflow_lacks_nothing():
     system = _lake()
     run = spiral.discover(_record(system, 2), system)

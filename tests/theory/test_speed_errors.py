@@ -44,6 +44,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 def test_the_same_effects_are_found_in_a_short_record_with_a_wrong_speed():
     problem = _problem(1e-3, 0.0, BRIEF)
     candidates = tuple(c for c in problem.candidates if c.label in FEW)

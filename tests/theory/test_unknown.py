@@ -73,6 +73,7 @@ def friction():
     return discover(_brief(_problem("friction", learned=True)))
 
 
+@pytest.mark.slow
 def test_friction_that_depends_on_place_is_named_covered_and_admitted(friction):
     unknown = friction.unknown
     assert unknown["effect"] == "learned_dry_friction"
