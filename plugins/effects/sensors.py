@@ -114,7 +114,7 @@ class Delay(SensorEffect):
 
 def delay_curvature(given, level, slope):
     """c = 12 (q - a) - 6 b of the states of a half of a delay."""
-    return 12.0 * (given - level) - 6.0 * slope
+    return 12 * (given - level) - 6 * slope
 
 
 def delayed(given, level, slope, ratio):

@@ -8,6 +8,9 @@ import numpy as np
 
 Array = np.ndarray
 
+NOISE_LAGS = 13
+"""Autocovariances that bear on ``estimate_noise``: up to its highest order, 12."""
+
 Kind = Literal["white", "coloured", "band", "vibration", "drift", "force", "gust"]
 
 COLOURED: tuple[Kind, ...] = ("coloured", "band", "vibration")
@@ -33,13 +36,12 @@ def estimate_noise(values: Array) -> float:
 def expected_noise_estimate(autocovariance: Array) -> float:
     """What ``estimate_noise`` tells of stationary noise beside a smooth signal.
 
-    Of noise r_m = cov(e_t, e_t+m) (at least 13 lags) the k-th difference has the variance
+    Of noise r_m = cov(e_t, e_t+m) (``NOISE_LAGS`` of them) the k-th difference has the variance
     C(2k, k) r_0 + 2 sum_m (-1)^m C(2k, k + m) r_m; of coloured noise little is left.
     """
     from scipy.special import comb
 
-    orders = range(2, 13)  # as in estimate_noise, which exported programs hold whole
-    lags = np.arange(1, orders[-1] + 1)
+    orders, lags = range(2, NOISE_LAGS), np.arange(1, NOISE_LAGS)
     signs = 2.0 * (-1.0) ** lags * autocovariance[lags]
     told = (
         autocovariance[0] + np.sum(signs * comb(2 * k, k + lags)) / comb(2 * k, k) for k in orders

@@ -166,7 +166,7 @@ def test_a_loss_of_a_hidden_state_is_named_at_its_place_with_its_rate():
 
 
 def test_what_runs_over_a_rim_is_named_with_its_threshold():
-    """From 8 m on the upper tank loses what nobody catches."""
+    """From 1 m on the upper tank loses what nobody catches."""
     values = {"threshold_loss@upper.rate": 0.3, "threshold_loss@upper.threshold": 1.0,
               "threshold_loss@upper.width": 0.0}  # fmt: skip
     records = [filled(seed, effect("threshold_loss@upper"), **values) for seed in (1, 2)]

@@ -9,8 +9,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from spiral.inference.likelihood.fitting import (
     LEVEL,
     LikelihoodFit,
     fit_by_likelihood,
+    has_still_state,
     is_random_force_small,
     restart_vanished_noise,
     schwarz_penalty,
@@ -64,6 +66,11 @@ class Rival:
     worth: float
     shapes: int = 0
     plain: LikelihoodFit | None = None
+
+    @cached_property
+    def stands_still(self) -> bool:
+        """Whether a state of its own hardly moves (``has_still_state``)."""
+        return has_still_state(self.fit, self.ranked.variant.label)
 
     @property
     def label(self) -> str:
@@ -289,12 +296,21 @@ def _finite_worth(rival: Rival) -> float:
 
 def _with_effect_at_full_size(assembly: Assembly, state: FitState, variant: Variant) -> FitState:
     """A state with a variant's parameters at the sizes that its effect declares (``whole``)."""
+    sizes = {
+        name: variant.shapes[f"{variant.label}.{given}"] if isinstance(given, str) else given
+        for name, given in variant.effect.whole.items()
+    }
+    return with_variant_values(assembly, state, variant, sizes)
+
+
+def with_variant_values(
+    assembly: Assembly, state: FitState, variant: Variant, given: Mapping[str, float]
+) -> FitState:
+    """A state in which a variant's parameters of these names have these values."""
     traced, values = assembly.study.compiled.traced, state.values.copy()
     for key, parameter in zip(traced.keys, traced.parameters, strict=True):
-        owner, given = owner_of(key), variant.effect.whole.get(parameter.name)
-        if owner == variant.label and given is not None:
-            size = variant.shapes[f"{owner}.{given}"] if isinstance(given, str) else given
-            values[:, assembly.study.index(key)] = size
+        if owner_of(key) == variant.label and parameter.name in given:
+            values[:, assembly.study.index(key)] = given[parameter.name]
     return replace(state, values=values)
 
 

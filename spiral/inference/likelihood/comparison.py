@@ -49,13 +49,12 @@ from spiral.inference.nearness import LASTING
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model
-from spiral.types.noise import COLOURED, expected_noise_estimate
+from spiral.types.noise import COLOURED, NOISE_LAGS, expected_noise_estimate
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
 
 _PERIODS = 3  # of the slowest mode that tell where a record begins
 _STILL = 1e-6  # share of the fastest rate under which a mode does not move
-_LAGS = 13  # samples over which colour bears on the model-free estimate
 _AGREE = 1.25  # ratio within which two estimates of the noise agree
 _SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
 _TOLD = 0.5  # standard error of the logarithm of a size up to which the size is reported
@@ -340,7 +339,7 @@ def _relative_noise_floor(
             np.mean([r.sigma()[name] ** 2 for r in records])
             for records in (problem.test or problem.records, problem.records)
         )
-        told = expected_noise_estimate(sensor_autocovariance(task, noise, name, _LAGS)) ** 2
+        told = expected_noise_estimate(sensor_autocovariance(task, noise, name, NOISE_LAGS)) ** 2
         reliable = 1 / _AGREE**2 <= here / told <= _AGREE**2 if told > 0 else False
         sizes.append(np.sqrt(fitted * float(there / here) if reliable else fitted))
     with np.errstate(divide="ignore", invalid="ignore"):

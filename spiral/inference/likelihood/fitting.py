@@ -27,6 +27,7 @@ from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import tracked_deviations
 from spiral.inference.evidence.scales import covering_samples
 from spiral.inference.evidence.spectrum import shortest_time_constant
+from spiral.types.label import owner_of
 from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
@@ -279,26 +280,26 @@ def predicted_states(fit: LikelihoodFit) -> tuple[Array, ...]:
     return tuple(p.expected[:, : len(t.model.system.states)] for t, p in parts)
 
 
-def still_followers(fit: LikelihoodFit) -> tuple[str, ...]:
-    """States that follow an input, a state or a reading (``State.like``), and hardly move.
+def has_still_state(fit: LikelihoodFit, label: str) -> bool:
+    """Whether an own state of an effect that follows something (``State.like``) hardly moves.
 
-    Their deviation is under ``_STILL`` of that of what they follow, in every record: a lag of years
-    and a limit of no speed hold what was at first.
+    Its deviation is under ``_STILL`` of that of the input, state or reading that it follows, in
+    every record: a lag of years and a limit of no speed hold what was at first.
     """
-    moving: set[str] = set()
     like = fit.estimate.prepared[0][0].compiled.traced.like
-    for task, settings in fit.estimate.prepared:
+    still = {own: followed for own, followed in like if owner_of(own) == label}
+    for task, settings in fit.estimate.prepared if still else ():
         run = predict_readings(task, settings, fit.estimate.noise, keep=True)
         means = run.means[: run.done, : len(task.states)]
         inputs = task.inputs[:: 2 * task.series.substeps]
         shown = dict(zip(task.compiled.traced.inputs, inputs.T, strict=True))
         shown |= dict(zip(task.compiled.traced.channels, task.series.y.T, strict=True))
         shown |= dict(zip(task.states, means.T, strict=True))
-        moving |= {
-            own for own, followed in like
-            if not np.std(means[:, task.states.index(own)]) < _STILL * np.std(shown[followed])
+        still = {
+            own: followed for own, followed in still.items()
+            if np.std(shown[own]) < _STILL * np.std(shown[followed])
         }  # fmt: skip
-    return tuple(own for own, _ in like if own not in moving)
+    return bool(still)
 
 
 def innovations(fit: LikelihoodFit) -> tuple[Array, ...]:

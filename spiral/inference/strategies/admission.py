@@ -38,11 +38,11 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     continue_fit,
     fit_by_likelihood,
+    has_still_state,
     innovation_whiteness,
     is_white,
     largest_force,
     restart_vanished_noise,
-    still_followers,
 )
 from spiral.inference.likelihood.identify import find_parameter_ties
 from spiral.inference.likelihood.interpolation import restore_declared_interpolation
@@ -79,6 +79,9 @@ from spiral.types.horizon import changes
 from spiral.types.label import owner_of, parameter_of, split_key, without_variant
 from spiral.types.run import Comparison
 
+_STILL_STATE = (
+    "its own state hardly moves in these records: it adds a constant, which another effect may be"
+)
 _LAST = 1e-6  # whiteness from which a model may be the last
 _BEYOND = 100.0  # times its scaled value from which a shape is of no motion in the records
 _BOUND = 0.99  # share of the largest random force from which one stands at its bound
@@ -136,11 +139,6 @@ class Refusal:
 
 Objection = Callable[[WholeRecordFit], Refusal | None]
 """Function that gives the reason to refuse a model with a candidate, or nothing."""
-
-
-_STILL_STATE = (
-    "its own state hardly moves in these records: it adds a constant, which another effect may be"
-)
 
 
 @dataclass(frozen=True)
@@ -219,17 +217,11 @@ def _meaningful(race: Race, rejected: dict[str, str]) -> Iterator[tuple[Rival, l
 
     These are ``rejected``: a lag of years adds a constant, which another effect may be.
     """
-    still: dict[int, bool] = {}
     for rival, rivals in race.winners():
-        for one in rivals:
-            if id(one) not in still:
-                still[id(one)] = any(
-                    owner_of(name) == one.ranked.variant.label for name in still_followers(one.fit)
-                )
-        if still[id(rival)]:
+        if rival.stands_still:
             rejected[rival.label] = _STILL_STATE
-            continue
-        yield rival, [one for one in rivals if not still[id(one)]]
+        else:
+            yield rival, [one for one in rivals if not one.stands_still]
 
 
 def _with_free_run_values(
@@ -280,7 +272,7 @@ def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
                 return Refusal(
                     f"its {name} goes to {reached}, far beyond the motion in these records"
                 )
-    if any(owner_of(without_variant(n)) == rival.label for n in still_followers(whole.fit)):
+    if has_still_state(whole.fit, variant.label):
         return Refusal(_STILL_STATE)
     return None
 

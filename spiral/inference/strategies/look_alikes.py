@@ -27,11 +27,7 @@ from spiral.inference.likelihood.alias_groups import (
     log_likelihood_lead,
     twin_rivals,
 )
-from spiral.inference.likelihood.candidates import (
-    Rival,
-    start_race,
-    unscored_candidate,
-)
+from spiral.inference.likelihood.candidates import Rival, start_race, unscored_candidate
 from spiral.inference.likelihood.fitting import (
     WARM,
     LikelihoodFit,
@@ -112,8 +108,7 @@ def prefer_special_case(
         return passed
     likelier = again.find_likelier(options, whole.settled.comparison, progress)
     if likelier is None:
-        alike = (*passed.aliases, *(r.label for r in again.others if r.label in again.twins))
-        return replace(passed, aliases=tuple(dict.fromkeys(alike)))
+        return replace(passed, aliases=tuple(dict.fromkeys((*passed.aliases, *again.twins))))
     gone = tuple(x for x in likelier.passed.whole.settled.retired if x != held.original.label)
     settled = replace(likelier.passed.whole.settled, retired=gone)
     told = log_likelihood_lead(likelier.passed.rival, again.ours) >= np.log(options.odds)
@@ -196,13 +191,12 @@ def _contest_effects(
     ranked = rank_variants(
         offered, base, base.estimate.noise, None, lambda _: list(offered.offered)
     )
-    mine = [] if ranked is None else [r for r in ranked.ranked if _is_variant_of(r, held)]
     if ranked is None:
         return None
     others_ranked = [r for r in ranked.ranked if not _is_variant_of(r, held)]
     ours = _model_as_rival(assembly, base, model, held)
     finals = twins_at_its_values(offered, base, model, held[0], others_ranked)
-    if any(r.rank < 0 for r in mine):
+    if any(r.rank < 0 for r in ranked.ranked if _is_variant_of(r, held)):
         race = start_race(offered, base, others_ranked, None, progress, options.rivals)
         finals += [rival for rival, _ in itertools.islice(race.winners(), len(known))]
     elif not finals:

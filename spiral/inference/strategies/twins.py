@@ -7,10 +7,7 @@ with the effect, and at its values, it explains as much.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-
-import numpy as np
+from collections.abc import Sequence
 
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.noise import first_noise
@@ -18,7 +15,6 @@ from spiral.engine.likelihood.predict import Masks
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.enlarge import transfer_fit_state, with_variants
-from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import RankedCandidate
 from spiral.inference.likelihood.alias_groups import TWIN
 from spiral.inference.likelihood.candidates import (
@@ -26,6 +22,7 @@ from spiral.inference.likelihood.candidates import (
     add_candidate,
     make_rival,
     unscored_candidate,
+    with_variant_values,
 )
 from spiral.inference.likelihood.fitting import (
     LEVEL,
@@ -55,12 +52,13 @@ def twins_at_its_values(
     given, scored = _values_by_name(model, held), {r.variant.label: r for r in ranked}
     rivals: dict[str, Rival] = {}
     for variant in assembly.offered:
-        label, own = variant.original.label, with_variants(assembly, [variant])
+        label = variant.original.label
         if label in rivals or not _is_twin(variant.original.plugin_name(), held):
             continue
+        own = with_variants(assembly, [variant])
         one = scored.get(variant.label) or unscored_candidate(variant)
         state = add_candidate(own, transfer_fit_state(base.state, assembly, own), one)
-        state = _with_values(own, state, variant, given)
+        state = with_variant_values(own, state, variant, given)
         noise, like = model.estimate.noise, base.estimate.prepared
         fit = fit_by_likelihood(own, state, noise, rough=True, like=like)
         if fit.estimate.finite:
@@ -80,7 +78,7 @@ def untold_twin(base: LikelihoodFit, rival: Rival, masks: Masks) -> str:
         if not _is_twin(variant.original.plugin_name(), held):
             continue
         state = drop_effects(own, rival.fit.state, (held.label,))
-        state = _with_values(own, state, variant, _values_by_name(base, held))
+        state = with_variant_values(own, state, variant, _values_by_name(base, held))
         noise, like = base.estimate.noise, base.estimate.prepared
         fit = fit_by_likelihood(own, state, noise, masks, rough=True, like=like)
         bare = fit_without(own, rival.fit, (held, variant), masks)
@@ -117,14 +115,3 @@ def _values_by_name(model: LikelihoodFit, held: Variant) -> dict[str, float]:
     task = model.estimate.prepared[0][0]
     known = zip(task.keys, task.compiled.traced.parameters, task.values, strict=True)
     return {p.name: float(value) for key, p, value in known if owner_of(key) == held.label}
-
-
-def _with_values(
-    assembly: Assembly, state: FitState, variant: Variant, given: Mapping[str, float]
-) -> FitState:
-    """A state in which a variant's parameters have the values of these names."""
-    values, traced = np.array(state.values), assembly.study.compiled.traced
-    for key, parameter in zip(traced.keys, traced.parameters, strict=True):
-        if owner_of(key) == variant.label and parameter.name in given:
-            values[:, assembly.study.index(key)] = given[parameter.name]
-    return replace(state, values=values)

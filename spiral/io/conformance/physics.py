@@ -262,8 +262,10 @@ def check_linearity(effect: Effect, physics: Physics) -> str:
     none, one, two = np.moveaxis(np.array(drawn), 1, 0)  # each (draws, values)
     if not np.any(one != none):
         raise PluginError("the amplitudes change nothing", "an effect that acts")
-    error, largest = np.abs((two - none) - 2 * (one - none)), np.abs(2 * (one - none)).max(axis=0)
-    if not np.all(error <= _EXACT * (1 + np.abs(none)) + share * largest):
+    error, acted = np.abs((two - none) - 2 * (one - none)), np.abs(2 * (one - none))
+    if bent:
+        acted = acted.max(axis=0)
+    if not np.all(error <= _EXACT * (1 + np.abs(none)) + share * acted):
         raise PluginError(
             f"twice the amplitudes miss twice the effect by {np.max(error):.2g}",
             "an effect linear in its amplitudes",
