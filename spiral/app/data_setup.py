@@ -54,7 +54,7 @@ class DataSetup:
         toggle = ui.toggle(_DRAGS, value=self.drag, on_change=lambda e: self._set_drag(e.value))
         toggle.props('unelevated no-caps dense padding="2px 10px" aria-label="A drag"')
         toggle.classes("drags")
-        layout = {**data["layout"], "shapes": stretch_shapes(setup), "dragmode": self._drag_mode(),
+        layout = {**data["layout"], "shapes": stretch_shapes(setup), **self._drag_layout(),
                   "selectdirection": "h"}  # fmt: skip
         said = f"The first columns of {setup.name}, row by row"
         self.plot = frame.draw_plot({**data, "layout": layout}, "columns", said)
@@ -80,13 +80,14 @@ class DataSetup:
             if box.value != wanted:
                 box.set_value(wanted)
 
-    def _drag_mode(self) -> str:
-        return "zoom" if self.drag == "zoom" else "select"
+    def _drag_layout(self) -> dict[str, Any]:
+        """What a drag over the picture does; ``meta`` says for whom a stretch is marked."""
+        return {"dragmode": "zoom" if self.drag == "zoom" else "select", "meta": self.drag}
 
     def _set_drag(self, what: str) -> None:
         self.drag = what
         if self.plot is not None:
-            self.plot.run_plot_method("relayout", {"dragmode": self._drag_mode(), "selections": []})
+            self.plot.run_plot_method("relayout", {**self._drag_layout(), "selections": []})
 
     def _on_selected(self, event: Any) -> None:
         ends = next((v for k, v in ((event.args or {}).get("range") or {}).items()

@@ -60,6 +60,13 @@ def rows(tab):
     return [tab.input_value(f"input[aria-label='{name}']") for name in names]
 
 
+def mark(tab, what, use):
+    """Choose what a drag marks; the picture follows once the program has answered."""
+    tab.click(f"button:has-text('{what}')")
+    tab.wait_for_function("(use) => document.querySelector('#plot-columns .js-plotly-plot')"
+                          "?._fullLayout?.meta === use", arg=use)  # fmt: skip
+
+
 def drag(tab, first, last):
     """Drag over a share of the picture's width."""
     box = tab.locator("#plot-columns .nsewdrag").nth(1).bounding_box()
@@ -74,14 +81,14 @@ def drag(tab, first, last):
 def test_stretches_are_marked_with_the_mouse_or_typed(tab, served, files, picture):
     begun(tab, served, files / "run1.csv", "oscillator")
     assert "The last part is kept apart" in tab.inner_text("#apart")
-    tab.click("button:has-text('Mark the test')")
+    mark(tab, "Mark the test", "test")
     drag(tab, 0.1, 0.4)
     tab.wait_for_selector("#apart:has-text('No fit sees the test record: run1.csv rows [')")
     fit_from, fit_to, test_from, test_to = map(int, rows(tab))
     assert [test_from, test_to] == pytest.approx([300, 1200], abs=15)
     assert (fit_from, fit_to) == (test_to, SAMPLES)  # the longer side, and no row twice
     assert tab.locator("#plot-columns .shapelayer path").count() == 2
-    tab.click("button:has-text('Mark what is fitted')")
+    mark(tab, "Mark what is fitted", "fit")
     drag(tab, 0.3, 0.9)
     tab.wait_for_function("(was) => document.querySelector(\"input[aria-label='Test rows to']\")"
                           ".value !== was", arg=str(test_to))  # fmt: skip
