@@ -159,7 +159,7 @@ def discover(record: Records, system: Physics, **choices: Any) -> Run:
         ``candidates`` (labels or effects; left out, all that fit);
         ``strategy`` (a name, a name with options, or an object); ``settings`` (fields of
         ``Settings``); ``plugins`` (a folder, or a registry); ``progress`` (a function that is
-        called with progress messages).
+        called with progress messages, ``False`` for none).
 
     Raises
     ------
@@ -185,6 +185,11 @@ def add(run: Run, *effects: str | Effect, **choices: Any) -> tuple[Comparison, C
 
     if not effects:
         raise ConfigError("add without an effect", "spiral.add(run, EFFECT, ...)")
+    if not isinstance(run, Run):
+        raise ConfigError(
+            f"add to a {type(run).__name__}", "a run, as spiral.discover gives it",
+            "run = spiral.discover(record, system), then spiral.add(run, EFFECT)",
+        )  # fmt: skip
     registry = _registry(choices.pop("plugins", None))
     with _progress_context(choices) as progress:
         asked = _problem_of_run(run)

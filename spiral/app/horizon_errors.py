@@ -11,7 +11,7 @@ from html import escape
 from typing import Any
 
 from spiral.app.study import StudyState
-from spiral.types.formatting import error_percent, percent
+from spiral.types.formatting import error_percent, join_words, percent
 from spiral.view.report.style import label_words
 
 Rows = Sequence[Mapping[str, Any]]
@@ -34,11 +34,6 @@ def horizon_label(row: Mapping[str, Any]) -> str:
 def worse_horizons(changes: Rows) -> list[str]:
     """The horizons at which a step predicts worse, in words."""
     return [horizon_label(row) for row in changes if row["judged"] == "worse"]
-
-
-def join_words(names: Sequence[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def horizon_error_table(turn: StudyState) -> str:

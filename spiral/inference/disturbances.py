@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spiral.types.formatting import number, percent
+from spiral.types.formatting import join_words, number, percent
 from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.noise import COLOURED
@@ -76,12 +76,15 @@ def record_sentence(comparison: Comparison) -> str:
 
 
 def input_sentences(between: Mapping[str, Interpolation]) -> tuple[str, ...]:
-    """A sentence for every input whose interpolation between samples was estimated."""
+    """A sentence for each interpolation that was estimated, with the inputs that run so."""
     said = []
-    for name, way in between.items():
+    for way in dict.fromkeys(between.values()):
+        names = [name for name, own in between.items() if own == way]
         alike = "; half a sample of lag or delay looks the same" if way == "zero_order" else ""
+        several = len(names) > 1
         said.append(
-            f"with this model {name} is most likely {BETWEEN[way]} between its samples "
+            f"with this model {join_words(names)} {'are' if several else 'is'} most likely "
+            f"{BETWEEN[way]} between {'their' if several else 'its'} samples "
             f"(record.hold={way} declares it{alike})"
         )
     return tuple(said)

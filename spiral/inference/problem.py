@@ -73,7 +73,8 @@ class Problem:
 
     ``records`` are fitted; ``test`` is seen neither by fit nor by selection, its first ``settle``
     seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
-    ``dictionary`` are learned effects, tried where no candidate explains what is left.
+    ``dictionary`` are learned effects, and ``varying`` changes of the model's own parameters with
+    what moves, tried where no candidate explains what is left.
     ``strategy`` is the plugin of that kind which supplies the evidence
     (``spiral.inference.rounds.strategy_for``); steps that need none leave it out.
     ``scaled`` are shapes that nobody gave a value.
@@ -86,6 +87,7 @@ class Problem:
     candidates: tuple[Effect, ...] = ()
     settings: Settings = field(default_factory=Settings)
     dictionary: tuple[Effect, ...] = ()
+    varying: tuple[Effect, ...] = ()
     strategy: Plugin | None = None
     scaled: tuple[str, ...] = ()
 
@@ -95,6 +97,12 @@ class Problem:
             tuple(replace(r, growth=growth) for r in some) for some in (self.records, self.test)
         )
         return replace(self, records=records, test=test)
+
+    def spoilt_sentences(self) -> tuple[str, ...]:
+        """What readings are no measurement, in words; those of the test records named as such."""
+        fitted = [words for r in self.records for words in r.spoilt_words]
+        tested = [f"in the test record, {words}" for r in self.test for words in r.spoilt_words]
+        return (*fitted, *tested)
 
     def running(self, ways: Mapping[str, Interpolation]) -> Problem:
         """The same with these interpolations of inputs, where a record declares none."""

@@ -130,12 +130,17 @@ def _has_error_grown(rounds: Sequence[Round], settings: Settings) -> bool:
     """Whether the error on unseen data grew over the study.
 
     It has not where it lies within what noise makes of it before and after: then it cannot fall,
-    and chance alone decides which is larger.
+    and chance alone decides which is larger. Growth by ``settings.smallest`` of what it was is one
+    that a user sees, whatever acts at random; only where a free run is carried away it tells
+    nothing.
     """
     first, last = rounds[0].comparison, rounds[-1].comparison
     if len(rounds) < 2 or last.test_error <= first.test_error:
         return False
     if is_error_unexplained(last, settings) or not last.unseen:
+        return True
+    least = (1 + settings.smallest) * max(first.test_error, first.noise_floor)
+    if last.test_error > least and not is_free_run_carried_away(last):
         return True
     return unexplained_error_growth(first, last, settings) is not None
 

@@ -120,4 +120,7 @@ def pose_problem(
     )
     if not chosen.curves:
         return problem
-    return replace(problem, dictionary=registry.dictionary(model.system))
+    system = model.system
+    return replace(
+        problem, dictionary=registry.dictionary(system), varying=registry.varying(system)
+    )

@@ -159,7 +159,7 @@ class Registry:
 
     def candidates(self, system: System, everywhere: bool = False) -> tuple[Effect, ...]:
         """Named effects that fit the system's first port, or (``everywhere``) any place of it."""
-        from spiral.types.effect import Effect, InputEffect, StateFlow
+        from spiral.types.effect import Effect, InputEffect, ParameterEffect, StateFlow
         from spiral.types.placement import at_every_place, fits
 
         effects: list[Effect] = []
@@ -167,11 +167,24 @@ class Registry:
             plugin = self.entry("effect", name).plugin
             if not issubclass(plugin, Effect) or plugin.bare:
                 continue
+            if issubclass(
+                plugin, ParameterEffect
+            ):  # tried where no candidate explains what is left
+                continue
             if issubclass(plugin, InputEffect | StateFlow) and not everywhere:
                 continue
             places = at_every_place(system, plugin()) if everywhere else (plugin(),)
             effects += [e for e in places if fits(system, e)]
         return tuple(effects)
+
+    def varying(self, system: System) -> tuple[Effect, ...]:
+        """Changes of each parameter of a system with each variable that it may follow."""
+        from spiral.types.effect import ParameterEffect
+        from spiral.types.placement import at_every_place, fits
+
+        plugins = (self.entry("effect", name).plugin for name in self.names("effect"))
+        kinds = [plugin() for plugin in plugins if issubclass(plugin, ParameterEffect)]
+        return tuple(e for kind in kinds for e in at_every_place(system, kind) if fits(system, e))
 
     def dictionary(self, system: System) -> tuple[Effect, ...]:
         """Learned effects (``spiral.physics.learned``) at every place where they fit.

@@ -17,7 +17,14 @@ from spiral.inference.strategies.base import Strategy
 from spiral.io.conformance import derivatives, observers, physics, regression
 from spiral.io.registry import error_summary
 from spiral.types.derivative import Derivative
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, InputEffect, SensorEffect
+from spiral.types.effect import (
+    Effect,
+    FlowEffect,
+    ForceEffect,
+    InputEffect,
+    ParameterEffect,
+    SensorEffect,
+)
 from spiral.types.errors import ConfigError, InputError, PluginError, SpiralError
 from spiral.types.fields import construct, field_names, plain
 from spiral.types.learner import Learner
@@ -67,7 +74,7 @@ def check_effect(effect: Effect, system: System) -> list[Check]:
     After a check that the others rest on (it fits, it traces) has failed, no more are run.
     """
     still = isinstance(effect, SensorEffect) and not has_coordinates(system)
-    driven = isinstance(effect, InputEffect)
+    driven = isinstance(effect, InputEffect | ParameterEffect)
     beside = system.seed if still or driven else ()  # flows that a reading or an input may show
     whole, bare = physics.Physics(system, (*beside, effect)), physics.Physics(system, beside)
     return _run_checks(

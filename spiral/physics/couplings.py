@@ -14,11 +14,18 @@ from typing import Any
 import sympy as sp
 
 from spiral.physics.trace import TracedModel, trace
-from spiral.types.effect import Effect, FlowEffect, InputEffect, SensorEffect, StateFlow
+from spiral.types.effect import (
+    Effect,
+    FlowEffect,
+    InputEffect,
+    ParameterEffect,
+    SensorEffect,
+    StateFlow,
+)
 from spiral.types.model import Model
 from spiral.types.placement import TIME
 from spiral.types.port import Port
-from spiral.types.system import System, has_coordinates
+from spiral.types.system import System, has_coordinates, place_name
 
 
 @dataclass(frozen=True)
@@ -192,6 +199,9 @@ def _place_of_effect(
     port = system.place(effect)
     if isinstance(effect, InputEffect):
         return "input", port.name, port.axes
+    if isinstance(effect, ParameterEffect):
+        touched = _nodes_of_states(system, (port.against,), known)
+        return "parameter", place_name(port), touched
     if isinstance(effect, SensorEffect):
         traced = trace(system, ())
         made = (n for axis in port.axes for n in _nodes_of_channel(system, traced, axis, known))

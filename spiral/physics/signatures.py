@@ -27,6 +27,7 @@ from spiral.types.effect import (
     FlowEffect,
     ForceEffect,
     InputEffect,
+    ParameterEffect,
     SensorEffect,
     StateFlow,
 )
@@ -34,7 +35,7 @@ from spiral.types.label import parameter_of
 from spiral.types.placement import check_effect, input_columns
 from spiral.types.port import At, Port
 from spiral.types.record import Array
-from spiral.types.system import System, has_coordinates
+from spiral.types.system import System, has_coordinates, varied_key
 
 Function = Callable[..., Any]
 _SMALL = 1e-8  # amplitude of an effect on an input, which may be linear to leading order only
@@ -49,7 +50,8 @@ class SystemMotion:
     ``states`` (samples, n) of the system alone, ``inputs`` (samples, input columns), ``rates``
     (samples, n) and ``readings`` (samples, channels) of the model as it is, ``values`` of the
     system's parameters by name, ``by_input`` slopes of the rates (samples, n) and the readings
-    (samples, channels) by each input that an actuator may change; ``reading_rates`` (samples,
+    (samples, channels) by each input that an actuator may change, ``by_parameter`` by the logarithm
+    of each parameter that is asked whether it varies (full name); ``reading_rates`` (samples,
     channels) where readings are no states; ``known`` keeps what all effects of a place share.
     """
 
@@ -60,6 +62,7 @@ class SystemMotion:
     readings: Array
     values: Mapping[str, float]
     by_input: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    by_parameter: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     reading_rates: Array | None = None
     known: dict[str, Any] = field(default_factory=dict, compare=False)
 
@@ -70,6 +73,7 @@ class SystemMotion:
             readings=self.readings[where], known={},
             reading_rates=None if self.reading_rates is None else self.reading_rates[where],
             by_input={k: (a[where], b[where]) for k, (a, b) in self.by_input.items()},
+            by_parameter={k: (a[where], b[where]) for k, (a, b) in self.by_parameter.items()},
         )  # fmt: skip
 
     def compute_once(self, name: str, made: Callable[[], Any]) -> Any:
@@ -123,6 +127,13 @@ def signatures(
         driven = [call_equation(effect, "drive", effect.drive, at, u, p) for p in small]
         change = (np.stack(driven, axis=1) - recorded[:, None]) / _SMALL
         return slopes[0][:, :, None] * change[:, None], slopes[1][:, :, None] * change[:, None]
+    if isinstance(effect, ParameterEffect):
+        slopes, followed = along.by_parameter[varied_key(port)], followed_variable(along, port)
+        small = _unit_amplitudes(effect, port, shapes, _SMALL)
+        factors = [call_equation(effect, "factor", effect.factor, At((followed,), (), hidden), u, p)
+                   for p in small]  # fmt: skip
+        change = (_stack_columns(factors, count) - 1.0) / _SMALL
+        return slopes[0][:, :, None] * change[:, None], slopes[1][:, :, None] * change[:, None]
     gain = along.compute_once("pushed", lambda: _collapse_constant(_stack_matrix(
         _injection_gain(system)(*along.states.T, *along.inputs.T, *along.parameters), count
     )))  # fmt: skip
@@ -173,6 +184,9 @@ def port_motion_along(along: SystemMotion, effect: Effect) -> tuple[Array, Array
     port = along.system.place(effect)
     if isinstance(effect, SensorEffect):
         return _channel_motion(along, port)
+    if isinstance(effect, ParameterEffect):
+        position = followed_variable(along, port)[:, None]
+        return position, np.gradient(position, axis=0)
     if isinstance(effect, InputEffect | StateFlow):
         flows = isinstance(effect, StateFlow)
         position = _port_levels(along, port) if flows else _recorded_input(along, port)[:, None]
@@ -207,6 +221,14 @@ def _port_levels(along: SystemMotion, port: Port) -> Array:
         return levels
     outside = input_columns(along.system).index(port.against)
     return levels - along.inputs[:, outside : outside + 1]
+
+
+def followed_variable(along: SystemMotion, port: Port) -> Array:
+    """(samples,) the state, the input or the time that a varying parameter follows."""
+    names = [s.name for s in along.system.states]
+    if port.against in names:
+        return along.states[:, names.index(port.against)]
+    return along.inputs[:, input_columns(along.system).index(port.against)]
 
 
 def _recorded_input(along: SystemMotion, port: Port) -> Array:

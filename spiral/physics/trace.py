@@ -9,6 +9,7 @@ columns, exported code) is made from a ``TracedModel``.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -25,15 +26,16 @@ from spiral.types.effect import (
     FlowEffect,
     ForceEffect,
     InputEffect,
+    ParameterEffect,
     SensorEffect,
     StateFlow,
-    expand,
+    values_for,
 )
 from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.parameter import Parameter
 from spiral.types.placement import check_effect, input_columns, model_keys
 from spiral.types.port import At, Port
-from spiral.types.system import System, has_coordinates
+from spiral.types.system import System, has_coordinates, varied_key
 
 _IN_LINE = 3  # at most so many effects on one input act one after the other
 
@@ -156,8 +158,13 @@ def trace(
     states = {n: sp.Symbol(f"x{i}", real=True) for i, n in enumerate(names)}
     inputs = {n: sp.Symbol(f"u{i}", real=True) for i, n in enumerate(input_columns(system))}
     x = SimpleNamespace(**{s.name: states[s.name] for s in system.states})
-    p = SimpleNamespace(**{q.name: symbols[f"system.{q.name}"] for q in system.parameters})
-    placed = [_place_effect(system, effect, x, inputs, p, states, symbols) for effect in effects]
+    given = _system_parameters(system, symbols)
+    placed = [
+        _place_effect(system, effect, x, inputs, given, states, symbols) for effect in effects
+    ]
+    acting = _vary_parameters(placed, symbols, inputs)
+    p = _system_parameters(system, acting)
+    placed = [replace(i, p=values_for(i.effect, i.port.axes, acting)) for i in placed]
     u, placed = _apply_actuators(placed, inputs)
     seen = [_shift_phase(system.seen(u, p), shift) for shift in shifts]
     injected = _sum_injections(system, placed, seen, x)
@@ -231,6 +238,9 @@ def _place_effect(
         pass  # what it sees follows from the rates
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
+    elif isinstance(effect, ParameterEffect):
+        followed = port.against
+        position = (states[followed] if followed in states else inputs[followed],)
     elif isinstance(effect, StateFlow):
         outside = inputs[port.against] if port.against else 0
         position = tuple(getattr(x, name) - outside for name in port.axes)
@@ -247,11 +257,29 @@ def _place_effect(
         suffixes = axis_suffixes(state.per_axis, port)
         axes = tuple(states[f"{effect.label}.{state.name}{s}"] for s in suffixes)
         setattr(own, state.name, axes if state.per_axis else axes[0])
-    values = SimpleNamespace()
-    for parameter in effect.parameters:
-        axes = tuple(symbols[k] for k, _ in expand(effect.label, (parameter,), port.axes))
-        setattr(values, parameter.name, axes if parameter.per_axis else axes[0])
-    return _PlacedEffect(effect, port, At(position, velocity, own), values, jacobian)
+    at = At(position, velocity, own)
+    return _PlacedEffect(effect, port, at, values_for(effect, port.axes, symbols), jacobian)
+
+
+def _system_parameters(system: System, values: Mapping[str, Any]) -> SimpleNamespace:
+    """The system's parameters by name, from values by full name."""
+    return SimpleNamespace(**{q.name: values[f"system.{q.name}"] for q in system.parameters})
+
+
+def _vary_parameters(
+    placed: list[_PlacedEffect], symbols: dict[str, sp.Symbol], inputs: dict[str, sp.Symbol]
+) -> dict[str, Any]:
+    """The values that act, by full name: factors of several effects on one parameter multiply.
+
+    A parameter of an effect that the model has not any more is left alone.
+    """
+    acting: dict[str, Any] = dict(symbols)
+    for item in placed:
+        effect = item.effect
+        if isinstance(effect, ParameterEffect) and (key := varied_key(item.port)) in acting:
+            u = SimpleNamespace(**inputs)
+            acting[key] *= call_equation(effect, "factor", effect.factor, item.at, u, item.p)
+    return acting
 
 
 def _apply_actuators(

@@ -138,6 +138,21 @@ class StateFlow(Effect):
         """What flows into each state of the port, ``at.position`` being their values."""
 
 
+class ParameterEffect(Effect):
+    """A parameter of the model that is no constant: it follows a state, an input or time.
+
+    The value that acts is ``factor`` times the parameter's own. Its port is that parameter and what
+    it follows, ``PARAMETER-VARIABLE`` (``conductance-flow``, ``linear_stiffness.stiffness-time``).
+    ``position`` is the unit of what it follows. It has no states of its own.
+    """
+
+    axes: ClassVar[int | None] = 1
+
+    @abstractmethod
+    def factor(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> Any:
+        """The factor, 1 where all amplitudes are zero; ``at.position[0]`` is what it follows."""
+
+
 class FlowEffect(Effect):
     """A flow into named channels of a first-order system (a tank, a volume)."""
 

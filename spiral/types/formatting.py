@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 _LEAST = 1e-3  # percent; smaller shares are written as ``< 0.001 %``
@@ -21,6 +22,11 @@ def percent(value: float | None) -> str:
 def error_percent(value: float | None) -> str:
     """A prediction error as a share; ``not finite`` where the free run diverges."""
     return "not finite" if value is None else percent(value)
+
+
+def join_words(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -29,7 +29,8 @@ _MOST = 0.05  # share of spikes beyond which they are the signal itself
 _REPEATS = 0.002  # share of repeated values from which a signal repeats them by itself
 _MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how it moves
 _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
-_PAIRS = np.array([(i, i + d) for d in (1, 2, 3) for i in range(-3, 4 - d)])  # of close spikes
+_APART = 3  # readings between close spikes, at most
+_PAIRS = np.array([(i, i + d) for d in range(1, _APART + 1) for i in range(-3, 4 - d)])
 _WEIGHTS = np.array([6, -4, 1, 0]) / 6  # of a reading in the r of those so many away
 _CHANCE = 0.01  # probability below which spikes near jumps of an input are its doing
 _EXTRAPOLATED = 6.0  # deviation of a cubic's extrapolation over that of r, of white noise
@@ -158,7 +159,8 @@ def _spike_mask(values: Array) -> Array:
     """Single readings whose neighbours agree without them; the farthest off are corrected first.
 
     Then pairs at most three readings apart, as two spikes may happen to be; not where more
-    than half as many readings are still off as were single spikes: those are pulses of the signal.
+    than half as many places are still off as there were single spikes: those are pulses of the
+    signal.
     """
     spikes = np.zeros(len(values), dtype=bool)
     if len(values) < 16:
@@ -174,7 +176,8 @@ def _spike_mask(values: Array) -> Array:
         y[last] -= off[last]
         spikes |= last
     met = _candidate_spikes(_cubic_residual(y), spikes, scale)
-    for k in met if 2 * len(met) <= spikes.sum() else ():
+    places = 1 + np.count_nonzero(np.diff(met) > _APART) if met else 0
+    for k in met if 2 * places <= spikes.sum() else ():
         trials = ((pair, _spike_sizes(y, pair, scale)) for pair in _PAIRS + k)
         pair, amounts = next((t for t in trials if t[1] is not None), (np.zeros(0, int), 0.0))
         y[pair] -= amounts

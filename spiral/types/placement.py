@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from spiral.types.effect import Effect, ForceEffect, InputEffect, SensorEffect, StateFlow, expand
+from spiral.types.effect import (
+    Effect,
+    ForceEffect,
+    InputEffect,
+    ParameterEffect,
+    SensorEffect,
+    StateFlow,
+    expand,
+)
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Parameter
 from spiral.types.port import Port
-from spiral.types.system import System, has_coordinates, place_name
-
-TIME = "time"
-"""The column of time among a model's inputs."""
+from spiral.types.system import TIME, System, has_coordinates, place_name
 
 
 def input_columns(system: System) -> tuple[str, ...]:
@@ -38,6 +43,8 @@ def at_every_place(system: System, effect: Effect) -> list[Effect]:
     elif isinstance(effect, SensorEffect):
         fit = [port for port in system.sensed if effect.axes in (None, len(port.axes))]
         names = [place_name(port) for port in fit]
+    elif isinstance(effect, ParameterEffect):
+        return [replace(effect, port=place_name(port)) for port in system.varied]
     elif isinstance(effect, StateFlow):
         return [
             replace(effect, port=place_name(port))

@@ -10,11 +10,14 @@ from types import SimpleNamespace
 from typing import Any, ClassVar, TypeGuard
 
 from spiral.types.cache import kept
-from spiral.types.effect import Effect, InputEffect, SensorEffect, StateFlow
+from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect, StateFlow
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.plugin import Plugin
 from spiral.types.port import Port
+
+TIME = "time"
+"""The column of time among a model's inputs."""
 
 
 class System(Plugin):
@@ -173,8 +176,30 @@ class System(Plugin):
             *(_state_port(units, *pair) for pair in alike),
         )
 
+    @property
+    def varied(self) -> tuple[Port, ...]:
+        """Ports for parameters that vary: each amplitude, with each variable that it may follow.
+
+        Amplitudes are the system's parameters and those of its seed; variables its states, its
+        inputs and time. Such a port is called ``parameter NAME with VARIABLE``.
+        """
+        names = [p.name for p in self.parameters if (p.role, p.scope) == ("amplitude", "machine")]
+        names += [
+            key for effect in self.seed for key, p in effect.keys(self.place(effect))
+            if p.role == "amplitude"
+        ]  # fmt: skip
+        followed = {x.name: x.unit for x in (*self.states, *self.inputs)} | {TIME: "s"}
+        for given in self.inputs:
+            if given.derived_from:
+                del followed[given.name]
+        return tuple(
+            Port(f"parameter {name} with {x}", (name,), lambda x, p: [], unit, "", against=x)
+            for name in names
+            for x, unit in followed.items()
+        )
+
     def place(self, effect: Effect) -> Port:
-        """Where an effect acts: at its port, on an input, into a state, or on the sensors."""
+        """Where an effect acts: at a port, on an input, a parameter, a state, or the sensors."""
         if isinstance(effect, SensorEffect):
             first, *more = self.sensed
             if not more:  # it has no name
@@ -187,6 +212,10 @@ class System(Plugin):
         if isinstance(effect, InputEffect):
             return self._place_of(
                 effect, self.driven, "which acts on an input", "an input that no other follows"
+            )
+        if isinstance(effect, ParameterEffect):
+            return self._place_of(
+                effect, self.varied, "which changes a parameter with a variable", "a parameter"
             )
         if isinstance(effect, StateFlow):
             fit = [
@@ -287,7 +316,7 @@ class MechanicalSystem(System):
         acceleration = _solve_accelerations(self.mass(q, p), total)
         rates = {n: getattr(v, n) for n in names}
         rates.update({self.rate_name(n): a for n, a in zip(names, acceleration, strict=True)})
-        rates.update({n: f + injected[n] for n, f in self.flows(q, v, u, p).items()})
+        rates.update({n: f + injected.get(n, 0) for n, f in self.flows(q, v, u, p).items()})
         return rates
 
 
@@ -311,6 +340,12 @@ def check_states(system: System, what: str) -> None:
 def place_name(port: Port) -> str:
     """The port name of an effect on an input or into a state: the names of its axes."""
     return "-".join((*port.axes, port.against) if port.against else port.axes)
+
+
+def varied_key(port: Port) -> str:
+    """The full name ``OWNER.PARAMETER`` of the parameter at a port of ``System.varied``."""
+    (name,) = port.axes
+    return name if "." in name else f"system.{name}"
 
 
 def _state_port(units: dict[str, str], *into: State) -> Port:

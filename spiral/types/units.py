@@ -18,6 +18,7 @@ from spiral.types.effect import (
     FlowEffect,
     ForceEffect,
     InputEffect,
+    ParameterEffect,
     SensorEffect,
     StateFlow,
 )
@@ -326,6 +327,8 @@ def _evaluate_effect(system: System, effect: Effect, port: Port) -> list[tuple[s
         values += [("effect", value, port.position_unit) for value in readings]
     elif isinstance(effect, InputEffect):
         values.append(("effect", effect.drive(at, u, p), port.position_unit))
+    elif isinstance(effect, ParameterEffect):
+        values.append(("factor of effect", effect.factor(at, u, p), ""))
     elif isinstance(effect, StateFlow):
         values += [("effect", value, port.force_unit) for value in effect.flow(at, u, p)]
     elif isinstance(effect, FlowEffect):

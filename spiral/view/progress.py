@@ -5,12 +5,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Literal
 
 Tell = Callable[[str], None]
 
 
-def progress_for(given: Tell | None) -> AbstractContextManager[Tell]:
-    """Context with the function for progress messages: ``given``, or one for this process."""
+def progress_for(given: Tell | Literal[False] | None) -> AbstractContextManager[Tell]:
+    """Context with the function for progress messages: ``given``, or one for this process.
+
+    ``False`` drops them.
+    """
+    if given is False:
+        return nullcontext(_ignore_message)
     if given is not None:
         return nullcontext(given)
     if "ipykernel" in sys.modules:

@@ -152,7 +152,7 @@ def compare_fitted_model(
         horizon=int(full.length),
         converged=converged,
         notes=tuple(n for r in problem.records for n in r.remarks),
-        spoilt=tuple(n for r in problem.records for n in r.spoilt_words),
+        spoilt=problem.spoilt_sentences(),
         noise_ratio=noise_over_declared(problem.records),
         unseen=() if other is None or run is None
         else errors_on_unseen_records(assembly, other, model, labels, values, run),

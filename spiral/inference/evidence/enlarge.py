@@ -54,7 +54,8 @@ def enlarge(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
         return with_variants(
             assembly, [_find_variant(assembly, x) for x in labels if x not in known]
         )
-    more = tuple(e for e in assembly.problem.dictionary if e.label in names)
+    asked = (*assembly.problem.dictionary, *assembly.problem.varying)
+    more = tuple(e for e in asked if e.label in names)
     candidates = (*assembly.problem.candidates, *more)
     return reassemble(assembly, candidates, own_state_variants(assembly, labels))
 
@@ -66,7 +67,8 @@ def _find_variant(assembly: Assembly, label: str) -> Variant:
             return variant
     name, tag = split_variant(label)
     problem = assembly.problem
-    effects = (*assembly.later, *problem.dictionary, *laws_of(problem.model.system))
+    laws = laws_of(problem.model.system)
+    effects = (*assembly.later, *problem.dictionary, *problem.varying, *laws)
     return make_variant(next(e for e in effects if e.label == name), tag, {})
 
 

@@ -117,7 +117,8 @@ def _scored_misses(misses: Array, series: Series, first: int) -> Array:
     if series.seen is None:
         return misses
     seen = series.seen[first:]
-    return np.where(seen, misses, 0.0) / np.sqrt(np.maximum(seen.mean(axis=0), 1e-9))
+    with np.errstate(over="ignore"):  # a free run that runs away
+        return np.where(seen, misses, 0.0) / np.sqrt(np.maximum(seen.mean(axis=0), 1e-9))
 
 
 def process_noise(

@@ -41,7 +41,7 @@ from spiral.types.model import Model
 from spiral.types.parameter import Parameter
 from spiral.types.port import Port
 from spiral.types.record import Array, Record
-from spiral.types.system import System, has_coordinates
+from spiral.types.system import TIME, System, has_coordinates
 
 _LEVEL = 0.3  # process noise of the filter: a model that is wrong by three tenths of every rate
 _WINDOW = 11  # samples of a local polynomial
@@ -85,6 +85,16 @@ def largest_port_motion(
         largest[f"{port.name}.velocity"] = float(
             max(np.abs(np.diff(u)).max() / dt for u, dt in given)
         )
+    followed = {
+        s.name: (inferred if traced.x[i] in hidden else measured)[:, i]
+        for i, s in enumerate(system.states)
+    }
+    followed |= {i.name: np.concatenate([r.inputs[i.name] for r in records])
+                 for i in system.inputs if all(i.name in r.inputs for r in records)}  # fmt: skip
+    followed[TIME] = np.array([(r.samples - 1) * r.dt for r in records])
+    reached = {name: float(np.abs(values).max()) for name, values in followed.items()}
+    for port in system.varied:
+        largest[f"{port.name}.position"] = reached.get(port.against, 0.0)
     for port in system.sensed:
         seen = [np.abs(r.channels[name]).max() for r in records for name in port.axes]
         largest[f"{port.name}.position"] = float(max(seen))

@@ -61,7 +61,8 @@ def rivals_from_given_values(
     blocks that select.
     """
     starts = _fits_at_given_values(assembly, base.state, masks, progress)
-    return [r for start in starts for r in _rivals_from_fit(assembly, base, start, masks)]
+    rivals = (r for start in starts for r in _rivals_from_fit(assembly, base, start, masks))
+    return [_with_base_noise_terms(base, r, masks) for r in rivals]
 
 
 def rivals_beside_less_noise(
@@ -75,17 +76,17 @@ def rivals_beside_less_noise(
     rivals = []
     if len(less.terms) < len(noise.terms):
         progress("trying candidates beside white noise alone")
-        white = _rivals_from_fit(
-            assembly, base, fit_by_likelihood(assembly, base.state, less, masks, WARM, True), masks
-        )
+        start = fit_by_likelihood(assembly, base.state, less, masks, WARM, True)
+        white = _rivals_from_fit(assembly, base, start, masks)
+        rivals += [_with_base_noise_terms(base, r, masks) for r in white]
         if white and _has_slow_sensor_noise(base):
             best = max(white, key=lambda r: r.worth)
-            white.append(_refit_rival_noise(base, best, masks, progress))
-        rivals += white
+            rivals.append(_refit_rival_noise(base, best, masks, progress))
     if not is_random_force_small(base):
         progress("trying candidates beside sensor noise alone")
         deaf = fit_by_likelihood(assembly, base.state, sensor_noise_only(base), masks, WARM, True)
-        rivals += _rivals_from_fit(assembly, base, deaf, masks)
+        own = _rivals_from_fit(assembly, base, deaf, masks)
+        rivals += [_with_base_noise_terms(base, r, masks) for r in own]
     return rivals
 
 
@@ -100,7 +101,10 @@ def _has_slow_sensor_noise(fit: LikelihoodFit) -> bool:
 def _refit_rival_noise(
     base: LikelihoodFit, rival: Rival, masks: Masks, progress: Progress
 ) -> Rival:
-    """A rival refitted with the noise model selected for it."""
+    """A rival of a fit beside white noise, refitted with the noise model selected for it.
+
+    From the noise of the model as it is a drift would not let go of what the rival explains.
+    """
     own = rival.assembly
     whole = fit_by_likelihood(
         own, rival.fit.state, rival.fit.estimate.noise, steps=WARM, rough=True
@@ -118,8 +122,7 @@ def _rivals_from_fit(
     if start.estimate.finite:
         ranked = rank_candidates(assembly, start, start.estimate.noise, masks)
     some = () if ranked is None else select_promising(list(ranked.ranked), _MOST)
-    rivals = [fit_candidate_briefly(assembly, base, r, masks, start=start) for r in some]
-    return [_with_base_noise_terms(base, r, masks) for r in rivals]
+    return [fit_candidate_briefly(assembly, base, r, masks, start=start) for r in some]
 
 
 def _with_base_noise_terms(base: LikelihoodFit, rival: Rival, masks: Masks) -> Rival:

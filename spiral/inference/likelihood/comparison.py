@@ -143,7 +143,7 @@ def _note_fields(problem: Problem, state: FitState, free: bool) -> dict[str, Any
     said = (*(n for r in problem.records for n in r.remarks), *input_sentences(state.between))
     return {
         "notes": (*said, FREE_RUN_VALUES_NOTE) if free else said,
-        "spoilt": tuple(n for r in problem.records for n in r.spoilt_words),
+        "spoilt": problem.spoilt_sentences(),
         "between": dict(state.between),
     }
 

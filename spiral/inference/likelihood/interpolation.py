@@ -7,7 +7,7 @@ looks like an actuator that lags or limits its rate.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import get_args
 
@@ -41,7 +41,7 @@ def select_input_interpolation(
     """
     for some in _undeclared_input_groups(assembly.problem):
         least = fit.log_likelihood + float(np.log(DECISIVE_ODDS))
-        others = _refit_interpolations(assembly, fit, some, None, least, progress)
+        others = _refit_interpolations(assembly, fit, [some], None, least, progress)
         best = max(
             filter(is_random_force_small, others), key=lambda f: f.log_likelihood, default=fit
         )
@@ -74,11 +74,10 @@ def fit_with_other_interpolations(
     ``least`` : log-likelihood under which a fit may stop early.
     """
     fits: list[LikelihoodFit] = []
-    for some in _undeclared_input_groups(assembly.problem):
-        for ways in _other_interpolations(fit, some):
-            progress(_progress_message(some))
-            other = replace(state, between=ways)
-            fits.append(fit_by_likelihood(assembly, other, rough=True, least=least))
+    for some, ways in _other_interpolations(fit, _undeclared_input_groups(assembly.problem)):
+        progress(_progress_message(some))
+        other = replace(state, between=ways)
+        fits.append(fit_by_likelihood(assembly, other, rough=True, least=least))
     return fits
 
 
@@ -88,14 +87,16 @@ def likelier_interpolation_fit(
     """The likeliest fit with another input interpolation; nothing where it gains too little.
 
     It has to gain over ``base`` at least ``least``, the best candidate's gain, and the log odds.
+    A random force that had filled in for the wrong interpolation takes long to go: the likeliest
+    is fitted on where it is decisively likelier than ``base`` alone.
     """
-    needed = base.log_likelihood + max(least, float(np.log(DECISIVE_ODDS)))
-    fits = [
-        fit
-        for some in _undeclared_input_groups(assembly.problem)
-        for fit in _refit_interpolations(assembly, base, some, masks, needed, progress)
-    ]
+    odds = float(np.log(DECISIVE_ODDS))
+    needed = base.log_likelihood + max(least, odds)
+    groups = _undeclared_input_groups(assembly.problem)
+    fits = _refit_interpolations(assembly, base, groups, masks, needed, progress)
     best = max(fits, key=lambda f: f.log_likelihood, default=None)
+    if best is not None and base.log_likelihood + odds < best.log_likelihood < needed:
+        best = fit_by_likelihood(assembly, best.state, best.estimate.noise, masks, rough=True)
     return None if best is None or best.log_likelihood < needed else best
 
 
@@ -111,16 +112,16 @@ def _undeclared_input_groups(problem: Problem) -> list[tuple[Input, ...]]:
 
 
 def _refit_interpolations(
-    assembly: Assembly, fit: LikelihoodFit, some: tuple[Input, ...], masks: Masks,
+    assembly: Assembly, fit: LikelihoodFit, groups: Sequence[tuple[Input, ...]], masks: Masks,
     least: float, progress: Progress,
 ) -> list[LikelihoodFit]:  # fmt: skip
-    """Fits with each other interpolation of these inputs that changes the predictions.
+    """Fits with each other interpolation of these groups of inputs that changes the predictions.
 
     One is fitted where the squared changes of the whitened innovations sum to more than ``_SHOWN``;
     ``least`` is the log-likelihood under which a fit may stop early.
     """
     fits: list[LikelihoodFit] = []
-    for ways in _other_interpolations(fit, some) if fit.estimate.finite else ():
+    for some, ways in _other_interpolations(fit, groups) if fit.estimate.finite else ():
         state = replace(fit.state, between=ways)
         if _is_prediction_changed(assembly, fit, state):
             progress(_progress_message(some))
@@ -128,11 +129,20 @@ def _refit_interpolations(
     return fits
 
 
-def _other_interpolations(fit: LikelihoodFit, some: tuple[Input, ...]) -> Iterator[Ways]:
-    """A fit's interpolations with these inputs set to each one that some of them do not have."""
-    for way in get_args(Interpolation):
-        if any(way != _current_interpolation(fit, known) for known in some):
-            yield _replace_interpolation(fit, some, way)
+def _other_interpolations(
+    fit: LikelihoodFit, groups: Sequence[tuple[Input, ...]]
+) -> Iterator[tuple[tuple[Input, ...], Ways]]:
+    """Each group with the fit's interpolations, the group's set to each that some have not.
+
+    Those that an earlier group has led to are left out.
+    """
+    seen: list[Ways] = []
+    for some in groups:
+        for way in get_args(Interpolation):
+            ways = _replace_interpolation(fit, some, way)
+            if any(way != _current_interpolation(fit, k) for k in some) and ways not in seen:
+                seen.append(ways)
+                yield some, ways
 
 
 def _progress_message(some: tuple[Input, ...]) -> str:

@@ -44,15 +44,16 @@ from spiral.inference.evidence.spectrum import (
 )
 from spiral.inference.likelihood.fitting import LikelihoodFit, free_parameters
 from spiral.physics.signatures import Own, SystemMotion, amplitude_names, signatures
-from spiral.types.effect import Effect
+from spiral.types.effect import Effect, ParameterEffect
 from spiral.types.label import parameter_of
 from spiral.types.placement import input_columns
 from spiral.types.record import Array
+from spiral.types.system import varied_key
 
 _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
 _HUGE = 1e60  # a slope from which one is no number: own states that run away
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
-_STEP = 1e-5  # of an input's largest value, for the slopes of the rates by it
+_STEP = 1e-5  # of an input's largest value, or a parameter, for the slopes of the rates by it
 _FINE = (np.linspace(-0.8, 0.8, 5), np.linspace(-0.3, 0.3, 5))  # steps around a peak
 
 
@@ -284,10 +285,40 @@ def predicted_motion(assembly: Assembly, task: Task, part: Prediction) -> System
         pairs = zip(evaluate_model(inputs + step), evaluate_model(inputs - step), strict=True)
         more, told = ((a - b) / (2 * step[place]) for a, b in pairs)
         by_input[port.axes[0]] = (more, told)
+    by_parameter = {}
+    for key in {varied_key(system.place(e)) for e in _varying_effects(assembly)} & {*task.keys}:
+        more, told = _parameter_slopes(task, rows, inputs, key)
+        by_parameter[key] = (more[:, :n], told)
     known = dict(zip(task.keys, map(float, task.values), strict=True))
     values = {p.name: known[f"system.{p.name}"] for p in system.parameters}
     moved = np.gradient(readings, task.series.dt, axis=0) if system.readings else None
-    return SystemMotion(system, rows[:, :n], inputs, rates, readings, values, by_input, moved)
+    return SystemMotion(
+        system, rows[:, :n], inputs, rates, readings, values, by_input, by_parameter, moved
+    )
+
+
+def _varying_effects(assembly: Assembly) -> list[ParameterEffect]:
+    """The effects offered that change a parameter with a variable."""
+    offered = (v.original for v in assembly.offered)
+    return [e for e in offered if isinstance(e, ParameterEffect)]
+
+
+def _parameter_slopes(task: Task, rows: Array, inputs: Array, key: str) -> tuple[Array, Array]:
+    """Slopes of rates (samples, states) and readings (samples, channels) by a parameter's log."""
+    from spiral.engine.likelihood.signatures_kernel import evaluate_along
+
+    at, ends = task.keys.index(key), []
+    for sign in (1.0, -1.0):
+        values = np.array(task.values, dtype=float)
+        values[at] *= 1.0 + sign * _STEP
+        rates, readings = np.empty((len(rows), len(task.states))), np.empty_like(task.series.y)
+        evaluate_along(
+            task.compiled.rate_value, task.compiled.output_value, rows, inputs, values, rates,
+            readings,
+        )  # fmt: skip
+        ends.append((rates, readings))
+    (more, told), (less, before) = ends
+    return (more - less) / (2 * _STEP), (told - before) / (2 * _STEP)
 
 
 def _signature_columns(

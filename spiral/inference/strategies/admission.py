@@ -74,7 +74,7 @@ from spiral.inference.strategies.twins import untold_twin
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import LIKELIHOOD_RATIO_T
 from spiral.types.effect import Effect
-from spiral.types.formatting import number
+from spiral.types.formatting import number, percent
 from spiral.types.horizon import changes
 from spiral.types.label import owner_of, parameter_of, split_key, without_variant
 from spiral.types.run import Comparison
@@ -370,9 +370,10 @@ def refuse_unhelpful(
     size = max((_reduction_size(b, a) for b, a in pairs), default=0.0)
     if max(size, _force_replacement_size(before, after)) >= settings.smallest:
         return None
+    removed = f"no more than {percent(size)}" if size > 0 else "nothing"
     return Refusal(
-        f"significant, but too small to matter: at no horizon does it remove more than "
-        f"{size:.2g} of the error that is left (least {settings.smallest:g})"
+        f"significant, but too small to matter: over every horizon it removes {removed} of the "
+        f"error that is left (least {percent(settings.smallest)})"
     )
 
 

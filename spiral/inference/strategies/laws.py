@@ -22,6 +22,7 @@ import numpy as np
 
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.predict import total_log_likelihood
+from spiral.inference.disturbances import random_forces
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks
@@ -31,13 +32,15 @@ from spiral.inference.likelihood.fitting import (
     WARM,
     LikelihoodFit,
     fit_by_likelihood,
+    is_random_force_small,
     prepare_filter_tasks,
     schwarz_penalty,
     with_estimate,
 )
 from spiral.inference.likelihood.ladder import select_noise_model
+from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.nearness import is_near_noise
-from spiral.inference.problem import Progress
+from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.admission import (
     AcceptedCandidate,
     Refusal,
@@ -54,6 +57,7 @@ from spiral.physics.formulas.laws import laws_of
 from spiral.types.effect import Effect, ForceEffect, StateFlow
 from spiral.types.run import Comparison
 
+_CHANGES = 5  # pairs of a parameter and what it follows, for which every form is tried
 _SEVERAL = 2  # effects admitted from which a law may stand for all of them
 
 
@@ -97,23 +101,58 @@ def find_named_law(
     gone = _stand_in_labels(assembly, base)
     aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
     several = len(gone) >= _SEVERAL and not _has_coupling_force(assembly, gone)
-    idle = white and not several and not aided
-    if idle or not options.laws:
+    moved = _is_moved_at_random(comparison, assembly.problem.settings)
+    if (white and not (several or aided or moved)) or not options.laws:
         return None
-    assembly = offer_effects(assembly, laws_of(assembly.problem.model.system))
+    laws = laws_of(assembly.problem.model.system)
     for start in _law_starts(assembly, state, base, gone, white, masks[0], progress):
         progress("trying laws with a closed form")
+        changes = _promising_changes(assembly, start.base, masks[0])
+        assembly = offer_effects(assembly, (*laws, *changes))
         law = _find_law_from(options, assembly, start, comparison, masks, level, progress)
         if law is not None:
             return law
     return None
 
 
+def _is_moved_at_random(comparison: Comparison, settings: Settings) -> bool:
+    """Whether a random force, and no noise of the sensors, makes most of a free run's error.
+
+    What acts at random and what a parameter that varies would do look alike one sample ahead.
+    """
+    noise = settings.chi2_limit * comparison.noise_floor**2
+    return bool(random_forces(comparison)) and comparison.test_error**2 > noise
+
+
+def _promising_changes(
+    assembly: Assembly, base: LikelihoodFit, select: Masks
+) -> tuple[Effect, ...]:
+    """Changes of parameters with variables, of every form, where the plain forms score best.
+
+    Plain forms have no shapes to be searched: a line, a parabola, a power and an exponential show
+    what any smooth change would.
+    """
+    varying = assembly.problem.varying
+    plain = tuple(e for e in varying if all(len(p.grid) <= 1 for p in e.parameters))
+    offered = offer_effects(assembly, plain)
+    ranked = rank_variants(offered, base, base.estimate.noise, select, lambda _: offered.offered)
+    if ranked is None:
+        return ()
+    places = dict.fromkeys(r.variant.original.port for r in ranked.ranked)
+    best = {*itertools.islice(places, _CHANGES)}
+    return tuple(e for e in varying if e.port in best)
+
+
 def _stand_in_labels(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
-    """Compiled labels of admitted memoryless forces and flows, which a law may replace."""
+    """Compiled labels of admitted effects that a law may replace.
+
+    Those are forces and flows without memory; where none was admitted and a random force is no
+    small one, all effects: a sensor or an actuator may have taken part in what a law explains.
+    """
     held = {v.label: v.effect for v in assembly.variants if v.label in base.state.labels}
     kinds = ForceEffect | StateFlow
-    return tuple(x for x, e in held.items() if isinstance(e, kinds) and not e.states)
+    plain = tuple(x for x, e in held.items() if isinstance(e, kinds) and not e.states)
+    return plain if plain or is_random_force_small(base) else tuple(held)
 
 
 def _has_coupling_force(assembly: Assembly, labels: tuple[str, ...]) -> bool:
@@ -134,7 +173,7 @@ def _law_starts(
         if before.estimate.finite:
             before = fit_by_likelihood(assembly, before.state, masks=select, steps=WARM, rough=True)
             yield _LawStart(before, gone, _full_log_likelihood(assembly, state), state)
-    if not white:
+    if not white or not gone:
         yield _LawStart(base)
 
 

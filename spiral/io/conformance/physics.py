@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spiral.types.effect import Effect, InputEffect, SensorEffect
+from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect
 from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.label import parameter_of
 from spiral.types.parameter import Parameter
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from spiral.types.model import Model
 
 _STEP, _TOLERANCE, _EXACT = 1e-5, 1e-5, 1e-12
+_FRACTION = 0.1  # of a drawn amplitude, where a parameter varies
 _SMALL = 1e-4  # amplitudes at which a reading is linear, if it is so to leading order
 _DRAWS = 16
 _SAMPLES = 8192  # of the short simulated record: exp(819) of the fastest motion is infinite
@@ -70,14 +71,17 @@ class Physics:
         return value, by_x, by_p
 
     def draw_point(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-        """Random states, inputs and parameters, the last within their bounds."""
+        """Random states, inputs and parameters, the last within their bounds.
+
+        Parameters that vary change by a fraction: a mass that passes zero has no acceleration.
+        """
         traced = self.compiled.traced
         x, u = (rng.normal(size=len(names)) for names in (traced.states, traced.inputs))
-        return (
-            x,
-            u,
-            np.array([_value_in_bounds(q, rng.uniform(0.3, 0.9)) for q in traced.parameters]),
-        )
+        p = np.array([_value_in_bounds(q, rng.uniform(0.3, 0.9)) for q in traced.parameters])
+        for effect in self.effects or ():
+            if isinstance(effect, ParameterEffect):
+                p[self.amplitudes(effect)] *= _FRACTION
+        return x, u, p
 
     def amplitudes(self, effect: Effect) -> Array:
         """Which parameters are amplitudes of the effect."""
@@ -250,7 +254,7 @@ def check_linearity(effect: Effect, physics: Physics) -> str:
     """
     rng = np.random.default_rng(3)
     own = physics.amplitudes(effect)
-    bent = isinstance(effect, SensorEffect | InputEffect)
+    bent = isinstance(effect, SensorEffect | InputEffect | ParameterEffect)
     size, share = (_SMALL, np.sqrt(_SMALL)) if bent else (1.0, _EXACT)
     drawn = []
     for _ in range(_DRAWS):

@@ -144,7 +144,10 @@ def _effect_name(effect: Mapping[str, Any]) -> str:
     return label_words(name_of(effect["label"]))
 
 
-_PLACES = {"port": "At the port", "flow": "Flow of", "input": "On the", "sensor": "On the"}
+_PLACES = {
+    "port": "At the port", "flow": "Flow of", "input": "On the", "sensor": "On the",
+    "parameter": "Changing parameter, with what it follows:",
+}  # fmt: skip
 
 
 def _join_names(names: Sequence[str]) -> str:

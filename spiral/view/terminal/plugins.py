@@ -113,10 +113,11 @@ def _print_parameters(console: Console, plugin: type) -> None:
 
 def _print_where_it_acts(console: Console, plugin: type[Effect]) -> None:
     """What an effect needs of its place, and what it looks like."""
-    from spiral.types.effect import InputEffect, SensorEffect, StateFlow
+    from spiral.types.effect import InputEffect, ParameterEffect, SensorEffect, StateFlow
 
     kinds = {
         SensorEffect: "on sensors", InputEffect: "on an input",
+        ParameterEffect: "on a parameter and what it follows, PARAMETER-VARIABLE",
         StateFlow: "on states of first order",
     }  # fmt: skip
     where = next((told for kind, told in kinds.items() if issubclass(plugin, kind)), "at a port")
